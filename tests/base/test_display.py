@@ -10,6 +10,7 @@ from bundle.base.display import Display
 from bundle.base.tables import render
 from bundle.planning.comparison.method import Method
 from bundle.reports.terminal.compare import compared
+from bundle.reports.terminal.screen import laid_out
 from tests import scenes
 from tests.planning.comparison.fakes import comparison, done, failed
 
@@ -142,7 +143,7 @@ def test_a_comparison_that_was_interrupted_at_once_prints_no_nan():
     never = failed(DENSE, outcome="not_run", message="the comparison was interrupted before")
     stopped = comparison(never, interrupted=True)
     assert "nan" not in repr(stopped).lower()
-    assert "nan" not in render(*compared(stopped)).lower()
+    assert "nan" not in render(*laid_out(compared(stopped))).lower()
 
 
 def test_a_notebook_gets_texts_instead_of_what_rich_displays(solved, monkeypatch):

@@ -15,7 +15,8 @@ from bundle.cli.option_flags import add_options, options_given
 from bundle.cli.parser import Parser
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
-from bundle.reports.terminal import json as json_report
+from bundle.reports.sections import plain
+from bundle.reports.terminal.solve_data import result_data
 from tests.scenes import scene
 
 
@@ -68,13 +69,13 @@ def solve(problem: Problem, flags: list[str]) -> dict[str, object]:
     except bundle.InputError as error:
         return {"refused": str(error)}
     summary = solved.summary
-    json_report.result(solved)
+    plain(result_data(solved))
     return {
         "termination": summary.termination_type,
         "usable": summary.is_solution_usable,
         "initial": summary.initial_cost,
         "final": summary.final_cost,
-        "words": bundle.reports.terminal.refine.outcome(solved),
+        "words": solved.outcome,
     }
 
 
@@ -87,6 +88,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import bundle.reports.terminal.refine
-
     main()

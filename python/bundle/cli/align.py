@@ -46,12 +46,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Align INPUT into OUTPUT."""
     from bundle.cli.carried_georeference import check_georeference, write_georeference
     from bundle.cli.gps_flags import antenna
-    from bundle.cli.output import check_replaced, same_images, show, write_json
+    from bundle.cli.output import check_replaced, publish, same_images
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.georeference.alignment import align
     from bundle.io.open import check_target, load, output_format, save
-    from bundle.reports.terminal.align import alignment, as_json
+    from bundle.reports.terminal.align import alignment
 
     source, target = arguments.input, arguments.output
     with Progress(quiet=arguments.quiet) as progress, naming_flags(**FLAGS):
@@ -82,7 +82,5 @@ def run(arguments: argparse.Namespace) -> int:
         progress.stage(f"writing {shown(target)}")
         lost = save(aligned.problem, **output, progress=progress.text)
         write_georeference(aligned, **output, reference=arguments.reference)
-    if arguments.json != "-":
-        show(*alignment(source, aligned, output, lost))
-    write_json(arguments.json, as_json(source, problem, aligned, output))
+    publish(alignment(source, problem, aligned, output, lost), arguments.json)
     return EXIT_DONE

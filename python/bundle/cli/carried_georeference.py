@@ -69,9 +69,9 @@ def write_georeference(
         format: of the model.
         reference: path of another model, whose frame it has.
     """
-    from bundle.reports.terminal import json
+    from bundle.reports.sections import plain
 
-    found = json.plain(georeference.asdict())
+    found = plain(georeference.asdict())
     frame = None if reference is None else georeference_at(reference)
     _write(found | ({} if frame is None else _frame(frame)), path, format)
 
@@ -109,11 +109,11 @@ def _frame(found: dict[str, Any]) -> dict[str, Any]:
 def _write(found: dict[str, Any], path: str, format: str) -> None:
     from bundle.io.atomic import atomic_write as atomic
     from bundle.io.georeference_file import OWNER, path_beside
-    from bundle.reports.terminal import json
+    from bundle.reports.sections import dumps
 
     model = Path(path)
     content = {name: value for name, value in found.items() if name != OWNER}
     if format == "bal":
         content[OWNER] = model.name
     beside = path_beside(model, is_folder=format != "bal")
-    atomic.write_text(beside, json.dumps(content))
+    atomic.write_text(beside, dumps(content))

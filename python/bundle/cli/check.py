@@ -53,12 +53,12 @@ def run(arguments: argparse.Namespace) -> int:
     started = perf_counter()
     from bundle.checking.gradient_report import outcome
     from bundle.checking.jacobians import check_jacobians
-    from bundle.cli.output import show, write_json
+    from bundle.cli.output import publish
     from bundle.cli.progress import Progress
     from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
     from bundle.io.open import load
-    from bundle.reports.terminal.check import as_json, checked
+    from bundle.reports.terminal.check import checked
 
     for flag, value, least in (("--samples", arguments.samples, 1), ("--seed", arguments.seed, 0)):
         if value < least:
@@ -83,10 +83,8 @@ def run(arguments: argparse.Namespace) -> int:
         "tolerance": arguments.tolerance,
         "num_threads": arguments.threads,
     }
-    if arguments.json != "-":
-        show(*checked(arguments.input, problem, report))
     wall = perf_counter() - started
-    write_json(arguments.json, as_json(arguments.input, problem, report, options, wall))
+    publish(checked(arguments.input, problem, report, options, wall), arguments.json)
     if report.ok:
         return EXIT_DONE
     if arguments.json == "-":  # the report that people read was not printed

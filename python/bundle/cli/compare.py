@@ -103,11 +103,10 @@ def _add_limits(group: argparse._ArgumentGroup) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Compare methods on INPUT: 0 if one can be recommended."""
-    from bundle.cli.output import show, write_json
+    from bundle.cli.output import publish
     from bundle.cli.progress import Progress
     from bundle.planning.comparison.compare_methods import compare
     from bundle.reports.terminal.compare import compared
-    from bundle.reports.terminal.compare_json import as_json
 
     if any(is_pose_graph_file(path) for path in arguments.inputs):
         from bundle.cli.pose_graph_costs import compare_graph_file
@@ -137,9 +136,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
         if arguments.html is not None:
             _write_page(comparison, arguments.html, progress)
-    if arguments.json != "-":
-        show(*compared(comparison))
-    write_json(arguments.json, as_json(comparison))
+    publish(compared(comparison), arguments.json)
     if comparison.recommendation is None or comparison.interrupted:
         return EXIT_NO_SOLUTION
     return EXIT_DONE

@@ -38,12 +38,11 @@ def run(arguments: argparse.Namespace) -> int:
         check_georeference,
         georeference_at,
     )
-    from bundle.cli.output import check_replaced, same_images, show, write_json
+    from bundle.cli.output import check_replaced, publish, same_images
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io.open import check_target, load, output_format, save
-    from bundle.reports.terminal import json
-    from bundle.reports.terminal.convert import conversion
+    from bundle.reports.terminal.convert import converted
 
     path = arguments.output
     with Progress(quiet=arguments.quiet) as progress:
@@ -64,8 +63,5 @@ def run(arguments: argparse.Namespace) -> int:
         progress.stage(f"writing {shown(path)}")
         lost = save(edited, **output, progress=progress.text)
         carry_georeference(place, **output)
-    if arguments.json != "-":
-        show(*conversion(arguments.input, problem, output, lost, edits))
-    report = json.conversion(arguments.input, problem, output, lost, edits)
-    write_json(arguments.json, report)
+    publish(converted(arguments.input, problem, output, lost, edits), arguments.json)
     return EXIT_DONE

@@ -132,11 +132,11 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_flags_of_graphs(arguments)
     from bundle.analysis.uncertainty.compute_covariance import covariance
     from bundle.cli.gps_flags import priors_given
-    from bundle.cli.output import show, write_json
+    from bundle.cli.output import publish
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io.open import load
-    from bundle.reports.terminal.covariance import as_json, uncertainties
+    from bundle.reports.terminal.covariance import uncertainties
 
     source, target = arguments.input, arguments.output
     options = options_given(arguments, SolveOptions, names_follow=True)
@@ -163,9 +163,7 @@ def run(arguments: argparse.Namespace) -> int:
             )
         progress.stage(f"writing {shown(target)}")
         found.save(target)
-    if arguments.json != "-":
-        show(*uncertainties(source, problem, found, target))
     wall = perf_counter() - started
     asked = {name: getattr(options, name) for name in OPTIONS} | as_options(arguments)
-    write_json(arguments.json, as_json(source, problem, found, asked, target, wall))
+    publish(uncertainties(source, problem, found, asked, target, wall), arguments.json)
     return EXIT_DONE

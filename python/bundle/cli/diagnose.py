@@ -59,11 +59,11 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_flags_of_graphs(arguments)
     from bundle.analysis.diagnosis.diagnose_problem import diagnose
     from bundle.cli.gps_flags import priors_given
-    from bundle.cli.output import show, write_json
+    from bundle.cli.output import publish
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io.open import load
-    from bundle.reports.terminal.diagnose import as_json, diagnosed
+    from bundle.reports.terminal.diagnose import diagnosed
 
     options = options_given(arguments, SolveOptions, names_follow=True)
     check_gps_flags(arguments, options)
@@ -81,12 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
                 priors=() if known is None else known.priors,
                 constraints=constraints,
             )
-    if arguments.json != "-":
-        show(*diagnosed(arguments.input, problem, diagnosis))
+    asked = {name: getattr(options, name) for name in OPTIONS} | as_options(arguments)
     wall = perf_counter() - started
-    given = as_options(arguments)
-    write_json(
-        arguments.json,
-        as_json(arguments.input, problem, diagnosis, options, OPTIONS, given, wall),
-    )
+    publish(diagnosed(arguments.input, problem, diagnosis, asked, wall), arguments.json)
     return EXIT_DONE

@@ -51,11 +51,10 @@ def refuse_flight_flags(arguments: argparse.Namespace) -> None:
 
 def run_flight(arguments: argparse.Namespace) -> int:
     """Make a flight and write it, its truth beside its measurements."""
-    from bundle.cli.output import check_new, show, write_json
+    from bundle.cli.output import check_new, publish
     from bundle.cli.progress import Progress
     from bundle.io.sequences.sequence_folder import check_sequence_target
-    from bundle.reports.terminal.json import plain
-    from bundle.reports.terminal.sequence_tables import heading_of_sequence, made_flight
+    from bundle.reports.terminal.synth import made_flight
     from bundle.synthetic.flight.synthetic_flight import save_flight, synthesize_flight
 
     flags = {name: field.metadata["flag"] for name, field in _OF_SCENES.items()}
@@ -74,15 +73,5 @@ def run_flight(arguments: argparse.Namespace) -> int:
             flight = synthesize_flight(options)
         progress.stage(f"writing {shown(path)}")
         save_flight(flight, path)
-    report = {
-        **heading_of_sequence("synth", path, "sequence", flight.sequence),
-        "options": plain(options.asdict()),
-        "output": {"path": path, "format": "sequence"},
-        "ground_truth": {"path": f"{path.rstrip('/')}/ground_truth.csv", "format": "euroc"},
-    }
-    del report["input"]["path"], report["input"]["format"]
-    report["contents"] = report.pop("input")
-    if arguments.json != "-":
-        show(*made_flight(path, flight.sequence))
-    write_json(arguments.json, report)
+    publish(made_flight(path, flight.sequence, options), arguments.json)
     return EXIT_DONE

@@ -9,7 +9,7 @@ from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.parser import add_input, add_rig_config, with_rigs
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
+    from bundle.reports.sections import Report
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Describe every INPUT."""
     from bundle.analysis.statistics.description import describe
-    from bundle.cli.output import show, write_json
+    from bundle.cli.output import publish, show, write_json
     from bundle.cli.pose_graph_commands import describe_graph
     from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
     from bundle.cli.progress import Progress
@@ -35,26 +35,27 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.errors import shown
     from bundle.io.open import load
     from bundle.io.recognition import is_pose_graph_file, sequence_at
-    from bundle.reports.terminal import info, json
+    from bundle.reports.sections import several
+    from bundle.reports.terminal.info import information
+    from bundle.reports.terminal.screen import laid_out
 
-    tables: list[RenderableType] = []
-    reports = []
+    reports: list[Report] = []
     with Progress(quiet=arguments.quiet) as progress:
         for path in arguments.inputs:
             progress.stage(f"reading {shown(path)}")
             if is_pose_graph_file(path) or sequence_at(path):
                 refuse_flags_of_reconstructions(arguments)
                 describe_it = describe_sequence if sequence_at(path) else describe_graph
-                described, report = describe_it(path)
-                tables += ["", *described]
-                reports.append(report)
+                reports.append(describe_it(path))
                 continue
             problem = with_rigs(load(path, progress.text), arguments.rig_config)
             progress.stage("counting")
-            description = describe(problem)
-            tables += ["", *info.information(path, problem, description)]
-            reports.append(json.information(path, problem, description))
+            reports.append(information(path, problem, describe(problem)))
+    if len(reports) == 1:
+        publish(reports[0], arguments.json)
+        return EXIT_DONE
     if arguments.json != "-":
-        show(*tables[1:])
-    write_json(arguments.json, reports[0] if len(reports) == 1 else json.several("info", reports))
+        show(*laid_out([section for report in reports for section in report.sections]))
+    if arguments.json is not None:
+        write_json(arguments.json, several("info", reports))
     return EXIT_DONE

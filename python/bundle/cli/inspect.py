@@ -128,14 +128,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _inspect_problem(arguments: argparse.Namespace) -> int:
     started = perf_counter()
-    from bundle.cli.output import show, write_json
+    from bundle.cli.output import publish
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io.open import load
     from bundle.planning.inspection.problem_inspection import inspect
-    from bundle.planning.inspection.rank_prediction import find_rank_limit, predict_ranks
-    from bundle.reports.terminal.inspect import as_json, inspected
-    from bundle.reports.terminal.process_tables import predicted_ranks
+    from bundle.planning.inspection.rank_prediction import predict_ranks
+    from bundle.reports.terminal.inspect import inspected
 
     options = options_given(arguments, SolveOptions, names_follow=True)
     counts, network = _processes_given(arguments)
@@ -156,19 +155,9 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
             write_inspection(
                 inspection, page, problem, options, name=name, ranks=ranks, network=network
             )
-    if arguments.json != "-":
-        show(
-            *inspected(arguments.input, problem, inspection, options),
-            *predicted_ranks(ranks, network),
-        )
     wall = perf_counter() - started
-    report = as_json(arguments.input, problem, inspection, options, OPTIONS, wall)
-    if ranks:
-        report["network"] = {"gbit_per_second": network[0], "latency_in_microseconds": network[1]}
-        report["ranks"] = [dataclasses.asdict(row) for row in ranks]
-        limit = find_rank_limit(ranks)
-        report["rank_limit"] = None if limit is None else dataclasses.asdict(limit)
-    write_json(arguments.json, report)
+    report = inspected(arguments.input, problem, inspection, options, OPTIONS, ranks, network, wall)
+    publish(report, arguments.json)
     return EXIT_DONE
 
 
@@ -197,17 +186,15 @@ def _processes_given(arguments: argparse.Namespace) -> tuple[list[int], tuple[fl
 
 def _inspect_graph(arguments: argparse.Namespace) -> int:
     started = perf_counter()
-    from bundle.cli.output import show, write_json
-    from bundle.reports.terminal.inspect_graph import as_json, inspected
+    from bundle.cli.output import publish
+    from bundle.reports.terminal.inspect_graph import inspected
 
     graph = _eliminate(arguments)
     if arguments.html is not None:
         from bundle.reports.page.inspection_page import write_inspection
 
         write_inspection(graph, arguments.html)
-    if arguments.json != "-":
-        show(*inspected(arguments.graph, graph))
-    write_json(arguments.json, as_json(arguments.graph, graph, perf_counter() - started))
+    publish(inspected(arguments.graph, graph, perf_counter() - started), arguments.json)
     return EXIT_DONE
 
 

@@ -53,12 +53,12 @@ def run(arguments: argparse.Namespace) -> int:
         check_georeference,
         georeference_at,
     )
-    from bundle.cli.output import check_replaced, same_images, show, write_json
+    from bundle.cli.output import check_replaced, publish, same_images
     from bundle.cli.progress import Progress
     from bundle.editing.merging.merge_models import merge
     from bundle.errors import shown
     from bundle.io.open import check_target, load, output_format, save
-    from bundle.reports.terminal.merge import as_json, merged_table
+    from bundle.reports.terminal.merge import merged_report
 
     paths, target = (arguments.a, arguments.b), arguments.output
     with Progress(quiet=arguments.quiet) as progress, naming_flags(**FLAGS):
@@ -78,7 +78,5 @@ def run(arguments: argparse.Namespace) -> int:
         progress.stage(f"writing {shown(target)}")
         lost = save(merged.problem, **output, progress=progress.text)
         carry_georeference(place, **output, changed=MERGED)
-    if arguments.json != "-":
-        show(*merged_table(paths, (a, b), merged, output, lost))
-    write_json(arguments.json, as_json(paths, (a, b), merged, output))
+    publish(merged_report(paths, (a, b), merged, output, lost), arguments.json)
     return EXIT_DONE

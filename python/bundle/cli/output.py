@@ -15,12 +15,13 @@ from bundle.cli.standard_streams import print_out
 from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.recognition import reconstruction_at, sequence_at
-from bundle.reports.terminal import json
+from bundle.reports.sections import Report, dumps
+from bundle.reports.terminal.screen import laid_out
 
 if TYPE_CHECKING:
     from bundle.model.problem import Problem
 
-__all__ = ["check_new", "check_replaced", "same_images", "show", "write_json"]
+__all__ = ["check_new", "check_replaced", "publish", "same_images", "show", "write_json"]
 
 
 def check_replaced(
@@ -87,14 +88,22 @@ def check_new(path: str, flag: str) -> None:
     raise InputError(f"{shown(path)}: expected nothing there, found {found} ({flag} replaces it)")
 
 
+def publish(report: Report, json_path: str | None) -> None:
+    """Show a report; write it for programs to a file, or to standard output ("-") instead."""
+    if json_path != "-":
+        show(*laid_out(report))
+    if json_path is not None:
+        write_json(json_path, report.json())
+
+
 def write_json(path: str | None, report: dict[str, Any]) -> None:
     """Write a report to a file, whole or not at all, to standard output ("-"), or nowhere."""
     if path is None:
         return
     if path == "-":
-        print_out(json.dumps(report))
+        print_out(dumps(report))
     else:
-        atomic.write_text(Path(path), json.dumps(report))
+        atomic.write_text(Path(path), dumps(report))
 
 
 def show(*renderables: RenderableType) -> None:

@@ -20,11 +20,11 @@ def diagnose_graph_file(arguments: argparse.Namespace) -> int:
     """Diagnose the pose graph INPUT."""
     started = perf_counter()
     from bundle.analysis.diagnosis.diagnose_graph import diagnose_graph
-    from bundle.cli.output import show, write_json
+    from bundle.cli.output import publish
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io.g2o_files import load_g2o
-    from bundle.reports.terminal.graph_certainty import diagnosed_graph, diagnosis_of_graph
+    from bundle.reports.terminal.diagnose import diagnosed_graph
 
     refuse_flags_of_reconstructions(arguments, (*LINEARIZATION, "num_threads"))
     options = options_given(arguments, PoseGraphOptions)
@@ -35,11 +35,9 @@ def diagnose_graph_file(arguments: argparse.Namespace) -> int:
         progress.stage("diagnosing")
         with naming_flags(PoseGraphOptions):
             found = diagnose_graph(graph, options)
-    if arguments.json != "-":
-        show(*diagnosed_graph(source, graph, found))
     asked = {name: getattr(options, name) for name in LINEARIZATION}
     wall = perf_counter() - started
-    write_json(arguments.json, diagnosis_of_graph(source, graph, found, asked, wall))
+    publish(diagnosed_graph(source, graph, found, asked, wall), arguments.json)
     return EXIT_DONE
 
 
@@ -47,11 +45,11 @@ def covariance_of_graph_file(arguments: argparse.Namespace) -> int:
     """Compute the covariances of the poses of the pose graph INPUT."""
     started = perf_counter()
     from bundle.analysis.uncertainty.graph_covariance import graph_covariance
-    from bundle.cli.output import show, write_json
+    from bundle.cli.output import publish
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io.g2o_files import load_g2o
-    from bundle.reports.terminal.graph_certainty import certainty_of_graph, covariance_of_graph
+    from bundle.reports.terminal.covariance import uncertainties_of_graph
 
     own = ("relative", "covariance_gauge", "scale", "num_threads")
     refuse_flags_of_reconstructions(arguments, (*LINEARIZATION, *own))
@@ -72,9 +70,7 @@ def covariance_of_graph_file(arguments: argparse.Namespace) -> int:
             )
         progress.stage(f"writing {shown(target)}")
         found.save(target)
-    if arguments.json != "-":
-        show(*certainty_of_graph(source, graph, found, target))
     asked = {name: getattr(options, name) for name in LINEARIZATION}
     wall = perf_counter() - started
-    write_json(arguments.json, covariance_of_graph(source, graph, found, asked, target, wall))
+    publish(uncertainties_of_graph(source, graph, found, asked, target, wall), arguments.json)
     return EXIT_DONE

@@ -7,7 +7,7 @@ import dataclasses
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import naming_flags, options_given
@@ -15,9 +15,8 @@ from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from bundle.model.pose_graph_arrays import PoseGraph
+    from bundle.reports.sections import Report
 
 __all__ = ["convert_graph", "describe_graph", "refine_graph"]
 
@@ -27,13 +26,12 @@ _OPTIONS = {field.name for field in dataclasses.fields(PoseGraphOptions)}
 def refine_graph(arguments: argparse.Namespace) -> int:
     """Refine the pose graph INPUT into OUTPUT."""
     started = perf_counter()
-    from bundle.cli.output import check_replaced, show, write_json
+    from bundle.cli.output import check_replaced, publish
     from bundle.cli.progress import Progress
     from bundle.cli.standard_streams import complain
     from bundle.errors import shown
     from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
     from bundle.io.g2o_files import check_g2o_target, load_g2o, save_g2o
-    from bundle.reports.terminal.pose_graph_json import refinement_of_graph
     from bundle.reports.terminal.pose_graph_tables import refined_graph
     from bundle.reports.terminal.timing import WallTime
 
@@ -64,9 +62,7 @@ def refine_graph(arguments: argparse.Namespace) -> int:
         total=perf_counter() - started,
     )
     written = {"path": target, "format": "g2o"} if saved else None
-    if arguments.json != "-":
-        show(*refined_graph(source, solved, wall, written))
-    write_json(arguments.json, refinement_of_graph(source, solved, wall, written))
+    publish(refined_graph(source, solved, wall, written), arguments.json)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE
     if arguments.json == "-":
@@ -74,25 +70,21 @@ def refine_graph(arguments: argparse.Namespace) -> int:
     return EXIT_NO_SOLUTION
 
 
-def describe_graph(path: str) -> tuple[list[RenderableType], dict[str, Any]]:
-    """Return what `bundle info` says of a pose graph, for people and for programs."""
+def describe_graph(path: str) -> Report:
+    """Return the report of `bundle info` on a pose graph."""
     from bundle.io.g2o_files import load_g2o
-    from bundle.reports.terminal.pose_graph_json import information_of_graph
     from bundle.reports.terminal.pose_graph_tables import described_graph
 
-    graph = load_g2o(path)
-    report = information_of_graph(path, graph)
-    return described_graph(path, graph, report), report
+    return described_graph(path, load_g2o(path))
 
 
 def convert_graph(arguments: argparse.Namespace) -> int:
     """Write the pose graph INPUT anew: compressed or not, with poses where it had none."""
-    from bundle.cli.output import check_replaced, show, write_json
+    from bundle.cli.output import check_replaced, publish
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io.g2o_files import check_g2o_target, load_g2o, save_g2o
-    from bundle.reports.terminal.pose_graph_json import conversion_of_graph
-    from bundle.reports.terminal.pose_graph_tables import converted_graph
+    from bundle.reports.terminal.convert import converted_graph
 
     refuse_flags_of_reconstructions(arguments)
     path = arguments.output
@@ -105,9 +97,7 @@ def convert_graph(arguments: argparse.Namespace) -> int:
         progress.stage(f"writing {shown(path)}")
         lost = save_g2o(graph, path)
     output = {"path": path, "format": "g2o"}
-    if arguments.json != "-":
-        show(*converted_graph(arguments.input, graph, output))
-    write_json(arguments.json, conversion_of_graph(arguments.input, graph, output, lost))
+    publish(converted_graph(arguments.input, graph, output, lost), arguments.json)
     return EXIT_DONE
 
 

@@ -25,12 +25,12 @@ OPTIONS = (
 def inspect_graph_file(arguments: argparse.Namespace) -> int:
     """Inspect the pose graph INPUT."""
     started = perf_counter()
-    from bundle.cli.output import show, write_json
+    from bundle.cli.output import publish
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io.g2o_files import load_g2o
     from bundle.planning.inspection.problem_inspection import inspect
-    from bundle.reports.terminal.graph_costs import inspected_graph, inspection_of_graph
+    from bundle.reports.terminal.graph_costs import inspected_graph
 
     refuse_flags_of_reconstructions(arguments, ("num_threads",))
     source = arguments.input
@@ -39,22 +39,20 @@ def inspect_graph_file(arguments: argparse.Namespace) -> int:
         graph = load_g2o(source)
         progress.stage("inspecting")
         found = inspect(graph)
-    if arguments.json != "-":
-        show(*inspected_graph(source, graph, found))
     wall = perf_counter() - started
-    write_json(arguments.json, inspection_of_graph(source, graph, found, wall))
+    publish(inspected_graph(source, graph, found, wall), arguments.json)
     return EXIT_DONE
 
 
 def compare_graph_file(arguments: argparse.Namespace) -> int:
     """Compare methods on the pose graph INPUT: 0 if one can be recommended."""
     started = perf_counter()
-    from bundle.cli.output import show, write_json
+    from bundle.cli.output import publish
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io.g2o_files import load_g2o
     from bundle.planning.comparison.compare_methods import compare
-    from bundle.reports.terminal.graph_costs import compared_graph, comparison_of_graph
+    from bundle.reports.terminal.graph_costs import compared_graph
 
     if len(arguments.inputs) > 1:
         raise InputError(f"expected one INPUT with a pose graph, found {len(arguments.inputs)}")
@@ -77,11 +75,9 @@ def compare_graph_file(arguments: argparse.Namespace) -> int:
                 timeout=arguments.timeout,
                 progress=progress.stage,
             )
-    if arguments.json != "-":
-        show(*compared_graph(source, found))
     asked = {name: getattr(options, name) for name in OPTIONS}
     wall = perf_counter() - started
-    write_json(arguments.json, comparison_of_graph(source, found, asked, wall))
+    publish(compared_graph(source, found, asked, wall), arguments.json)
     return EXIT_DONE if found.recommended is not None else EXIT_NO_SOLUTION
 
 

@@ -133,14 +133,13 @@ def run(arguments: argparse.Namespace) -> int:
         write_georeference,
     )
     from bundle.cli.gps_flags import priors_given
-    from bundle.cli.output import check_replaced, same_images, show, write_json
+    from bundle.cli.output import check_replaced, publish, same_images
     from bundle.cli.progress import Progress
     from bundle.cli.sliced_input import sliced_input
     from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
     from bundle.io.open import check_target, load, output_format, save
-    from bundle.reports.terminal import json
-    from bundle.reports.terminal.refine import outcome, refinement
+    from bundle.reports.terminal.refine import refinement
     from bundle.reports.terminal.timing import WallTime
     from bundle.solving.rounds.solve_rounds import solve_rounds
 
@@ -259,16 +258,14 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.only_images is not None:
         more |= {"only_images": arguments.only_images, "rest": arguments.rest or RESTS[0]}
     more |= checkpoints | as_options(arguments)
-    if arguments.json != "-":
-        show(*refinement(source, loaded, solved, wall, written, lost, georeference, edits, closed))
-    report = json.refinement(
-        source, loaded, solved, wall, written, more, georeference, edits, closed
+    report = refinement(
+        source, loaded, solved, wall, written, lost, more, georeference, edits, closed
     )
-    write_json(arguments.json, report)
+    publish(report, arguments.json)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE
     if arguments.json == "-":  # the report that people read was not printed
-        complain(outcome(solved))
+        complain(solved.outcome)
     return EXIT_NO_SOLUTION
 
 
@@ -315,9 +312,9 @@ def _wrong_jacobians(
     """Check the Jacobians; if any is wrong, report that in place of the solve."""
     from bundle.checking.gradient_report import outcome
     from bundle.checking.jacobians import check_jacobians
-    from bundle.cli.output import show, write_json
+    from bundle.cli.output import publish
     from bundle.cli.standard_streams import complain
-    from bundle.reports.terminal.check import as_json, checked
+    from bundle.reports.terminal.check import checked
 
     begun = perf_counter()
     report = check_jacobians(
@@ -329,9 +326,7 @@ def _wrong_jacobians(
         return False
     if arguments.json == "-":
         complain(outcome(report))
-    else:
-        show(*checked(arguments.input, problem, report))
     settings = {"check_gradients": True, **options.asdict()}
     took = perf_counter() - begun
-    write_json(arguments.json, as_json(arguments.input, problem, report, settings, took))
+    publish(checked(arguments.input, problem, report, settings, took), arguments.json)
     return True

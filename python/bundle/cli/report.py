@@ -72,12 +72,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Write the page on INPUT."""
     started = perf_counter()
     from bundle.cli.gps_flags import priors_given
-    from bundle.cli.output import show, write_json
+    from bundle.cli.output import publish
     from bundle.cli.progress import Progress
     from bundle.errors import InputError, shown
     from bundle.io.open import load
     from bundle.reports.page.report_page import write_report
-    from bundle.reports.terminal.report import as_json, reported
+    from bundle.reports.terminal.report import reported
 
     source, page = arguments.input, arguments.output
     if page == "-":
@@ -101,8 +101,6 @@ def run(arguments: argparse.Namespace) -> int:
                 name=str(source),
             )
         notes = (*lost, *notes)
-    if arguments.json != "-":
-        show(*reported(source, problem, page, notes))
     wall = perf_counter() - started
-    write_json(arguments.json, as_json(source, problem, page, notes, wall))
+    publish(reported(source, problem, page, notes, wall), arguments.json)
     return EXIT_DONE

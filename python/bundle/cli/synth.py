@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.flight_synthesis import (
@@ -23,15 +22,12 @@ from bundle.io.open import FORMATS
 from bundle.model.reprojection import reprojection_error
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from bundle.synthetic.scene_tally import SceneTally
     from bundle.synthetic.synthesis import SyntheticScene
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
 NAME = "synth"
-_ERRORS = ("rmse", "median", "p95", "max")
 HELP = "seeded synthetic scenes with ground truth, from toy to millions of observations"
 
 
@@ -68,9 +64,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.scene == FLIGHT:
         return run_flight(arguments)
     refuse_flight_flags(arguments)
-    from bundle.cli.output import check_new, show, write_json
+    from bundle.cli.output import check_new, publish
     from bundle.cli.progress import Progress
     from bundle.io.open import check_target, output_format, save
+    from bundle.reports.terminal.synth import synthesized
     from bundle.synthetic.blocks import SceneInBlocks
     from bundle.synthetic.synthesis import assemble
 
@@ -101,10 +98,8 @@ def run(arguments: argparse.Namespace) -> int:
             save(made.ground_truth, truth_path, format)
     output = {"path": path, "format": format}
     truth = {"path": truth_path, "format": format}
-    report = _report(options, images.num_cameras, tally, output, truth)
-    if arguments.json != "-":
-        show(*_tables(report))
-    write_json(arguments.json, report)
+    report = synthesized(options, images.num_cameras, tally, output, truth)
+    publish(report, arguments.json)
     return EXIT_DONE
 
 
@@ -134,67 +129,3 @@ def _tally(scene: SyntheticScene) -> SceneTally:
         "ground_truth": reprojection_error(scene.ground_truth),
     }
     return tally
-
-
-def _report(
-    options: SceneOptions,
-    num_cameras: int,
-    tally: SceneTally,
-    output: dict[str, str],
-    truth: dict[str, str],
-) -> dict[str, Any]:
-    """Return the report for programs, which is also what the table for people shows."""
-    from bundle import __version__
-    from bundle.reports.terminal.json import SCHEMA, plain
-
-    report: dict[str, Any] = plain(
-        {
-            "schema": SCHEMA,
-            "command": NAME,
-            "version": __version__,
-            "options": options.asdict(),
-            "output": output,
-            "ground_truth": truth,
-            "num_cameras": num_cameras,
-            "num_images": options.num_images,
-            "num_points": options.num_points,
-            "num_observations": tally.num_observations,
-            "num_outliers": tally.num_outliers,
-            "track_length": tally.track_length(),
-            "observations_per_image": tally.image_size(),
-            "reprojection_error": {
-                name: dataclasses.asdict(errors) for name, errors in tally.errors.items()
-            },
-        }
-    )
-    return report
-
-
-def _tables(report: dict[str, Any]) -> list[RenderableType]:
-    """Return what was written and its statistics."""
-    from bundle.base.tables import columns, facts, format_name, number, pixels, plural
-
-    output, truth = report["output"], report["ground_truth"]
-    things = ("image", "camera", "point", "observation", "outlier")
-    contents = ", ".join(plural(report[f"num_{thing}s"], thing) for thing in things)
-    written = [
-        ("output", f"{shown(output['path'])} ({format_name(output['format'])})"),
-        ("ground truth", f"{shown(truth['path'])} ({format_name(truth['format'])})"),
-        ("", contents),
-    ]
-    spread = [
-        (label, *(number(report[name][key]) for key in ("min", "median", "mean", "max")))
-        for label, name in (
-            ("track length", "track_length"),
-            ("observations per image", "observations_per_image"),
-        )
-    ]
-    errors = [
-        (label, *(pixels(report["reprojection_error"][name][key]) for key in _ERRORS))
-        for label, name in (("start", "start"), ("ground truth", "ground_truth"))
-    ]
-    return [
-        facts(written),
-        columns(("", "min", "median", "mean", "max"), spread),
-        columns(("error in pixels", *_ERRORS), errors),
-    ]

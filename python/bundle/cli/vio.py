@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     from bundle.base.paths import as_path
-    from bundle.cli.output import show, write_json
+    from bundle.cli.output import publish
     from bundle.cli.progress import Progress
     from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
@@ -106,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.io.recognition import sequence_format
     from bundle.io.sequences.sequence_folder import read_sequence, refuse_fatal
     from bundle.io.sequences.trajectory_files import load_trajectory, save_tum
-    from bundle.reports.terminal.vio import as_json, odometry_tables, telemetry_lines
+    from bundle.reports.terminal.vio import odometry_report, telemetry_lines
 
     source, target = arguments.sequence, arguments.output
     if arguments.publish is None and (arguments.loops is not None or arguments.real_time):
@@ -153,19 +153,15 @@ def run(arguments: argparse.Namespace) -> int:
             write_odometry(result, arguments.html, truth=truth, error=error, name=Path(source).name)
     wall = perf_counter() - started
     written = target if result.is_usable else None
-    tables = odometry_tables(source, result, error, written, findings)
-    report = as_json(
+    report = odometry_report(
         source, sequence_format(source), sequence, result, error, written, wall, findings
     )
     if loops is not None:
-        from bundle.reports.terminal.two_loops_tables import loop_tables, loops_as_json
+        from bundle.reports.terminal.two_loops_tables import with_loops
 
         path = arguments.publish if result.is_usable else None
-        tables += loop_tables(loops, corrected)
-        report["two_loops"] = loops_as_json(loops, corrected, path)
-    if arguments.json != "-":
-        show(*tables)
-    write_json(arguments.json, report)
+        report = with_loops(report, loops, corrected, path)
+    publish(report, arguments.json)
     if result.is_usable and not result.interrupted:
         return EXIT_DONE
     if arguments.json == "-":

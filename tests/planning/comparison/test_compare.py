@@ -15,7 +15,7 @@ from bundle.errors import InputError
 from bundle.planning.comparison import process
 from bundle.planning.comparison.compare_methods import compare
 from bundle.reports.terminal.compare import compared
-from bundle.reports.terminal.compare_json import as_json
+from bundle.reports.terminal.screen import laid_out
 from tests.printed import figures
 from tests.scenes import make_problem, scene
 
@@ -64,7 +64,7 @@ def test_runs_that_fail_are_rows(monkeypatch):
         "ceres DENSE_QR": "done",
         "ceres DENSE_SCHUR": "done",
     }
-    text = render(*compared(comparison))
+    text = render(*laid_out(compared(comparison)))
     for name, reason in (("fused SPARSE_SCHUR", "SIGABRT"), ("fused DENSE_QR", "dense_schur")):
         line = next(line for line in text.splitlines() if line.startswith(f"- {name}: "))
         assert reason in line
@@ -90,7 +90,7 @@ def test_dense_matrix_beyond_the_cap_is_a_row():
     for name in ("fused SPARSE_SCHUR", "ceres SPARSE_SCHUR"):
         assert runs[name].outcome == "done"
         assert runs[name].measurement.added_memory_in_bytes < 500_000_000
-    assert render(*compared(comparison)).count("500 MB") >= 2
+    assert render(*laid_out(compared(comparison))).count("500 MB") >= 2
     assert comparison.recommendation.method.linear_solver_type == "sparse_schur"
 
 
@@ -103,13 +103,13 @@ def test_ctrl_c_keeps_what_is_there():
     assert comparison.interrupted
     assert [run.outcome for run in comparison.runs] == ["done"] * 2 + ["not_run"] * 4
     assert comparison.recommendation.method in {run.method for run in comparison.runs[:2]}
-    text = render(*compared(comparison))
+    text = render(*laid_out(compared(comparison)))
     assert all(run.message in " ".join(text.split()) for run in comparison.runs[2:])
 
 
 def test_what_auto_took_is_told():
     comparison = compare(PROBLEM, solvers=["auto", "cgnr"], backends=["auto"], **QUICK)
-    text = render(*compared(comparison))
+    text = render(*laid_out(compared(comparison)))
     notes = {line.split(":")[0]: line for line in text.splitlines() if line.startswith("- ")}
     assert "fused DENSE_SCHUR" in notes["- auto AUTO"]
     assert "ceres CGNR" in notes["- auto CGNR"]
@@ -128,14 +128,14 @@ def test_several_problems_give_profiles(tmp_path):
         assert dense.num_problems == 2
         assert dense.share(1) + iterative.share(1) >= 1
         assert dense.share(math.inf) == 1
-    text = render(*compared(comparison))
+    text = render(*laid_out(compared(comparison)))
     assert ["2", "1e-3"] in [figures(line)[:2] for line in text.splitlines() if "fastest" in line]
     assert max(map(len, text.splitlines())) <= 100
 
 
 def test_json_has_what_refine_says_of_each_run():
     comparison = compare(PROBLEM, solvers=["dense_schur", "dense_qr"], backends=["fused"], **QUICK)
-    report = as_json(comparison)
+    report = compared(comparison).json()
     assert json.loads(json.dumps(report, allow_nan=False)) == report
     assert (report["schema"], report["command"]) == (1, "compare")
     assert report["inputs"] == [

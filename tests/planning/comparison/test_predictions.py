@@ -12,6 +12,7 @@ from bundle.planning.comparison.compare_methods import compare
 from bundle.planning.comparison.method import expand
 from bundle.planning.comparison.predictions import foresee, predict, taken_by_auto
 from bundle.reports.terminal.compare import compared
+from bundle.reports.terminal.screen import laid_out
 from tests.planning.comparison.fakes import CERES, DENSE, ITERATIVE, SPARSE, prediction
 from tests.scenes import make_problem
 
@@ -72,7 +73,7 @@ def test_predicted_stands_beside_measured():
         PROBLEM, solvers=["dense_schur"], backends=["fused"], threads=[1], repeat=1
     )
     (run,) = comparison.runs
-    rows = [line.split() for line in render(*compared(comparison)).splitlines()]
+    rows = [line.split() for line in render(*laid_out(compared(comparison))).splitlines()]
     nnz, flops = number(run.prediction.nnz_factor), number(run.prediction.flops)
     # After the two words of the name: L, flops, time and memory, each predicted and measured.
     (row,) = (row for row in rows if row[2:4] == [nnz, flops])

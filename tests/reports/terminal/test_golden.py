@@ -17,17 +17,20 @@ from bundle import _core
 from bundle.analysis.statistics.description import describe
 from bundle.base.tables import render
 from bundle.checking.jacobians import check_jacobians
-from bundle.cli import synth
+from bundle.cli.synth import _tally
 from bundle.georeference.alignment import align
 from bundle.interface.options import SolveOptions
 from bundle.interface.scene_options import SceneOptions
 from bundle.interface.termination import sentence
 from bundle.planning.inspection.graph_inspection import inspect_graph
 from bundle.planning.inspection.problem_inspection import inspect
+from bundle.planning.inspection.rank_prediction import NETWORK
+from bundle.reports.sections import Report
 from bundle.reports.terminal import align as align_report
-from bundle.reports.terminal import check, compare, convert, info, refine
+from bundle.reports.terminal import check, compare, convert, info, refine, synth
 from bundle.reports.terminal import inspect as inspect_report
 from bundle.reports.terminal import inspect_graph as inspect_graph_report
+from bundle.reports.terminal.screen import laid_out
 from bundle.reports.terminal.timing import WallTime
 from bundle.synthetic.synthesis import synthesize
 from tests.figures.matplotlib.comparisons import comparison
@@ -71,13 +74,13 @@ def compared(_):
 def inspected(_):
     options = OPTIONS
     return inspect_report.inspected(
-        "garden/sparse/0", problem(), inspect(problem(), options), options
+        "garden/sparse/0", problem(), inspect(problem(), options), options, (), (), NETWORK, 0.0
     )
 
 
 def eliminated(_):
     return inspect_graph_report.inspected(
-        "cycle.txt", inspect_graph([(i, (i + 1) % 6) for i in range(6)], 6)
+        "cycle.txt", inspect_graph([(i, (i + 1) % 6) for i in range(6)], 6), 0.0
     )
 
 
@@ -90,13 +93,15 @@ def checked(monkeypatch):
         return (analytic, *others)
 
     monkeypatch.setattr(_core, "check_reprojections", spoilt)
-    return check.checked("garden/sparse/0", problem(), check_jacobians(problem(), num_threads=1))
+    return check.checked(
+        "garden/sparse/0", problem(), check_jacobians(problem(), num_threads=1), {}, 0.0
+    )
 
 
 def converted(_):
     lost = ("Image names are left out.", "Colours are left out.")
     output = {"path": "garden.txt", "format": "bal"}
-    return convert.conversion("garden/sparse/0", scene(), output, lost)
+    return convert.converted("garden/sparse/0", scene(), output, lost)
 
 
 def aligned(_):
@@ -106,7 +111,7 @@ def aligned(_):
     object.__setattr__(flight.gcps[5], "measurements", flight.gcps[5].measurements[:1])
     found = align(flight.problem, gcps=flight.gcps, check_points=["t4"])
     output = {"path": "placed/", "format": "colmap"}
-    return align_report.alignment("garden/sparse/0", found, output, ())
+    return align_report.alignment("garden/sparse/0", flight.problem, found, output, ())
 
 
 def synthesized(_):
@@ -114,8 +119,7 @@ def synthesized(_):
     made = synthesize(options)
     output, truth = ({"path": path, "format": "colmap"} for path in ("s", "s_ground_truth"))
     num_cameras = made.problem.num_cameras
-    report = synth._report(options, num_cameras, synth._tally(made), output, truth)
-    return synth._tables(report)
+    return synth.synthesized(options, num_cameras, _tally(made), output, truth)
 
 
 def normalised(text):
@@ -149,7 +153,8 @@ REPORTS = {
 def test_report(name, monkeypatch):
     monkeypatch.setattr(_core, "available_memory", lambda: 16e9)
     monkeypatch.setattr(_core, "CERES_VERSION", "2.1.0")
-    text = render(*REPORTS[name](monkeypatch), width=WIDTH)
+    made = REPORTS[name](monkeypatch)
+    text = render(*(laid_out(made) if isinstance(made, Report) else made), width=WIDTH)
     if name in ("align", "check", "inspect"):
         text = normalised(text)
     path = GOLDEN / f"{name}.txt"

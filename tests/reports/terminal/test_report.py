@@ -12,9 +12,12 @@ from bundle.base.tables import number, pixels, plural, render, seconds
 from bundle.interface.summary import solver_phases
 from bundle.interface.termination import sentence
 from bundle.model.problem import Problem
-from bundle.reports.terminal import json as json_report
+from bundle.reports.sections import dumps, plain
 from bundle.reports.terminal import refine
+from bundle.reports.terminal.inputs import about_problem
 from bundle.reports.terminal.refine import refinement
+from bundle.reports.terminal.screen import laid_out
+from bundle.reports.terminal.solve_data import result_data
 from bundle.reports.terminal.timing import WallTime
 from bundle.solving.camera_changes import CameraChange
 from tests.printed import figures
@@ -51,6 +54,10 @@ def problem() -> Problem:
         observation_keypoint=np.array([0]),
         format="colmap",
     )
+
+
+def text_of(*arguments) -> str:
+    return render(*laid_out(refinement(*arguments)))
 
 
 def rows(text: str) -> dict[str, list[str]]:
@@ -116,12 +123,12 @@ def test_full_report_tells_of_the_factor():
 
 
 def test_report_of_a_refinement_tells_of_the_factor_where_there_is_one(problem):
-    report = rows(render(*refinement("in", problem, fakes.result(problem), WALL, None, ())))
+    report = rows(text_of("in", problem, fakes.result(problem), WALL, None, ()))
     assert figures(report["factor"][0]) == ["144", "10440", "1.016e+06", "0.000"]
     assert "natural" in report["factor"][0]
     iterative = fakes.result(problem, summary=fakes.summary(**NO_FACTOR))
-    assert "factor" not in rows(render(*refinement("in", problem, iterative, WALL, None, ())))
-    said = json_report.refinement("in", problem, iterative, WALL, None)["summary"]
+    assert "factor" not in rows(text_of("in", problem, iterative, WALL, None, ()))
+    said = refinement("in", problem, iterative, WALL, None).json()["summary"]
     assert {name: said[name] for name in NO_FACTOR} == NO_FACTOR
 
 
@@ -176,7 +183,7 @@ def test_report_of_a_refinement(problem):
     solved = fakes.result(problem)
     output = {"path": "out.txt", "format": "bal"}
     lost = ("image names",)
-    report = render(*refinement("[red]in", problem, solved, WALL, output, lost))
+    report = text_of("[red]in", problem, solved, WALL, output, lost)
     table = rows(report)
     assert table["input"] == ["[red]in (COLMAP)"]  # not taken for a colour
     assert table["cost"] == ["4.185659518e+06", "1.803390348e+04"]
@@ -196,7 +203,7 @@ def test_report_of_a_refinement(problem):
 def test_report_says_when_the_ordering_was_not_used_as_given(problem):
     changed = fakes.summary(linear_solver_ordering_used=(22000, 16))
     solved = fakes.result(problem, summary=changed)
-    report = render(*refinement("in", problem, solved, WALL, None, ()))
+    report = text_of("in", problem, solved, WALL, None, ())
     ordering = rows(report)["ordering"][0]
     assert re.findall(r"\d+(?=[, );])", ordering)[:4] == ["22000", "16", "22106", "16"]
     assert "out.txt" not in report
@@ -204,21 +211,21 @@ def test_report_says_when_the_ordering_was_not_used_as_given(problem):
 
 def test_what_is_held_has_a_line_of_its_own(problem):
     solved = fakes.result(problem)
-    shown = "".join(rows(render(*refinement("in", problem, solved, WALL, None, ()))))
+    shown = "".join(rows(text_of("in", problem, solved, WALL, None, ())))
     assert "held cost" not in shown
     solved = fakes.result(problem, summary=fakes.summary(held_cost=233.25))
-    report = rows(render(*refinement("in", problem, solved, WALL, None, ())))
+    report = rows(text_of("in", problem, solved, WALL, None, ()))
     assert report["held cost"] == ["-", "2.332500000e+02"]
     assert "233.2" in str(solved)
     assert "233.2" in str(solved.summary)
     assert "2.332500000e+02" in solved.summary.full_report()
-    written = json_report.refinement("in", problem, solved, WALL, None)
+    written = refinement("in", problem, solved, WALL, None).json()
     assert written["held_cost"] == written["summary"]["held_cost"] == 233.25
 
 
 def test_json_has_what_the_contract_lists(problem):
     solved = fakes.result(problem)
-    report = json_report.refinement("in", problem, solved, WALL, None)
+    report = refinement("in", problem, solved, WALL, None).json()
     assert list(report) == [
         "schema",
         "command",
@@ -270,13 +277,13 @@ def test_json_has_what_the_contract_lists(problem):
     # nan and -inf of the fake's last iteration
     assert report["iterations"][2]["cost_change"] is None
     assert report["iterations"][2]["relative_decrease"] is None
-    assert {**report, **json_report.result(solved)} == report
-    assert json.loads(json_report.dumps(report)) == report
+    assert {**report, **plain(result_data(solved))} == report
+    assert json.loads(dumps(report)) == report
 
 
 def test_json_takes_any_path(problem):
     path = "caf\u00e9 \udcff"  # the second is how Python names a byte that is not UTF-8
-    text = json_report.dumps(json_report.heading("info", path, problem))
+    text = dumps({"input": about_problem(path, problem)})
     assert text.isascii()
     assert json.loads(text)["input"]["path"] == path
 
@@ -322,7 +329,7 @@ def test_five_changed_cameras_are_shown_and_the_others_counted(count, folded):
         CameraChange(camera_id=i, model="M", before={"f": 1.0}, after={"f": 2.0}, movement=1.0)
         for i in range(count)
     ]
-    text = render(*refine._cameras(changes), width=80)
+    text = render(*laid_out(refine._cameras(changes)), width=80)
     assert text.count(" M ") == 5
     assert ("1 other camera" in text) == folded
     assert ("other camera" in text) == folded

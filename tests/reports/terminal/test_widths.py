@@ -12,6 +12,7 @@ from bundle.base.tables import columns, render
 from bundle.cli.main import main
 from bundle.planning.inspection import problem_inspection
 from bundle.reports.terminal.compare import compared
+from bundle.reports.terminal.screen import laid_out
 from tests.planning.comparison.fakes import (
     CERES,
     DENSE,
@@ -101,9 +102,9 @@ def test_compare():
     made = comparison(
         done(DENSE, prediction=told), done(ITERATIVE, 1.5, prediction=told), failed(CERES)
     )
-    check_nothing_is_lost(lambda width: render(*compared(made), width=width))
-    narrow = render(*compared(made), width=60)
-    assert narrow.count("MB") == render(*compared(made), width=200).count("MB")
+    check_nothing_is_lost(lambda width: render(*laid_out(compared(made)), width=width))
+    narrow = render(*laid_out(compared(made)), width=60)
+    assert narrow.count("MB") == render(*laid_out(compared(made)), width=200).count("MB")
 
 
 def test_columns_that_do_not_fit_move_below():

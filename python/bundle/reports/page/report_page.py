@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,7 +44,7 @@ from bundle.reports.page.residual_section import (
 from bundle.reports.page.scene_section import scene_data, scene_script, scene_section
 from bundle.reports.page.structure_section import structure_section
 from bundle.reports.page.worst_section import worst_section
-from bundle.reports.terminal.json import plain
+from bundle.reports.sections import plain
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
@@ -137,7 +136,7 @@ class _Page:
         if self.place is not None:
             self.sections.append(tag("h2", "Control points and positions", id="placement"))
             self.sections.append(placement_section(self.place))
-            self.data["placement"] = plain(asdict(self.place))
+            self.data["placement"] = plain(self.place)
         self._scene(found)
         self.sections.insert(0, self._contents())
         title = f"Report on {name}" if name else "Report on a reconstruction"
@@ -185,7 +184,7 @@ class _Page:
         self.sections.append(tag("h2", "Residuals", id="residuals"))
         if histogram is not None:
             self.sections.append(histogram_section(histogram))
-            self.data["histogram"] = plain(asdict(histogram))
+            self.data["histogram"] = plain(histogram)
         fields = residual_fields(self.problem, found)
         observed = np.unique(self.problem.image_camera[self.problem.observation_image])
         self.sections.append(tag("h2", "Residuals over the image plane", id="fields"))
@@ -213,7 +212,7 @@ class _Page:
         self.sections.append(tag("h2", "Lenses", id="lenses"))
         if curves:
             self.sections.append(lens_section(curves, before, len(observed)))
-            self.data["lenses"] = plain([asdict(curve) for curve in curves])
+            self.data["lenses"] = plain(curves)
         sigmas = None
         if self.certainty is not None:
             sigmas = {index: self.certainty.sigmas(index) for index in known}

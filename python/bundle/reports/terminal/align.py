@@ -1,35 +1,38 @@
-"""What `bundle align` says."""
+"""The report of `bundle align`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 import numpy as np
-from rich.console import RenderableType
 
-from bundle.base.tables import columns, facts, format_name, notes, plural
-from bundle.base.words import contents, number
-from bundle.errors import shown
+from bundle.base.words import number, plural
 from bundle.georeference.alignment_result import Alignment, ImageError, metres
 from bundle.model.problem import Problem
-from bundle.reports.terminal import json
-from bundle.reports.terminal.control_points import control_point_table, plain_metres, suspicions
+from bundle.reports.sections import Report, Section, Table
+from bundle.reports.terminal.control_points import control_points, plain_metres, suspicions
+from bundle.reports.terminal.inputs import about_problem, problem_facts, written
 
-__all__ = ["alignment", "as_json"]
+__all__ = ["alignment"]
 
 MOST_IMAGES = 10
 """Positions that are listed, the worst first."""
 
 
 def alignment(
-    path: str, aligned: Alignment, output: dict[str, str], lost: tuple[str, ...]
-) -> list[RenderableType]:
-    """Return the place and the errors of an alignment as tables and sentences."""
-    problem = aligned.problem
+    path: str, problem: Problem, aligned: Alignment, output: dict[str, str], lost: Sequence[str]
+) -> Report:
+    """Return the place and the errors of an alignment.
+
+    Args:
+        path: of the input.
+        problem: as it was read.
+        aligned: what was found.
+        output: path and format of what was written.
+        lost: by the output's format.
+    """
     rows = [
-        ("input", f"{shown(path)} ({format_name(problem.format)})"),
-        ("", contents(problem)),
+        *problem_facts(path, aligned.problem),
         ("scale", f"{number(aligned.similarity.scale)} per length unit of the input"),
     ]
     if aligned.reference_system:
@@ -45,45 +48,38 @@ def alignment(
         )
     if not np.isnan(aligned.sigma0):
         rows.append(("residuals", f"{number(aligned.sigma0)} sigmas"))
-    rows.append(("output", f"{shown(output['path'])} ({format_name(output['format'])})"))
+    rows.append(written(output))
     suspects = suspicions(aligned.control_points)
-    return [
-        facts(rows),
-        *control_point_table(aligned.control_points),
-        *_images("GPS", "used", aligned.positions, aligned.rms("gps"), "m"),
-        *_images("image", "used", aligned.shared_images, aligned.rms("shared_images"), "units"),
-        *([""] if suspects else []),
-        *notes(suspects, style="yellow"),
-        *([""] if aligned.notes or lost else []),
-        *notes((*aligned.notes, *lost)),
-    ]
+    notes = (*aligned.notes, *lost)
+    return Report(
+        command="align",
+        input=about_problem(path, problem),
+        sections=[
+            Section(facts=rows),
+            *control_points(aligned.control_points),
+            *_images("GPS", aligned.positions, aligned.rms("gps"), "m"),
+            *_images("image", aligned.shared_images, aligned.rms("shared_images"), "units"),
+            *([Section(notes=suspects, is_warning=True)] if suspects else []),
+            *([Section(notes=notes)] if notes else []),
+        ],
+        data={"georeference": aligned.asdict(), "output": output},
+    )
 
 
 def _images(
-    title: str, used: str, images: Iterable[ImageError], rms: Iterable[float], unit: str
-) -> list[RenderableType]:
+    title: str, images: Iterable[ImageError], rms: Iterable[float], unit: str
+) -> list[Section]:
     """Return the worst images and the root mean square of all."""
     found = list(images)
     if not found:
         return []
     order = sorted(found, key=lambda image: -float(np.nansum(np.square(image.residual))))
     cells = [
-        (image.name, used if image.used else "not used", *map(metres, image.residual))
+        (image.name, "used" if image.used else "not used", *map(metres, image.residual))
         for image in order[:MOST_IMAGES]
     ]
     cells.append(("total rms", plural(len(found), "image"), *map(plain_metres, rms)))
     head = (f"worst {title}", "role", f"east [{unit}]", "north", "up")
     if unit != "m":
         head = (f"worst {title}", "role", f"x [{unit}]", "y", "z")
-    return ["", columns(head, cells, left=2)]
-
-
-def as_json(
-    path: str, problem: Problem, aligned: Alignment, output: dict[str, str]
-) -> dict[str, Any]:
-    """Return the report of `bundle align`."""
-    return {
-        **json.heading("align", path, problem),
-        "georeference": json.plain(aligned.asdict()),
-        "output": output,
-    }
+    return [Section(tables=[Table.of(head, cells, left=2)])]

@@ -1,11 +1,13 @@
-"""What the commands say of cameras that were changed before anything else."""
+"""Cameras that were changed before anything else, in the reports of commands."""
 
 from __future__ import annotations
 
-from bundle.base.tables import pixels, plural
+from typing import Any
+
+from bundle.base.words import pixels, plural
 from bundle.editing.cameras.edit_record import CameraEdits
 
-__all__ = ["edit_rows"]
+__all__ = ["edit_data", "edit_rows"]
 
 MOST_IDS = 8
 
@@ -27,6 +29,11 @@ def edit_rows(edits: CameraEdits | None) -> list[tuple[str, str]]:
             f"reprojection RMSE {pixels(edits.before.rmse)} -> {pixels(edits.after.rmse)} px"
         )
     return [("cameras" if not row else "", text) for row, text in enumerate(sentences)]
+
+
+def edit_data(edits: CameraEdits | None) -> dict[str, Any]:
+    """Return the part for programs; nothing where nothing was changed."""
+    return {} if edits is None else {"camera_edits": edits.asdict()}
 
 
 def _models(edits: CameraEdits) -> list[str]:

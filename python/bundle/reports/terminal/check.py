@@ -1,47 +1,42 @@
-"""What `bundle check` says."""
+"""The report of `bundle check`."""
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
-from rich.console import RenderableType
-
-from bundle.base.tables import facts, format_name
-from bundle.base.words import contents
-from bundle.checking.gradient_report import GradientReport, explanation
-from bundle.errors import shown
+from bundle.checking.gradient_report import GradientReport, explanation, outcome
 from bundle.model.problem import Problem
-from bundle.reports.terminal import json
+from bundle.reports.sections import Report, Section, fields
+from bundle.reports.terminal.inputs import about_problem, problem_facts
 
-__all__ = ["as_json", "checked"]
-
-
-def checked(path: str, problem: Problem, report: GradientReport) -> list[RenderableType]:
-    """Return the report on a problem's own Jacobians."""
-    return [
-        facts(
-            [("input", f"{shown(path)} ({format_name(problem.format)})"), ("", contents(problem))]
-        ),
-        *explanation(report),
-    ]
+__all__ = ["checked"]
 
 
-def as_json(
+def checked(
     path: str,
     problem: Problem,
-    report: GradientReport,
+    found: GradientReport,
     options: dict[str, Any],
     wall_time: float,
-) -> dict[str, Any]:
-    """Return the report of `bundle check` for programs; wall_time in seconds."""
-    numbers = dataclasses.asdict(report)
-    numbers["histogram"] = [
-        {"low": low, "high": high, "count": count} for low, high, count in report.histogram
-    ]
-    return {
-        **json.heading("check", path, problem),
-        "options": options,
-        **json.plain(numbers),
-        "wall_time": {"total": wall_time},
-    }
+) -> Report:
+    """Return the report on a problem's own Jacobians.
+
+    Args:
+        path: of the input.
+        problem: whose Jacobians were checked.
+        found: by the check.
+        options: with which.
+        wall_time: seconds.
+    """
+    histogram = [{"low": low, "high": high, "count": count} for low, high, count in found.histogram]
+    return Report(
+        command="check",
+        input=about_problem(path, problem),
+        headline=[outcome(found)],
+        sections=[Section(facts=problem_facts(path, problem), text=explanation(found))],
+        data={
+            "options": options,
+            **(fields(found) | {"histogram": histogram}),
+            "wall_time": {"total": wall_time},
+        },
+    )

@@ -1,25 +1,13 @@
-"""What `bundle compare` says."""
+"""The report of `bundle compare`."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-
-from rich.console import RenderableType
-from rich.text import Text
+from typing import Any
 
 from bundle.base.memory_sizes import format_size
-from bundle.base.tables import (
-    CommandLine,
-    columns,
-    facts,
-    format_name,
-    notes,
-    number,
-    plural,
-    seconds,
-)
-from bundle.base.words import contents
+from bundle.base.words import contents, format_name, number, plural, seconds
 from bundle.errors import shown
 from bundle.interface.summary import share
 from bundle.planning.comparison.comparison_result import (
@@ -30,28 +18,39 @@ from bundle.planning.comparison.comparison_result import (
     Run,
 )
 from bundle.planning.comparison.method import Method
+from bundle.reports.sections import Column, Report, Section, Table
+from bundle.reports.terminal.compare_json import comparison_data
 
 __all__ = ["compared"]
 
-FACTORS = (1.5, 2.0, 5.0, 10.0)
+Pair = tuple[Run, Measurement]
+
 LEGEND = (
     "gap: final cost over the best one, less 1; to: seconds to a cost within it; total in seconds; "
     "MB: peak of the process"
 )
-PHASES = ("residuals", "Jacobians", "linear solver", "rest")
+PREDICTED_LEGEND = "nnz(L): lower triangle with the diagonal; MB: beyond the loaded problem"
 
 
-def compared(comparison: Comparison) -> list[RenderableType]:
-    """Return the report on a comparison."""
-    report: list[RenderableType] = [_conditions(comparison)]
+def compared(comparison: Comparison) -> Report:
+    """Return the report on a comparison.
+
+    In its data, summaries and iterations are those of `bundle refine`; ``input`` in a run counts
+    ``inputs`` from 0. Costs are 1/2 sum rho(||r||^2), r in pixels; unknown numbers are None.
+    """
+    sections = [_conditions(comparison)]
     for index, problem in enumerate(comparison.problems):
-        report += ["", *_problem(comparison, index, problem)]
+        sections += _problem(comparison, index, problem)
     if comparison.profiles:
-        report += ["", *_profiles(comparison)]
-    return [*report, "", *_recommendation(comparison)]
+        sections += _profiles(comparison)
+    return Report(
+        command="compare",
+        sections=[*sections, *_recommendation(comparison)],
+        data=comparison_data(comparison),
+    )
 
 
-def _conditions(comparison: Comparison) -> RenderableType:
+def _conditions(comparison: Comparison) -> Section:
     most = max((len(run.measurements) for run in comparison.runs), default=0)
     cap = comparison.memory_cap_in_bytes
     words = [
@@ -61,111 +60,88 @@ def _conditions(comparison: Comparison) -> RenderableType:
     if cap:
         words.append(f"at most {format_size(cap)} beyond the loaded problem")
     took = f"{seconds(comparison.wall_time_in_seconds)} s"
-    return facts([("each method", ", ".join(words)), ("all of it took", took)])
+    return Section(facts=[("each method", ", ".join(words)), ("all of it took", took)])
 
 
-def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> list[RenderableType]:
-    """Return the tables of one input; what has no result is told below the first."""
+def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> list[Section]:
+    """Return the tables of one input; runs without a result come below the first."""
     runs = comparison.runs_of(index)
     names = _Names(comparison)
-    report: list[RenderableType] = [
-        facts(
-            [
-                ("input", f"{shown(problem.name)} ({format_name(problem.format)})"),
-                ("", contents(problem)),
-                ("best cost", _cost(comparison.best_cost(index))),
-            ]
-        )
+    facts = [
+        ("input", f"{shown(problem.name)} ({format_name(problem.format)})"),
+        ("", contents(problem)),
+        ("best cost", _cost(comparison.best_cost(index))),
     ]
     usable = [(run, run.measurement) for run in runs if run.is_usable]
     measured = [(run, one) for run, one in usable if one is not None]
-    if measured:
-        report += [
-            "",
-            columns(
-                (
-                    *(*names.head("method"), "gap", "steps", "s/step"),
-                    *(f"to {gap:.0e}".replace("e-0", "e-") for gap in GAPS),
-                    *("total", "MB"),
-                ),
-                [
-                    _result_row(comparison, names.cells(run.method), run, one)
-                    for run, one in measured
-                ],
-            ),
-            Text(LEGEND, "dim"),
-        ]
     told = [
-        (names.words(run.method), run.message or run.outcome) for run in runs if not run.is_usable
+        f"{names.words(run.method)}: {run.message or run.outcome}"
+        for run in runs
+        if not run.is_usable
     ]
-    if told:
-        report += ["", *notes((f"{name}: {why}" for name, why in told), style="yellow")]
-    if measured:
-        head = (*names.head("share of the time"), *PHASES)
-        rows = [(*names.cells(run.method), *_shares(one)) for run, one in measured]
-        report += ["", columns(head, rows)]
-    report += _predicted(measured, names)
-    return report + _warnings(measured, names)
-
-
-def _result_row(
-    comparison: Comparison, name: tuple[str, ...], run: Run, measurement: Measurement
-) -> tuple[str, ...]:
-    gap = comparison.gap(run)
-    return (
-        *name,
-        f"{gap:.0e}" if gap > 0 else "0",
-        str(measurement.num_steps),
-        number(measurement.time_per_step_in_seconds),
-        *(seconds(comparison.time_to_gap(run, gap)) for gap in GAPS),
-        seconds(measurement.total_time_in_seconds),
-        number(run.peak_memory_in_bytes / 1e6),
-    )
-
-
-def _shares(measurement: Measurement) -> tuple[str, ...]:
-    breakdown, total = measurement.breakdown, measurement.total_time_in_seconds
-    return tuple(share(breakdown[phase], total) for phase in PHASES)
-
-
-def _predicted(measured: Sequence[tuple[Run, Measurement]], names: _Names) -> list[RenderableType]:
-    """Return predicted against measured, where anything was predicted."""
-    rows = []
-    for run, measurement in measured:
-        known = run.prediction
-        if known is None:
-            continue
-        added = measurement.added_memory_in_bytes
-        rows.append(
-            (
-                *names.cells(run.method),
-                number(known.nnz_factor) if known.nnz_factor else "-",
-                number(known.flops) if known.flops else "-",
-                number(known.time_per_step_in_seconds),
-                number(measurement.time_per_step_in_seconds),
-                number(known.memory_in_bytes / 1e6),
-                number(added / 1e6 if added >= 0 else math.nan),
-            )
-        )
-    if not rows:
-        return []
-    head = (
-        *names.head("predicted, measured"),
-        "nnz(L)",
-        "flops",
-        "s/step",
-        "measured",
-        "MB",
-        "measured",
+    results = Table(_result_columns(comparison, names), measured, legend=LEGEND)
+    shares = Table([*names.columns("share of the time"), *SHARES], measured)
+    predicted = [pair for pair in measured if pair[0].prediction is not None]
+    predictions = Table(
+        [*names.columns("predicted, measured"), *PREDICTED], predicted, legend=PREDICTED_LEGEND
     )
     return [
-        "",
-        columns(head, rows),
-        Text("nnz(L): lower triangle with the diagonal; MB: beyond the loaded problem", "dim"),
+        Section(facts=facts),
+        *([Section(tables=[results])] if measured else []),
+        *([Section(notes=told, is_warning=True)] if told else []),
+        *([Section(tables=[shares])] if measured else []),
+        *([Section(tables=[predictions])] if predicted else []),
+        *_warnings(measured, names),
     ]
 
 
-def _warnings(measured: Sequence[tuple[Run, Measurement]], names: _Names) -> list[RenderableType]:
+def _result_columns(comparison: Comparison, names: _Names) -> list[Column]:
+    def time_to(gap: float) -> Column:
+        title = f"to {gap:.0e}".replace("e-0", "e-")
+        return Column(title, lambda pair: comparison.time_to_gap(pair[0], gap), seconds)
+
+    return [
+        *names.columns("method"),
+        Column(
+            "gap",
+            lambda pair: comparison.gap(pair[0]),
+            lambda gap: f"{gap:.0e}" if gap > 0 else "0",
+        ),
+        Column("steps", lambda pair: pair[1].num_steps),
+        Column("s/step", lambda pair: pair[1].time_per_step_in_seconds, number),
+        *map(time_to, GAPS),
+        Column("total", lambda pair: pair[1].total_time_in_seconds, seconds),
+        Column("MB", lambda pair: pair[0].peak_memory_in_bytes / 1e6, number),
+    ]
+
+
+def _share(phase: str) -> Column:
+    return Column(
+        phase, lambda pair: share(pair[1].breakdown[phase], pair[1].total_time_in_seconds)
+    )
+
+
+def _count(value: float) -> str:
+    return number(value) if value else "-"
+
+
+def _added(pair: Pair) -> float:
+    added = pair[1].added_memory_in_bytes
+    return added / 1e6 if added >= 0 else math.nan
+
+
+SHARES = tuple(map(_share, ("residuals", "Jacobians", "linear solver", "rest")))
+PREDICTED = (
+    Column("nnz(L)", lambda pair: pair[0].prediction.nnz_factor, _count),
+    Column("flops", lambda pair: pair[0].prediction.flops, _count),
+    Column("s/step", lambda pair: pair[0].prediction.time_per_step_in_seconds, number),
+    Column("measured", lambda pair: pair[1].time_per_step_in_seconds, number),
+    Column("MB", lambda pair: pair[0].prediction.memory_in_bytes / 1e6, number),
+    Column("measured", _added, number),
+)
+
+
+def _warnings(measured: Sequence[Pair], names: _Names) -> list[Section]:
     """Return what the solvers took instead and what they warn of, each sentence once."""
     said: dict[str, list[str]] = {}
     for run, measurement in measured:
@@ -173,11 +149,11 @@ def _warnings(measured: Sequence[tuple[Run, Measurement]], names: _Names) -> lis
             said.setdefault(sentence, []).append(names.words(run.method))
     if not said:
         return []
-    lines = (
+    lines = [
         sentence if len(sayers) == len(measured) else f"{', '.join(sayers)}: {sentence}"
         for sentence, sayers in said.items()
-    )
-    return ["", *notes(lines, style="yellow")]
+    ]
+    return [Section(notes=lines, is_warning=True)]
 
 
 def _taken(run: Run, measurement: Measurement) -> list[str]:
@@ -189,56 +165,63 @@ def _taken(run: Run, measurement: Measurement) -> list[str]:
     return [f"took {' '.join(taken)}."]
 
 
-def _profiles(comparison: Comparison) -> list[RenderableType]:
-    """Return how many problems each method solves within a factor of the fastest."""
+def _profiles(comparison: Comparison) -> list[Section]:
+    """Return the shares of problems that each method solves within a factor of the fastest."""
     names = _Names(comparison)
-    report: list[RenderableType] = []
+    tables = []
     for gap in GAPS:
         profiles = [profile for profile in comparison.profiles if profile.gap == gap]
         solved = plural(profiles[0].num_problems, "problem")
-        rows = [
-            (
-                *names.cells(profile.method),
-                *(f"{100 * profile.share(factor):.0f} %" for factor in (1.0, *FACTORS, math.inf)),
-            )
-            for profile in profiles
-        ]
         title = f"{solved} solved to {gap:.0e} within".replace("e-0", "e-")
-        head = (*names.head(title), "fastest", *(f"{factor:g} times" for factor in FACTORS), "ever")
-        report += ["", columns(head, rows)]
-    return report[1:]
+        tables.append(Table([*names.columns(title), *FACTORS], profiles))
+    return [Section(tables=[table]) for table in tables]
 
 
-def _recommendation(comparison: Comparison) -> list[RenderableType]:
+def _within(title: str, factor: float) -> Column:
+    return Column(title, lambda profile: f"{100 * profile.share(factor):.0f} %")
+
+
+FACTORS = (
+    _within("fastest", 1.0),
+    *(_within(f"{factor:g} times", factor) for factor in (1.5, 2.0, 5.0, 10.0)),
+    _within("ever", math.inf),
+)
+
+
+def _recommendation(comparison: Comparison) -> list[Section]:
     found = comparison.recommendation
-    report: list[RenderableType] = []
+    sections = []
     if comparison.interrupted:
-        report.append(facts([("interrupted", "what was not run yet is missing")]))
+        sections.append(Section(facts=[("interrupted", "what was not run yet is missing")]))
     if found is None:
-        return [*report, facts([("recommended", "nothing: no method has a usable solution")])]
-    rows = [("recommended", found.reason)]
-    if found.verdict:
-        rows.append(("", found.verdict))
-    return [*report, facts(rows), "", CommandLine(found.command)]
+        nothing = "nothing: no method has a usable solution"
+        sections.append(Section(facts=[("recommended", nothing)], is_joined=bool(sections)))
+        return sections
+    rows = [("recommended", found.reason), *([("", found.verdict)] if found.verdict else [])]
+    sections.append(Section(facts=rows, is_joined=bool(sections)))
+    return [*sections, Section(command=found.command)]
 
 
 class _Names:
-    """How methods are named: with their threads only if that tells any apart."""
+    """Names of methods, with their threads where methods differ in them."""
 
     def __init__(self, comparison: Comparison) -> None:
         self._with_threads = len({method.num_threads for method in comparison.methods}) > 1
 
-    def head(self, title: str) -> tuple[str, ...]:
-        """Return the titles of the columns that `cells` fills."""
-        return (title, "threads") if self._with_threads else (title,)
-
-    def cells(self, method: Method) -> tuple[str, ...]:
-        """Return a method as the first cells of a row."""
-        return (method.name, str(method.num_threads)) if self._with_threads else (method.name,)
+    def columns(self, title: str) -> list[Column]:
+        """Return the columns of a method, of rows that are a run and its measurement or have it."""
+        names = [Column(title, lambda row: _method_of(row).name)]
+        threads = [Column("threads", lambda row: _method_of(row).num_threads)]
+        return names + (threads if self._with_threads else [])
 
     def words(self, method: Method) -> str:
         """Return a method within a sentence."""
         return f"{method.name}, {method.threads}" if self._with_threads else method.name
+
+
+def _method_of(row: Any) -> Method:
+    found: Method = row[0].method if isinstance(row, tuple) else row.method
+    return found
 
 
 def _cost(value: float) -> str:

@@ -1,11 +1,9 @@
-"""What `bundle compare` tells programs."""
+"""The data of the report of `bundle compare`, for programs."""
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
-from bundle._core import __version__
 from bundle.planning.comparison.comparison_result import (
     GAPS,
     ComparedProblem,
@@ -14,51 +12,42 @@ from bundle.planning.comparison.comparison_result import (
     Run,
 )
 from bundle.planning.comparison.method import Method
-from bundle.reports.terminal import json
+from bundle.reports.sections import fields, records
+from bundle.reports.terminal.solve_data import solve_options
 
-__all__ = ["as_json"]
+__all__ = ["comparison_data"]
 
 
-def as_json(comparison: Comparison) -> dict[str, Any]:
-    """Return the report of `bundle compare` for programs.
-
-    Summaries and iterations are those of `bundle refine`; ``input`` in a run counts ``inputs`` from
-    0. Costs are 1/2 sum rho(||r||^2), r in pixels; what is not known is None.
-    """
+def comparison_data(comparison: Comparison) -> dict[str, Any]:
+    """Return what `--json` holds beside the heading."""
     recommendation = comparison.recommendation
-    report: dict[str, Any] = json.plain(
-        {
-            "schema": json.SCHEMA,
-            "command": "compare",
-            "version": __version__,
-            "inputs": [_input(problem) for problem in comparison.problems],
-            "options": json.solve_options(comparison.options),
-            "repeat": comparison.repeat,
-            "timeout_in_seconds": comparison.timeout,
-            "memory_cap_in_bytes": comparison.memory_cap_in_bytes,
-            "best_costs": [comparison.best_cost(i) for i in range(len(comparison.problems))],
-            "runs": [_run(comparison, run) for run in comparison.runs],
-            "profiles": [
-                {**dataclasses.asdict(profile), "method": _method(profile.method)}
-                for profile in comparison.profiles
-            ],
-            "recommendation": recommendation
-            and {
-                "method": _method(recommendation.method),
-                "reason": recommendation.reason,
-                "command": recommendation.command,
-                "foreseen": [one and _method(one) for one in recommendation.foreseen],
-                "verdict": recommendation.verdict,
-            },
-            "interrupted": comparison.interrupted,
-            "wall_time": {"total": comparison.wall_time_in_seconds},
-        }
-    )
-    return report
+    return {
+        "inputs": [_input(problem) for problem in comparison.problems],
+        "options": solve_options(comparison.options),
+        "repeat": comparison.repeat,
+        "timeout_in_seconds": comparison.timeout,
+        "memory_cap_in_bytes": comparison.memory_cap_in_bytes,
+        "best_costs": [comparison.best_cost(i) for i in range(len(comparison.problems))],
+        "runs": [_run(comparison, run) for run in comparison.runs],
+        "profiles": [
+            {**fields(profile), "method": _method(profile.method)}
+            for profile in comparison.profiles
+        ],
+        "recommendation": recommendation
+        and {
+            "method": _method(recommendation.method),
+            "reason": recommendation.reason,
+            "command": recommendation.command,
+            "foreseen": [one and _method(one) for one in recommendation.foreseen],
+            "verdict": recommendation.verdict,
+        },
+        "interrupted": comparison.interrupted,
+        "wall_time": {"total": comparison.wall_time_in_seconds},
+    }
 
 
 def _input(problem: ComparedProblem) -> dict[str, Any]:
-    counts = dataclasses.asdict(problem)
+    counts = fields(problem)
     is_file, name = counts.pop("is_file"), counts.pop("name")
     return {"path": name if is_file else None, **counts}
 
@@ -66,7 +55,7 @@ def _input(problem: ComparedProblem) -> dict[str, Any]:
 def _method(method: Method) -> dict[str, Any]:
     return {
         name: value.upper() if isinstance(value, str) else value
-        for name, value in dataclasses.asdict(method).items()
+        for name, value in fields(method).items()
     }
 
 
@@ -83,9 +72,9 @@ def _run(comparison: Comparison, run: Run) -> dict[str, Any]:
         ],
         "total_time_in_seconds": run.total_time_in_seconds,
         "peak_memory_in_bytes": run.peak_memory_in_bytes or None,
-        "prediction": run.prediction and dataclasses.asdict(run.prediction),
+        "prediction": run.prediction,
         "measurements": [_measurement(one) for one in run.measurements],
-        "unfinished": run.unfinished and json.records(run.unfinished),
+        "unfinished": run.unfinished and records(run.unfinished),
     }
 
 
@@ -100,6 +89,6 @@ def _measurement(measurement: Measurement) -> dict[str, Any]:
         "added_memory_in_bytes": (
             measurement.added_memory_in_bytes if measurement.added_memory_in_bytes >= 0 else None
         ),
-        "summary": dataclasses.asdict(measurement.summary),
-        "iterations": json.records(measurement.iterations),
+        "summary": measurement.summary,
+        "iterations": records(measurement.iterations),
     }

@@ -1,60 +1,58 @@
-"""What `bundle refine` says of rules: pulls of priors, active bounds, ties."""
+"""Rules in the report of `bundle refine`: pulls of priors, active bounds, ties."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
-from rich.console import RenderableType
-
-from bundle.base.tables import columns, facts, notes, plural
+from bundle.base.words import plural
 from bundle.errors import shown
-from bundle.solving.constraints.constraint_record import BoundEnd, PriorEnd, RuleEnd, TieEnd
+from bundle.reports.sections import Column, Section, Table
+from bundle.solving.constraints.constraint_record import PriorEnd, RuleEnd, TieEnd
 
-__all__ = ["constraint_report"]
+__all__ = ["constraint_sections"]
 
 MOST_ROWS = 8
 """Priors, bounds and ties that are listed."""
 
 
-def constraint_report(rules: Sequence[RuleEnd]) -> list[RenderableType]:
-    """Return what became of the rules, and an empty line; nothing where there are none."""
-    if not rules:
-        return []
-    report: list[RenderableType] = []
-    held = [rule for rule in rules if rule.kind == "fixed"]
-    if held:
-        report.append(facts([("held", "; ".join(shown(rule.rule) for rule in held[:3]))]))
-        if len(held) > 3:
-            report += notes([f"{plural(len(held) - 3, 'other rule')} as well"])
-    report += _priors([prior for rule in rules for prior in rule.priors])
-    report += _bounds([bound for rule in rules for bound in rule.active_bounds], rules)
+BOUNDS = (
+    Column("active bound", lambda bound: f"camera {bound.camera_id}"),
+    Column("parameter", "parameter"),
+    Column("side", "side"),
+    Column("at", "value", "{:.7g}".format),
+)
+
+
+def constraint_sections(rules: Sequence[RuleEnd]) -> list[Section]:
+    """Return what became of the rules; nothing where there are none."""
+    held = [shown(rule.rule) for rule in rules if rule.kind == "fixed"]
+    more = [f"{plural(len(held) - 3, 'other rule')} as well"] if len(held) > 3 else []
+    priors = [prior for rule in rules for prior in rule.priors]
+    bounds = [bound for rule in rules for bound in rule.active_bounds]
     ties = dict.fromkeys(tie for rule in rules for tie in rule.ties)
-    report += _ties(list(ties))
-    return [*report, ""]
-
-
-def _priors(priors: list[PriorEnd]) -> list[RenderableType]:
-    if not priors:
-        return []
-    strongest = sorted(priors, key=lambda prior: -abs(prior.pull))[:MOST_ROWS]
-    rows = [
-        (
-            f"{prior.subject} {prior.id}",
-            prior.parameter,
-            _known(prior),
-            _sigma(prior),
-            _moved(prior),
-            f"{prior.pull:+.2f}" if len(prior.known) == 1 else f"{prior.pull:.2f}",
-        )
-        for prior in strongest
+    is_free = any(rule.kind == "bounds" for rule in rules) and not bounds
+    strongest = sorted(priors, key=lambda prior: -abs(prior.pull))
+    parts = [
+        *([Section(facts=[("held", "; ".join(held[:3]))], notes=more)] if held else []),
+        *_listed(PRIORS, strongest, 2, "other prior", " pull less"),
+        *_listed(BOUNDS, bounds, 3, "other parameter", " on a bound as well"),
+        *([Section(facts=[("bounds", "no parameter ends on one")])] if is_free else []),
+        *_listed(TIES, list(ties), 1, "other tie", ""),
     ]
-    head = ("prior", "parameter", "known", "sigma", "after", "pull [sigmas]")
-    report: list[RenderableType] = [columns(head, rows, left=2)]
-    if len(priors) > MOST_ROWS:
-        others = plural(len(priors) - MOST_ROWS, "other prior")
-        report += notes([f"{others} pull less; --json FILE lists all"])
-    return report
+    return [replace(part, is_joined=index > 0) for index, part in enumerate(parts)]
+
+
+def _listed(
+    columns: Sequence[Column], rows: Sequence[Any], left: int, noun: str, words: str
+) -> list[Section]:
+    def others(count: int) -> str:
+        return f"{plural(count, noun)}{words}; --json FILE lists all"
+
+    table = Table(columns, rows, left=left, most=MOST_ROWS, others=others)
+    return [Section(tables=[table])] if rows else []
 
 
 def _known(prior: PriorEnd) -> str:
@@ -79,36 +77,6 @@ def _moved(prior: PriorEnd) -> str:
     return f"off by {math.dist(prior.known, prior.after):.3g}"
 
 
-def _bounds(bounds: list[BoundEnd], rules: Sequence[RuleEnd]) -> list[RenderableType]:
-    if not any(rule.kind == "bounds" for rule in rules):
-        return []
-    if not bounds:
-        return [facts([("bounds", "no parameter ends on one")])]
-    rows = [
-        (f"camera {bound.camera_id}", bound.parameter, bound.side, f"{bound.value:.7g}")
-        for bound in bounds[:MOST_ROWS]
-    ]
-    report: list[RenderableType] = [
-        columns(("active bound", "parameter", "side", "at"), rows, left=3)
-    ]
-    if len(bounds) > MOST_ROWS:
-        others = plural(len(bounds) - MOST_ROWS, "other parameter")
-        report += notes([f"{others} on a bound as well; --json FILE lists all"])
-    return report
-
-
-def _ties(ties: list[TieEnd]) -> list[RenderableType]:
-    if not ties:
-        return []
-    rows = [
-        (_members(tie), f"{tie.before[0]:.7g}", f"{tie.after[0]:.7g}") for tie in ties[:MOST_ROWS]
-    ]
-    report: list[RenderableType] = [columns(("one number", "first before", "first after"), rows)]
-    if len(ties) > MOST_ROWS:
-        report += notes([f"{plural(len(ties) - MOST_ROWS, 'other tie')}; --json FILE lists all"])
-    return report
-
-
 def _members(tie: TieEnd) -> str:
     names = [
         f"{name} of camera {camera}"
@@ -116,3 +84,21 @@ def _members(tie: TieEnd) -> str:
     ]
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return ", ".join(names[:3]) + more
+
+
+PRIORS = (
+    Column("prior", lambda prior: f"{prior.subject} {prior.id}"),
+    Column("parameter", "parameter"),
+    Column("known", _known),
+    Column("sigma", _sigma),
+    Column("after", _moved),
+    Column(
+        "pull [sigmas]",
+        lambda prior: f"{prior.pull:+.2f}" if len(prior.known) == 1 else f"{prior.pull:.2f}",
+    ),
+)
+TIES = (
+    Column("one number", _members),
+    Column("first before", lambda tie: f"{tie.before[0]:.7g}"),
+    Column("first after", lambda tie: f"{tie.after[0]:.7g}"),
+)

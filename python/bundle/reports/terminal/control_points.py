@@ -1,23 +1,21 @@
-"""What reports say of ground control points."""
+"""Ground control points in reports: a table of their errors."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from rich.console import RenderableType
 
-from bundle.base.tables import columns, pixels, plural
+from bundle.base.words import pixels, plural
 from bundle.errors import shown
 from bundle.georeference.alignment_result import ControlPointError, metres, root_mean_square
+from bundle.reports.sections import Section, Table
 
-__all__ = ["control_point_table", "plain_metres", "suspicions"]
+__all__ = ["control_points", "plain_metres", "suspicions"]
 
 
-def control_point_table(
-    points: Sequence[ControlPointError], *, adjusted: bool = False
-) -> list[RenderableType]:
-    """Return an empty line and the errors of control and check points; nothing without any.
+def control_points(points: Sequence[ControlPointError], *, adjusted: bool = False) -> list[Section]:
+    """Return the errors of control and check points; nothing without any.
 
     Args:
         points: to be listed.
@@ -51,7 +49,7 @@ def control_point_table(
             cells.append((label, count, "", *rms, *empty, pixels(px)))
     head = ["control point", "role", "images", "east [m]", "north", "up"]
     head += ["sigma", "left out"] if adjusted else ["without: east", "north", "up"]
-    return ["", columns((*head, "[px]"), cells, left=2)]
+    return [Section(tables=[Table.of((*head, "[px]"), cells, left=2)])]
 
 
 def suspicions(points: Iterable[ControlPointError]) -> list[str]:

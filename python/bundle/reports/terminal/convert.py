@@ -1,33 +1,79 @@
-"""What `bundle convert` says."""
+"""The report of `bundle convert`: what was read, what was written, what is lost."""
 
 from __future__ import annotations
 
-from rich.console import RenderableType
+from collections.abc import Sequence as Sentences
 
-from bundle.base.tables import facts, format_name, notes
-from bundle.base.words import contents
 from bundle.editing.cameras.edit_record import CameraEdits
 from bundle.errors import shown
+from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
-from bundle.reports.terminal.camera_edit_rows import edit_rows
+from bundle.model.sequence.sequence import Sequence
+from bundle.reports.sections import Report, Section
+from bundle.reports.terminal.camera_edit_rows import edit_data, edit_rows
+from bundle.reports.terminal.inputs import (
+    about_graph,
+    about_problem,
+    about_sequence,
+    contents_of_sequence,
+    graph_facts,
+    problem_facts,
+    written,
+)
 
-__all__ = ["conversion"]
+__all__ = ["converted", "converted_graph", "converted_sequence"]
 
 
-def conversion(
+def converted(
     path: str,
     problem: Problem,
     output: dict[str, str],
-    lost: tuple[str, ...],
+    lost: Sentences[str],
     edits: CameraEdits | None = None,
-) -> list[RenderableType]:
-    """Return what was read, what was written and what was lost between them."""
-    rows = [
-        ("input", f"{shown(path)} ({format_name(problem.format)})"),
-        ("", contents(problem)),
-        *edit_rows(edits),
-        ("output", f"{shown(output['path'])} ({format_name(output['format'])})"),
-        ("lost", "" if lost else "nothing"),
-    ]
+) -> Report:
+    """Return the report on a reconstruction."""
+    facts = [*problem_facts(path, problem), *edit_rows(edits), written(output)]
     warnings = () if edits is None else edits.warnings
-    return [facts(rows), *notes(lost), *notes(warnings, style="yellow")]
+    return Report(
+        command="convert",
+        input=about_problem(path, problem),
+        sections=[
+            Section(facts=[*facts, ("lost", "" if lost else "nothing")], notes=lost),
+            Section(notes=warnings, is_warning=True, is_joined=True),
+        ],
+        data={**edit_data(edits), "output": output, "lost": lost},
+    )
+
+
+def converted_graph(
+    path: str, graph: PoseGraph, output: dict[str, str], lost: Sentences[str]
+) -> Report:
+    """Return the report on a pose graph."""
+    facts = [
+        *graph_facts(path, graph),
+        *(("", note) for note in graph.notes),
+        written(output),
+        ("lost", "nothing"),
+    ]
+    return Report(
+        command="convert",
+        input=about_graph(path, graph),
+        sections=[Section(facts=facts)],
+        data={"output": output, "lost": lost},
+    )
+
+
+def converted_sequence(path: str, format: str, sequence: Sequence, output: str) -> Report:
+    """Return the report on a visual-inertial sequence."""
+    facts = [
+        ("input", shown(path)),
+        ("", contents_of_sequence(sequence)),
+        ("output", f"{shown(output)} (visual-inertial sequence)"),
+        ("lost", "nothing"),
+    ]
+    return Report(
+        command="convert",
+        input=about_sequence(path, format, sequence),
+        sections=[Section(facts=facts)],
+        data={"output": {"path": output, "format": "sequence"}, "lost": []},
+    )

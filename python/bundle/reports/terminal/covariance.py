@@ -1,41 +1,141 @@
-"""What `bundle covariance` says."""
+"""The report of `bundle covariance`, on a reconstruction or on a pose graph.
+
+Sigmas alone are in it: the matrices are in the file that the command writes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import RenderableType
 
 from bundle.analysis.uncertainty.covariance_result import Covariance
-from bundle.base.tables import columns, facts, format_name, notes, plural
-from bundle.base.words import contents, number
+from bundle.analysis.uncertainty.graph_covariance import GraphCovariance
+from bundle.base.words import number, plural
 from bundle.errors import shown
 from bundle.model.cameras import camera_models
+from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
-from bundle.reports.terminal import json
+from bundle.reports.sections import Report, Section, Table
+from bundle.reports.terminal.inputs import (
+    about_graph,
+    about_problem,
+    graph_facts,
+    problem_facts,
+)
 
-__all__ = ["as_json", "sigmas", "uncertainties"]
+__all__ = ["uncertainties", "uncertainties_of_graph"]
 
 MOST_CAMERAS = 10
 """Cameras that are listed."""
 
 
 def uncertainties(
-    path: str, problem: Problem, cov: Covariance, target: str
-) -> list[RenderableType]:
-    """Return what is in a covariance as tables and sentences."""
-    rows = [
-        ("input", f"{shown(path)} ({format_name(problem.format)})"),
-        ("", contents(problem)),
+    path: str,
+    problem: Problem,
+    cov: Covariance,
+    options: Mapping[str, Any],
+    target: str,
+    wall_time: float,
+) -> Report:
+    """Return the report on a reconstruction.
+
+    Args:
+        path: of the input.
+        problem: whose covariance it is.
+        cov: what was computed.
+        options: with which.
+        target: path of the file of the matrices.
+        wall_time: seconds.
+    """
+    pose, point = _sigmas(cov.pose_covariance), _sigmas(cov.point_covariance)
+    spread = _spread(
+        [("rotation [rad]", pose[:, :3]), ("translation", pose[:, 3:]), ("point", point)]
+    )
+    cameras = zip(cov.camera_ids, _sigmas(cov.camera_covariance), strict=True)
+    facts = [
+        *problem_facts(path, problem),
         ("gauge", cov.gauge.replace("_", " ")),
-        ("sigma0", f"{number(cov.sigma0)} ({plural(cov.dof, 'degree')} of freedom)"),
+        _sigma0(cov),
         ("scale", _scale(cov)),
         ("output", shown(target)),
     ]
-    return [facts(rows), *_spread(cov), *_cameras(problem, cov), *_notes(cov)]
+    return Report(
+        command="covariance",
+        input=about_problem(path, problem),
+        sections=[Section(facts=facts), *spread, *_cameras(problem, cov), *_notes(cov)],
+        data={
+            "options": dict(options),
+            "gauge": cov.gauge,
+            "scale": cov.scale,
+            "robust": cov.robust,
+            "sigma0": cov.sigma0,
+            "dof": cov.dof,
+            "cameras": [
+                {"id": int(key), "model": problem.camera_models[row], "sigma": sigma}
+                for row, (key, sigma) in enumerate(cameras)
+            ],
+            "relative": _relative(cov),
+            "points_without_parallax": cov.null_point_ids,
+            "notes": cov.notes,
+            "output": {"path": target, "format": "npz"},
+            "wall_time": {"total": wall_time},
+        },
+    )
+
+
+def uncertainties_of_graph(
+    path: str,
+    graph: PoseGraph,
+    cov: GraphCovariance,
+    options: Mapping[str, Any],
+    target: str,
+    wall_time: float,
+) -> Report:
+    """Return the report on a pose graph; arguments are those of a reconstruction."""
+    sigma = _sigmas(cov.pose_covariance)
+    parts = ((0, 2), (2, 3)) if graph.dimension == 2 else ((3, 6), (0, 3))
+    names = ("translation", "rotation [rad]")
+    spread = _spread(
+        (name, sigma[:, first:last]) for name, (first, last) in zip(names, parts, strict=True)
+    )
+    held = {
+        "first": f"{plural(len(cov.held_pose_ids), 'pose')} held, beside fixed ones",
+        "inner": "inner constraints: the least trace",
+        "none": "by fixed poses",
+    }
+    facts = [
+        *graph_facts(path, graph),
+        ("gauge", f"{cov.gauge}: {held[cov.gauge]}"),
+        _sigma0(cov),
+        ("scale", "the information of the edges" if cov.scale == "unit" else "times sigma0"),
+        ("output", shown(target)),
+    ]
+    notes = [Section(notes=cov.notes, is_warning=True)] if cov.notes else []
+    return Report(
+        command="covariance",
+        input=about_graph(path, graph),
+        sections=[Section(facts=facts), *spread, *notes],
+        data={
+            "options": dict(options),
+            "gauge": cov.gauge,
+            "held_pose_ids": cov.held_pose_ids,
+            "scale": cov.scale,
+            "robust": "weights",
+            "sigma0": cov.sigma0,
+            "dof": cov.dof,
+            "relative": _relative(cov),
+            "notes": cov.notes,
+            "output": {"path": target, "format": "npz"},
+            "wall_time": {"total": wall_time},
+        },
+    )
+
+
+def _sigma0(cov: Covariance | GraphCovariance) -> tuple[str, str]:
+    return "sigma0", f"{number(cov.sigma0)} ({plural(cov.dof, 'degree')} of freedom)"
 
 
 def _scale(cov: Covariance) -> str:
@@ -44,29 +144,29 @@ def _scale(cov: Covariance) -> str:
     return "residuals of 1 px, or of their sigmas" if cov.scale == "unit" else "times sigma0"
 
 
-def _spread(cov: Covariance) -> list[RenderableType]:
-    """Return quantiles of standard deviations."""
+def _relative(cov: Covariance | GraphCovariance) -> list[dict[str, Any]]:
+    pairs = zip(cov.relative_ids, cov.relative_covariance, strict=True)
+    return [{"ids": pair, "covariance": values} for pair, values in pairs]
+
+
+def _spread(parts: Iterable[tuple[str, NDArray[np.float64]]]) -> list[Section]:
+    """Return quantiles of standard deviations; nothing where none is known."""
     cells = []
-    pose, point = sigmas(cov.pose_covariance), sigmas(cov.point_covariance)
-    for name, values in (
-        ("rotation [rad]", np.linalg.norm(pose[:, :3], axis=1)),
-        ("translation", np.linalg.norm(pose[:, 3:], axis=1)),
-        ("point", np.linalg.norm(point, axis=1)),
-    ):
+    for name, sigma in parts:
+        values = np.linalg.norm(sigma, axis=1)
         known = values[np.isfinite(values)]
         if len(known):
             quantiles = np.percentile(known, [0, 50, 95, 100])
             cells.append((name, f"{len(known)}", *map(number, quantiles)))
-    if not cells:
-        return []
-    return ["", columns(("sigma", "count", "min", "median", "95th pct", "max"), cells)]
+    head = ("sigma", "count", "min", "median", "95th pct", "max")
+    return [Section(tables=[Table.of(head, cells)])] if cells else []
 
 
-def _cameras(problem: Problem, cov: Covariance) -> list[RenderableType]:
+def _cameras(problem: Problem, cov: Covariance) -> list[Section]:
     cells = []
     for row in range(min(len(cov.camera_ids), MOST_CAMERAS)):
         model = problem.camera_models[row]
-        sigma = sigmas(cov.camera_covariance[row])
+        sigma = _sigmas(cov.camera_covariance[row])
         for j, name in enumerate(camera_models().get(model, ())):
             value = problem.camera_params[row, j]
             shown_sigma = "held" if np.isnan(sigma[j]) else number(float(sigma[j]))
@@ -75,11 +175,12 @@ def _cameras(problem: Problem, cov: Covariance) -> list[RenderableType]:
     if not cells:
         return []
     more = len(cov.camera_ids) - MOST_CAMERAS
-    table = columns(("camera", "parameter", "value", "sigma"), cells, left=2)
-    return ["", table, *([f"and {plural(more, 'camera')} more"] if more > 0 else [])]
+    table = Table.of(("camera", "parameter", "value", "sigma"), cells, left=2)
+    text = [f"and {plural(more, 'camera')} more"] if more > 0 else []
+    return [Section(tables=[table], text=text)]
 
 
-def _notes(cov: Covariance) -> list[RenderableType]:
+def _notes(cov: Covariance) -> list[Section]:
     sentences = list(cov.notes)
     null = cov.null_point_ids
     if len(null):
@@ -88,44 +189,10 @@ def _notes(cov: Covariance) -> list[RenderableType]:
             f"{plural(len(null), 'point')} without parallax: left out along the direction that "
             f"nothing sees (ids {ids})."
         )
-    return ["", *notes(sentences, style="yellow")] if sentences else []
+    return [Section(notes=sentences, is_warning=True)] if sentences else []
 
 
-def sigmas(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+def _sigmas(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the roots of the diagonals."""
     variances = np.diagonal(covariances, axis1=-2, axis2=-1)
     return np.sqrt(np.maximum(variances, 0))  # NaN stays NaN
-
-
-def as_json(
-    path: str,
-    problem: Problem,
-    cov: Covariance,
-    options: Mapping[str, Any],
-    target: str,
-    wall: float,
-) -> dict[str, Any]:
-    """Return the report of `bundle covariance`; sigmas alone, as the matrices are in the file."""
-    return {
-        **json.heading("covariance", path, problem),
-        "options": json.plain(dict(options)),
-        "gauge": cov.gauge,
-        "scale": cov.scale,
-        "robust": cov.robust,
-        "sigma0": cov.sigma0,
-        "dof": cov.dof,
-        "cameras": [
-            {"id": int(key), "model": problem.camera_models[row], "sigma": json.plain(sigma)}
-            for row, (key, sigma) in enumerate(
-                zip(cov.camera_ids, sigmas(cov.camera_covariance), strict=True)
-            )
-        ],
-        "relative": [
-            {"ids": json.plain(pair), "covariance": json.plain(values)}
-            for pair, values in zip(cov.relative_ids, cov.relative_covariance, strict=True)
-        ],
-        "points_without_parallax": json.plain(cov.null_point_ids),
-        "notes": list(cov.notes),
-        "output": {"path": target, "format": "npz"},
-        "wall_time": {"total": wall},
-    }

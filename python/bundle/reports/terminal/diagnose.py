@@ -1,98 +1,148 @@
-"""What `bundle diagnose` says."""
+"""The report of `bundle diagnose`, on a reconstruction or on a pose graph."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rich.console import RenderableType
-
 from bundle.analysis.diagnosis.diagnosis_result import Diagnosis
-from bundle.base.tables import columns, facts, format_name, notes
-from bundle.base.words import contents, number, plural
-from bundle.errors import shown
-from bundle.interface.options import SolveOptions
+from bundle.analysis.diagnosis.graph_diagnosis import GraphDiagnosis
+from bundle.base.words import number, plural
+from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
-from bundle.reports.terminal import json
-from bundle.reports.terminal.rig_tables import rig_fact
+from bundle.reports.sections import Column, Report, Section, Table, fields
+from bundle.reports.terminal.inputs import (
+    about_graph,
+    about_problem,
+    graph_facts,
+    problem_facts,
+)
 
-__all__ = ["as_json", "diagnosed"]
+__all__ = ["diagnosed", "diagnosed_graph"]
 
 MOST_EIGENVALUES = 4
+MOST_EDGES = 10
+"""Suspicious edges that are shown."""
+
+SUSPICIOUS = (
+    Column("suspicious edges", lambda one: f"{one.edge[0]} {one.edge[1]}"),
+    Column("line", lambda one: one.line or "-"),
+    Column("chi2", "chi2", number),
+    Column("test", "test", number),
+    Column("degrees of freedom", "degrees"),
+)
 
 
-def diagnosed(path: str, problem: Problem, diagnosis: Diagnosis) -> list[RenderableType]:
-    """Return a diagnosis as facts and sentences."""
-    problems = [entry.sentence for entry in diagnosis.findings if entry.is_problem]
-    others = [entry.sentence for entry in diagnosis.findings if not entry.is_problem]
-    return [
-        facts(
-            [
-                ("input", f"{shown(path)} ({format_name(problem.format)})"),
-                ("", contents(problem)),
-                *rig_fact(problem),
-                ("rank", diagnosis.verdict),
-                ("eigenvalues", _eigenvalues(diagnosis)),
-                ("pieces", _pieces(diagnosis)),
-            ]
-        ),
-        "",
-        columns(
-            ("reduced camera system", "condition number", "digits: normal equations", "digits: QR"),
-            [
-                ("as it is", number(diagnosis.condition_number_unscaled), "", ""),
-                (
-                    "scaled",
-                    number(diagnosis.condition_number),
-                    str(diagnosis.digits_normal_equations),
-                    str(diagnosis.digits_square_root),
-                ),
-            ],
-        ),
-        "",
-        facts([("problems", "" if problems else "none found")]),
-        *notes(problems, style="yellow"),
-        *([facts([("notes", "")]), *notes(others)] if others else []),
-    ]
-
-
-def as_json(
-    path: str,
-    problem: Problem,
-    diagnosis: Diagnosis,
-    options: SolveOptions,
-    names: Iterable[str],
-    more_options: dict[str, Any],
-    wall_time: float,
-) -> dict[str, Any]:
-    """Return the report of `bundle diagnose` for programs.
+def diagnosed(
+    path: str, problem: Problem, diagnosis: Diagnosis, options: Mapping[str, Any], wall_time: float
+) -> Report:
+    """Return the report on a reconstruction.
 
     Args:
         path: of the input.
         problem: what was diagnosed.
-        diagnosis: what was found.
-        options: with which.
-        names: of the options that count.
-        more_options: beside these.
+        diagnosis: of it.
+        options: that count.
         wall_time: seconds.
     """
+    sizes = [len(component.image_ids) for component in diagnosis.components]
+    facts = [
+        *problem_facts(path, problem, rigs=True),
+        ("rank", diagnosis.verdict),
+        ("eigenvalues", _eigenvalues(diagnosis)),
+        ("pieces", _pieces(sizes, "image")),
+    ]
     numbers = {
-        field.name: getattr(diagnosis, field.name) for field in dataclasses.fields(diagnosis)
+        **fields(diagnosis),
+        "rank_gap": diagnosis.rank_gap,
     }
-    for name in ("components", "weak_modes", "collapsed", "findings"):
-        numbers[name] = [dataclasses.asdict(entry) for entry in numbers[name]]
+    return Report(
+        command="diagnose",
+        input=about_problem(path, problem),
+        headline=[diagnosis.verdict],
+        sections=[
+            Section(facts=facts),
+            Section(tables=[_condition("reduced camera system", "as it is", diagnosis)]),
+            *_findings(diagnosis),
+        ],
+        data=_data(diagnosis, options, numbers, wall_time),
+    )
+
+
+def diagnosed_graph(
+    path: str,
+    graph: PoseGraph,
+    diagnosis: GraphDiagnosis,
+    options: Mapping[str, Any],
+    wall_time: float,
+) -> Report:
+    """Return the report on a pose graph; what only reconstructions have is empty in its data."""
+    sizes = [len(part.pose_ids) for part in diagnosis.components]
+    lowest = ", ".join(f"{value:.3g}" for value in diagnosis.eigenvalues)
+    facts = [
+        *graph_facts(path, graph),
+        ("rank", diagnosis.verdict),
+        ("eigenvalues", f"{lowest}, ... (scaled normal equations)" if lowest else "-"),
+        ("pieces", _pieces(sizes, "pose")),
+    ]
+    suspicious = Table(SUSPICIOUS, diagnosis.suspicious_edges[:MOST_EDGES])
+    modes = [fields(mode) | {"image_ids": [], "camera_ids": []} for mode in diagnosis.weak_modes]
+    numbers = {
+        **(fields(diagnosis) | {"weak_modes": modes}),
+        "points_without_parallax": [],
+        "collapsed": [],
+    }
+    return Report(
+        command="diagnose",
+        input=about_graph(path, graph),
+        headline=[diagnosis.verdict],
+        sections=[
+            Section(facts=facts),
+            Section(tables=[_condition("normal equations", "as they are", diagnosis)]),
+            *([Section(tables=[suspicious])] if suspicious.rows else []),
+            *_findings(diagnosis),
+        ],
+        data=_data(diagnosis, options, numbers, wall_time),
+    )
+
+
+def _data(
+    diagnosis: Diagnosis | GraphDiagnosis,
+    options: Mapping[str, Any],
+    numbers: dict[str, Any],
+    wall_time: float,
+) -> dict[str, Any]:
     return {
-        **json.heading("diagnose", path, problem),
-        "options": json.plain({name: getattr(options, name) for name in names} | more_options),
+        "options": dict(options),
         "ok": diagnosis.ok,
-        **json.plain(numbers | {"rank_gap": diagnosis.rank_gap}),
+        **numbers,
         "digits": {
             "normal_equations": diagnosis.digits_normal_equations,
             "square_root": diagnosis.digits_square_root,
         },
         "wall_time": {"total": wall_time},
     }
+
+
+def _condition(title: str, unscaled: str, diagnosis: Diagnosis | GraphDiagnosis) -> Table:
+    digits = (str(diagnosis.digits_normal_equations), str(diagnosis.digits_square_root))
+    return Table.of(
+        (title, "condition number", "digits: normal equations", "digits: QR"),
+        [
+            (unscaled, number(diagnosis.condition_number_unscaled), "", ""),
+            ("scaled", number(diagnosis.condition_number), *digits),
+        ],
+    )
+
+
+def _findings(diagnosis: Diagnosis | GraphDiagnosis) -> list[Section]:
+    problems = [entry.sentence for entry in diagnosis.findings if entry.is_problem]
+    others = [entry.sentence for entry in diagnosis.findings if not entry.is_problem]
+    found = Section(
+        facts=[("problems", "" if problems else "none found")], notes=problems, is_warning=True
+    )
+    more = Section(facts=[("notes", "")], notes=others, is_joined=True)
+    return [found, *([more] if others else [])]
 
 
 def _eigenvalues(diagnosis: Diagnosis) -> str:
@@ -104,8 +154,7 @@ def _eigenvalues(diagnosis: Diagnosis) -> str:
     return f"{null}{lowest}, ... (scaled reduced camera system)"
 
 
-def _pieces(diagnosis: Diagnosis) -> str:
-    sizes = [len(component.image_ids) for component in diagnosis.components]
+def _pieces(sizes: Sequence[int], noun: str) -> str:
     listed = ", ".join(map(str, sizes[:5])) + (", ..." if len(sizes) > 5 else "")
-    images = "image" if sizes == [1] else "images"
-    return f"{plural(len(sizes), 'connected component')} ({listed} {images})" if sizes else "none"
+    members = noun if sizes == [1] else f"{noun}s"
+    return f"{plural(len(sizes), 'connected component')} ({listed} {members})" if sizes else "none"

@@ -1,15 +1,15 @@
-"""What `bundle refine` says of measured positions and control points."""
+"""Measured positions and control points in the report of `bundle refine`."""
 
 from __future__ import annotations
 
 import numpy as np
-from rich.console import RenderableType
 
-from bundle.base.tables import columns, facts, notes, number, plural
+from bundle.base.words import number, plural
 from bundle.errors import shown
 from bundle.georeference.alignment_result import metres
 from bundle.georeference.georeferenced import Georeference
-from bundle.reports.terminal.control_points import control_point_table, suspicions
+from bundle.reports.sections import Section, Table
+from bundle.reports.terminal.control_points import control_points, suspicions
 
 __all__ = ["gps_report"]
 
@@ -17,7 +17,7 @@ MOST_IMAGES = 5
 """Images of large residuals that are listed."""
 
 
-def gps_report(georeference: Georeference) -> list[RenderableType]:
+def gps_report(georeference: Georeference) -> list[Section]:
     """Return where the model is, how well the positions fit, and which images they do not fit."""
     rows = []
     if georeference.images:
@@ -49,21 +49,23 @@ def gps_report(georeference: Georeference) -> list[RenderableType]:
         east, north, up = georeference.rms_of(kind)
         if not np.isnan(east):
             rows.append((title, f"{east:.4f} m east, {north:.4f} m north, {_plain(up)} m up"))
-    report: list[RenderableType] = [facts(rows), *notes(georeference.notes)]
+    sections = [Section(facts=rows, notes=georeference.notes)]
     suspects = georeference.suspects
     if suspects:
         cells = [
             (shown(image.name), *map(metres, image.residual), f"{image.sigmas:.1f}")
-            for image in suspects[:MOST_IMAGES]
+            for image in suspects
         ]
         head = ("position off by over 3 sigmas", "east [m]", "north [m]", "up [m]", "sigmas")
-        report += ["", columns(head, cells)]
-        if len(suspects) > MOST_IMAGES:
-            others = plural(len(suspects) - MOST_IMAGES, "other image")
-            report += notes([f"{others} as well; --json FILE lists all"])
+        table = Table.of(head, cells, most=MOST_IMAGES, others=_others)
+        sections.append(Section(tables=[table]))
     wrong = suspicions(points)
-    report += control_point_table(points, adjusted=True)
-    return [*report, *([""] if wrong else []), *notes(wrong, style="yellow"), ""]
+    sections += control_points(points, adjusted=True)
+    return [*sections, *([Section(notes=wrong, is_warning=True)] if wrong else [])]
+
+
+def _others(count: int) -> str:
+    return f"{plural(count, 'other image')} as well; --json FILE lists all"
 
 
 def _plain(value: float) -> str:

@@ -1,88 +1,73 @@
-"""What `bundle info` says."""
+"""The report of `bundle info` on a reconstruction."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from rich.console import RenderableType
 
 from bundle.analysis.statistics.covisibility import Covisibility
 from bundle.analysis.statistics.depths import COLLAPSED
-from bundle.analysis.statistics.description import CameraGroup, Description, Distribution
-from bundle.base.tables import (
-    Bar,
-    Columns,
-    columns,
-    facts,
-    format_name,
-    notes,
-    number,
-    pixels,
-    plural,
-)
-from bundle.base.words import contents
-from bundle.errors import shown
+from bundle.analysis.statistics.description import Description, Distribution
+from bundle.base.tables import Bar
+from bundle.base.words import number, pixels, plural
 from bundle.model.problem import Problem
-from bundle.reports.terminal.refine import worst_table
-from bundle.reports.terminal.rig_tables import rig_fact, rig_table
+from bundle.reports.sections import Column, Report, Section, Table, fields
+from bundle.reports.terminal.inputs import about_problem, problem_facts
+from bundle.reports.terminal.refine import worst_sections
+from bundle.reports.terminal.rig_tables import rig_sections
+from bundle.reports.terminal.solve_data import looks_wrong
 
 __all__ = ["information"]
 
 
-def information(path: str, problem: Problem, description: Description) -> list[RenderableType]:
-    """Return the description of a problem as tables and sentences."""
+CAMERAS = (
+    Column("camera model", "model"),
+    Column("cameras", "num_cameras"),
+    Column("images", "num_images"),
+    Column("images/camera", lambda group: _range(*map(str, group.images_per_camera))),
+    Column(
+        "focal length [px]",
+        lambda group: _range(*map(number, group.focal)) if group.focal else "-",
+    ),
+    Column("refinable", lambda group: "yes" if group.supported else "no"),
+)
+
+
+def information(path: str, problem: Problem, description: Description) -> Report:
+    """Return the description of a problem."""
     wrong = [suspicion.sentence for suspicion in description.suspicions]
-    return [
-        facts(
-            [
-                ("input", f"{shown(path)} ({format_name(problem.format)})"),
-                ("", contents(problem)),
-                *rig_fact(problem),
-            ]
-        ),
-        "",
-        _cameras(description.cameras),
-        "",
-        *rig_table(description.rigs),
-        _distributions(description),
-        "",
-        _histogram("track length", "points", description.track_length),
-        "",
-        _histogram("obs. per image", "images", description.observations_per_image),
-        "",
-        facts([("covisibility", _covisibility(description.covisibility))]),
-        facts([("depth", _depths(description))]),
-        facts([("error now", _error(description))]),
-        *_repeated(description),
-        "",
-        *worst_table(description.worst_images, "worst images"),
-        facts([("looks wrong", "" if wrong else "nothing found")]),
-        *notes(wrong, style="yellow"),
+    count = description.num_repeated_observations
+    tracks = f"{plural(count, 'repeated observation')} (a track visits the same image twice)"
+    facts = [
+        ("covisibility", _covisibility(description.covisibility)),
+        ("depth", _depths(description)),
+        ("error now", _error(description)),
+        *([("tracks", tracks)] if count else []),
     ]
-
-
-def _cameras(groups: Sequence[CameraGroup]) -> Columns:
-    rows = [
-        (
-            group.model,
-            str(group.num_cameras),
-            str(group.num_images),
-            _range(*map(str, group.images_per_camera)),
-            _range(*map(number, group.focal)) if group.focal else "-",
-            "yes" if group.supported else "no",
-        )
-        for group in groups
-    ]
-    head = ("camera model", "cameras", "images", "images/camera", "focal length [px]", "refinable")
-    return columns(head, rows)
+    return Report(
+        command="info",
+        input=about_problem(path, problem),
+        sections=[
+            Section(facts=problem_facts(path, problem, rigs=True)),
+            Section(tables=[Table(CAMERAS, description.cameras)]),
+            *rig_sections(description.rigs),
+            Section(tables=[_distributions(description)]),
+            Section(tables=[_histogram("track length", "points", description.track_length)]),
+            Section(
+                tables=[_histogram("obs. per image", "images", description.observations_per_image)]
+            ),
+            Section(facts=facts),
+            *worst_sections(description.worst_images, "worst images"),
+            looks_wrong(wrong),
+        ],
+        data=fields(description),
+    )
 
 
 def _range(low: str, high: str) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _distributions(description: Description) -> Columns:
+def _distributions(description: Description) -> Table:
     def row(name: str, values: Distribution) -> tuple[str, ...]:
         return (name, *map(number, (values.min, values.median, values.mean, values.max)))
 
@@ -90,10 +75,10 @@ def _distributions(description: Description) -> Columns:
         row("observations per point", description.track_length),
         row("observations per image", description.observations_per_image),
     ]
-    return columns(("", "min", "median", "mean", "max"), rows)
+    return Table.of(("", "min", "median", "mean", "max"), rows)
 
 
-def _histogram(title: str, noun: str, values: Distribution) -> Columns:
+def _histogram(title: str, noun: str, values: Distribution) -> Table:
     largest = max((count for _, _, count in values.histogram), default=1)
     total = max(sum(count for _, _, count in values.histogram), 1)
     rows = [
@@ -105,7 +90,7 @@ def _histogram(title: str, noun: str, values: Distribution) -> Columns:
         )
         for low, high, count in values.histogram
     ]
-    return columns((title, "", noun, "share"), rows, left=2)
+    return Table.of((title, "", noun, "share"), rows, left=2)
 
 
 def _covisibility(graph: Covisibility) -> str:
@@ -128,12 +113,6 @@ def _depths(description: Description) -> str:
         f"{number(depths.p95)}, min {depths.min:.3g}, max {depths.max:.3g}; "
         f"{depths.num_behind} behind, {depths.num_collapsed} below {COLLAPSED:g} of the median"
     )
-
-
-def _repeated(description: Description) -> list[RenderableType]:
-    count = description.num_repeated_observations
-    words = f"{plural(count, 'repeated observation')} (a track visits the same image twice)"
-    return [facts([("tracks", words)])] if count else []
 
 
 def _error(description: Description) -> str:

@@ -1,25 +1,22 @@
-"""What `bundle inspect` says of a problem."""
+"""The report of `bundle inspect` on a problem."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from rich.console import RenderableType
-
 from bundle.base.memory_sizes import format_size
-from bundle.base.tables import Columns, CommandLine, columns, facts, format_name, notes, number
-from bundle.base.words import contents, duration, plural
+from bundle.base.words import duration, number, plural
 from bundle.errors import shown
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.planning.comparison.command_line import recommended_command
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
-from bundle.reports.terminal import json
-from bundle.reports.terminal.rig_tables import rig_fact
+from bundle.planning.inspection.rank_prediction import RankPrediction, find_rank_limit
+from bundle.reports.sections import Column, Report, Section, Table, fields
+from bundle.reports.terminal.inputs import about_problem, problem_facts
 
-__all__ = ["CONVENTION", "as_json", "inspected"]
+__all__ = ["CONVENTION", "inspected"]
 
 CONVENTION = (
     "Nonzeros count both triangles and the diagonal; those of the factor L, its lower triangle "
@@ -29,59 +26,69 @@ CONVENTION = (
 _CLEARLY_SLOWER = 1.25
 
 
+FACTORS = (
+    Column("factor L", "name"),
+    Column("nonzeros", "nnz_factor", number),
+    Column("fill", "fill", number),
+    Column("flops", "flops", number),
+    Column("CHOLMOD's", "cholmod_flops", number),
+    Column("height", "tree_height"),
+    Column("fullest", lambda method: max(method.column_count_profile)),
+)
+
+
 def inspected(
-    path: str, problem: Problem, inspection: Inspection, options: SolveOptions
-) -> list[RenderableType]:
-    """Return the predictions for a problem as tables and sentences."""
-    command = recommended_command(inspection, options, shown(path))
-    return [
-        facts(
-            [
-                ("input", f"{shown(path)} ({format_name(problem.format)})"),
-                ("", contents(problem)),
-                *rig_fact(problem),
-                ("unknowns", _unknowns(inspection)),
-                ("nonzeros", _nonzeros(inspection)),
-                ("", CONVENTION),
-            ]
-        ),
-        "",
-        _factors(inspection.methods),
-        "",
-        _costs(inspection),
-        "",
-        facts([("recommended", inspection.recommendation)]),
-        *_copyable(command),
-        *notes(_remarks(inspection)),
-    ]
-
-
-def as_json(
     path: str,
     problem: Problem,
     inspection: Inspection,
     options: SolveOptions,
     names: Iterable[str],
+    ranks: Sequence[RankPrediction],
+    network: tuple[float, float],
     wall_time: float,
-) -> dict[str, Any]:
-    """Return the report of `bundle inspect` for programs.
+) -> Report:
+    """Return the report.
 
     Args:
         path: of the input.
         problem: what was inspected.
-        inspection: what was found.
+        inspection: predictions for it.
         options: with which.
         names: of the options that count for an inspection.
+        ranks: predictions for several processes.
+        network: that these are for, gigabits per second and microseconds of latency.
         wall_time: seconds.
     """
-    return {
-        **json.heading("inspect", path, problem),
-        "options": json.plain({name: getattr(options, name) for name in names}),
-        **json.plain(dataclasses.asdict(inspection)),
-        "recommended_command": recommended_command(inspection, options, path),
-        "nonzeros": CONVENTION,
-        "wall_time": {"total": wall_time},
-    }
+    facts = [
+        *problem_facts(path, problem, rigs=True),
+        ("unknowns", _unknowns(inspection)),
+        ("nonzeros", _nonzeros(inspection)),
+        ("", CONVENTION),
+    ]
+    factors = {method.name: method for method in inspection.methods if method.nnz_factor}
+    command = recommended_command(inspection, options, shown(path))
+    return Report(
+        command="inspect",
+        input=about_problem(path, problem),
+        headline=[inspection.recommendation],
+        sections=[
+            Section(facts=facts),
+            Section(tables=[Table(FACTORS, [*factors.values()])]),
+            Section(tables=[_costs(inspection)]),
+            Section(facts=[("recommended", inspection.recommendation)]),
+            *([Section(command=command)] if command else []),
+            Section(notes=_remarks(inspection), is_joined=not command),
+            *_ranks(ranks, network),
+        ],
+        data={
+            "options": {name: getattr(options, name) for name in names},
+            **fields(inspection),
+            "recommended_command": recommended_command(inspection, options, path),
+            "nonzeros": CONVENTION,
+            "wall_time": {"total": wall_time},
+            **_rank_data(ranks, network),
+        },
+    )
 
 
 def _unknowns(inspection: Inspection) -> str:
@@ -102,25 +109,7 @@ def _nonzeros(inspection: Inspection) -> str:
     )
 
 
-def _factors(methods: Sequence[MethodInspection]) -> Columns:
-    """Return a row for each way to factorise, of any backend."""
-    rows = {}
-    for method in methods:
-        if method.nnz_factor:
-            rows[method.name] = (
-                method.name,
-                number(method.nnz_factor),
-                number(method.fill),
-                number(method.flops),
-                number(method.cholmod_flops),
-                str(method.tree_height),
-                str(max(method.column_count_profile)),
-            )
-    head = ("factor L", "nonzeros", "fill", "flops", "CHOLMOD's", "height", "fullest")
-    return columns(head, rows.values())
-
-
-def _costs(inspection: Inspection) -> Columns:
+def _costs(inspection: Inspection) -> Table:
     names = dict.fromkeys(method.name for method in inspection.methods)
     by_key = {(method.name, method.backend): method for method in inspection.methods}
     rows = []
@@ -136,7 +125,7 @@ def _costs(inspection: Inspection) -> Columns:
             )
         )
     head = ("method", "fused: memory", "fused: per step", "Ceres: memory", "Ceres: per step")
-    return columns(head, rows)
+    return Table.of(head, rows)
 
 
 def _cost(method: MethodInspection | None) -> tuple[str, str]:
@@ -147,10 +136,6 @@ def _cost(method: MethodInspection | None) -> tuple[str, str]:
         return f"{memory} !", "-"
     time = duration(method.time_per_step_in_seconds)
     return memory, time if method.is_taken else f"({time})"
-
-
-def _copyable(command: str) -> list[RenderableType]:
-    return ["", CommandLine(command), ""] if command else []
 
 
 def _best(inspection: Inspection) -> MethodInspection:
@@ -207,3 +192,44 @@ def _disagreement(inspection: Inspection) -> list[str]:
         f"`--solver auto` would take {inspection.auto_choice}: it goes by the rates of a fixed "
         "machine. `bundle compare` measures who is right."
     ]
+
+
+RANKS = (
+    Column("processes", "num_processes"),
+    Column("per step", "time_per_step_in_seconds", duration),
+    Column("messages", lambda row: _sent(row, duration(row.network_time_per_step_in_seconds))),
+    Column("efficiency", "efficiency", lambda share: f"{100 * share:.0f} %"),
+    Column("sent", lambda row: _sent(row, format_size(row.bytes_per_step))),
+    Column("first: memory", "memory_of_first_in_bytes", format_size),
+    Column("others", lambda row: _sent(row, format_size(row.memory_of_others_in_bytes))),
+)
+
+
+def _sent(row: RankPrediction, cell: str) -> str:
+    return cell if row.bytes_per_step else "-"
+
+
+def _ranks(ranks: Sequence[RankPrediction], network: tuple[float, float]) -> list[Section]:
+    """Return the predicted cost of several processes; nothing where none were asked for."""
+    if not ranks:
+        return []
+    rate, latency = network
+    limit = find_rank_limit(ranks)
+    words = (
+        f"Processes of mpirun, {ranks[0].method}, {rate:g} Gbit/s and {latency:g} "
+        "microseconds between them; the first one solves the reduced system alone. Memory "
+        "is that of whole processes, which read slices of BAL files and binary models."
+    )
+    notes = [*([] if limit is None else [limit.message]), words]
+    return [Section(tables=[Table(RANKS, ranks)], notes=notes)]
+
+
+def _rank_data(ranks: Sequence[RankPrediction], network: tuple[float, float]) -> dict[str, Any]:
+    if not ranks:
+        return {}
+    rate, latency = network
+    return {
+        "network": {"gbit_per_second": rate, "latency_in_microseconds": latency},
+        "ranks": ranks,
+        "rank_limit": find_rank_limit(ranks),
+    }

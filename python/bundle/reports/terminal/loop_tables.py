@@ -1,25 +1,36 @@
-"""What `bundle refine --loops` says of the closures."""
+"""Loop closures in the report of `bundle refine --loops`."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rich.console import RenderableType
-
-from bundle.base.tables import columns, facts, notes, plural
-from bundle.base.words import change
+from bundle.base.words import change, plural
+from bundle.reports.sections import Column, Section, Table
 
 if TYPE_CHECKING:
     from bundle.graphs.loops.loop_closing import LoopClosing
 
-__all__ = ["loops_table"]
+__all__ = ["loops_section"]
 
 MOST_CLOSURES = 10
 """Closures that are shown, the rejected ones first."""
 
 
-def loops_table(closed: LoopClosing) -> list[RenderableType]:
-    """Return what became of the closures, and an empty line."""
+_short = "{:.3g}".format
+
+CLOSURES = (
+    Column("closure", lambda one: f"{one.image_ids[0]} {one.image_ids[1]}"),
+    Column("", lambda one: "used" if one.used else "rejected"),
+    Column("rotation [deg]", "rotation_before", _short),
+    Column("after", "rotation_after", _short),
+    Column("translation", "translation_before", _short),
+    Column("after", "translation_after", _short),
+    Column("chi2", "chi2_after", _short),
+)
+
+
+def loops_section(closed: LoopClosing) -> Section:
+    """Return what became of the closures."""
     graph = f"{plural(closed.num_nodes, 'pose')}, {plural(closed.num_edges, 'edge')}"
     pieces = f", {closed.num_components} pieces" if closed.num_components > 1 else ""
     rows = [
@@ -34,21 +45,9 @@ def loops_table(closed: LoopClosing) -> list[RenderableType]:
         kept = plural(len(closed.factors), "closure")
         rows.append(("", f"{kept} of images that share few points kept in bundle adjustment"))
     order = sorted(closed.closures, key=lambda closure: (closure.used, -closure.chi2_after))
-    table = [
-        (
-            f"{closure.image_ids[0]} {closure.image_ids[1]}",
-            "used" if closure.used else "rejected",
-            f"{closure.rotation_before:.3g}",
-            f"{closure.rotation_after:.3g}",
-            f"{closure.translation_before:.3g}",
-            f"{closure.translation_after:.3g}",
-            f"{closure.chi2_after:.3g}",
-        )
-        for closure in order[:MOST_CLOSURES]
-    ]
-    titles = ("closure", "", "rotation [deg]", "after", "translation", "after", "chi2")
-    report: list[RenderableType] = [facts(rows), columns(titles, table, left=2)]
-    if len(order) > MOST_CLOSURES:
-        others = plural(len(order) - MOST_CLOSURES, "other closure")
-        report += notes([f"{others} end nearer; --json FILE lists all"])
-    return [*report, ""]
+    table = Table(CLOSURES, order, left=2, most=MOST_CLOSURES, others=_others)
+    return Section(facts=rows, tables=[table])
+
+
+def _others(count: int) -> str:
+    return f"{plural(count, 'other closure')} end nearer; --json FILE lists all"

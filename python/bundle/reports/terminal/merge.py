@@ -1,29 +1,30 @@
-"""What `bundle merge` says."""
+"""The report of `bundle merge`."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
-from rich.console import RenderableType
-
-from bundle.base.tables import facts, format_name, notes, plural
-from bundle.base.words import contents, number, pixels
+from bundle.base.words import contents, number, pixels, plural
 from bundle.editing.merging.merge_result import Merge
 from bundle.errors import shown
 from bundle.model.problem import Problem
-from bundle.reports.terminal import json
+from bundle.reports.sections import Report, Section
+from bundle.reports.terminal.inputs import about_problem, written
 
-__all__ = ["as_json", "merged_table"]
+__all__ = ["merged_report"]
 
 
-def merged_table(
+def merged_report(
     paths: tuple[str, str],
     problems: tuple[Problem, Problem],
     merged: Merge,
     output: dict[str, str],
-    lost: tuple[str, ...],
-) -> list[RenderableType]:
-    """Return what was shared, joined and left, and what to do next."""
+    lost: Sequence[str],
+) -> Report:
+    """Return what was shared, joined and left, and what to do next.
+
+    In the data ``input`` is A, ``other`` B.
+    """
     counts, shared = merged.counts, plural(len(merged.shared_images), "shared image")
     rows = []
     for label, path, problem in zip("AB", paths, problems, strict=True):
@@ -57,22 +58,17 @@ def merged_table(
             f"dropped; {plural(counts.num_observations_dropped, 'observation')} dropped",
         ),
         ("merged", contents(merged.problem)),
-        ("output", f"{shown(output['path'])} ({format_name(output['format'])})"),
+        written(output),
     ]
     next_step = f"Nothing is adjusted yet: bundle refine {shown(output['path'])} -o ... comes next."
-    return [facts(rows), "", *notes((*merged.notes, *lost, next_step))]
-
-
-def as_json(
-    paths: tuple[str, str],
-    problems: tuple[Problem, Problem],
-    merged: Merge,
-    output: dict[str, str],
-) -> dict[str, Any]:
-    """Return the report of `bundle merge`; ``input`` is A, ``other`` B."""
-    return {
-        **json.heading("merge", paths[0], problems[0]),
-        "other": json.heading("merge", paths[1], problems[1])["input"],
-        "merge": json.plain(merged.asdict()),
-        "output": output,
-    }
+    notes = (*merged.notes, *lost, next_step)
+    return Report(
+        command="merge",
+        input=about_problem(paths[0], problems[0]),
+        sections=[Section(facts=rows), Section(notes=notes)],
+        data={
+            "other": about_problem(paths[1], problems[1]),
+            "merge": merged.asdict(),
+            "output": output,
+        },
+    )

@@ -1,21 +1,25 @@
-"""What commands print about pose graphs."""
+"""The reports of `bundle refine` and `bundle info` on pose graphs."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from rich.console import RenderableType
 
-from bundle.base.tables import columns, facts, notes, number, plural, seconds
-from bundle.errors import shown
+from bundle.base.words import number, plural
+from bundle.errors import InputError
+from bundle.graphs.pose_graphs.information import bad_information, describe_information
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
-from bundle.interface.pose_graph_options import PoseGraphOptions
-from bundle.interface.summary import Summary
+from bundle.graphs.pose_graphs.solve_pose_graph import pose_graph_chi2
+from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.reports.terminal.timing import WallTime, wall_table
+from bundle.reports.sections import Column, Report, Section, Table, records
+from bundle.reports.terminal.inputs import about_graph, graph_facts, written
+from bundle.reports.terminal.solve_data import factor_fact, looks_wrong, solve_options
+from bundle.reports.terminal.timing import WallTime, wall_section
 
-__all__ = ["contents_of_graph", "converted_graph", "described_graph", "refined_graph"]
+__all__ = ["described_graph", "refined_graph"]
 
 MOST_REJECTED = 20
 """Rejected edges that are shown."""
@@ -23,15 +27,54 @@ MOST_REJECTED = 20
 MOST_EDGES = 5
 """Edges with the largest chi2 that are shown."""
 
+MOST_BAD = 10
+"""Edges with bad information that are listed."""
+
+
+_LINE = Column("line", lambda edge: edge.line or "-")
+
+REJECTED = (
+    Column("rejected edges", "name"),
+    _LINE,
+    Column("chi2", "chi2", number),
+    Column("weight", "weight", number),
+)
+LEFT_OUT = (
+    Column("closures left out", "name"),
+    _LINE,
+    Column("chi2 of worst pair", "entry.chi2", number),
+    Column("contradicts", "entry.num_contradicted"),
+)
+WORST = (
+    Column("worst edges, after", "name"),
+    Column("", lambda edge: "closure" if edge.is_closure else "odometry"),
+    Column("chi2 before", "chi2_before", number),
+    Column("chi2 after", "chi2", number),
+)
+
+
+class _Edge:
+    """An edge of a solved graph, by its index."""
+
+    def __init__(self, solved: PoseGraphResult, index: int, entry: Any = None) -> None:
+        graph = solved.problem
+        self.ids = graph.ids[graph.edges[index]].tolist()
+        self.name = " ".join(map(str, self.ids))
+        self.line = int(graph.edge_lines[index]) or None
+        self.is_closure = bool(graph.is_closure[index])
+        self.chi2_before = float(solved.chi2_before[index])
+        self.chi2 = float(solved.chi2_after[index])
+        self.weight = float(solved.weights[index])
+        self.entry = entry
+
 
 def refined_graph(
     path: str, solved: PoseGraphResult, wall: WallTime, output: dict[str, str] | None
-) -> list[RenderableType]:
+) -> Report:
     """Return the report on one solve; `output` is None where nothing was written."""
     summary, graph = solved.summary, solved.initial_problem
-    rows = [
-        ("input", f"{shown(path)} (g2o)"),
-        ("", contents_of_graph(graph)),
+    facts = [
+        *graph_facts(path, graph),
         *(("", note) for note in graph.notes),
         ("error", _error(solved.options)),
         *((("loss", summary.loss_choice),) if summary.loss_choice else ()),
@@ -43,79 +86,133 @@ def refined_graph(
             "solver",
             f"{summary.linear_solver_type_used} on {plural(summary.num_threads_used, 'thread')}",
         ),
-        *((("factor", _factor(summary)),) if summary.num_factor_nonzeros is not None else ()),
+        *factor_fact(summary),
     ]
     before_and_after = [
         ("chi2", f"{summary.chi2_initial:.12g}", f"{summary.chi2_final:.12g}"),
         ("cost", f"{summary.initial_cost:.12g}", f"{summary.final_cost:.12g}"),
     ]
-    written = f"{shown(output['path'])} (g2o)" if output else "nothing was written"
-    return [
-        facts(rows),
-        "",
-        columns(("", "before", "after"), before_and_after),
-        "",
-        *_worst(solved),
-        *_left_out(solved),
-        *_rejected(solved),
-        facts([("outcome", solved.outcome)]),
-        *notes(summary.warnings, style="yellow"),
-        "",
-        wall_table(summary, wall),
-        "",
-        facts([("output", written)]),
+    rejected = [_Edge(solved, index) for index in solved.rejected]
+    left_out = [_Edge(solved, entry.edge, entry) for entry in solved.left_out]
+    outcome = Section(
+        facts=[("outcome", solved.outcome)],
+        notes=summary.warnings,
+        is_warning=True,
+    )
+    return Report(
+        command="refine",
+        input=about_graph(path, graph),
+        headline=[solved.outcome],
+        sections=[
+            Section(facts=facts),
+            Section(tables=[Table.of(("", "before", "after"), before_and_after)]),
+            *_verdicts(solved, rejected, left_out, outcome),
+            wall_section(summary, wall),
+            Section(facts=[written(output)]),
+        ],
+        data={
+            "options": solve_options(solved.options),
+            "summary": summary,
+            "iterations": records(solved.iterations),
+            "rejected_edges": [
+                {"edge": one.ids, "line": one.line, "chi2": one.chi2, "weight": one.weight}
+                for one in rejected
+            ],
+            "left_out_edges": [
+                {
+                    "edge": one.ids,
+                    "line": one.line,
+                    "pair_chi2": one.entry.chi2,
+                    "num_contradicted": one.entry.num_contradicted,
+                    "chi2": one.chi2,
+                }
+                for one in left_out
+            ],
+            "wall_time": wall,
+            "output": output,
+        },
+    )
+
+
+def _verdicts(
+    solved: PoseGraphResult, rejected: list[_Edge], left_out: list[_Edge], outcome: Section
+) -> list[Section]:
+    """Return the worst edges, those left out, those that the loss rejected, and the outcome."""
+    out = {entry.edge for entry in solved.left_out}
+    order = np.argsort(-solved.chi2_after, kind="stable").tolist()
+    worst = [_Edge(solved, index) for index in order if index not in out][:MOST_EDGES]
+    sections = []
+    if len(solved.chi2_after) > 1:
+        sections.append(Section(tables=[Table(WORST, worst, left=2)]))
+    facts = []
+    more = " (--json FILE lists all)"
+    if solved.options.consistency:
+        closures = plural(int(solved.problem.is_closure.sum()), "closure")
+        many = more if len(left_out) > MOST_REJECTED else ""
+        if left_out:
+            sections.append(Section(tables=[Table(LEFT_OUT, left_out[:MOST_REJECTED])]))
+        facts.append(Section(facts=[("left out", f"{len(left_out)} of {closures}{many}")]))
+        sections.append(facts[-1])
+    if solved.options.loss != "trivial":
+        many = more if len(rejected) > MOST_REJECTED else ""
+        if rejected:
+            table = Table(REJECTED, rejected[:MOST_REJECTED])
+            sections.append(Section(tables=[table], is_joined=bool(facts)))
+        words = plural(len(rejected), "edge") + many
+        joined = bool(facts) and not rejected
+        facts.append(Section(facts=[("rejected", words)], is_joined=joined))
+        sections.append(facts[-1])
+    return [*sections, replace(outcome, is_joined=bool(facts))]
+
+
+def described_graph(path: str, graph: PoseGraph) -> Report:
+    """Return the report of `bundle info`: counts, components, chi2 now, what looks wrong."""
+    bad = bad_information(graph)
+    chi2: dict[str, float | None] = dict.fromkeys(POSE_ERRORS)
+    for error in chi2:
+        try:
+            chi2[error] = float(pose_graph_chi2(graph, error).sum())
+        except InputError:  # of information matrices that are none, which are listed
+            break
+    degrees = graph.tangent_size * (graph.num_edges - graph.num_poses + graph.num_components)
+    listed = [
+        {
+            "edge": graph.ids[graph.edges[edge]],
+            "line": int(graph.edge_lines[edge]) or None,
+            "sentence": f"{graph.edge_name(edge)}: information: "
+            f"{describe_information(graph, edge)}",
+        }
+        for edge in bad[:MOST_BAD]
     ]
-
-
-def described_graph(path: str, graph: PoseGraph, report: dict[str, Any]) -> list[RenderableType]:
-    """Return what `bundle info` says; ``report`` is what it says to programs."""
-    chi2 = report["chi2"]
-    sizes = [
-        ("input", f"{shown(path)} (g2o)"),
-        ("", contents_of_graph(graph)),
+    facts = [
+        *graph_facts(path, graph),
         *(("", note) for note in graph.notes),
         ("dimension", str(graph.dimension)),
-        ("components", str(report["num_components"])),
+        ("components", str(graph.num_components)),
         ("poses", "of the file" if graph.has_poses else "composed of edges: the file has none"),
-        ("redundancy", f"{report['degrees_of_freedom']} degrees of freedom"),
+        ("redundancy", f"{degrees} degrees of freedom"),
         *(
             (f"chi2 now, {error}", number(value) if value is not None else "-")
             for error, value in chi2.items()
         ),
     ]
-    bad = [entry["sentence"] for entry in report["bad_information"]]
-    count = report["num_bad_information"]
-    wrong = bad + [f"{count - len(bad)} more edges have such information"] * (count > len(bad))
-    if report["num_components"] > 1:
-        wrong.append(f"no edge joins the {report['num_components']} components of the graph")
-    return [
-        facts(sizes),
-        facts([("looks wrong", "" if wrong else "nothing found")]),
-        *notes(wrong, style="yellow"),
-    ]
-
-
-def converted_graph(path: str, graph: PoseGraph, output: dict[str, str]) -> list[RenderableType]:
-    """Return what was read and what was written."""
-    rows = [
-        ("input", f"{shown(path)} (g2o)"),
-        ("", contents_of_graph(graph)),
-        *(("", note) for note in graph.notes),
-        ("output", f"{shown(output['path'])} (g2o)"),
-        ("lost", "nothing"),
-    ]
-    return [facts(rows)]
-
-
-def contents_of_graph(graph: PoseGraph) -> str:
-    """Return "12 poses, 17 edges, 6 closures, 1 pose fixed"."""
-    counts = [
-        plural(graph.num_poses, "pose"),
-        plural(graph.num_edges, "edge"),
-        plural(int(graph.is_closure.sum()), "closure"),
-    ]
-    fixed = int(graph.fixed.sum())
-    return ", ".join(counts) + (f", {plural(fixed, 'pose')} fixed" if fixed else "")
+    wrong = [str(entry["sentence"]) for entry in listed]
+    if len(bad) > len(listed):
+        wrong.append(f"{len(bad) - len(listed)} more edges have such information")
+    if graph.num_components > 1:
+        wrong.append(f"no edge joins the {graph.num_components} components of the graph")
+    return Report(
+        command="info",
+        input=about_graph(path, graph),
+        sections=[Section(facts=facts), replace(looks_wrong(wrong), is_joined=True)],
+        data={
+            "num_components": graph.num_components,
+            "chi2": chi2,
+            "degrees_of_freedom": degrees,
+            "num_bad_information": len(bad),
+            "bad_information": listed,
+        },
+    )
 
 
 def _error(options: PoseGraphOptions) -> str:
@@ -137,76 +234,3 @@ def _gauge(solved: PoseGraphResult) -> str:
     others = f" and {more} more" if more > 0 else ""
     noun = "pose" if len(summary.held_pose_ids) == 1 else "poses"
     return f"{summary.num_gauge_freedoms} degrees of freedom: {noun} {ids}{others} held"
-
-
-def _factor(summary: Summary) -> str:
-    return (
-        f"{plural(summary.num_factor_columns or 0, 'column')}, {summary.factor_ordering} order, "
-        f"{number(summary.num_factor_nonzeros or 0)} nonzeros, "
-        f"{number(summary.factor_flops or 0.0)} flops, analysed in "
-        f"{seconds(summary.symbolic_time_in_seconds or 0.0)} s"
-    )
-
-
-def _rejected(solved: PoseGraphResult) -> list[RenderableType]:
-    """Return the edges that the loss rejected; nothing without a loss."""
-    if solved.options.loss == "trivial":
-        return []
-    graph = solved.problem
-    rows = [
-        (
-            " ".join(map(str, graph.ids[graph.edges[edge]])),
-            str(int(graph.edge_lines[edge]) or "-"),
-            number(solved.chi2_after[edge]),
-            number(solved.weights[edge]),
-        )
-        for edge in solved.rejected[:MOST_REJECTED]
-    ]
-    more = len(solved.rejected) - len(rows)
-    named: list[RenderableType] = (
-        [columns(("rejected edges", "line", "chi2", "weight"), rows), ""] if rows else []
-    )
-    sentence = plural(len(solved.rejected), "edge") + (" (--json FILE lists all)" if more else "")
-    return [*named, facts([("rejected", sentence)])]
-
-
-def _left_out(solved: PoseGraphResult) -> list[RenderableType]:
-    """Return the closures outside the largest consistent set; nothing where it was not sought."""
-    if not solved.options.consistency:
-        return []
-    graph = solved.problem
-    rows = [
-        (
-            " ".join(map(str, graph.ids[graph.edges[entry.edge]])),
-            str(int(graph.edge_lines[entry.edge]) or "-"),
-            number(entry.chi2),
-            str(entry.num_contradicted),
-        )
-        for entry in solved.left_out[:MOST_REJECTED]
-    ]
-    more = len(solved.left_out) > len(rows)
-    head = ("closures left out", "line", "chi2 of worst pair", "contradicts")
-    named: list[RenderableType] = [columns(head, rows), ""] if rows else []
-    closures = plural(int(graph.is_closure.sum()), "closure")
-    sentence = f"{len(solved.left_out)} of {closures}" + (
-        " (--json FILE lists all)" if more else ""
-    )
-    return [*named, facts([("left out", sentence)])]
-
-
-def _worst(solved: PoseGraphResult) -> list[RenderableType]:
-    chi2, graph = solved.chi2_after, solved.problem
-    if len(chi2) < 2:
-        return []
-    closure = graph.is_closure
-    rows = []
-    solved_with = np.ones(len(chi2), bool)
-    solved_with[[entry.edge for entry in solved.left_out]] = False
-    worst = [edge for edge in np.argsort(-chi2, kind="stable") if solved_with[edge]]
-    for edge in worst[:MOST_EDGES]:
-        first, second = graph.ids[graph.edges[edge]]
-        kind = "closure" if closure[edge] else "odometry"
-        before = solved.chi2_before[edge]
-        rows.append((f"{first} {second}", kind, number(before), number(chi2[edge])))
-    head = ("worst edges, after", "", "chi2 before", "chi2 after")
-    return [columns(head, rows, left=2), ""]

@@ -1,35 +1,24 @@
-"""What `bundle refine` says at the end."""
+"""The report of `bundle refine` on a reconstruction."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-from rich.console import RenderableType
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from bundle.base.memory_sizes import format_size
-from bundle.base.tables import (
-    Columns,
-    columns,
-    facts,
-    format_name,
-    notes,
-    number,
-    pixels,
-    plural,
-    seconds,
-)
-from bundle.base.words import change, contents
+from bundle.base.words import change, pixels, plural
 from bundle.errors import shown
 from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary, sizes
 from bundle.model.problem import Problem
 from bundle.model.worst_images import ImageError
-from bundle.reports.terminal.camera_edit_rows import edit_rows
-from bundle.reports.terminal.loop_tables import loops_table
-from bundle.reports.terminal.process_tables import process_tables
-from bundle.reports.terminal.rig_tables import rig_fact, sensor_table
-from bundle.reports.terminal.timing import WallTime, wall_table
+from bundle.reports.sections import Column, Report, Section, Table
+from bundle.reports.terminal.camera_edit_rows import edit_data, edit_rows
+from bundle.reports.terminal.inputs import about_problem, problem_facts, rig_fact, written
+from bundle.reports.terminal.process_tables import process_sections
+from bundle.reports.terminal.rig_tables import sensor_sections
+from bundle.reports.terminal.solve_data import factor_fact, result_data
+from bundle.reports.terminal.timing import WallTime, wall_section
 from bundle.solving.camera_changes import CameraChange, camera_changes
 from bundle.solving.result import Result
 from bundle.solving.round_record import RestRecord
@@ -40,10 +29,30 @@ if TYPE_CHECKING:
     from bundle.georeference.georeferenced import Georeference
     from bundle.graphs.loops.loop_closing import LoopClosing
 
-__all__ = ["contents", "outcome", "refinement", "worst_table"]
+__all__ = ["refinement", "worst_sections"]
 
 MOST_CAMERAS = 5
 """Cameras whose changes are shown."""
+
+
+_full = "{:.9e}".format
+
+ROUNDS = (
+    Column("round", "round"),
+    Column("cost before", "initial_cost", _full),
+    Column("cost after", "cost", _full),
+    Column("observations", "num_observations"),
+    Column("removed", "num_observations_removed"),
+    Column("points", "num_points"),
+    Column("removed", "num_points_removed"),
+)
+ERRORS = {
+    "rmse": "RMSE [px]",
+    "mean": "mean error [px]",
+    "median": "median error [px]",
+    "p95": "95th percentile [px]",
+    "max": "max error [px]",
+}
 
 
 def refinement(
@@ -52,16 +61,76 @@ def refinement(
     solved: Result,
     wall: WallTime,
     output: dict[str, str] | None,
-    lost: tuple[str, ...],
+    lost: Sequence[str] = (),
+    more_options: Mapping[str, Any] | None = None,
     georeference: Georeference | None = None,
     edits: CameraEdits | None = None,
     closed: LoopClosing | None = None,
-) -> list[RenderableType]:
-    """Return the report on one solve; `output` is None where nothing was written."""
+) -> Report:
+    """Return the report on one solve.
+
+    Args:
+        path: of the input.
+        problem: as it was read.
+        solved: the result.
+        wall: time by stage.
+        output: path and format of what was written; None where nothing was.
+        lost: by the output's format.
+        more_options: beside those of the solve.
+        georeference: of the result; None where it has none.
+        edits: of cameras before the solve; None where there were none.
+        closed: loops before the solve; None where there were none.
+    """
+    summary, changes = solved.summary, camera_changes(solved)
+    warnings = (*(edits.warnings if edits else ()), *summary.warnings)
+    outcome = Section(facts=[("outcome", solved.outcome)], notes=warnings, is_warning=True)
+    sections = [
+        Section(facts=_facts(path, problem, solved, edits)),
+        *([] if closed is None else _loops(closed)),
+        *([Section(tables=[Table(ROUNDS, solved.rounds)])] if solved.rounds else []),
+        Section(tables=[_before_and_after(solved)]),
+        *_positions(georeference),
+        *_cameras(changes),
+        *_constraints(solved),
+        *sensor_sections(sensor_changes(solved)),
+        *worst_sections(solved.worst_images, "worst images, after"),
+        outcome,
+        wall_section(summary, wall),
+        *process_sections(summary.processes),
+        Section(facts=[written(output)], notes=[f"lost: {what}" for what in lost]),
+    ]
+    about = result_data(solved)
+    about["options"] |= more_options or {}
+    data = {
+        **edit_data(edits),
+        **({} if closed is None else {"loops": closed.asdict()}),
+        **about,
+        **({"rounds": solved.rounds} if solved.rounds else {}),
+        **({"part": solved.part} if solved.part else {}),
+        **({"constraints": solved.constraints} if solved.constraints else {}),
+        "held_cost": summary.held_cost,
+        "cameras": changes,
+        **({"sensors": sensor_changes(solved)} if problem.num_frames else {}),
+        "worst_images": solved.worst_images,
+        **({} if georeference is None else {"georeference": georeference.asdict()}),
+        "wall_time": wall,
+        "output": output,
+    }
+    return Report(
+        command="refine",
+        input=about_problem(path, problem),
+        headline=[solved.outcome],
+        sections=sections,
+        data=data,
+    )
+
+
+def _facts(
+    path: str, problem: Problem, solved: Result, edits: CameraEdits | None
+) -> list[tuple[str, str]]:
     summary = solved.summary
-    rows = [
-        ("input", f"{shown(path)} ({format_name(problem.format)})"),
-        ("", contents(problem)),
+    return [
+        *problem_facts(path, problem),
         *edit_rows(edits),
         *rig_fact(problem),
         ("refined", _refined(solved.options)),
@@ -72,50 +141,30 @@ def refinement(
         ("solver", _solver(summary)),
         *((("", summary.linear_solver_choice),) if summary.linear_solver_choice else ()),
         ("ordering", _ordering(summary)),
-        *((("factor", _factor(summary)),) if summary.num_factor_nonzeros is not None else ()),
-    ]
-    written = (
-        f"{shown(output['path'])} ({format_name(output['format'])})"
-        if output
-        else "nothing was written"
-    )
-    return [
-        facts(rows),
-        "",
-        *([] if closed is None else loops_table(closed)),
-        *_rounds(solved),
-        _before_and_after(solved),
-        "",
-        *_positions(georeference),
-        *_cameras(camera_changes(solved)),
-        *_constraints(solved),
-        *sensor_table(sensor_changes(solved)),
-        *worst_table(solved.worst_images, "worst images, after"),
-        facts([("outcome", outcome(solved))]),
-        *notes((*(edits.warnings if edits else ()), *summary.warnings), style="yellow"),
-        "",
-        wall_table(summary, wall),
-        "",
-        *process_tables(summary.processes),
-        facts([("output", written)]),
-        *notes(f"lost: {what}" for what in lost),
+        *factor_fact(summary),
     ]
 
 
-def _positions(georeference: Georeference | None) -> list[RenderableType]:
+def _loops(closed: LoopClosing) -> list[Section]:
+    from bundle.reports.terminal.loop_tables import loops_section  # most solves close no loops
+
+    return [loops_section(closed)]
+
+
+def _positions(georeference: Georeference | None) -> list[Section]:
     if georeference is None:
         return []
-    from bundle.reports.terminal.gps import gps_report
+    from bundle.reports.terminal.gps import gps_report  # most solves have no positions
 
     return gps_report(georeference)
 
 
-def _constraints(solved: Result) -> list[RenderableType]:
+def _constraints(solved: Result) -> list[Section]:
     if not solved.constraints:
         return []
-    from bundle.reports.terminal.constraint_tables import constraint_report
+    from bundle.reports.terminal.constraint_tables import constraint_sections  # most have none
 
-    return constraint_report(solved.constraints)
+    return constraint_sections(solved.constraints)
 
 
 def _part(solved: Result) -> list[tuple[str, str]]:
@@ -159,43 +208,18 @@ def _rest(rest: RestRecord) -> list[tuple[str, str]]:
     return [("", prior), ("gauge", f"neighbours stay on average, {degrees} of freedom")]
 
 
-def _rounds(solved: Result) -> list[RenderableType]:
-    """Return what each round did, and an empty line; nothing where there are no rounds."""
-    if not solved.rounds:
-        return []
-    rows = [
-        (
-            f"{done.round}",
-            f"{done.initial_cost:.9e}",
-            f"{done.cost:.9e}",
-            f"{done.num_observations}",
-            f"{done.num_observations_removed}",
-            f"{done.num_points}",
-            f"{done.num_points_removed}",
-        )
-        for done in solved.rounds
-    ]
-    titles = ("round", "cost before", "cost after")
-    return [columns((*titles, "observations", "removed", "points", "removed"), rows), ""]
+def worst_sections(images: Sequence[ImageError], title: str) -> list[Section]:
+    """Return the images with the largest errors; nothing for one image."""
+    columns = (
+        Column(title, lambda image: shown(image.name) or f"image {image.image_id}"),
+        Column("observations", "num_observations"),
+        Column("RMSE [px]", "rmse", pixels),
+        Column("max error [px]", "max", pixels),
+    )
+    return [Section(tables=[Table(columns, images)])] if len(images) > 1 else []
 
 
-def worst_table(images: Sequence[ImageError], title: str) -> list[RenderableType]:
-    """Return the images with the largest errors and an empty line; nothing for one image."""
-    if len(images) < 2:
-        return []
-    rows = [
-        (
-            shown(image.name) or f"image {image.image_id}",
-            str(image.num_observations),
-            pixels(image.rmse),
-            pixels(image.max),
-        )
-        for image in images
-    ]
-    return [columns((title, "observations", "RMSE [px]", "max error [px]"), rows), ""]
-
-
-def _cameras(changes: Sequence[CameraChange]) -> list[RenderableType]:
+def _cameras(changes: Sequence[CameraChange]) -> list[Section]:
     """Return what changed in the intrinsics, of the cameras that moved most."""
     if not changes:
         return []
@@ -209,18 +233,11 @@ def _cameras(changes: Sequence[CameraChange]) -> list[RenderableType]:
                     (label, name, f"{before:.7g}", f"{after:.7g}", f"{after - before:+.3g}")
                 )
                 label = ""
-    report: list[RenderableType] = [
-        columns(("camera", "parameter", "before", "after", "change"), rows, left=2, keys=2)
-    ]
-    if len(changes) > MOST_CAMERAS:
-        others = plural(len(changes) - MOST_CAMERAS, "other camera")
-        report += notes([f"{others} changed less; --json FILE lists all"])
-    return [*report, ""]
-
-
-def outcome(solved: Result) -> str:
-    """Return how the solve ended, in plain words."""
-    return solved.outcome
+    head = ("camera", "parameter", "before", "after", "change")
+    count = len(changes) - MOST_CAMERAS
+    others = [f"{plural(count, 'other camera')} changed less; --json FILE lists all"]
+    table = Table.of(head, rows, left=2, keys=2)
+    return [Section(tables=[table], notes=others if count > 0 else [])]
 
 
 def _refined(options: SolveOptions) -> str:
@@ -269,24 +286,8 @@ def _ordering(summary: Summary) -> str:
     return words
 
 
-def _factor(summary: Summary) -> str:
-    nonzeros, flops = summary.num_factor_nonzeros or 0, summary.factor_flops or 0.0
-    return (
-        f"{plural(summary.num_factor_columns or 0, 'column')}, {summary.factor_ordering} order, "
-        f"{number(nonzeros)} nonzeros, {number(flops)} flops, analysed in "
-        f"{seconds(summary.symbolic_time_in_seconds or 0.0)} s"
-    )
-
-
-def _before_and_after(solved: Result) -> Columns:
+def _before_and_after(solved: Result) -> Table:
     before, after = solved.reprojection_error_before, solved.reprojection_error_after
-    titles = {
-        "rmse": "RMSE [px]",
-        "mean": "mean error [px]",
-        "median": "median error [px]",
-        "p95": "95th percentile [px]",
-        "max": "max error [px]",
-    }
     rows = [
         *(
             [("cost", f"{solved.summary.initial_cost:.9e}", f"{solved.summary.final_cost:.9e}")]
@@ -296,9 +297,9 @@ def _before_and_after(solved: Result) -> Columns:
         *([("held cost", "-", f"{held:.9e}")] if (held := solved.summary.held_cost) else []),
         *(
             (title, pixels(getattr(before, name)), pixels(getattr(after, name)))
-            for name, title in titles.items()
+            for name, title in ERRORS.items()
         ),
         ("observations", str(before.num_observations), str(after.num_observations)),
         ("behind camera", str(before.num_behind_camera), str(after.num_behind_camera)),
     ]
-    return columns(("", "before", "after"), rows)
+    return Table.of(("", "before", "after"), rows)

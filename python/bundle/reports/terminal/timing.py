@@ -1,13 +1,14 @@
-"""Where the time of a command went, by stage."""
+"""Wall time of a command by stage."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bundle.base.tables import Columns, columns, seconds
+from bundle.base.words import seconds
 from bundle.interface.summary import Summary, share, solver_phases
+from bundle.reports.sections import Section, Table
 
-__all__ = ["WallTime", "wall_table"]
+__all__ = ["WallTime", "wall_section"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +26,7 @@ class WallTime:
     total: float
 
 
-def wall_table(summary: Summary, wall: WallTime) -> Columns:
+def wall_section(summary: Summary, wall: WallTime) -> Section:
     """Return the stages of a command, the phases of the solve among them, with their shares."""
     total, solver = wall.total, summary.total_time_in_seconds
     rows = [_stage("load", wall.load, total), _stage("build", wall.build, total)]
@@ -40,7 +41,7 @@ def wall_table(summary: Summary, wall: WallTime) -> Columns:
     rest = total - wall.load - wall.build - wall.solve - wall.save - wall.statistics
     rows.append(_stage("everything else", max(rest, 0.0), total))
     rows.append(_stage("total", total, total))
-    return columns(("time", "seconds", "of the solve", "of all"), rows)
+    return Section(tables=[Table.of(("time", "seconds", "of the solve", "of all"), rows)])
 
 
 def _stage(name: str, time: float, total: float) -> tuple[str, str, str, str]:

@@ -1,23 +1,38 @@
-"""What `bundle vio --publish` says of its loops."""
+"""The two loops in the report of `bundle vio --publish`."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import replace
 from typing import Any
 
-from rich.console import RenderableType
-
-from bundle.base.tables import facts
 from bundle.base.words import number, plural
 from bundle.inertial.two_loops.replay import TwoLoopsResult
 from bundle.inertial.vio.trajectory_comparison import TrajectoryError
-from bundle.reports.terminal import json
+from bundle.reports.sections import Report, Section
 
-__all__ = ["loop_tables", "loops_as_json"]
+__all__ = ["with_loops"]
 
 
-def loop_tables(result: TwoLoopsResult, error: TrajectoryError | None) -> list[RenderableType]:
+def with_loops(
+    report: Report, result: TwoLoopsResult, error: TrajectoryError | None, written: str | None
+) -> Report:
+    """Return the report of an odometry with that of its loops.
+
+    Args:
+        report: of the odometry.
+        result: of both loops.
+        error: of the published poses against the truth; None without one.
+        written: path of the published poses; None where none were written.
+    """
+    return replace(
+        report,
+        sections=[*report.sections, _section(result, error)],
+        data={**report.data, "two_loops": _data(result, error, written)},
+    )
+
+
+def _section(result: TwoLoopsResult, error: TrajectoryError | None) -> Section:
     """Return how late poses were, what closures corrected, what the loops left out."""
     found, motion = result.statistics, result.correction
     rows = [("published", f"{plural(found.num_poses, 'pose')}, one per IMU sample")]
@@ -50,22 +65,17 @@ def loop_tables(result: TwoLoopsResult, error: TrajectoryError | None) -> list[R
     ]
     if error is not None:
         rows.append(("corrected", f"{number(error.ate)} m rms (ATE) of the published poses"))
-    return ["", facts(rows)]
+    return Section(facts=rows)
 
 
-def loops_as_json(
+def _data(
     result: TwoLoopsResult, error: TrajectoryError | None, written: str | None
 ) -> dict[str, Any]:
-    """Return ``two_loops`` of the report."""
-    report: dict[str, Any] = json.plain(
-        {
-            **result.statistics.asdict(),
-            "correction": {
-                "yaw": result.correction.yaw,
-                "translation": result.correction.shift.tolist(),
-            },
-            "error": None if error is None else asdict(error),
-            "output": None if written is None else {"path": written, "format": "tum"},
-        }
-    )
-    return report
+    """Return ``two_loops`` of the report for programs."""
+    motion = result.correction
+    return {
+        **result.statistics.asdict(),
+        "correction": {"yaw": motion.yaw, "translation": motion.shift},
+        "error": error,
+        "output": None if written is None else {"path": written, "format": "tum"},
+    }

@@ -1,40 +1,83 @@
-"""What `bundle vio` says."""
+"""The report of `bundle vio`."""
 
 from __future__ import annotations
 
-import json as standard_json
+import json
 from collections import Counter
-from dataclasses import asdict
-from typing import Any
 
 import numpy as np
-from rich.console import RenderableType
 
-from bundle.base.tables import columns, facts, notes, plural
-from bundle.base.words import number
+from bundle.base.words import number, plural
 from bundle.errors import shown
 from bundle.inertial.vio.keyframe_record import KeyframeRecord, alarms_by_kind
 from bundle.inertial.vio.odometry import OdometryResult
 from bundle.inertial.vio.trajectory_comparison import TrajectoryError
 from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.sequence_findings import SequenceFinding
-from bundle.reports.terminal import json
-from bundle.reports.terminal.sequence_tables import heading_of_sequence
+from bundle.reports.sections import Report, Section, Table, plain
+from bundle.reports.terminal.inputs import about_sequence
 
-__all__ = ["as_json", "odometry_tables", "telemetry_lines"]
+__all__ = ["odometry_report", "telemetry_lines"]
 
 
-def odometry_tables(
+def odometry_report(
     source: str,
+    format: str,
+    sequence: Sequence,
     result: OdometryResult,
     error: TrajectoryError | None,
     written: str | None,
+    wall_time: float,
     findings: tuple[SequenceFinding, ...] = (),
-) -> list[RenderableType]:
+) -> Report:
     """Return start, keyframes, times, alarms, and errors where there is a truth.
 
-    What looks wrong in the sequence itself is said before what the window made of it.
+    Args:
+        source: path of the sequence.
+        format: of the sequence.
+        sequence: as it was read.
+        result: of the odometry.
+        error: against the truth; None without one.
+        written: path of the trajectory; None where none was written.
+        wall_time: seconds.
+        findings: that look wrong in the sequence itself; they come before the alarms.
     """
+    said = _warnings(result, findings)
+    ends = [f"No trajectory was written: {result.message}."] * (not result.is_usable)
+    ends += ["Interrupted: the trajectory goes as far as it came."] * result.interrupted
+    notes = [*ends, *said]
+    return Report(
+        command="vio",
+        input={**about_sequence(source, format, sequence), "duration": sequence.duration},
+        headline=[result.message],
+        sections=[
+            Section(facts=_facts(source, result, error, written)),
+            Section(tables=[_times(result)]),
+            *([Section(notes=notes)] if notes else []),
+        ],
+        data={
+            "options": result.options.asdict(),
+            "summary": {
+                "start": result.start,
+                "is_solution_usable": result.is_usable,
+                "interrupted": result.interrupted,
+                "message": result.message,
+                "num_images": result.num_images,
+                "num_keyframes": len(result.keyframes),
+                "warnings": said,
+            },
+            "findings": findings,
+            "keyframes": [record.asdict() for record in result.keyframes],
+            "error": error,
+            "wall_time": {"solve": result.solve_time, "total": wall_time},
+            "output": None if written is None else {"path": written, "format": "tum"},
+        },
+    )
+
+
+def _facts(
+    source: str, result: OdometryResult, error: TrajectoryError | None, written: str | None
+) -> list[tuple[str, str]]:
     stamps = result.trajectory.timestamps_ns
     seconds = 1e-9 * float(stamps[-1] - stamps[0])
     records = result.keyframes
@@ -68,24 +111,17 @@ def odometry_tables(
         ]
     if written is not None:
         rows.append(("output", f"{shown(written)} (TUM)"))
+    return rows
+
+
+def _times(result: OdometryResult) -> Table:
     phases = ("preintegration", "assembly", "solve", "marginalization", "total")
-    parts = {
-        phase: 1e3 * np.array([record.times.get(phase, 0.0) for record in records])
-        for phase in phases
-    }
-    table = columns(
-        ("ms per keyframe", "median", "p95", "max"),
-        [
-            (phase, *(number(float(f(parts[phase]))) for f in (np.median, _p95, np.max)))
-            for phase in phases
-        ],
-    )
-    said = _warnings(result, findings)
-    if result.interrupted:
-        said.insert(0, "Interrupted: the trajectory goes as far as it came.")
-    if not result.is_usable:
-        said.insert(0, f"No trajectory was written: {result.message}.")
-    return [facts(rows), "", table, *([""] if said else []), *notes(said)]
+    cells = []
+    for phase in phases:
+        times = 1e3 * np.array([record.times.get(phase, 0.0) for record in result.keyframes])
+        values = (np.median(times), np.percentile(times, 95), times.max())
+        cells.append((phase, *(number(float(value)) for value in values)))
+    return Table.of(("ms per keyframe", "median", "p95", "max"), cells)
 
 
 def _certainty(records: tuple[KeyframeRecord, ...]) -> list[tuple[str, str]]:
@@ -124,49 +160,8 @@ def _warnings(result: OdometryResult, findings: tuple[SequenceFinding, ...]) -> 
     ]
 
 
-def _p95(values: Any) -> float:
-    return float(np.percentile(values, 95))
-
-
-def as_json(
-    source: str,
-    format: str,
-    sequence: Sequence,
-    result: OdometryResult,
-    error: TrajectoryError | None,
-    written: str | None,
-    wall: float,
-    findings: tuple[SequenceFinding, ...] = (),
-) -> dict[str, Any]:
-    """Return the report of `bundle vio`."""
-    heading = heading_of_sequence("vio", source, format, sequence)
-    heading["input"]["duration"] = sequence.duration
-    report: dict[str, Any] = json.plain(
-        {
-            **heading,
-            "options": result.options.asdict(),
-            "summary": {
-                "start": result.start,
-                "is_solution_usable": result.is_usable,
-                "interrupted": result.interrupted,
-                "message": result.message,
-                "num_images": result.num_images,
-                "num_keyframes": len(result.keyframes),
-                "warnings": _warnings(result, findings),
-            },
-            "findings": [asdict(finding) for finding in findings],
-            "keyframes": [record.asdict() for record in result.keyframes],
-            "error": None if error is None else asdict(error),
-            "wall_time": {"solve": result.solve_time, "total": wall},
-            "output": None if written is None else {"path": written, "format": "tum"},
-        }
-    )
-    return report
-
-
 def telemetry_lines(result: OdometryResult) -> str:
     """Return a line of JSON per keyframe."""
     return "".join(
-        standard_json.dumps(json.plain(record.asdict()), allow_nan=False) + "\n"
-        for record in result.keyframes
+        json.dumps(plain(record.asdict()), allow_nan=False) + "\n" for record in result.keyframes
     )

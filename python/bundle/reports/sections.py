@@ -1,0 +1,193 @@
+"""Reports of commands as data: sections for people, one dictionary for programs.
+
+A command computes a :class:`Report`. Terminals show its sections
+(:func:`bundle.reports.terminal.screen.laid_out`), ``--json`` writes its data. Rows of tables are
+rounded and cut; data are neither.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle._core import __version__
+
+__all__ = [
+    "SCHEMA",
+    "Column",
+    "Report",
+    "Section",
+    "Table",
+    "dumps",
+    "fields",
+    "heading",
+    "plain",
+    "records",
+    "several",
+]
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        title: with its unit.
+        value: attribute of a row, such as "error.rmse"; its index, where rows are tuples; or a
+            function of the row.
+        format: writes a value.
+    """
+
+    title: str
+    value: str | int | Callable[[Any], Any]
+    format: Callable[[Any], str] = str
+
+    def cell(self, row: Any) -> Any:
+        """Return the cell of a row: text, or what draws itself."""
+        if isinstance(self.value, int):
+            return row[self.value]
+        find = self.value if callable(self.value) else attrgetter(self.value)
+        return self.format(find(row))
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A table.
+
+    Attributes:
+        columns: as declared.
+        rows: of whatever the columns know; those that are shown where there are too many.
+        left: columns of text, before those of numbers.
+        keys: columns that say what a row is about.
+        most: rows that are shown; None: all.
+        others: sentence on a number of rows that are not.
+        legend: what the titles mean, below the table.
+    """
+
+    columns: Sequence[Column]
+    rows: Sequence[Any]
+    left: int = 1
+    keys: int = 1
+    most: int | None = None
+    others: Callable[[int], str] | None = None
+    legend: str = ""
+
+    @staticmethod
+    def of(head: Iterable[str], rows: Iterable[Sequence[Any]], **more: Any) -> Table:
+        """Return a table of cells."""
+        return Table([Column(title, k) for k, title in enumerate(head)], [*rows], **more)
+
+    @property
+    def head(self) -> tuple[str, ...]:
+        """Titles of the columns."""
+        return tuple(column.title for column in self.columns)
+
+    def cells(self) -> list[tuple[Any, ...]]:
+        """Return the cells of the rows that are shown."""
+        return [
+            tuple(column.cell(row) for column in self.columns) for row in self.rows[: self.most]
+        ]
+
+    def rest(self) -> list[str]:
+        """Return the sentence on rows that are not shown; nothing where all are."""
+        count = 0 if self.most is None else len(self.rows) - self.most
+        return [self.others(count)] if self.others is not None and count > 0 else []
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Section:
+    """A part of a report, an empty line below the one before.
+
+    Attributes:
+        facts: labels and facts, which come first.
+        tables: without an empty line between them.
+        text: paragraphs, or what draws itself.
+        command: a command line to copy.
+        notes: dashed sentences, which come last.
+        is_warning: notes are warnings.
+        is_joined: no empty line above.
+    """
+
+    facts: Sequence[tuple[str, str]] = ()
+    tables: Sequence[Table] = ()
+    text: Sequence[Any] = ()
+    command: str = ""
+    notes: Sequence[str] = ()
+    is_warning: bool = False
+    is_joined: bool = False
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Report:
+    """The report of a command.
+
+    Attributes:
+        command: its name.
+        input: path, format and counts of the input; None where the data say it.
+        headline: the verdict in sentences.
+        sections: for people.
+        data: for programs, beside schema, command, version and input.
+    """
+
+    command: str
+    input: Mapping[str, Any] | None = None
+    headline: Sequence[str] = ()
+    sections: Sequence[Section] = ()
+    data: Mapping[str, Any] = field(default_factory=dict)
+
+    def json(self) -> dict[str, Any]:
+        """Return the report for programs, in JSON's own types."""
+        given = {} if self.input is None else {"input": self.input}
+        report: dict[str, Any] = plain({**heading(self.command), **given, **self.data})
+        return report
+
+
+def heading(command: str) -> dict[str, Any]:
+    """Return the first entries of every report."""
+    return {"schema": SCHEMA, "command": command, "version": __version__}
+
+
+def several(command: str, reports: Sequence[Report]) -> dict[str, Any]:
+    """Return the reports on several inputs as one, for programs."""
+    return {**heading(command), "reports": [report.json() for report in reports]}
+
+
+def dumps(report: dict[str, Any]) -> str:
+    """Return a report as text: ASCII, indented, ending in a newline."""
+    return json.dumps(report, indent=2, allow_nan=False) + "\n"
+
+
+def fields(record: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass by name."""
+    return {one.name: getattr(record, one.name) for one in dataclasses.fields(record)}
+
+
+def plain(value: Any) -> Any:
+    """Return value in JSON's own types: arrays and dataclasses unwrapped, NaN as None."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = fields(value)
+    if isinstance(value, dict):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    return value
+
+
+def records(columns: Mapping[str, NDArray[Any]]) -> list[dict[str, Any]]:
+    """Return arrays of equal length by name as one dictionary an entry."""
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in rows]

@@ -1,0 +1,119 @@
+"""The input of a report: its facts for people, its path, format and counts for programs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bundle.base.words import contents, format_name, plural
+from bundle.errors import shown
+from bundle.model.problem import Problem
+
+if TYPE_CHECKING:
+    from bundle.model.pose_graph_arrays import PoseGraph
+    from bundle.model.sequence.sequence import Sequence
+
+__all__ = [
+    "about_graph",
+    "about_problem",
+    "about_sequence",
+    "contents_of_graph",
+    "contents_of_sequence",
+    "graph_facts",
+    "problem_facts",
+    "rig_fact",
+    "written",
+]
+
+Facts = list[tuple[str, str]]
+
+
+def problem_facts(path: str, problem: Problem, *, rigs: bool = False) -> Facts:
+    """Return path, format and contents of a problem, with ``rigs`` also those it has."""
+    return [
+        ("input", f"{shown(path)} ({format_name(problem.format)})"),
+        ("", contents(problem)),
+        *(rig_fact(problem) if rigs else []),
+    ]
+
+
+def about_problem(path: str, problem: Problem) -> dict[str, Any]:
+    """Return the same for programs."""
+    names = ("num_rigs", "num_frames", "num_sensors") if problem.num_frames else ()
+    counts = ("num_cameras", "num_images", "num_points", "num_observations", *names)
+    return {
+        "path": path,
+        "format": problem.format,
+        **{name: getattr(problem, name) for name in counts},
+    }
+
+
+def rig_fact(problem: Problem) -> Facts:
+    """Return a fact such as "1 rig of 2 sensors, 26 frames"; nothing where there are no rigs."""
+    if problem.num_frames == 0:
+        return []
+    # Statistics are late to import, and most problems have no rigs.
+    from bundle.analysis.statistics.rig_summary import rig_summaries
+
+    rigs = rig_summaries(problem)
+    counts = [len(rig.sensors) for rig in rigs]
+    low, high = min(counts), max(counts)
+    sensors = plural(high, "sensor") if low == high else f"{low} to {high} sensors"
+    frames = sum(rig.num_frames for rig in rigs)
+    return [("rigs", f"{plural(len(rigs), 'rig')} of {sensors}, {plural(frames, 'frame')}")]
+
+
+def graph_facts(path: str, graph: PoseGraph) -> Facts:
+    """Return path and contents of a pose graph."""
+    return [("input", f"{shown(path)} (g2o)"), ("", contents_of_graph(graph))]
+
+
+def contents_of_graph(graph: PoseGraph) -> str:
+    """Return "12 poses, 17 edges, 6 closures, 1 pose fixed"."""
+    counts = [
+        plural(graph.num_poses, "pose"),
+        plural(graph.num_edges, "edge"),
+        plural(int(graph.is_closure.sum()), "closure"),
+    ]
+    fixed = int(graph.fixed.sum())
+    return ", ".join(counts) + (f", {plural(fixed, 'pose')} fixed" if fixed else "")
+
+
+def about_graph(path: str, graph: PoseGraph) -> dict[str, Any]:
+    """Return path, counts and notes of a pose graph for programs."""
+    return {
+        "path": path,
+        "format": "g2o",
+        "dimension": graph.dimension,
+        "num_poses": graph.num_poses,
+        "num_edges": graph.num_edges,
+        "num_closures": int(graph.is_closure.sum()),
+        "num_fixed_poses": int(graph.fixed.sum()),
+        "has_poses": graph.has_poses,
+        "notes": list(graph.notes),
+    }
+
+
+def contents_of_sequence(sequence: Sequence) -> str:
+    """Return "6001 IMU samples, 601 images, 307 tracks, 13316 observations"."""
+    nouns = ("IMU sample", "image", "track", "observation")
+    return ", ".join(map(plural, _counts(sequence), nouns))
+
+
+def about_sequence(path: str, format: str, sequence: Sequence) -> dict[str, Any]:
+    """Return path, format and counts of a sequence for programs."""
+    names = ("num_imu_samples", "num_images", "num_tracks", "num_observations")
+    return {"path": path, "format": format, **dict(zip(names, _counts(sequence), strict=True))}
+
+
+def _counts(sequence: Sequence) -> tuple[int, int, int, int]:
+    tracks = len(np.unique(sequence.track_ids))
+    return len(sequence.gyro), sequence.num_frames, tracks, len(sequence.xy)
+
+
+def written(output: dict[str, str] | None) -> tuple[str, str]:
+    """Return the fact on the output; ``output`` is None where nothing was written."""
+    if output is None:
+        return "output", "nothing was written"
+    return "output", f"{shown(output['path'])} ({format_name(output['format'])})"

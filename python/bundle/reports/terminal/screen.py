@@ -1,0 +1,37 @@
+"""Sections of a report as a terminal shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rich.console import RenderableType
+from rich.text import Text
+
+from bundle.base.tables import CommandLine, columns, facts, notes
+from bundle.reports.sections import Report, Section, Table
+
+__all__ = ["laid_out"]
+
+
+def laid_out(report: Report | Iterable[Section]) -> list[RenderableType]:
+    """Return the sections of a report, an empty line between each two."""
+    sections = report.sections if isinstance(report, Report) else report
+    parts: list[RenderableType] = []
+    for section in sections:
+        if parts and not section.is_joined:
+            parts.append("")
+        if section.facts:
+            parts.append(facts(section.facts))
+        for table in section.tables:
+            parts += _table(table)
+        parts += section.text
+        if section.command:
+            parts.append(CommandLine(section.command))
+        parts += notes(section.notes, style="yellow" if section.is_warning else "")
+    return parts
+
+
+def _table(table: Table) -> list[RenderableType]:
+    made = columns(table.head, table.cells(), left=table.left, keys=table.keys)
+    legend = [Text(table.legend, "dim")] if table.legend else []
+    return [made, *legend, *notes(table.rest())]
