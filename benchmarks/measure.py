@@ -24,7 +24,7 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 
 @dataclass(frozen=True)
 class Child:
-    """How a process went: ``failure`` is "" or one line; seconds and bytes otherwise."""
+    """Outcome of a process: ``failure`` is "" or one line; seconds and bytes otherwise."""
 
     failure: str
     wall: float

@@ -1,4 +1,4 @@
-"""What one image with a larger camera model costs the elimination of all others.
+"""Cost of one image with a larger camera model for the elimination of all others.
 
 Prints the ratio of the times to linearise and eliminate: 40 images with SIMPLE_RADIAL and one with
 FULL_OPENCV against 41 with SIMPLE_RADIAL. Solves are interleaved, on one thread; of the times of

@@ -36,7 +36,7 @@ TOLERANCE = 1e-6
 
 
 class Measured(NamedTuple):
-    """Of one solve."""
+    """Measurements of one solve."""
 
     seconds: float
     solves: int

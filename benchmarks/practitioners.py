@@ -1,4 +1,4 @@
-"""What practitioners' inputs cost a step: position priors, a rig, and a round of filtering.
+"""Cost of practitioners' inputs per step: position priors, a rig, and a round of filtering.
 
 Each run is a process of its own, ours and pycolmap's in turn, from the same start: the model with
 GPS is first put where its positions are, by bundle, disturbed, and written for both. Both minimise

@@ -1,4 +1,4 @@
-"""What `bundle inspect` predicts against what the solves then measure.
+"""Predictions of `bundle inspect` against measured solves.
 
     python -m benchmarks.predictions [--only NAMES] [--threads N] [--repeat N] [--json FILE]
 
@@ -54,7 +54,7 @@ class Row:
 
     @property
     def is_direct(self) -> bool:
-        """Whether the targets hold for it."""
+        """True if the prediction meets the targets."""
         return "iterative" not in self.method
 
     @property

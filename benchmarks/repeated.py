@@ -1,4 +1,4 @@
-"""What a solver object spends outside its steps.
+"""Time that a solver object spends outside its steps.
 
 Prints, for solves of one structure again and again, the wall time of ``Solver.solve`` over the
 time inside steps: for a BAL problem of the data folder and for a synthetic one of 500 observations,

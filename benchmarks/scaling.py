@@ -1,4 +1,4 @@
-"""How cost grows: over the drives of growing length, and from one thread to several."""
+"""Growth of cost over drives of growing length, and from one thread to several."""
 
 from __future__ import annotations
 

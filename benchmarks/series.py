@@ -1,4 +1,4 @@
-"""What is run: solvers on problems, under which stopping rule, with how many threads."""
+"""Runs of the benchmark: solvers, problems, stopping rules, numbers of threads."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ NEAR_START = {
 
 @dataclass(frozen=True)
 class Scene:
-    """What is asked of the generator; every image has a camera of its own, as in BAL."""
+    """Request to the generator; every image has its own camera, as in BAL."""
 
     kind: str
     num_images: int

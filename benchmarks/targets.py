@@ -1,4 +1,4 @@
-"""What was set out to be reached, computed from what was measured."""
+"""Targets, and their values from the measurements."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Target:
 
     @property
     def met(self) -> bool:
-        """Whether the number is on the right side of its limit, or at it."""
+        """True if the number meets its limit."""
         if self.value is None:
             return False
         return self.value >= self.limit if self.is_least else self.value <= self.limit

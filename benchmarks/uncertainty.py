@@ -1,4 +1,4 @@
-"""What it costs to say how certain a solution is, and what is wrong with it.
+"""Cost of covariances and of diagnosis.
 
 Each run is a process of its own, ours and pycolmap's in turn, of the same model as it stands. Ours
 computes marginal covariances of all images, cameras and points, under inner constraints and with

@@ -1,4 +1,4 @@
-"""What a sentence or a table says in numbers and kinds, whatever its words are."""
+"""Numbers and kinds in a sentence or a table, whatever its words are."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def warning(summary: Summary, kind: str) -> str:
 
 
 def in_order(text: str, *tokens: str) -> bool:
-    """Whether names and numbers stand in a text one after the other, as whole words."""
+    """Return whether names and numbers stand in a text one after the other, as whole words."""
     gap = r"(?![\w-])(?!\.\d).*?(?<![\w.-])"
     return (
         re.search(r"(?<![\w.-])" + gap.join(map(re.escape, tokens)) + r"(?![\w-])", text)

@@ -21,7 +21,7 @@ PASSED = ROOT / "build" / "sanitize" / "passed"
 
 
 def is_sanitized() -> bool:
-    """Whether all C++ sources are older than a pass under sanitizers."""
+    """Return whether all C++ sources are older than a pass under sanitizers."""
     if not PASSED.exists():
         return False
     folders = (ROOT / "cpp", ROOT / "tests" / "cpp", ROOT / "CMakeLists.txt")

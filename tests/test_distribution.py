@@ -1,4 +1,4 @@
-"""What the installed distribution says of itself, and what a wheel with libraries has to say."""
+"""Metadata of the installed distribution, and of a wheel with libraries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the compiled core needs, exports and binds to at load."""
+"""Libraries and symbols that the compiled core needs, exports and binds to at load."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ ROWS = [name for name, _, _ in rows()]
 
 @pytest.fixture(scope="module")
 def outcomes():
-    """What became of each row, all made in one process of its own."""
+    """Outcome of each row, all made in one process of its own."""
     done = subprocess.run(
         [sys.executable, "-m", "tests.misuse"],
         cwd=Path(__file__).parents[1], capture_output=True, text=True, timeout=300, check=False,

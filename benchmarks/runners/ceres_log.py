@@ -1,4 +1,4 @@
-"""What Ceres prints: its table of iterations, and the account of Summary::FullReport."""
+"""Output of Ceres: its table of iterations, and the text of Summary::FullReport."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What run.py asks of a runner and what a runner answers, both as JSON files."""
+"""Request of run.py to a runner and its answer, both as JSON files."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Request:
 
 @dataclass(kw_only=True)
 class Outcome:
-    """What a runner measured; times in seconds, costs 1/2 sum ||r||^2 in pixels squared.
+    """Measurements of a runner; times in seconds, costs 1/2 sum ||r||^2 in pixels squared.
 
     Attributes:
         load: file -> the solver's own data structures.

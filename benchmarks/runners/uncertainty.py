@@ -58,7 +58,7 @@ def theirs(request: dict[str, Any]) -> Callable[[], object]:
 
     def estimate() -> None:
         if pycolmap.estimate_ba_covariance(wanted, reconstruction, adjuster) is None:
-            raise RuntimeError("estimate_ba_covariance found none")
+            raise RuntimeError("estimate_ba_covariance returned no covariance")
 
     return estimate
 

@@ -1,17 +1,16 @@
-"""A filter linearises each measurement once and keeps the result; a smoother looks again.
+"""Compare a filter, which linearises each measurement once, with a smoother.
 
-Three comparisons, printed, and drawn where a path is given:
+The script prints three comparisons. With a path it also draws them:
 ``python filter_or_smoother.py figure.png`` (needs Matplotlib).
 
-1. One range of 5 m to a landmark 3 m aside of a straight line: the robot is at 4 m. An extended
-   Kalman filter takes one Gauss-Newton step from where it believes to be, and reports the
-   covariance of that place.
-2. Fill: after one lap a filter's covariance has an entry for every pair of landmarks, the graph of
-   the same measurements hardly any.
-3. EKF-SLAM on a loop: its Jacobians of one landmark come from different estimates, between which
-   the world has turned. They no longer agree that nobody measured its heading: a null direction is
-   lost, the filter believes to know the yaw, and its NEES (squared error beside its covariance,
-   3 on average if that is right) grows.
+1. One range of 5 m to a landmark 3 m beside a straight line; the robot is at 4 m. An extended
+   Kalman filter (EKF) takes one Gauss-Newton step from its prior estimate and reports the
+   covariance there.
+2. Fill-in: after one lap, the covariance of a filter is dense over all landmarks. The graph of the
+   same measurements is sparse.
+3. EKF-SLAM on a loop: the Jacobians of one landmark are taken at different estimates, between which
+   the map has rotated. The null space loses the yaw direction, and the filter seems to know its
+   yaw. The normalised estimation error squared (NEES, 3 for a consistent filter) grows.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ def range_and_slope(x: float) -> tuple[float, float]:
 
 
 def filter_range(x: float) -> tuple[float, float]:
-    """Return estimate and sigma after a filter's one update, from a place it knows nothing of."""
+    """Return estimate and sigma after the one update of a filter without prior information."""
     predicted, slope = range_and_slope(x)
     return x + (RANGE - predicted) / slope, SIGMA / abs(slope)
 
@@ -84,7 +83,7 @@ def angle_of(difference: float) -> float:
 
 @dataclass
 class Loop:
-    """Two laps: true poses, measured steps, and what is seen: (step, landmark) to position."""
+    """Two laps: true poses, measured steps, and observations: (step, landmark) to position."""
 
     truth: np.ndarray
     landmarks: np.ndarray
@@ -93,7 +92,7 @@ class Loop:
 
 
 def drive(seed: int) -> Loop:
-    """Simulate a robot that circles among landmarks, on both sides of its way."""
+    """Simulate a robot that circles between landmarks on both sides of its path."""
     rng = np.random.default_rng(seed)
     around = 2 * np.pi * np.arange(LANDMARKS) / LANDMARKS
     distance = RADIUS + np.where(np.arange(LANDMARKS) % 2, 2.5, -2.5)
@@ -129,7 +128,7 @@ def sight_jacobians(pose: np.ndarray, landmark: np.ndarray) -> tuple[np.ndarray,
 
 @dataclass
 class Filtered:
-    """What EKF-SLAM says after each step, its last covariance, and the Jacobians that it used."""
+    """Result of EKF-SLAM: estimates by step, the last covariance, and the Jacobians used."""
 
     poses: np.ndarray
     covariances: np.ndarray
@@ -138,7 +137,7 @@ class Filtered:
 
 
 def run_filter(loop: Loop) -> Filtered:
-    """Run EKF-SLAM, which knows its first pose; a landmark enters where it is first seen."""
+    """Run EKF-SLAM from a known first pose; a landmark is added at its first observation."""
     mean, covariance = loop.truth[0].copy(), np.zeros((3, 3))
     place: dict[int, int] = {}
     poses, covariances, rows = [], [], []
@@ -181,7 +180,7 @@ def run_filter(loop: Loop) -> Filtered:
 
 
 class Sight:
-    """The residual of all landmarks that are seen from one pose, whitened."""
+    """Whitened residual of all landmarks observed from one pose."""
 
     def __init__(self, measured: np.ndarray) -> None:
         self.measured = measured
@@ -221,7 +220,7 @@ def smoother(loop: Loop, start: Filtered) -> bundle.FactorGraph:
 
 
 def nees_of_filter(filtered: Filtered, loop: Loop) -> np.ndarray:
-    """Return the squared error of each pose after the first beside the filter's covariance."""
+    """Return the squared error of each pose after the first, normalised by the covariance."""
     errors = filtered.poses - loop.truth
     errors[:, 2] = angle_of(errors[:, 2])
     return np.array([
@@ -231,7 +230,7 @@ def nees_of_filter(filtered: Filtered, loop: Loop) -> np.ndarray:
 
 
 def nees_of_smoother(graph: bundle.FactorGraph, loop: Loop) -> float:
-    """Return the squared error of the last pose beside its marginal information."""
+    """Return the squared error of the last pose, normalised by its marginal information."""
     last = ("pose", len(loop.truth) - 1)
     matrix, _ = graph.information([last])
     found = graph.values[last]
@@ -241,7 +240,7 @@ def nees_of_smoother(graph: bundle.FactorGraph, loop: Loop) -> float:
 
 
 def nullity(rows: list[list[tuple[int | str, np.ndarray]]]) -> int:
-    """Return how many directions of poses and landmarks the Jacobians of measurements leave."""
+    """Return the dimension of the null space of the Jacobians over poses and landmarks."""
     sizes = {name: block.shape[1] for row in rows for name, block in row}
     begin = dict(zip(sizes, np.cumsum([0, *sizes.values()])[:-1], strict=True))
     stacked = []
@@ -255,7 +254,7 @@ def nullity(rows: list[list[tuple[int | str, np.ndarray]]]) -> int:
 
 
 def rows_at_one_point(loop: Loop) -> list[list[tuple[int | str, np.ndarray]]]:
-    """Return the same measurements' Jacobians as a smoother has them: all at one estimate."""
+    """Return the Jacobians of the same measurements at one estimate, as in a smoother."""
     rows = []
     for k, seen in enumerate(loop.seen):
         if k:
@@ -303,7 +302,7 @@ def fill() -> dict[str, int]:
 
 
 def memory_of_filter(landmarks: int) -> tuple[int, int, int]:
-    """Return pairs of landmarks, their entries in a filter's covariance, and its bytes."""
+    """Return the number of landmark pairs, their covariance entries, and its bytes."""
     pairs = landmarks * (landmarks - 1) // 2
     return pairs, 2 * 4 * pairs, 8 * (3 + 2 * landmarks) ** 2
 

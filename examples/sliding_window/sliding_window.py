@@ -1,14 +1,15 @@
-"""A window slides over a chain of positions: marginalise what leaves, drop it, or keep it all.
+"""Slide a window over a chain of positions; marginalise or drop the oldest, or keep all.
 
-Positions x_0 .. x_60 on a line: a prior on the first (information 1), odometry between neighbours
-(4), and between every second (9). A window holds six positions. Before it moves, the oldest leaves
+The positions x_0 .. x_60 lie on a line. There are a prior on the first (information 1), odometry
+between neighbours (4), and between every second (9). A window holds six positions. Before it moves,
+the oldest position is
 
-- marginalised: its factors become a prior on what they touched. The problem is linear, so the
-  window's estimate stays that of all measurements, to rounding;
-- dropped: its factors are lost, and with them the place of the chain; the oldest that is left is
-  held at its last estimate instead. The window then drifts by tenths of a metre.
+- marginalised: its factors become a prior on the other variables that they touch. The problem is
+  linear, so the estimate of the window equals the batch estimate, to rounding;
+- dropped: its factors are lost, and with them the absolute position. The oldest remaining position
+  is fixed at its last estimate instead, and the window drifts by tenths of a metre.
 
-Run it with a path for the picture: ``python sliding_window.py window.png`` (needs Matplotlib).
+With a path it draws the result: ``python sliding_window.py window.png`` (needs Matplotlib).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ INFORMATION = {0: 1.0, 1: 4.0, 2: 9.0}  # prior, odometry, skip
 
 
 def measurements(seed: int) -> dict[tuple[int, int], float]:
-    """Return what was measured between positions i and j: 1 m a step, and noise."""
+    """Return the measurements between positions i and j: 1 m per step, and noise."""
     rng = np.random.default_rng(seed)
     return {
         (i, i + gap): gap + rng.normal() / INFORMATION[gap] ** 0.5
@@ -36,7 +37,7 @@ def measurements(seed: int) -> dict[tuple[int, int], float]:
 
 
 def add_position(graph: bundle.FactorGraph, k: int, measured: dict) -> None:
-    """Add position k and what was measured between it and its predecessors in the graph."""
+    """Add position k and the measurements between it and its predecessors in the graph."""
     graph.add_variable(k, [float(k)])
     for gap in (1, 2):
         if k - gap in graph.keys:
@@ -78,14 +79,14 @@ def slide(measured: dict, how: str) -> tuple[np.ndarray, bundle.FactorGraph]:
 
 
 def run(seed: int = 0) -> dict[str, np.ndarray]:
-    """Return by how much each window's newest position differs from keeping everything, metres."""
+    """Return the differences of the newest positions from the batch estimate, in metres."""
     measured = measurements(seed)
     everything, _ = slide(measured, "keep")
     return {how: np.abs(slide(measured, how)[0] - everything) for how in ("marginalize", "drop")}
 
 
 def draw(differences: dict[str, np.ndarray], path: Path) -> None:
-    """Draw the differences by step, those that are 0 at 1e-17."""
+    """Draw the differences by step; zeros are drawn at 1e-17."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7, 4), layout="constrained")

@@ -1,10 +1,10 @@
-"""Two bugs of sliding windows that make no noise, each beside its cure.
+"""Two silent bugs of sliding windows, each with its cure.
 
-1. A prior stays linear about the estimates of its time, while live factors are linearised at newer
-   ones. Each is blind along three directions of the plane, where nobody knows position and yaw; but
-   not along the same three. Together they see yaw, and residuals stay healthy.
-2. A prior is computed again at each keyframe. In single precision its small eigenvalues lose their
-   sign; the square root of the same prior keeps it.
+1. A prior is linearised at old estimates, the other factors at newer ones. Each has a null space of
+   three dimensions (position and yaw in the plane), but the two null spaces differ. Together they
+   add spurious yaw information, and no residual shows it.
+2. A prior is recomputed at each keyframe. In single precision its small eigenvalues become
+   negative; the square root of the same prior stays positive semidefinite.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import bundle
 
 
 def planar_window(landmark: tuple[float, float], prior: list[bundle.Factor]) -> bundle.FactorGraph:
-    """Two poses and a landmark: odometry, and what the second pose sees; the first is history."""
+    """Two poses and a landmark: odometry and the observation of the second pose."""
     graph = bundle.FactorGraph()
     graph.add_variable("x1", [0.0, 0.0, 0.0], "se2")
     graph.add_variable("x2", [2.0, 0.0, 0.0], "se2")
@@ -28,7 +28,7 @@ def planar_window(landmark: tuple[float, float], prior: list[bundle.Factor]) -> 
 
 
 def seen(blocks: list[np.ndarray], measured: tuple[float, float]) -> tuple[np.ndarray, list]:
-    """The landmark in the frame of the pose, less what was measured; Jacobians in that frame."""
+    """Landmark in the frame of the pose minus the measurement, with Jacobians in that frame."""
     (x, y, angle), point = blocks
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, s], [-s, c]])
@@ -38,14 +38,14 @@ def seen(blocks: list[np.ndarray], measured: tuple[float, float]) -> tuple[np.nd
 
 
 def nullity(graph: bundle.FactorGraph) -> int:
-    """Directions that nothing in the graph sees."""
+    """Dimension of the null space of the graph."""
     information, _ = graph.information()
     values = np.linalg.eigvalsh(information)
     return int(np.sum(values < 1e-12 * values[-1]))
 
 
 def first_bug() -> dict[str, int]:
-    """What is unknown with the prior's own estimates, and after the landmark has moved 5 cm."""
+    """Nullity at the prior's own estimates, and after the landmark has moved 5 cm."""
     _, jacobians = seen([np.zeros(3), np.array([2.0, 1.0])], (2.0, 1.0))
     rows = np.hstack(jacobians)  # what the first pose saw, linearised when it left
     prior = bundle.LinearPrior(
@@ -59,7 +59,7 @@ def first_bug() -> dict[str, int]:
 
 
 def second_bug(seconds: float = 12.0) -> dict[str, tuple[float, int]]:
-    """Least eigenvalue of the last prior beside its largest, and how many keyframes gave alarm."""
+    """Smallest / largest eigenvalue of the last prior, and the number of alarms."""
     flight = bundle.synthesize_flight(duration=seconds, seed=1)
     found = {}
     for form in ("information", "square_root"):

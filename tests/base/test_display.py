@@ -1,4 +1,4 @@
-"""What public objects show: a few lines of text, and HTML that escapes what users named."""
+"""Displays of public objects: a few lines of text, and HTML with escaped names."""
 
 import dataclasses
 from html.parser import HTMLParser
@@ -51,7 +51,7 @@ def objects(problem, solved):
 
 
 def is_balanced(markup):
-    """Whether every element that opens is closed, in order."""
+    """Return whether every element that opens is closed, in order."""
     open_tags = []
 
     class Reader(HTMLParser):

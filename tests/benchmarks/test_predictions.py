@@ -1,4 +1,4 @@
-"""What is marked in the table of predictions against measurements."""
+"""Marks in the table of predictions against measurements."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class Comparison(NamedTuple):
 
     @property
     def is_wrong(self) -> bool:
-        """Whether rounding does not explain it."""
+        """Return whether the difference exceeds rounding."""
         return not self.difference <= max(TOLERANCE, TIMES_ROUNDING * self.rounding)
 
 

@@ -63,7 +63,7 @@ class Comparison(NamedTuple):
 
     @property
     def is_wrong(self) -> bool:
-        """Whether the gauge changes the minimum."""
+        """Return whether the gauge changes the minimum."""
         return not self.difference <= TOLERANCE
 
 

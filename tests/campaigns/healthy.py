@@ -15,7 +15,7 @@ from bundle.interface.scene_options import CAMERA_MODELS, SCENES
 
 
 class Verdict(NamedTuple):
-    """What a diagnosis said of a block that nothing is wrong with."""
+    """Findings of a diagnosis of a sound block."""
 
     options: dict
     found: bundle.Diagnosis

@@ -173,7 +173,7 @@ def right(rng) -> Case:
 
 
 def matrix(value):
-    """Of a quaternion."""
+    """Rotation matrix of a quaternion."""
     return Rotation.from_quat(value).as_matrix()
 
 
@@ -425,7 +425,7 @@ def planted(rng, place: int) -> Case:
 
 
 class Verdict(NamedTuple):
-    """What was said of a case."""
+    """Verdicts on a case."""
 
     name: str
     expected: frozenset[str]
@@ -435,12 +435,12 @@ class Verdict(NamedTuple):
 
     @property
     def is_caught(self) -> bool:
-        """Whether the solve said that a Jacobian is wrong."""
+        """True if the solve reports a wrong Jacobian."""
         return bool({"wrong_factor", "suspicious_steps"} & set(self.warnings))
 
     @property
     def is_named(self) -> bool:
-        """Whether the checker called it by its name, and nothing else."""
+        """True if the checker names the mistake, and no other."""
         return self.kinds == self.expected
 
 

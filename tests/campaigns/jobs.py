@@ -24,7 +24,7 @@ ADDRESS_SPACE = 6 * GIGABYTE
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one job ended: "ok" and "refused" are orderly, with a word on which kind of it."""
+    """Outcome of a job: "ok" and "refused" are orderly, with a word on the kind."""
 
     job: str
     kind: str
@@ -32,7 +32,7 @@ class Outcome:
 
     @property
     def orderly(self) -> bool:
-        """Whether nothing is wrong with it."""
+        """True if the outcome is orderly."""
         return self.kind in ("ok", "refused")
 
 

@@ -46,7 +46,7 @@ Files = dict[str, bytes]
 
 @dataclass
 class Case:
-    """What is refined in place, and how that ended so far."""
+    """A model that is refined in place, and the outcomes so far."""
 
     name: str
     path: Path

@@ -32,7 +32,7 @@ ROUNDS = ("--rounds", "4", "--max-error", "1.2")
 
 @dataclass
 class Outcome(Resumed):
-    """What was counted beside, of kills."""
+    """Further counts of kills."""
 
     without_line: int = 0
     slowest_end: float = 0.0

@@ -42,7 +42,7 @@ FLAGS = [
 
 @dataclass
 class Outcome:
-    """What was counted, and what was wrong."""
+    """Counts and failures."""
 
     kills: int = 0
     runs: int = 0

@@ -1,4 +1,4 @@
-"""How late poses are at 200 Hz while a background solve takes 4 s.
+"""Delays of poses at 200 Hz while a background solve takes 4 s.
 
 Each run publishes in real time: a pose is due with its sample, and late by the time between that
 and its return. Six runs, whose lateness stands side by side: a loop that only sleeps and looks at

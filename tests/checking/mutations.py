@@ -23,7 +23,7 @@ class At(NamedTuple):
 
 
 class Mutation(NamedTuple):
-    """How to spoil the Jacobians, and what the report should call it."""
+    """A change that spoils the Jacobians, and the kind that the report should name."""
 
     spoil: Callable
     kinds: set[str]

@@ -49,7 +49,7 @@ def left_jacobian(w):
 
 
 class Parts(NamedTuple):
-    """What the Jacobians are made of."""
+    """Parts of the Jacobians."""
 
     residual: np.ndarray
     d_camera_point: np.ndarray

@@ -1,4 +1,4 @@
-"""What users get wrong: one line beginning "error: ", exit 2, and nothing is touched."""
+"""Mistakes of users: one line beginning "error: ", exit code 2, and nothing is written."""
 
 import errno
 import os

@@ -33,7 +33,7 @@ def content(folder):
 
 
 def enu_error(folder):
-    """How far the cameras are from the file that was measured, by what the folder says, metres."""
+    """Distances of the cameras from the measured file in metres, by the folder's georeference."""
     model, found = bundle.load(folder), content(folder)
     given = bundle.georeference.read_geo_file(folder.parent / "geo.txt")
     places = LocalFrame(**found["origin"]).to_enu(given.geodetic)

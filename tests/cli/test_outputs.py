@@ -1,4 +1,4 @@
-"""What a command must not replace, and what it keeps: refused or kept, before any work."""
+"""Files that a command refuses to replace, and files that it keeps."""
 
 import json
 import os
@@ -194,7 +194,7 @@ def test_bal_output_that_the_solve_would_make_impossible(
 
 @pytest.mark.parametrize("arguments", [("info", "MODEL"), ("convert", "BAL", "MODEL")])
 def test_a_finished_replacement_is_noted(spawn, models, arguments):
-    """What a run left that was killed where folders cannot be exchanged."""
+    """Leftovers of a killed run on a system that cannot exchange folders."""
     half_replaced(models / "binary")
     names = {"MODEL": models / "binary", "BAL": models / "bal.txt"}
     paths = [names.get(argument, argument) for argument in arguments]

@@ -1,4 +1,4 @@
-"""What a misspelt word is answered with: the nearest right one, and the command that has it."""
+"""Answers to misspelt words: the nearest word, and the command that has it."""
 
 from __future__ import annotations
 

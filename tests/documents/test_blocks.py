@@ -50,20 +50,20 @@ def commands(block: str) -> list[list[str]]:
 
 
 def shown_lines(block: str) -> list[str]:
-    """What a block says that its command prints: the lines under a prompt."""
+    """Return the output that a block shows: the lines under a prompt."""
     if not block.startswith("$ "):
         return []
     return [line for line in block.splitlines()[1:] if line.strip() not in ("", "...")]
 
 
 def agree(shown: str, printed: str) -> bool:
-    """Whether two lines have the same words, and numbers that round to the same."""
+    """Return whether two lines have the same words, and numbers that round to the same."""
     words, others = shown.split(), printed.split()
     return len(words) == len(others) and all(map(same_word, words, others))
 
 
 def same_word(shown: str, printed: str) -> bool:
-    """Whether two words are one, or numbers within 2 % or the second decimal of each other."""
+    """Return whether two words are equal, or numbers within 2 % or the second decimal."""
     try:
         return float(printed) == pytest.approx(float(shown), rel=0.02, abs=0.02)
     except ValueError:
@@ -80,7 +80,7 @@ PAGES = [
 
 
 def names_of(page: str, folder: Path) -> dict[str, Any]:
-    """What the Python blocks of a page take from the text around them."""
+    """Return the names that the Python blocks of a page take from the text around them."""
     if page == "README.md":
         problem = bundle.load(folder / "sparse" / "0")
         return {"gps": dict(zip([1, 2, 3], problem.projection_centers, strict=False))}

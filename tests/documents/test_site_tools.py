@@ -1,4 +1,4 @@
-"""What the site makes of sources: comments, links, names."""
+"""Conversion of sources to pages: comments, links, names."""
 
 import re
 from pathlib import Path

@@ -180,7 +180,7 @@ def mutate(
 
 @dataclass(frozen=True)
 class Outcome:
-    """How loading one path ended."""
+    """Outcome of loading one path."""
 
     path: Path
     kind: str  # "loaded", "InputError", "OSError"; or what went wrong

@@ -1,4 +1,4 @@
-"""What a problem loses when it becomes a BAL file, and which cannot become one."""
+"""Losses of a problem saved as a BAL file, and problems that cannot be saved so."""
 
 from pathlib import Path
 

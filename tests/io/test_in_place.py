@@ -108,7 +108,7 @@ def test_what_reads_or_writes_recovers_and_says_so(tmp_path: Path, what: str) ->
 
 
 def half_replaced(path: Path) -> None:
-    """What a process leaves that was killed between two renames."""
+    """Leftovers of a process that was killed between two renames."""
     temporary = path / ".bundle-0123456789ab.tmp"
     (temporary / "entering").mkdir(parents=True)
     (temporary / "old").mkdir()

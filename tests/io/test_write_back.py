@@ -1,4 +1,4 @@
-"""What a source adds to a problem stays with what the problem still has, and goes with the rest."""
+"""Data of the source stays with the parts that the problem still has, and goes with the others."""
 
 import numpy as np
 import pycolmap

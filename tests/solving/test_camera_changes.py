@@ -1,4 +1,4 @@
-"""What a solve changed in the cameras."""
+"""Changes of the cameras by a solve."""
 
 import numpy as np
 import pytest

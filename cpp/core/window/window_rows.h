@@ -25,7 +25,7 @@ struct AnchorRows {
 
 /// Preintegrated samples (9 rows: rotation, position, velocity) and the biases' walk (6).
 struct InertialRows {
-  static constexpr int kRows = 15, kImuRows = 9;  ///< of these
+  static constexpr int kRows = 15, kImuRows = 9;  ///< number of these columns
   int first = 0;                                  ///< from this state to the next
   double r[kRows];
   double by_first[kRows * kStateTangent], by_second[kRows * kStateTangent];  ///< row-major

@@ -141,7 +141,7 @@ def pure_rotation(seed):
 
 
 def unobserved_parameter(seed):
-    """Of a second camera, all that its only image sees lies on its axis, or at one radius."""
+    """All observations of the second camera's only image lie on its axis, or at one radius."""
     rng = np.random.default_rng(seed)
     problem = block(seed=seed)
     radius = 0.3 if seed % 2 else 0.0

@@ -116,7 +116,7 @@ class Dense:
         return np.vstack([rows.reshape(observed, -1), self.jacobian[observed:]])
 
     def similarities(self):
-        """What moving, turning and scaling the world does to the columns, held or not."""
+        """Derivatives of the columns, constant ones included, by the similarities of the world."""
         n = np.zeros((len(self.names), 7))
         for (kind, i), (rotation, translation) in self.starts.items():
             j = self.column[kind, i, 0]
@@ -132,7 +132,7 @@ class Dense:
         return n
 
     def rounding(self, basis, *, sandwich=False, num_priors=0):
-        """Of variances, relative: what forming sums of squares, H and M, may cost.
+        """Relative tolerance of variances: rounding of the sums of squares H and M.
 
         A sum A^T A in floating point is off by up to eps |A|^T |A|, entry by entry; between two
         inverses of H, which may cancel, that is eps |H^+| |A|^T |A| |H^+|.

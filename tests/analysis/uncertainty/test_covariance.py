@@ -178,7 +178,7 @@ def relative_motion(problem, a, b):
 
 
 def moved_by_b(problem, a, b):
-    """How cam_b_from_cam_a moves with image b while image a is held."""
+    """Derivative of cam_b_from_cam_a by the pose of image b."""
     arm = relative_motion(problem, a, b)[2]
     moves = np.eye(6)
     moves[3:, :3] = [[0, -arm[2], arm[1]], [arm[2], 0, -arm[0]], [-arm[1], arm[0], 0]]

@@ -25,7 +25,7 @@ def test_small_problems_lose_nothing_by_sums_of_squares(seed, robust):
 
 @pytest.mark.parametrize("robust", ["weights", "sandwich"])
 def test_a_ray_along_an_axis_leaves_its_point_out(robust):
-    """Of a point that one image sees, the derivative along the ray is zero, whatever its axis."""
+    """The derivative of a point with one observation along its ray is zero for any axis."""
     problem = make_problem(num_images=4, num_points=20, seed=7, perturbation=0, noise=0.3)
     seen_once = (problem.observation_point == 3) & (problem.observation_image != 0)
     kept = {name: getattr(problem, name)[~seen_once] for name in OBSERVATIONS}
@@ -44,7 +44,7 @@ def test_a_ray_along_an_axis_leaves_its_point_out(robust):
 
 
 def test_observations_that_count_negatively_along_their_residual():
-    """Of a Cauchy loss, those beyond its scale: such a problem has no rows for its sandwich."""
+    """Observations beyond the scale of a Cauchy loss leave the sandwich without rows."""
     problem = make_problem(num_images=4, num_points=30, seed=9, perturbation=0, noise=0.3)
     xy = problem.observation_xy.copy()
     xy[::17] += 8.0

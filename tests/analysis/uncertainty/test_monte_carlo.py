@@ -16,7 +16,7 @@ SOLVE = {
 
 
 def errors(truth, refined):
-    """Of a pose (left perturbation, translation), a point and the refined intrinsics."""
+    """Errors of a pose (left perturbation, translation), a point and the refined intrinsics."""
     from scipy.spatial.transform import Rotation
 
     turn = [Rotation.from_quat(p.cam_from_world[3, :4]) for p in (truth, refined)]

@@ -32,7 +32,7 @@ def scene(distance, num_images=5, seed=1):
 
 
 def similarities(problem):
-    """What moving, turning and scaling the world does to (w, t) of images, then to points."""
+    """Derivatives of (w, t) of images, then of points, by the similarities of the world."""
     n = np.zeros((6 * problem.num_images + 3 * problem.num_points, 7))
     for i, pose in enumerate(problem.cam_from_world):
         rotation = rotation_matrices(pose[None, :4])[0]

@@ -38,7 +38,7 @@ void PutBehind(int first, int count, std::vector<double>* points) {
   }
 }
 
-/// What is said of a solve from `scene` that ends at `points`, holding `num_held` residuals.
+/// Warnings of a solve from `scene` that ends at `points` with `num_held` held residuals.
 SolveSummary Judge(const Scene& scene, const std::vector<double>& points, int64_t num_held,
                    SolveOptions options = {}) {
   options.num_threads = 1;
@@ -76,7 +76,7 @@ TEST(LostObservations, UpToOneInAHundredMayBeLost) {
   EXPECT_EQ(Kinds(three), List({kBehind, kUnusable}));
 }
 
-/// Of those that count at the start, and not of all.
+/// The share is of the observations that count at the start, not of all.
 TEST(LostObservations, TheShareIsOfThoseInFrontAtTheStart) {
   Scene scene = SeenOnce();
   PutBehind(0, 100, &scene.points);

@@ -18,7 +18,7 @@ testing::Scene Dense(int num_images, int num_points) {
   return testing::MakeScene(options);
 }
 
-/// Of each image.
+/// Observations of each image.
 std::vector<int> Drawn(const testing::Scene& scene, int64_t size) {
   std::vector<int> drawn(scene.num_images());
   for (const int64_t i : SampleObservations(scene.View(), size)) {

@@ -179,7 +179,7 @@ TEST(IterativeSolver, NeedsNoIterationWithoutARightSide) {
   EXPECT_TRUE(x.isZero());
 }
 
-/// What the solver does with the identity as preconditioner, operation by operation, so that not a
+/// The solver's operations with the identity as preconditioner, one by one, so that not a
 /// bit may differ; the residual is computed from x in every `period`-th iteration.
 std::vector<double> IterateInTheSameOrder(const RandomSystem& system,
                                           const BlockStructure& structure, int num_iterations,

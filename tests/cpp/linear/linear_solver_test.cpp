@@ -1,4 +1,4 @@
-/// What every linear solver promises: Factorize once, Solve as often as one likes.
+/// The contract of every linear solver: Factorize once, Solve any number of times.
 
 #include "core/linear/linear_solver.h"
 

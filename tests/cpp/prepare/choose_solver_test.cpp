@@ -34,7 +34,7 @@ testing::Scene Coupled(int num_pairs) {
   return scene;
 }
 
-/// What is chosen with as many columns as stated.
+/// The chosen solver for a number of columns.
 LinearSolverType Choose(const testing::Scene& scene, int64_t columns, int64_t free_points = 1,
                         bool cameras_eliminated = false) {
   const ProblemView problem = scene.View();

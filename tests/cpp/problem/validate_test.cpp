@@ -27,7 +27,7 @@ Scene SmallScene() {
   return MakeScene(options);
 }
 
-/// What ValidateProblem complains of in a problem; "" if it does not.
+/// Message of ValidateProblem for a problem; "" if it is valid.
 std::string Complaint(const ProblemView& problem) {
   try {
     ValidateProblem(problem);

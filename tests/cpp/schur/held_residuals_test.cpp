@@ -78,7 +78,7 @@ TEST(HeldResiduals, AreMergedInAscendingOrder) {
   }
 }
 
-/// What is read is that of the last merge: a pass under way changes nothing.
+/// Reading returns the state of the last merge: a pass under way changes nothing.
 TEST(HeldResiduals, AreThoseOfTheLastMerge) {
   HeldResiduals held = Merged({{1, 2}, {8}});
   Pass(0, {4}, &held);

@@ -1,4 +1,4 @@
-/// What a solver puts along free similarities, in place of rounding by a damping of 1e-8.
+/// Newton directions along free similarities: exact instead of rounding over a damping of 1e-8.
 
 #include <gtest/gtest.h>
 

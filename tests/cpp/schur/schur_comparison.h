@@ -36,7 +36,7 @@ inline BlockStructure Structure(const ProblemView& problem, const ParameterLayou
   return PlaceInFactor(sparse, FindSupernodes(sparse));
 }
 
-/// What a solve starts from; unless `natural`, with the blocks in another order.
+/// Start of a solve; unless `natural`, with the blocks in another order.
 inline PreparedSolve Prepare(const ProblemView& problem, const SolveOptions& options,
                              bool natural) {
   PreparedSolve prepared = PrepareSolve(problem, options);

@@ -14,7 +14,7 @@
 
 namespace bundle::testing {
 
-/// What holds for every solve, however it ends: sizes, and a summary that says the truth.
+/// Invariants of every solve, however it ends: sizes, and a summary that is correct.
 inline SolveOutput CheckedSolve(const Scene& scene, const SolveOptions& options) {
   const ProblemView problem = scene.View();
   SolveOutput output = Solve(problem, options, nullptr);

@@ -28,7 +28,7 @@ class HelixFactor final : public Factor {
  public:
   static constexpr double kTurn = 2, kStiffness = 3;
 
-  /// What the factor does at a height t_z; `jacobian` where derivatives are asked for as well.
+  /// Fault of the factor at a height t_z; `jacobian` if derivatives are evaluated as well.
   enum class Fault { kNone, kNoValue, kHigherCost };
   using Faults = std::function<Fault(double height, bool jacobian)>;
 

@@ -95,8 +95,8 @@ class LinearizedProblem {
   int num_camera_columns, num_columns;
   std::vector<SparseRow> rows;
   int64_t num_active = 0;  ///< observations with something to refine
-  Real cost = 0;           ///< of these
-  Real fixed_cost = 0;     ///< of the others
+  Real cost = 0;           ///< cost of these observations
+  Real fixed_cost = 0;     ///< cost of the other observations
   RealVector gradient;     ///< J^T r
   RealVector squared_norms;
 

@@ -92,8 +92,8 @@ struct SceneOptions {
   int images_per_camera = 1;   ///< more than 1: shared intrinsics
   int track_length = 0;        ///< images that see a point; 0: all of them
   double noise = 0.5;          ///< standard deviation, pixels
-  double perturbation = 1e-2;  ///< of poses and points at the start
-  double outlier_share = 0;    ///< of the observations, 50 pixels and more off
+  double perturbation = 1e-2;  ///< noise of poses and points at the start
+  double outlier_share = 0;    ///< share of outliers among the observations, 50 pixels and more off
   uint64_t seed = 1;
 };
 
@@ -186,7 +186,7 @@ class SceneMaker {
   std::mt19937_64 random_;
   std::normal_distribution<double> normal_;
   const CameraModel* const model_;
-  std::vector<int> order_;  ///< of the images
+  std::vector<int> order_;  ///< order of the images
   std::vector<double> rotations_;
   Scene scene_;
 };

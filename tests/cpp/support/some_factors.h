@@ -38,7 +38,7 @@ class FactorMaker {
         head, retraction, Moved(kind, index), Information(retraction.tangent_size(), kind)));
   }
 
-  /// Of a focal length.
+  /// Factor of a focal length.
   void Scalar(int camera, LossType loss) {
     const double value = 1.01 * problem_.ParamsOf(camera)[0];
     made_.factors.push_back(std::make_unique<ScalarPriorFactor>(
@@ -68,7 +68,7 @@ class FactorMaker {
         std::vector<double>{0.1, 0.2, 0, 1, 0.3, 0, 0.1}, Information(6, Kind::kImage)));
   }
 
-  /// Of an image, a camera and another image.
+  /// Factor of an image, a camera and another image.
   void Linear(int image, int camera, int other, LossType loss) {
     const std::vector<std::pair<Kind, int>> of = {
         {Kind::kImage, image}, {Kind::kCamera, camera}, {Kind::kImage, other}};

@@ -18,7 +18,7 @@ struct ScalarAnalysis {
   std::vector<int> column_counts;  ///< with the diagonal
 };
 
-/// What CHOLMOD says of the scalar matrix with full blocks, in the order of its blocks.
+/// CHOLMOD's counts for the scalar matrix with dense blocks, in the order of its blocks.
 ScalarAnalysis AnalyzeWithCholmod(const BlockPattern& pattern, const std::vector<int>& order) {
   std::vector<int> offset(1, 0), begin{0}, rows, permutation;
   for (const int size : pattern.size) offset.push_back(offset.back() + size);
@@ -90,7 +90,7 @@ TEST(FactorCounts, AreThoseOfCholmod) {
 
 /// Eliminates block after block in a full matrix of flags.
 struct FullElimination {
-  std::vector<std::vector<bool>> flag;  ///< of L, by position
+  std::vector<std::vector<bool>> flag;  ///< column counts of L, by position
   std::vector<int64_t> blocks_below;
   std::vector<int> parent;
   int64_t fill = 0;

@@ -29,7 +29,7 @@ def whole(seed=0, **settings):
 
 
 def cut(problem, image_ids):
-    """What COLMAP has of these images: keypoints stay, points need two of them."""
+    """The model of these images as COLMAP keeps it: all keypoints, points of two images."""
     model = problem.to_pycolmap()
     for image_id in set(model.images) - set(image_ids):
         frame_id = model.image(image_id).frame_id

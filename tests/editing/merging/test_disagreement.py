@@ -1,4 +1,4 @@
-"""How far points are apart in the images that see either."""
+"""Distances of points in the images that see either."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation

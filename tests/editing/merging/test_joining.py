@@ -1,4 +1,4 @@
-"""What becomes of the images, cameras, points and tracks of the second model."""
+"""Images, cameras, points and tracks of the second model after a merge."""
 
 import numpy as np
 import pycolmap

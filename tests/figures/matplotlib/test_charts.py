@@ -1,4 +1,4 @@
-"""What the pictures show is what the comparison holds."""
+"""The pictures show the numbers of the comparison."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def in_camera(problem):
 
 
 def derivatives(model, params, point):
-    """Of one pixel by (w, s) of the point and by the parameters: complex steps."""
+    """Derivatives of a pixel by (w, s) of the point and by the parameters, by complex steps."""
     step = 1e-30
     columns = []
     for k in range(6):

@@ -1,4 +1,4 @@
-"""What marginalisation leaves: spectra, nullities, fill, and no factor that counts twice."""
+"""Results of marginalisation: spectra, nullities, fill-in, and no factor that counts twice."""
 
 import copy
 import gc

@@ -71,7 +71,7 @@ def bundle_adjustment():
 
 @pytest.mark.parametrize(("num_positions", "expected"), [(0, 7), (1, 4), (2, 1), (3, 0)])
 def test_positions_take_the_gauge_of_bundle_adjustment_away(num_positions, expected):
-    """Of seven, one position leaves rotation and scale, two a rotation about their line."""
+    """One position leaves rotation and scale of seven degrees, two a rotation about their line."""
     graph = bundle_adjustment()
     free = [key for key in graph.keys if key != "camera"]
     for i in range(num_positions):

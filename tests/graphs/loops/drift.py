@@ -52,7 +52,7 @@ def pairs_far_apart(problem, count):
 
 
 def pairs_along(problem, every, apart=30, least=6):
-    """Of so many images in a row, the one that shares most points with one long before it."""
+    """The image that shares most points with one long before it, of so many in a row."""
     low, high, shared = shared_points(problem)
     far = np.flatnonzero((high - low > apart) & (shared >= least))
     far = far[np.argsort(shared[far], kind="stable")]

@@ -26,7 +26,7 @@ def matrix(pose, scale=1.0):
 
 
 def residual(graph, nodes, edge):
-    """Of one edge, by matrices."""
+    """Error of one edge, by matrices."""
     i, j = graph.edges[edge]
     a = matrix(nodes.poses[i], nodes.scales[i]) @ matrix(graph.mounts[edge, 0])
     b = matrix(nodes.poses[j], nodes.scales[j]) @ matrix(graph.mounts[edge, 1])

@@ -60,7 +60,7 @@ def test_auto_keeps_poses_that_are_good():
 
 
 def test_chordal_weighs_edges_by_their_information():
-    """Of two edges that contradict each other, the one that is certain counts."""
+    """The more certain of two contradictory edges counts."""
     graph = bundle.PoseGraph(
         poses=np.zeros((2, 3)),
         edges=[[0, 1], [1, 0]],

@@ -144,7 +144,7 @@ def test_dense_matrices_say_the_same(rule):
 
 
 def test_midpoint_needs_fewer_samples_than_zero_order_hold():
-    """Of a turn that speeds up, integrated finely: errors of second and of first order."""
+    """An accelerating rotation, integrated finely: errors of second and of first order."""
 
     def motion(count, rule):
         t = np.linspace(0, 1, count + 1)

@@ -281,7 +281,7 @@ def test_a_wrong_calibration_shows_in_the_cost_of_the_imu(wrong: str) -> None:
 
 
 def test_the_noise_of_a_flight_explains_its_imu() -> None:
-    """Of the noise that it was made with, over seeds."""
+    """Mean over seeds, in units of the noise of the sequence."""
     excess = []
     for seed in range(3):
         flight = synthesize_flight(

@@ -1,4 +1,4 @@
-"""What looks wrong in a sequence, and its figures."""
+"""Findings on a sequence, and its figures."""
 
 from __future__ import annotations
 

@@ -329,7 +329,7 @@ def test_what_imu_factors_should_cost() -> None:
 
 
 def test_states_without_images_follow_their_imu() -> None:
-    """Of a long chain, whose system is sparse: as many rows as unknowns cost nothing."""
+    """A long chain has a sparse system: as many rows as unknowns cost nothing."""
     flight = Flight(40, 8, landmarks=1)
     window, motions = make_window(flight)
     nothing = {

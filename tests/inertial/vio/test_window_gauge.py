@@ -95,7 +95,7 @@ def test_what_a_prior_knows_moves_the_world(held: tuple[float, float]) -> None:
 
 @pytest.mark.parametrize("square_root", [False, True])
 def test_a_prior_costs_nothing_at_its_own_minimum(square_root: bool) -> None:
-    """What went before adds up in the constant; steps must not count for less by it."""
+    """The constant adds up earlier costs; steps must not count for less by it."""
     flight = Flight(6, 4, landmarks=30)
     window, _ = make_window(flight, noise=1 / FOCAL)
     found = _core.marginalize_window(window, oldest_goes(window, square_root=square_root))

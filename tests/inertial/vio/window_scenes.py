@@ -73,7 +73,7 @@ class Flight:
         self.points = middle + rng.uniform([3, -5, -4], [12, 5, 4], (landmarks, 3))
 
     def tracks(self, sigma: float = 0.0, seed: int = 1) -> list[FrameTracks]:
-        """What each keyframe sees, with noise of sigma (normalised)."""
+        """Observations of each keyframe, with noise of sigma (normalised)."""
         rng = np.random.default_rng(seed)
         found = []
         for state in self.states:

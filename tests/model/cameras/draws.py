@@ -49,6 +49,6 @@ def random_points(rng, count=2000):
 
 
 def rounding(result, params, points):
-    """What the last bit of parameters and points is worth, in pixels: (N, 2)."""
+    """Effect of the last bit of parameters and points, in pixels: (N, 2)."""
     worth = np.abs(result.d_point) @ np.abs(points)[:, :, None]
     return np.finfo(float).eps * (worth[:, :, 0] + np.abs(result.d_params) @ np.abs(params))

@@ -18,7 +18,7 @@ COLUMNS = ("X", "Y", "Z")
 
 
 def relative_errors(computed, expected):
-    """Of Jacobians (..., 2, columns), entry by entry."""
+    """Largest error of Jacobians (..., 2, columns), entry by entry."""
     floor = 1e-6 * np.abs(expected).max(axis=-1, keepdims=True)
     scale = np.maximum(np.abs(expected), np.maximum(floor, np.finfo(float).tiny))
     return np.abs(computed - expected) / scale

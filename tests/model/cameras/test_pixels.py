@@ -87,7 +87,7 @@ def test_pixels_agree_with_formulas_where_the_lens_cannot_see(model):
 
 
 def opencv_pixels(model, params, points):
-    """What OpenCV calls this lens, or None."""
+    """OpenCV's model of this lens, or None."""
     single = model.startswith("SIMPLE") or model in ("RADIAL", "RADIAL_FISHEYE")
     focal, rest = (params[[0, 0]], params[1:]) if single else (params[:2], params[2:])
     matrix = np.array([[focal[0], 0, rest[0]], [0, focal[1], rest[1]], [0, 0, 1]])

@@ -1,4 +1,4 @@
-"""What comparisons in tests do without."""
+"""Parts that comparisons in tests leave out."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What is foreseen before a comparison, and whose it is."""
+"""Predictions before a comparison, and their methods."""
 
 import dataclasses
 import math

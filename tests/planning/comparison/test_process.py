@@ -47,7 +47,7 @@ def instead(monkeypatch):
 
 
 def is_running(note):
-    """Whether the process whose id is in a file runs; one that is dead but not buried does not."""
+    """Return whether the process whose id is in a file runs; a zombie does not."""
     try:
         status = Path(f"/proc/{note.read_text()}/status").read_text()
     except FileNotFoundError:

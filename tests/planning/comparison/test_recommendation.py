@@ -1,4 +1,4 @@
-"""What is recommended, and why, of runs whose times and costs are known."""
+"""Recommendation and reason for runs with known times and costs."""
 
 import dataclasses
 import math
@@ -23,7 +23,7 @@ from tests.printed import figures
 
 
 def in_order(text, parts):
-    """Whether the parts stand in a text one after the other."""
+    """Return whether the parts stand in a text one after the other."""
     position = 0
     for part in parts:
         position = text.find(part, position) + len(part)

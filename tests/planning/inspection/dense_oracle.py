@@ -34,7 +34,7 @@ def factor_pattern(matrix, order):
 
 
 def eliminate_first(matrix, count):
-    """What is left of a pattern when the first columns have been eliminated."""
+    """Pattern that remains when the first columns have been eliminated."""
     left = matrix.copy()
     for k in range(count):
         below = np.flatnonzero(left[k + 1 :, k]) + k + 1

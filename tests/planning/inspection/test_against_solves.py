@@ -1,4 +1,4 @@
-"""What a solve says of its factor: what was predicted, and what elimination by definition makes."""
+"""Factor counts of a solve equal the prediction, and elimination by definition."""
 
 from __future__ import annotations
 

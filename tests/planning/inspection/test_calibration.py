@@ -100,7 +100,7 @@ def test_hundred_cameras_and_twenty_thousand_points():
 
 
 def test_squares_of_dense_column_counts():
-    """Of n = 100 columns, c below the diagonal of each: the leading term of the flops."""
+    """Leading term of the flops for n = 100 columns with c entries below the diagonal."""
     edges = [(i, j) for i in range(100) for j in range(i)]
     graph = inspect_graph(edges)
     assert sum(c * c for c in graph.column_counts) == 328_350

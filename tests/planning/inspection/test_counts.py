@@ -1,4 +1,4 @@
-"""How the factor of each method is counted, and what happens where that is too much."""
+"""Factor counts of each method, and the bound where counting would take too long."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ def cache(monkeypatch, tmp_path):
 
 @pytest.fixture
 def calibrations(monkeypatch):
-    """How many threads were asked for in each calibration, which takes no time."""
+    """Numbers of threads of each calibration, replaced by one that takes no time."""
     asked = []
 
     def fake(num_threads):

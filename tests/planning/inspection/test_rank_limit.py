@@ -8,7 +8,7 @@ from bundle.planning.inspection.rank_prediction import RankPrediction, find_rank
 
 
 def row(count, *, points, first, messages=0.0, evenly=True):
-    """Of a step whose divided part takes `points` seconds of one process."""
+    """Prediction of a step whose divided part takes `points` seconds of one process."""
     own = points / count if evenly else points / 2
     time = own + first + messages
     return RankPrediction(

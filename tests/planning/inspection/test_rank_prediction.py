@@ -1,4 +1,4 @@
-"""What several processes are predicted to cost, beside what they do."""
+"""Predicted and measured costs of several processes."""
 
 import math
 

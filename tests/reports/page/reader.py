@@ -11,7 +11,7 @@ LOADING = {"src", "href", "srcset", "data", "action", "poster", "background"}
 
 
 class Page(HTMLParser):
-    """What a page holds: texts by element, what it would load; mismatched tags fail."""
+    """Contents of a page: texts by element, what it would load; mismatched tags fail."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""What the page says about certainty where priors took part, and where there is none."""
+"""The section on certainty with priors, and without certainty."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What the reports say, against a summary whose numbers are known."""
+"""Reports of a summary with known numbers."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""What rules mean in a problem, and which are refused in one line with their place."""
+"""Meaning of rules in a problem, and refusals in one line with their place."""
 
 import numpy as np
 import pytest

@@ -191,7 +191,7 @@ class Maker:
 
 
 def bounds_of(problem, row):
-    """Of every camera but the second, if there are more; None for none."""
+    """Factors of every camera but the second, if there are more; otherwise None."""
     if BOUNDS[row["bounds"]] is None:
         return None
     bounds = {}
@@ -242,7 +242,7 @@ TRACES = ("cost", "gradient_max_norm", "step_norm", "trust_region_radius")
 
 
 def deviation(found, expected, name, n):
-    """Of each iteration, in units of the largest value where values fall to rounding."""
+    """Differences of the iterations, in units of the largest value where values are rounding."""
     unmeasured = first_measured(expected.iterations)
     found, expected = (np.asarray(x.iterations[name][:n], float) for x in (found, expected))
     unit = np.abs(expected)
@@ -332,7 +332,7 @@ def test_the_design_compares_what_it_says():
 
 
 def residuals(problem, factors, x):
-    """Of observations and position factors, by formulas of SciPy, at x = (poses, points)."""
+    """Residuals of observations and position factors, by SciPy, at x = (poses, points)."""
     n = problem.num_images
     poses, points = x[: 6 * n].reshape(n, 6), x[6 * n :].reshape(-1, 3)
     rotation = Rotation.from_rotvec(poses[:, :3]) * Rotation.from_quat(

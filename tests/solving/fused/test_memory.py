@@ -1,4 +1,4 @@
-"""What a solve adds to the memory of its process, in bytes an observation."""
+"""Memory that a solve adds to its process, in bytes an observation."""
 
 from __future__ import annotations
 

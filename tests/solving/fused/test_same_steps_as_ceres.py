@@ -112,7 +112,7 @@ def shuffled(problem):
 
 @functools.cache
 def traces(number):
-    """What Ceres makes of a row, what its witness does, and what the fused backend does."""
+    """A row by Ceres, by its witness and by the fused backend."""
     row = ROWS[number]
     problem, options = problem_of(row), options_of(row)
     witnessed, witness_options = witness_of(row)

@@ -12,7 +12,7 @@ RUNNING = {"max_num_iterations": 6, "function_tolerance": 0.0, "gradient_toleran
 @pytest.mark.parametrize("strategy", ["levenberg_marquardt", "dogleg"])
 @pytest.mark.parametrize("move", [1e-3, 1.0])
 def test_steps_have_the_length_that_they_move_the_numbers(strategy, move):
-    """Of the first step too, which moves the poses by what their translations show; a start far
+    """The first step counts too. It moves the poses by what their translations show; a start far
     away makes steps that are rejected."""
     rng = np.random.default_rng(1)
     problem = scene()

@@ -19,7 +19,7 @@ def drive(num_images, **options):
 
 
 def conjugate_gradients(problem, preconditioner, **options):
-    """Of each step of an optimisation, and where it ends."""
+    """Numbers of each step of an optimisation, and its end."""
     result = bundle.solve(
         problem,
         backend="fused",

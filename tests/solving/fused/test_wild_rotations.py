@@ -46,7 +46,7 @@ def solve(seed, strategy, backend="fused", steps=OPTIONS["max_num_iterations"]):
 
 
 def largest_turn(seed, strategy):
-    """Of the accepted steps: what their norms leave of them beside translation and points."""
+    """Rotation parts of the accepted steps: their norms without translation and points."""
     largest = 0.0
     iterations = solve(seed, strategy).iterations
     for k in 1 + np.flatnonzero(iterations["step_is_successful"][1:]):

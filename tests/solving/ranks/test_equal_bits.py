@@ -113,7 +113,7 @@ def test_all_stop_where_the_gradient_of_everything_is_small():
 
 
 def test_points_in_any_order():
-    """Of one process, too: the same points in another order are the same problem."""
+    """One process gives the same bits for the same points in another order."""
     problem = street()
     order = np.random.default_rng(0).permutation(problem.num_points)
     place = np.argsort(order).astype(np.int32)

@@ -1,4 +1,4 @@
-"""What a process knows of the others from its environment."""
+"""Knowledge of the other processes from the environment."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""What several processes leave to one: the result is its own, to the bit, and it says so."""
+"""Solves that several processes leave to one: its result to the bit, with a warning."""
 
 from __future__ import annotations
 

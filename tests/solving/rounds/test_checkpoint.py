@@ -28,7 +28,7 @@ def scene():
 
 
 def equal(one, other):
-    """Whether two problems are the same, bit for bit."""
+    """Return whether two problems are the same, bit for bit."""
     return digest(one) == digest(other)
 
 

@@ -1,4 +1,4 @@
-"""What is refined and what stays: subsets, fixed ids, gauges, blocks."""
+"""Refined and constant parameters: subsets, fixed ids, gauges, blocks."""
 
 import numpy as np
 import pytest

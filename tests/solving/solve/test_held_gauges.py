@@ -60,7 +60,7 @@ def test_the_minimum_of_rigs_is_that_without_a_gauge(backend, arms, points, sens
 
 
 def test_as_many_numbers_are_held_as_are_counted():
-    """What stays bit for bit: w of a pose as its rotation, t by coordinate."""
+    """Numbers that stay bit for bit: w of a pose as its rotation, t by coordinate."""
     problem = images()
     for options, turns, shifts in (
         (HELD["a point"], 3, 1),

@@ -1,4 +1,4 @@
-"""What is refused before a solver sees it, and what replaces nothing silently."""
+"""Refusals before a solve, and arguments that replace nothing silently."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What a solve does to a problem, against minima and costs computed independently."""
+"""Solves against minima and costs that are computed independently."""
 
 import functools
 

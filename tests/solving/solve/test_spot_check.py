@@ -17,7 +17,7 @@ from tests.solving.solve.lies import LIES, SCENES, UNSEEN, scaled
 
 
 def spot_check(problem, rotation_offsets=None, lie=None, **options):
-    """What is said of a problem as it stands, where `lie` changes the Jacobians."""
+    """Report of the spot check at a problem, where `lie` changes the Jacobians."""
     if rotation_offsets is None:
         rotation_offsets = np.zeros((problem.num_images, 3))
     options = {**_core.default_options(), "cheirality": "algebraic", **options}
