@@ -127,11 +127,11 @@ void PutObservations(ColmapObservations observations, py::dict* fields) {
 }
 
 /// The model, and the fields of a bundle.Problem by name.
-py::tuple ReadModel(const std::string& folder) {
+py::tuple ReadModel(const std::string& folder, bool may_be_empty) {
   auto model = std::make_unique<ColmapModel>();
   {
     const py::gil_scoped_release release;
-    *model = ReadColmapModel(folder);
+    *model = ReadColmapModel(folder, may_be_empty);
   }
   py::dict fields;
   PutCameras(*model, &fields);
@@ -285,7 +285,8 @@ void BindColmap(py::module_& m) {
   using bundle::ColmapModel;
   m.def("check_colmap_model", &bundle::CheckColmapModel, py::arg("folder"),
         py::call_guard<py::gil_scoped_release>());
-  m.def("read_colmap_model", &bundle::ReadModel, py::arg("folder"));
+  m.def("read_colmap_model", &bundle::ReadModel, py::arg("folder"),
+        py::arg("may_be_empty") = false);
   py::class_<ColmapModel>(m, "ColmapModel")
       .def_property_readonly("is_binary", &ColmapModel::is_binary)
       .def_property_readonly("names_with_spaces",

@@ -10,6 +10,7 @@ void BindCameras(py::module_& m);
 void BindProblem(py::module_& m);
 void BindBal(py::module_& m);
 void BindColmap(py::module_& m);
+void BindColmapRecords(py::module_& m);
 void BindLosses(py::module_& m);
 void BindSolve(py::module_& m);
 void BindCovariance(py::module_& m);
@@ -37,6 +38,7 @@ PYBIND11_MODULE(_core, m) {
   BindProblem(m);
   BindBal(m);
   BindColmap(m);
+  BindColmapRecords(m);
   BindLosses(m);
   BindSolve(m);
   BindCovariance(m);

@@ -9,7 +9,7 @@ import pycolmap
 import pytest
 
 from bundle import InputError, Problem
-from bundle.io.colmap import colmap
+from bundle.io import colmap
 
 REAL_MODELS = (
     "vr_opencv",

@@ -11,7 +11,7 @@ import pycolmap
 import pytest
 
 from bundle import InputError
-from bundle.io.colmap import colmap
+from bundle.io import colmap
 from tests.io.colmap_models import complaint, fields, synthesize, write_files, write_model
 
 CAMERAS = """# comment

@@ -7,7 +7,7 @@ from pathlib import Path
 import pycolmap
 import pytest
 
-from bundle.io.colmap import colmap
+from bundle.io import colmap
 from tests.io.colmap_models import complaint, fields, write_files
 
 NO_POINT = 2**64 - 1

@@ -12,7 +12,7 @@ import pytest
 
 import bundle
 from bundle import InputError, Problem
-from bundle.io.colmap.colmap_files import can_rewrite
+from bundle.io.colmap import can_rewrite
 from tests.io.colmap_models import fields, synthesize, write_model
 
 FORMATS = pytest.mark.parametrize("binary", [True, False], ids=["binary", "text"])

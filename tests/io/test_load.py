@@ -1,14 +1,13 @@
-"""Which format a path is read or written in; a module that takes notes stands in for COLMAP's."""
+"""Formats of paths that are read or written; stand-ins note the calls for COLMAP models."""
 
 import subprocess
 import sys
-import types
 from pathlib import Path
 
 import pytest
 
 import bundle
-import bundle.io
+import bundle.io.colmap
 from tests.io.bal_files import bal_text, gzip_bytes, load_bytes, make_bal
 
 
@@ -21,7 +20,6 @@ def problem(tmp_path: Path) -> bundle.Problem:
 def colmap(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, bool]]:
     """Stand in for what reads and writes COLMAP models; returns the list of calls."""
     calls: list[tuple[str, str, bool]] = []
-    module = types.ModuleType("bundle.io.colmap.colmap")
 
     def load(path: Path) -> str:
         calls.append(("load", str(path), True))
@@ -32,10 +30,8 @@ def colmap(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, bool]]:
         write_model(folder, ".bin" if binary else ".txt")
         return ("colours",)
 
-    module.save = save  # type: ignore[attr-defined]
-    monkeypatch.setattr(bundle.io.colmap.colmap_files, "load", load)
-    monkeypatch.setitem(sys.modules, "bundle.io.colmap.colmap", module)
-    monkeypatch.setattr(bundle.io.colmap, "colmap", module, raising=False)
+    monkeypatch.setattr(bundle.io.colmap, "load", load)
+    monkeypatch.setattr(bundle.io.colmap, "save", save)
     return calls
 
 

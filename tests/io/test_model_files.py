@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from bundle.io.atomic import model_files
-from bundle.io.atomic.model_files import models_below
+from bundle.io.atomic.model_files import missing_model_files, models_below
 
 
 def make_model(folder: Path) -> Path:
@@ -32,3 +32,12 @@ def test_the_search_is_bounded(tmp_path: Path, monkeypatch) -> None:
     for name in "abcde":
         make_model(tmp_path / name)
     assert models_below(tmp_path) == [tmp_path / name for name in "abc"]
+
+
+def test_a_model_has_three_files(tmp_path: Path) -> None:
+    folder = make_model(tmp_path / "model")
+    assert not missing_model_files(folder)
+    assert missing_model_files(tmp_path)
+    assert missing_model_files(tmp_path / "nothing")
+    (folder / "images.bin").unlink()
+    assert missing_model_files(folder) == ("images.bin",)

@@ -7,7 +7,7 @@ import pycolmap
 import pytest
 
 from bundle import InputError, Problem
-from bundle.io.colmap import colmap
+from bundle.io import colmap
 from tests.io.colmap_models import ARRAYS, REAL_MODELS, bal_like, errors_of, fields, synthesize
 
 

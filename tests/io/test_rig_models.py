@@ -11,7 +11,7 @@ import pytest
 
 import bundle
 from bundle import InputError, Problem
-from bundle.io.colmap.colmap_files import can_rewrite
+from bundle.io.colmap import can_rewrite
 from bundle.model.rig_arrays import DTYPES
 from tests.io.colmap_models import ARRAYS, fields, synthesize, write_model
 from tests.rig_scenes import FIVE, STEREO, rig_problem

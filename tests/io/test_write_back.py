@@ -5,7 +5,7 @@ import pycolmap
 import pytest
 
 from bundle import Problem
-from bundle.io.colmap import colmap
+from bundle.io import colmap
 from tests.io.colmap_models import bal_like, fields, synthesize
 from tests.io.test_editing import rows, without_cameras_but_one, without_images, without_points
 
@@ -94,7 +94,7 @@ def test_an_image_without_a_pose_gets_one(tmp_path) -> None:
     source.deregister_frame(source.image(lost).frame_id)
     problem = full.replace(source=source)
     (tmp_path / "out").mkdir()
-    assert colmap.save(problem, tmp_path / "out") == ()
+    assert colmap.write(problem, tmp_path / "out", binary=True) == ()
     again = colmap.load(tmp_path / "out")
     for name in ("image_ids", "image_names", "cam_from_world", "observation_keypoint"):
         np.testing.assert_array_equal(getattr(again, name), getattr(full, name))
@@ -121,7 +121,7 @@ def test_points_that_are_not_in_the_source_are_black_and_named(problem: Problem,
     ids[3:5] += 1000
     edited = problem.replace(point_ids=ids)
     (tmp_path / "out").mkdir()
-    (loss,) = colmap.save(edited, tmp_path / "out")
+    (loss,) = colmap.write(edited, tmp_path / "out", binary=True)
     assert loss.startswith("2 points are not in the source")
     colours = {i: point.color.tolist() for i, point in edited.to_pycolmap().points3D.items()}
     source = {i: point.color.tolist() for i, point in problem.source.points3D.items()}

@@ -215,8 +215,8 @@ uint64_t ColmapIndex::TrackElementPlace(const Point& point, uint64_t element) co
          (kind == ModelFile::Kind::kBinary ? kPointRecordSize + element * kTrackElementSize : 0);
 }
 
-IdMap CheckColmapViews(const ColmapIndex& index) {
-  CheckNotEmpty(index);
+IdMap CheckColmapViews(const ColmapIndex& index, bool may_be_empty) {
+  if (!may_be_empty) CheckNotEmpty(index);
   const IdMap cameras(index.cameras, index.cameras_file, "camera");
   const IdMap rigs(index.rigs, index.rigs_file, "rig");
   const IdMap frames(index.frames, index.frames_file, "frame");
@@ -228,8 +228,8 @@ IdMap CheckColmapViews(const ColmapIndex& index) {
   return images;
 }
 
-std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index) {
-  const IdMap images = CheckColmapViews(index);
+std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index, bool may_be_empty) {
+  const IdMap images = CheckColmapViews(index, may_be_empty);
   CheckPointIdsUnique(index);
   return CheckTracks(index, images);
 }

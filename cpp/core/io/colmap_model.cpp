@@ -64,10 +64,10 @@ std::vector<double> ColmapModel::CamFromWorld() const {
   return poses;
 }
 
-ColmapModel ReadColmapModel(const std::string& folder) {
+ColmapModel ReadColmapModel(const std::string& folder, bool may_be_empty) {
   ColmapModel model;
   model.index = ScanColmapModel(folder, /*keep_contents=*/true);
-  const std::vector<int64_t> point_of_keypoint = CheckColmapReferences(model.index);
+  const std::vector<int64_t> point_of_keypoint = CheckColmapReferences(model.index, may_be_empty);
   model.cameras_by_id = OrderById(model.index.cameras);
   model.images_by_id = OrderById(model.index.images);
   model.points_by_id = OrderById(model.index.points);

@@ -53,10 +53,10 @@ struct ColmapModel {
   std::vector<double> SensorFromRig() const;  ///< of `rigs.sensors`
 };
 
-/// Reads a model as CheckColmapModel does, and keeps it. Throws InputError as that does, and for
-/// two images of one camera in a frame and images of a camera whose sensor_from_rig is not known,
-/// which our problem does not have.
-ColmapModel ReadColmapModel(const std::string& folder);
+/// Reads a model as CheckColmapModel does, and keeps it; `may_be_empty`: also one without cameras
+/// or images. Throws InputError as that does, and for two images of one camera in a frame and
+/// images of a camera whose sensor_from_rig is not known, which our problem does not have.
+ColmapModel ReadColmapModel(const std::string& folder, bool may_be_empty = false);
 
 /// Reads the files of a COLMAP model from end to end and throws InputError at the first thing that
 /// is wrong with them, naming file and line (or byte). COLMAP's own reader, for which this stands

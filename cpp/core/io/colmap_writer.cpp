@@ -2,10 +2,8 @@
 
 #include <algorithm>
 #include <array>
-#include <cstring>
 #include <map>
 #include <string>
-#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -13,6 +11,7 @@
 #include "core/io/colmap_byte_reader.h"
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_model.h"
+#include "core/io/colmap_records.h"
 #include "core/io/files.h"
 
 namespace bundle {
@@ -91,86 +90,25 @@ std::map<std::pair<size_t, size_t>, size_t> SensorsInOrderOfFile(const ColmapRig
   return rows;
 }
 
-void WriteWhole(const std::filesystem::path& path, std::string_view contents) {
-  OutputFile file(path, Compression::kNone);
-  file.Write(contents);
-  file.Close();
-}
-
-class BinaryRecords {
- public:
-  template <typename T>
-  void Put(T value) {
-    char bytes[sizeof(T)];
-    std::memcpy(bytes, &value, sizeof(T));
-    contents_.append(bytes, sizeof(T));
-  }
-  void PutSensor(uint32_t camera_id) {
-    Put(static_cast<int32_t>(SensorType::kCamera));
-    Put(camera_id);
-  }
-  const std::string& contents() const { return contents_; }
-
- private:
-  std::string contents_;
-};
-
-/// Rigs and frames of a model that has none.
-void WriteTrivialBinary(const ColmapModel& model, const ColmapValues& values,
-                        const std::filesystem::path& folder) {
-  BinaryRecords rigs;
-  rigs.Put(static_cast<uint64_t>(model.cameras_by_id.size()));
+/// Rigs and frames of a model that has none, as COLMAP makes them: a rig a camera and a frame an
+/// image, of the same ids.
+void WriteTrivialRigs(const ColmapModel& model, const ColmapValues& values,
+                      const std::filesystem::path& folder) {
+  std::vector<ColmapIndex::Rig> rigs;
   for (const size_t c : model.cameras_by_id) {
     const uint32_t id = model.index.cameras[c].id;
-    rigs.Put(id);
-    rigs.Put(uint32_t{1});
-    rigs.PutSensor(id);
+    rigs.push_back({id, 0, {{SensorType::kCamera, id}}, {{}}});
   }
-  WriteWhole(folder / "rigs.bin", rigs.contents());
-  BinaryRecords frames;
-  frames.Put(static_cast<uint64_t>(model.images_by_id.size()));
+  std::vector<ColmapIndex::Frame> frames;
   for (size_t row = 0; row < model.images_by_id.size(); ++row) {
     const ColmapIndex::Image& image = model.index.images[model.images_by_id[row]];
-    frames.Put(image.id);
-    frames.Put(image.camera_id);
-    for (const double value : FilePose(values.cam_from_world, row)) frames.Put(value);
-    frames.Put(uint32_t{1});
-    frames.PutSensor(image.camera_id);
-    frames.Put(static_cast<uint64_t>(image.id));
+    const ColmapIndex::Datum datum{{SensorType::kCamera, image.camera_id}, image.id};
+    frames.push_back(
+        {image.id, image.camera_id, 0, {datum}, FilePose(values.cam_from_world, row), {}});
   }
-  WriteWhole(folder / "frames.bin", frames.contents());
-}
-
-/// As above. COLMAP writes the same comments.
-void WriteTrivialText(const ColmapModel& model, const ColmapValues& values,
-                      const std::filesystem::path& folder) {
-  std::string rigs =
-      "# Rig calib list with one line of data per calib:\n"
-      "#   RIG_ID, NUM_SENSORS, REF_SENSOR_TYPE, REF_SENSOR_ID, SENSORS[] as (SENSOR_TYPE, "
-      "SENSOR_ID, HAS_POSE, [QW, QX, QY, QZ, TX, TY, TZ])\n"
-      "# Number of rigs: " +
-      std::to_string(model.cameras_by_id.size()) + "\n";
-  for (const size_t c : model.cameras_by_id) {
-    const std::string id = std::to_string(model.index.cameras[c].id);
-    rigs.append(id).append(" 1 CAMERA ").append(id).append("\n");
-  }
-  WriteWhole(folder / "rigs.txt", rigs);
-  std::string frames =
-      "# Frame list with one line of data per frame:\n"
-      "#   FRAME_ID, RIG_ID, RIG_FROM_WORLD[QW, QX, QY, QZ, TX, TY, TZ], NUM_DATA_IDS, DATA_IDS[] "
-      "as (SENSOR_TYPE, SENSOR_ID, DATA_ID)\n"
-      "# Number of frames: " +
-      std::to_string(model.images_by_id.size()) + "\n";
-  for (size_t row = 0; row < model.images_by_id.size(); ++row) {
-    const ColmapIndex::Image& image = model.index.images[model.images_by_id[row]];
-    const std::string id = std::to_string(image.id);
-    const std::string camera = std::to_string(image.camera_id);
-    frames.append(id).append(" ").append(camera);
-    for (const double value : FilePose(values.cam_from_world, row))
-      frames.append(" ").append(FormatNumber(value));
-    frames.append(" 1 CAMERA ").append(camera).append(" ").append(id).append("\n");
-  }
-  WriteWhole(folder / "frames.txt", frames);
+  constexpr int kShortest = 0;
+  WriteColmapRigs(rigs, model.is_binary(), kShortest, folder);
+  WriteColmapFrames(frames, model.is_binary(), kShortest, folder);
 }
 
 /// Writes all but the points.
@@ -201,8 +139,7 @@ void WriteViews(const ColmapModel& model, const ColmapValues& values,
   images.Finish();
 
   if (!model.has_frames()) {
-    const auto write_trivial = is_binary ? WriteTrivialBinary : WriteTrivialText;
-    write_trivial(model, values, folder);
+    WriteTrivialRigs(model, values, folder);
     return;
   }
   Patcher rigs = patcher(index.rigs_file, "rigs");

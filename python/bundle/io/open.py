@@ -12,25 +12,21 @@ import warnings
 from collections.abc import Callable, Collection
 from pathlib import Path
 
-from bundle.base import address_space
 from bundle.base.paths import as_path
 from bundle.errors import InputError, brief, shown
 from bundle.interface.option_fields import choice
-from bundle.io import bal
+from bundle.io import bal, colmap
 from bundle.io.atomic import atomic_write as atomic
-from bundle.io.atomic.interrupts import interrupts_deferred
 from bundle.io.atomic.model_files import (
     MODEL_FILES,
     is_text_model,
     missing_model_files,
     models_below,
 )
-from bundle.io.colmap import colmap_files
 from bundle.io.file_names import check_name
 from bundle.io.georeference_file import remove_georeference
 from bundle.io.recognition import is_pose_graph_file, other_format_at
 from bundle.model.problem import Problem
-from bundle.model.pycolmap.problem_source import is_reconstruction
 
 __all__ = [
     "FORMATS",
@@ -66,9 +62,7 @@ def load(path: str | os.PathLike[str], progress: Callable[[int], None] | None = 
     recover(path)
     if path.is_dir():
         _check_model(path)
-        # Writing may need pycolmap: better to lack room for it now than after the work.
-        address_space.require("pycolmap", address_space.PYCOLMAP)
-        return colmap_files.load(path)
+        return colmap.load(path)
     if path.name in MODEL_FILES and not missing_model_files(path.parent):
         raise InputError(
             f"{shown(path)}: expected the folder of a COLMAP model, found one of its files"
@@ -116,12 +110,6 @@ def save(
             remove_georeference(path, is_folder=False)
         return lost
     binary = chosen == "colmap"
-    if colmap_files.can_rewrite(problem, binary=binary):
-        return save_model(
-            path, chosen, lambda folder: colmap_files.rewrite(problem, folder, binary=binary)
-        )
-    with interrupts_deferred():  # pycolmap takes a while to import, and knows no interruption
-        from bundle.io.colmap import colmap
     return save_model(path, chosen, lambda folder: colmap.save(problem, folder, binary=binary))
 
 
@@ -166,15 +154,15 @@ def output_format(
     if format is not None:
         return choice("format", format, FORMATS)
     name = os.fspath(path)
-    colmap = "colmap-text" if source is not None and is_text_model(Path(source)) else "colmap"
+    default = "colmap-text" if source is not None and is_text_model(Path(source)) else "colmap"
     if folder.is_dir() and not missing_model_files(folder):
         return "colmap-text" if is_text_model(folder) else "colmap"
     if name.endswith("/") or folder.is_dir():
-        return colmap
+        return default
     if name.lower().endswith(_BAL_SUFFIXES):
         return "bal"
     check_name(path, "a folder or of a BAL file (.txt, .txt.gz, .txt.bz2)", compressed=".txt")
-    return "bal" if problem.format == "bal" else colmap
+    return "bal" if problem.format == "bal" else default
 
 
 def check_target(
@@ -205,16 +193,7 @@ def check_target(
         atomic.check_file(Path(path))
         return
     atomic.check_folder(Path(path))
-    if colmap_files.can_rewrite(problem, binary=chosen == "colmap"):
-        problem.check_padding()
-        return
-    with interrupts_deferred():
-        from bundle.model.pycolmap import write_back
-    write_back.check(problem)
-    if chosen == "colmap-text" and is_reconstruction(problem.source):
-        from bundle.io.colmap import colmap
-
-        colmap.check_text(problem)
+    colmap.check_save(problem, binary=chosen == "colmap")
 
 
 def recover(path: str | os.PathLike[str]) -> None:

@@ -315,9 +315,9 @@ class Problem(Displayed):
         Raises:
             InputError: a camera with images has no sensor_from_rig, or references do not resolve.
         """
-        from bundle.model.pycolmap.reconstruction import from_pycolmap
+        from bundle.model.pycolmap.reconstruction import fields_of
 
-        return from_pycolmap(reconstruction)
+        return Problem(**fields_of(reconstruction))
 
     def to_pycolmap(self) -> pycolmap.Reconstruction:
         """Return a reconstruction: a copy of the source with the numbers of this problem in it.

@@ -11,18 +11,16 @@ of its own: to move it, move its frame or its sensor.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.arrays import filled, freeze
 from bundle.errors import InputError
+from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
 from bundle.model.rotations import rotation_matrices
-
-if TYPE_CHECKING:
-    from bundle.model.problem import Problem
 
 __all__ = [
     "DTYPES",
@@ -97,7 +95,7 @@ def pose_differences(
     return angle, shift, float(np.linalg.norm(one[:, 4:], axis=1).max(initial=0))
 
 
-def recomputed_poses(problem: Problem, changes: Mapping[str, Any]) -> _Poses | None:
+def recomputed_poses(problem: ProblemArrays, changes: Mapping[str, Any]) -> _Poses | None:
     """Return cam_from_world after changes of rigs; None where that is not for us to say.
 
     Poses of images whose frame and sensor stay where they are keep their bits.
@@ -124,7 +122,7 @@ def recomputed_poses(problem: Problem, changes: Mapping[str, Any]) -> _Poses | N
     return np.where(moved[:, None], poses, problem.cam_from_world)
 
 
-def default(problem: Problem, name: str) -> NDArray[Any]:
+def default(problem: ProblemArrays, name: str) -> NDArray[Any]:
     """Return the default of a field; those before it in DTYPES are there.
 
     Raises:
@@ -146,7 +144,7 @@ def default(problem: Problem, name: str) -> NDArray[Any]:
     return filled((0,), 0, DTYPES[name])
 
 
-def settle(problem: Problem) -> None:
+def settle(problem: ProblemArrays) -> None:
     """Drop rows of -1 where there are no frames to refer to.
 
     Raises:
@@ -172,7 +170,7 @@ def settle(problem: Problem) -> None:
         object.__setattr__(problem, name, filled((0,), 0, np.int32))
 
 
-def check(problem: Problem) -> None:
+def check(problem: ProblemArrays) -> None:
     """Check what the core does not look at: that frames, sensors and rigs belong together.
 
     Raises:
@@ -208,7 +206,7 @@ def check(problem: Problem) -> None:
     _check_poses(problem, images)
 
 
-def rig_of_image(problem: Problem) -> NDArray[np.int64]:
+def rig_of_image(problem: ProblemArrays) -> NDArray[np.int64]:
     """Return (num_images,) ids of the images' rigs, -1 where an image has a pose of its own."""
     rig = np.full(problem.num_images, -1, np.int64)
     if problem.num_frames:
@@ -217,13 +215,13 @@ def rig_of_image(problem: Problem) -> NDArray[np.int64]:
     return rig
 
 
-def sensor_names(problem: Problem) -> list[str]:
+def sensor_names(problem: ProblemArrays) -> list[str]:
     """Return "RIG:CAMERA" of each sensor, as ``--fix-sensors`` takes it."""
     pairs = zip(problem.sensor_rig_ids.tolist(), problem.sensor_camera_ids.tolist(), strict=True)
     return [f"{rig}:{camera}" for rig, camera in pairs]
 
 
-def reference_cameras(problem: Problem) -> dict[int, int]:
+def reference_cameras(problem: ProblemArrays) -> dict[int, int]:
     """Return the id of the reference camera by rig id, of rigs whose reference took images."""
     rig = rig_of_image(problem)
     known: dict[int, int] = {}
@@ -245,7 +243,7 @@ def _differ(before: Mapping[str, Any], after: Mapping[str, Any]) -> NDArray[np.b
     return differ
 
 
-def _rigs_of_frames(problem: Problem) -> NDArray[np.int64]:
+def _rigs_of_frames(problem: ProblemArrays) -> NDArray[np.int64]:
     """Return the rig of each frame: that of its sensors, or the only one, else of its camera."""
     num_frames = len(problem.rig_from_world)
     rig = np.full(num_frames, -1, np.int64)
@@ -279,7 +277,7 @@ def _rigs_of_frames(problem: Problem) -> NDArray[np.int64]:
     return rig
 
 
-def _check_poses(problem: Problem, images: Any) -> None:
+def _check_poses(problem: ProblemArrays, images: Any) -> None:
     """Check that images are where their rigs say, as closely as files are rounded."""
     names = ("cam_from_world", "image_frame", "image_sensor", "rig_from_world", "sensor_from_rig")
     expected = placed({name: getattr(problem, name) for name in names})[images]
@@ -303,7 +301,7 @@ def _check_poses(problem: Problem, images: Any) -> None:
         )
 
 
-def _check_once(problem: Problem, images: Any) -> None:
+def _check_once(problem: ProblemArrays, images: Any) -> None:
     """Check that each sensor took at most one image in each frame."""
     pairs = np.stack([problem.image_frame[images], problem.image_sensor[images]], axis=1)
     order = np.lexsort((pairs[:, 1], pairs[:, 0]))
@@ -317,7 +315,7 @@ def _check_once(problem: Problem, images: Any) -> None:
         )
 
 
-def _check_references(problem: Problem, images: Any, rig: NDArray[np.int64]) -> None:
+def _check_references(problem: ProblemArrays, images: Any, rig: NDArray[np.int64]) -> None:
     """Check that a rig's reference sensor has images of one camera, which no other sensor is."""
     by_reference = problem.image_sensor[images] < 0
     cameras = problem.camera_ids[problem.image_camera[images[by_reference]]]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bundle.model.rotations import quaternion_inverse, quaternion_multiply, quaternion_rotate
 
-__all__ = ["inverse_poses", "multiply_poses", "unit_poses"]
+__all__ = ["inverse_poses", "multiply_as_colmap", "multiply_poses", "unit_poses"]
 
 Array = NDArray[np.float64]
 
@@ -28,3 +28,34 @@ def multiply_poses(a: Array, b: Array) -> Array:
     """Return the motions (n, 7) b, then a, of poses with unit quaternions."""
     turned = quaternion_multiply(a[:, :4], b[:, :4])
     return np.hstack([turned, quaternion_rotate(a[:, :4], b[:, 4:]) + a[:, 4:]])
+
+
+def multiply_as_colmap(a: Array, b: Array) -> Array:
+    """Return the motions (n, 7) b, then a, to the last bit as COLMAP computes them.
+
+    The same operations in the same order as those of Eigen's quaternions on any x86-64: a product
+    that is normalised, and a vector turned by a quaternion as it is.
+    """
+    x, y, z, w = a.T[:4]
+    bx, by, bz, bw = b.T[:4]
+    turned = np.stack(
+        [
+            (w * bx + y * bz) - (z * by - x * bw),
+            (w * by + y * bw) + (z * bx - x * bz),
+            (w * bz - y * bx) + (z * bw + x * by),
+            (w * bw - y * by) - (z * bz + x * bx),
+        ]
+    )
+    squares = turned * turned
+    turned /= np.sqrt((squares[0] + squares[2]) + (squares[1] + squares[3]))
+    u, v = a.T[:3], b.T[4:]
+    twice = _cross(u, v)
+    twice += twice
+    return np.vstack([turned, v + w * twice + _cross(u, twice) + a.T[4:]]).T
+
+
+def _cross(u: Array, v: Array) -> Array:
+    """Return the cross products of the columns of (3, n) arrays."""
+    return np.stack(
+        [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
+    )

@@ -27,10 +27,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from bundle.base.interrupts import interrupts_deferred
 from bundle.errors import InputError, shown
 from bundle.io.atomic import exchange, in_place
 from bundle.io.atomic.flush import flush, flush_folder, flush_with_files
-from bundle.io.atomic.interrupts import interrupts_deferred
 from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files
 from bundle.io.atomic.mounts import mount_points
 from bundle.io.atomic.streams import append, is_stream

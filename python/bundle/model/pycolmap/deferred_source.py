@@ -1,17 +1,21 @@
 """A COLMAP model that was read, and becomes a ``pycolmap.Reconstruction`` on first use.
 
-Importing pycolmap and building a reconstruction takes longer than solving a small problem, and most
-commands need neither: our own reader gives the arrays, and a problem whose numbers alone have
-changed is written by replacing them in the files, which stay in memory for that.
+Importing pycolmap and building a reconstruction takes longer than solving a small problem, and
+commands need neither: our own reader gives the arrays, and our own writer takes what a problem does
+not have from the files, which stay in memory for that.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bundle import _core
+from bundle.base import address_space
+from bundle.base.interrupts import interrupts_deferred
+from bundle.errors import InputError, first_line
 
 if TYPE_CHECKING:
     import pycolmap
@@ -25,18 +29,13 @@ class DeferredSource:
     Args:
         model: the files as they were read.
         fields: the fields of the problem that the model is, by name.
-        reconstruct: makes a reconstruction of the model.
+        folder: of the files, for messages.
     """
 
-    def __init__(
-        self,
-        model: _core.ColmapModel,
-        fields: Mapping[str, Any],
-        reconstruct: Callable[[_core.ColmapModel], pycolmap.Reconstruction],
-    ) -> None:
+    def __init__(self, model: _core.ColmapModel, fields: Mapping[str, Any], folder: Path) -> None:
         self._model: _core.ColmapModel | None = model
         self._fields = fields
-        self._reconstruct = reconstruct
+        self._folder = folder
         self._reconstruction: pycolmap.Reconstruction | None = None
         self._lock = threading.Lock()
 
@@ -61,6 +60,34 @@ class DeferredSource:
         with self._lock:
             if self._reconstruction is None:
                 assert self._model is not None
-                self._reconstruction = self._reconstruct(self._model)
+                self._reconstruction = _read_by_pycolmap(self._model, self._folder)
                 self._model = None
             return self._reconstruction
+
+
+def _read_by_pycolmap(model: _core.ColmapModel, folder: Path) -> pycolmap.Reconstruction:
+    """Read a model by pycolmap, from its files as they were read."""
+    address_space.require("pycolmap", address_space.PYCOLMAP)
+    import tempfile  # takes a while to import
+
+    with interrupts_deferred():  # pycolmap takes a while to import and cannot be interrupted
+        import pycolmap
+    reconstruction = pycolmap.Reconstruction()
+    # The files as they were read: those on the disk may have changed.
+    with tempfile.TemporaryDirectory(prefix="bundle-") as temporary:
+        for name, content in model.files().items():
+            (Path(temporary) / name).write_bytes(content)
+        try:
+            if model.is_binary:
+                reconstruction.read_binary(temporary)
+            else:
+                reconstruction.read_text(temporary)
+        except (ValueError, LookupError, RuntimeError, MemoryError) as error:
+            # Nothing known comes here, but older versions lack the newest camera models.
+            raise InputError(
+                f"{folder}: expected a model that pycolmap {pycolmap.__version__} reads, "
+                f"found: {first_line(error)}"
+            ) from None
+    for image_id, name in model.names_with_spaces.items():
+        reconstruction.image(image_id).name = name
+    return reconstruction

@@ -6,7 +6,10 @@ bytes of its binary files, beside what these do not hold.
 
 from __future__ import annotations
 
+import dataclasses
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,16 +17,31 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle import _core
+from bundle.errors import InputError
+from bundle.model.colmap.source_records import (
+    CAMERA,
+    Contents,
+    Datum,
+    Frame,
+    SourceRecords,
+    records_of_model,
+)
+from bundle.model.pycolmap.deferred_source import DeferredSource
+
 if TYPE_CHECKING:
     import pycolmap
 
 __all__ = [
     "LOST_SIGMAS",
     "BalSource",
+    "Packed",
     "beside_the_problem",
+    "is_colmap",
     "is_reconstruction",
     "is_source",
     "packed",
+    "source_records",
     "unpacked",
 ]
 
@@ -47,6 +65,11 @@ class BalSource:
 def is_source(source: object) -> bool:
     """Tell whether a problem can have this as its source."""
     return source is None or isinstance(source, BalSource) or is_reconstruction(source)
+
+
+def is_colmap(source: object) -> bool:
+    """Tell whether a source, as the problem keeps it, is a COLMAP model."""
+    return isinstance(source, DeferredSource) or is_reconstruction(source)
 
 
 def is_reconstruction(source: object) -> bool:
@@ -88,8 +111,8 @@ class _Image(NamedTuple):
     keypoints: NDArray[np.float64]
 
 
-class _Packed(NamedTuple):
-    """A reconstruction that pickles."""
+class Packed(NamedTuple):
+    """A reconstruction that pickles: its binary files, and what they do not hold."""
 
     files: dict[str, bytes]
     frames: list[_Frame]
@@ -101,14 +124,11 @@ def packed(source: Any) -> Any:
     """Return the source of a problem as something that pickles; see :func:`unpacked`."""
     if not is_reconstruction(source):
         return source
-    import tempfile
-
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with _written({}) as folder:
         source.write_binary(folder)
-        files = {path.name: path.read_bytes() for path in folder.iterdir()}
+        files = {path.name: path.read_bytes() for path in Path(folder).iterdir()}
     registered = set(source.reg_image_ids())
-    return _Packed(
+    return Packed(
         files=files,
         frames=[_frame(frame) for frame in source.frames.values() if not frame.has_pose()],
         images=[_image(i) for key, i in source.images.items() if key not in registered],
@@ -122,17 +142,13 @@ def packed(source: Any) -> Any:
 
 def unpacked(source: Any) -> Any:
     """Return the source that :func:`packed` was given."""
-    if not isinstance(source, _Packed):
+    if not isinstance(source, Packed):
         return source
-    import tempfile
+    import pycolmap  # not at start-up: takes longer than solving a small problem
 
-    import pycolmap
-
-    with tempfile.TemporaryDirectory() as name:
-        for file, content in source.files.items():
-            (Path(name) / file).write_bytes(content)
-        reconstruction = pycolmap.Reconstruction()
-        reconstruction.read_binary(name)
+    reconstruction = pycolmap.Reconstruction()
+    with _written(source.files) as folder:
+        reconstruction.read_binary(folder)
     for camera_id in source.cameras_with_prior_focal_length:
         reconstruction.camera(camera_id).has_prior_focal_length = True
     for frame_id, rig_id, data in source.frames:
@@ -149,6 +165,80 @@ def unpacked(source: Any) -> Any:
     return reconstruction
 
 
+def source_records(source: Any) -> SourceRecords | None:
+    """Return what a source holds beside its problem; None where it is no COLMAP model.
+
+    Args:
+        source: as the problem keeps it, also a model that is not yet a reconstruction.
+
+    Raises:
+        InputError: it cannot be the source of a problem, or is a reconstruction that contradicts
+            itself.
+    """
+    if isinstance(source, DeferredSource):
+        if source.model is not None:
+            return records_of_model(source.model)
+        source = source.reconstruction()
+    if not is_source(source):
+        raise InputError(
+            "source: expected a pycolmap.Reconstruction, the source of a problem from a BAL file, "
+            f"or None, found {type(source).__name__}"
+        )
+    return _records(packed(source)) if is_reconstruction(source) else None
+
+
+def _records(source: Packed) -> SourceRecords:
+    """Return the records of a reconstruction, also of its images without a pose."""
+    try:
+        with _written(source.files) as folder:
+            model, _ = _core.read_colmap_model(folder, may_be_empty=True)
+    except InputError as error:
+        message = str(error).replace(f"{folder}/", "")
+        raise InputError(f"source: {message}") from None
+    records = records_of_model(model)
+    frames = {
+        frame_id: Frame(rig_id, None, tuple(_datum(*datum) for datum in data))
+        for frame_id, rig_id, data in source.frames
+    }
+    images = source.images
+
+    def contents() -> Contents:
+        found = records.contents()
+        keypoints = [found.keypoint_xy, *(image.keypoints for image in images)]
+        return dataclasses.replace(found, keypoint_xy=np.concatenate(keypoints))
+
+    def more(ids: NDArray[np.int64], others: list[int]) -> NDArray[np.int64]:
+        return np.append(ids, np.array(others, np.int64))
+
+    # The images stand in the order in which their frames were registered, the frames by id.
+    frame_of_image = {i: f for f, frame in records.frames.items() for i in frame.image_ids}
+    registered = dict.fromkeys(frame_of_image[i] for i in records.image_ids.tolist())
+    in_order = {frame_id: records.frames[frame_id] for frame_id in [*registered, *records.frames]}
+    return SourceRecords(
+        rigs=records.rigs,
+        frames=in_order | frames,
+        image_ids=more(records.image_ids, [image.image_id for image in images]),
+        image_camera_ids=more(records.image_camera_ids, [image.camera_id for image in images]),
+        num_keypoints=more(records.num_keypoints, [len(image.keypoints) for image in images]),
+        contents=contents,
+    )
+
+
+@contextmanager
+def _written(files: dict[str, bytes]) -> Iterator[str]:
+    """Write files into a folder for a while."""
+    import tempfile  # takes a while to import
+
+    with tempfile.TemporaryDirectory(prefix="bundle-") as folder:
+        for name, content in files.items():
+            (Path(folder) / name).write_bytes(content)
+        yield folder
+
+
+def _datum(sensor_type: str, sensor_id: int, datum_id: int) -> Datum:
+    return Datum(CAMERA if sensor_type == "CAMERA" else 1, sensor_id, datum_id)
+
+
 def _frame(frame: pycolmap.Frame) -> _Frame:
     data = [(datum.sensor_id.type.name, datum.sensor_id.id, datum.id) for datum in frame.data_ids]
     return _Frame(frame.frame_id, frame.rig_id, data)
@@ -157,3 +247,7 @@ def _frame(frame: pycolmap.Frame) -> _Frame:
 def _image(image: pycolmap.Image) -> _Image:
     keypoints = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
     return _Image(image.image_id, image.name, image.camera_id, image.frame_id, keypoints)
+
+
+_Packed = Packed
+"""The name in pickles of version 0.1."""

@@ -1,4 +1,4 @@
-"""From ``pycolmap.Reconstruction`` to :class:`bundle.Problem`; ``write_back`` goes the other way.
+"""From ``pycolmap.Reconstruction`` to the fields of a problem; ``write_back`` goes the other way.
 
 A rig of one camera has ``rig_from_world = cam_from_world``, so a pose is read from the image and
 written to its frame; for other rigs see ``bundle.model.rig_arrays``. Setting a pose, parameters or
@@ -7,11 +7,9 @@ a point in pycolmap keeps every bit; what a problem did not change comes out as 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import pycolmap
@@ -21,17 +19,15 @@ from bundle.base.arguments import check_type
 from bundle.errors import InputError
 from bundle.model import rig_arrays
 from bundle.model.cameras import camera_models
-from bundle.model.problem import Problem
 from bundle.model.pycolmap.colmap_rigs import as_row, rigs_of
-from bundle.model.pycolmap.observation_edits import Baseline
 
-__all__ = ["baseline_of", "from_pycolmap", "problem_of", "remember"]
+__all__ = ["fields_of"]
 
 MAX_POINT_ID = 2**63 - 1  # we hold them as signed numbers
 
 
-def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
-    """Take over the registered images of a reconstruction, which is copied and kept as source.
+def fields_of(reconstruction: pycolmap.Reconstruction) -> dict[str, Any]:
+    """Return the fields of the problem of a reconstruction, which is copied and kept as source.
 
     Raises:
         InputError: a frame has several images of one camera, or an image of a camera of which the
@@ -39,11 +35,7 @@ def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
             :class:`bundle.Problem` refuses.
     """
     check_type("reconstruction", reconstruction, pycolmap.Reconstruction)
-    return problem_of(pycolmap.Reconstruction(reconstruction))
-
-
-def problem_of(reconstruction: pycolmap.Reconstruction) -> Problem:
-    """As :func:`from_pycolmap`, without the copy: the caller gives the reconstruction away."""
+    reconstruction = pycolmap.Reconstruction(reconstruction)
     cameras = [camera for _, camera in sorted(reconstruction.cameras.items())]
     images = [reconstruction.image(image_id) for image_id in sorted(reconstruction.reg_image_ids())]
     points = sorted(reconstruction.points3D.items())
@@ -57,7 +49,7 @@ def problem_of(reconstruction: pycolmap.Reconstruction) -> Problem:
         np.zeros(7) if framed else _pose(image)
         for image, framed in zip(images, rigs.framed, strict=True)
     ]
-    problem = Problem(
+    return dict(
         cam_from_world=rig_arrays.placed(
             rigs.fields | {"cam_from_world": np.array(poses).reshape(-1, 7)}
         ),
@@ -78,48 +70,6 @@ def problem_of(reconstruction: pycolmap.Reconstruction) -> Problem:
         format="colmap",
         source=reconstruction,
     )
-    remember(reconstruction, vars(problem))
-    return problem
-
-
-def remember(reconstruction: pycolmap.Reconstruction, fields: Mapping[str, Any]) -> None:
-    """Keep what :func:`baseline_of` is going to be asked for: fields of the problem by name."""
-    _baselines[reconstruction] = Baseline(
-        fields["image_ids"],
-        fields["point_ids"],
-        fields["observation_image"],
-        fields["observation_point"],
-        fields["observation_keypoint"],
-        fields["observation_xy"],
-    )
-
-
-# What finding the observations again would take seconds for, while the reconstruction is in use.
-_baselines: WeakKeyDictionary[pycolmap.Reconstruction, Baseline] = WeakKeyDictionary()
-
-
-def baseline_of(reconstruction: pycolmap.Reconstruction) -> Baseline:
-    """Return what a problem made of this reconstruction has, found again only if it is not known.
-
-    Raises:
-        InputError: see :func:`from_pycolmap`.
-    """
-    known = _baselines.get(reconstruction)
-    counts = (
-        reconstruction.num_reg_images(),
-        reconstruction.num_points3D(),
-        reconstruction.compute_num_observations(),
-    )
-    # A source never changes, but users can change theirs.
-    if known and counts == (len(known.image_ids), len(known.point_ids), len(known.image)):
-        return known
-    images = [reconstruction.image(image_id) for image_id in sorted(reconstruction.reg_image_ids())]
-    points = sorted(reconstruction.points3D.items())
-    point_ids = _ids_of_points([point_id for point_id, _ in points])
-    found = _observations(images, point_ids)
-    image_ids = np.array([image.image_id for image in images], np.int64)
-    _check_tracks(reconstruction, points, image_ids, found)
-    return Baseline(image_ids, point_ids, found.image, found.point, found.keypoint, found.xy)
 
 
 def _ids_of_points(ids: list[int]) -> NDArray[np.int64]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bundle import _core
 from bundle.base.arrays import freeze
-from bundle.io.colmap import colmap_files
+from bundle.io import colmap
 from bundle.model.worst_images import sums_of_images
 from bundle.solving.prepare import STATE
 from bundle.solving.ranks.divided_solve import Job, PartOfOutput, Ranks, work_on
@@ -103,7 +103,7 @@ class Process:
         errors, behind = self._errors_now(num_threads, "auto")
         part = self._part
         return self._meeting.gather(
-            colmap_files.point_errors(errors, behind, part.observation_point, len(part.points))
+            colmap.point_errors(errors, behind, part.observation_point, len(part.points))
         )
 
     def measure(self, options: dict[str, Any]) -> tuple[Any, Any, Any, Any]:

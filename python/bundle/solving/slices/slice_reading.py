@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from bundle import _core
 from bundle.errors import InputError, shown
-from bundle.io import bal
-from bundle.io.colmap import colmap_files
+from bundle.io import bal, colmap
 from bundle.model.problem import Problem
 from bundle.solving.ranks.divided_solve import Ranks
 from bundle.solving.ranks.partition import ProblemPart, divide_tracks, shared_of
@@ -158,7 +157,7 @@ def _colmap_slice(
     names = ("observation_image", "observation_point", "observation_xy", "observation_keypoint")
     points, *observations = (fields[name] for name in ("points", *names))
     nothing = {name: fields[name][:0] for name in ("points", *names)}
-    cameras = colmap_files.problem_of(path, model, fields | nothing | {"point_ids": ids[:0]})
+    cameras = colmap.problem_of(path, model, fields | nothing | {"point_ids": ids[:0]})
     return cameras, _part(cameras, points, ids[mine], section[mine], *observations), failure
 
 

@@ -18,9 +18,8 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.process_record import ProcessRecord, Traffic
 from bundle.interface.round_options import CHECKPOINT_INTERVAL
 from bundle.interface.solve_record import Progress
-from bundle.io import bal
+from bundle.io import bal, colmap
 from bundle.io.atomic import atomic_write as atomic
-from bundle.io.colmap import colmap_files
 from bundle.io.georeference_file import remove_georeference
 from bundle.io.open import save_model
 from bundle.model.problem import Problem
@@ -175,7 +174,7 @@ class SlicedRefinement:
             errors[found.owner == rank] = given
 
         def write(folder: Path) -> tuple[str, ...]:
-            colmap_files.rewrite_like(self._now, ids, self._points, errors, folder)
+            colmap.rewrite_like(self._now, ids, self._points, errors, folder)
             return ()
 
         return save_model(path, "colmap", write)

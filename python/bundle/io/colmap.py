@@ -1,9 +1,14 @@
-"""COLMAP models on disk without pycolmap: reading, and writing what differs in numbers alone.
+"""COLMAP models on disk: text or binary, with rigs and frames or from before there were any.
+
+Reader and writer are our own. COLMAP's reader accepts some broken files silently, allocates what a
+corrupt count says and names no place of an error; its writer does not check that the disk took the
+data.
 
 A solve changes poses, camera parameters and points. Such a problem is written in the format of its
 source by replacing these numbers in the source's files, which
-``bundle.model.pycolmap.deferred_source`` keeps; all other edits go through pycolmap
-(``bundle.model.pycolmap.write_back``).
+``bundle.model.pycolmap.deferred_source`` keeps: comments, digits and the order of records stay. All
+other models are written record by record (``bundle.model.colmap.model_records``), byte for byte as
+COLMAP writes them.
 """
 
 from __future__ import annotations
@@ -11,28 +16,31 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
-from bundle.base import address_space
-from bundle.errors import InputError, first_line
-from bundle.io.atomic.interrupts import interrupts_deferred
+from bundle.errors import InputError
 from bundle.io.model_notes import check_rig_files, lacks_keypoint_lines, note_contradiction
 from bundle.model import rig_arrays
+from bundle.model.colmap.model_records import check, model_records
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.deferred_source import DeferredSource
-from bundle.model.pycolmap.problem_source import LOST_SIGMAS
+from bundle.model.pycolmap.problem_source import LOST_SIGMAS, is_colmap
 
-if TYPE_CHECKING:
-    import pycolmap
-
-__all__ = ["can_rewrite", "load", "lost", "point_errors", "problem_of", "rewrite", "rewrite_like"]
+__all__ = [
+    "can_rewrite",
+    "check_save",
+    "load",
+    "point_errors",
+    "problem_of",
+    "rewrite_like",
+    "save",
+    "write",
+]
 
 # What a problem shares with its source where only numbers that a solve changes are other ones.
 _SHARED_ARRAYS = (
@@ -93,47 +101,11 @@ def problem_of(folder: Path, model: _core.ColmapModel, fields: dict[str, Any]) -
         InputError: there is something wrong with it.
     """
     fields["cam_from_world"] = rig_arrays.placed(fields)
-    source = DeferredSource(model, fields, partial(_reconstruction, folder, fields))
+    source = DeferredSource(model, fields, folder)
     try:
         return Problem(**fields, format="colmap", source=source)
     except InputError as error:
         raise InputError(f"{folder}: {error}") from None
-
-
-def _reconstruction(
-    folder: Path, fields: Mapping[str, Any], model: _core.ColmapModel
-) -> pycolmap.Reconstruction:
-    """Read a model by pycolmap, from its files as they were read.
-
-    Raises: see :meth:`bundle.model.pycolmap.deferred_source.DeferredSource.reconstruction`.
-    """
-    address_space.require("pycolmap", address_space.PYCOLMAP)
-    import tempfile  # takes a while to import
-
-    with interrupts_deferred():  # pycolmap takes a while to import and cannot be interrupted
-        import pycolmap
-
-        from bundle.model.pycolmap.reconstruction import remember
-    reconstruction = pycolmap.Reconstruction()
-    # The files as they were read: those on the disk may have changed.
-    with tempfile.TemporaryDirectory(prefix="bundle-") as temporary:
-        for name, content in model.files().items():
-            (Path(temporary) / name).write_bytes(content)
-        try:
-            if model.is_binary:
-                reconstruction.read_binary(temporary)
-            else:
-                reconstruction.read_text(temporary)
-        except (ValueError, LookupError, RuntimeError, MemoryError) as error:
-            # Nothing known comes here, but older versions lack the newest camera models.
-            raise InputError(
-                f"{folder}: expected a model that pycolmap {pycolmap.__version__} reads, "
-                f"found: {first_line(error)}"
-            ) from None
-    for image_id, name in model.names_with_spaces.items():
-        reconstruction.image(image_id).name = name
-    remember(reconstruction, fields)
-    return reconstruction
 
 
 def can_rewrite(problem: Problem, *, binary: bool) -> bool:
@@ -141,28 +113,38 @@ def can_rewrite(problem: Problem, *, binary: bool) -> bool:
     return _model(problem, binary=binary) is not None
 
 
-def rewrite(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
+def check_save(problem: Problem, *, binary: bool) -> None:
+    """Raise now the InputError that :func:`save` would raise."""
+    if _model(problem, binary=binary) is not None:
+        problem.check_padding()
+        return
+    source = vars(problem)["source"]
+    check(problem, source)
+    if not binary and is_colmap(source):  # images of other problems get names
+        _check_names(problem.image_ids, problem.image_names)
+
+
+def save(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
     """Write the files of a model into an existing folder; return what they do not hold.
 
-    Only for a problem of which :func:`can_rewrite` is true.
+    Text has enough digits for every number to be read back as it was.
+
+    Args:
+        problem: what to write.
+        folder: an existing folder, best a fresh one: files of the other format stay in it.
+        binary: the format.
+
+    Returns:
+        What the files do not hold of the problem and its source, one sentence each.
 
     Raises:
         OSError: the files could not be written, or not whole.
-        InputError: there are numbers beyond the parameters of a camera.
+        InputError: COLMAP cannot represent the problem.
     """
-    problem.check_padding()
     model = _model(problem, binary=binary)
-    assert model is not None
-    model.write(
-        folder,
-        problem.cam_from_world,
-        problem.camera_params,
-        problem.points,
-        _point_errors(problem)[:, None],
-        problem.rig_from_world,
-        problem.sensor_from_rig,
+    return (
+        write(problem, folder, binary=binary) if model is None else _rewrite(problem, folder, model)
     )
-    return lost(problem, binary=binary)
 
 
 def rewrite_like(
@@ -201,13 +183,60 @@ def rewrite_like(
     )
 
 
-def lost(problem: Problem, *, binary: bool) -> tuple[str, ...]:
+def _rewrite(problem: Problem, folder: Path, model: _core.ColmapModel) -> tuple[str, ...]:
+    """Write the files of the source with the numbers of a problem."""
+    problem.check_padding()
+    model.write(
+        folder,
+        problem.cam_from_world,
+        problem.camera_params,
+        problem.points,
+        _point_errors(problem)[:, None],
+        problem.rig_from_world,
+        problem.sensor_from_rig,
+    )
+    return _lost(problem, binary=model.is_binary)
+
+
+def write(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
+    """As :func:`save`, record by record also where numbers of the source could be replaced."""
+    source = vars(problem)["source"]
+    records = model_records(problem, source)
+    if not binary:
+        _check_names(records.image_ids, records.image_names)
+    _core.write_colmap_records(folder, binary, records)
+    losses = []
+    if records.num_without_pose:
+        losses.append(
+            f"Images without a pose are not written ({records.num_without_pose} of "
+            f"{problem.num_images + records.num_without_pose}): COLMAP's files hold registered "
+            "images only."
+        )
+    if records.num_new_points:
+        losses.append(f"{records.num_new_points} points are not in the source and get no colour.")
+    if records.num_renumbered:
+        losses.append(
+            f"{records.num_renumbered} keypoints get another index: of images that are not in a "
+            "source, only the observed keypoints are known."
+        )
+    return (*losses, *_lost(problem, binary=binary))
+
+
+def _check_names(image_ids: NDArray[np.int64], names: tuple[str, ...]) -> None:
+    if not all(names):
+        raise InputError(
+            f"image {image_ids[names.index('')]}: expected a name, which COLMAP's text format "
+            "needs, found none"
+        )
+
+
+def _lost(problem: Problem, *, binary: bool) -> tuple[str, ...]:
     """Return what no COLMAP model of this format keeps of a problem, one sentence each."""
     sigmas = () if problem.observation_sigma is None else (LOST_SIGMAS,)
-    return (*sigmas, *(() if binary else lost_in_text(problem)))
+    return (*sigmas, *(() if binary else _lost_in_text(problem)))
 
 
-def lost_in_text(problem: Problem) -> tuple[str, ...]:
+def _lost_in_text(problem: Problem) -> tuple[str, ...]:
     """Return what COLMAP does not read back from text files that hold everything."""
     spaces = sum(" " in name for name in problem.image_names)
     if not spaces:

@@ -1,0 +1,67 @@
+#pragma once
+
+/// COLMAP models written whole, and what a model that was read holds beside a problem.
+
+#include <cstddef>
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <vector>
+
+#include "core/io/colmap_index.h"
+#include "core/io/colmap_model.h"
+
+namespace bundle {
+
+/// A COLMAP model to be written, in the order of COLMAP's files: records by id, but images frame by
+/// frame; the reference sensor of a rig first, then its sensors and the data of a frame by type and
+/// id. Arrays belong to the caller.
+struct ColmapRecords {
+  std::vector<ColmapIndex::Camera> cameras;
+  std::vector<ColmapIndex::Rig> rigs;
+  std::vector<ColmapIndex::Frame> frames;
+  std::vector<ColmapIndex::Image> images;     ///< `first_keypoint` counts rows of the two arrays
+  const double* keypoint_xy = nullptr;        ///< (num_keypoints, 2), image by image
+  const uint64_t* keypoint_points = nullptr;  ///< ids; kInvalidPoint3DId for none
+  size_t num_points = 0;
+  const int64_t* point_ids = nullptr;
+  const double* points = nullptr;         ///< (num_points, 3)
+  const uint8_t* point_colors = nullptr;  ///< (num_points, 3)
+  const int64_t* track_lengths = nullptr;
+  const int32_t* track_images = nullptr;     ///< positions in `images`, point by point
+  const int32_t* track_keypoints = nullptr;  ///< index among the keypoints of the image
+};
+
+/// Writes the files of a model into an existing folder, byte for byte as COLMAP 4.2 does: text has
+/// 17 digits.
+///
+/// The error of a point is computed here, as COLMAP defines it: the mean of ||r|| in pixels along
+/// its track, with rotations by the quaternions as they are; sqrt(DBL_MAX) for an observation
+/// without a projection and beyond 90 degrees from the optical axis; -1, "not known", without
+/// observations. COLMAP's text reader takes no other error than a finite one: in text, -1 stands
+/// for those as well. Projections are ours: the last digits of an error are not COLMAP's.
+///
+/// `on_block` is called now and then and may throw. Throws std::system_error when the system
+/// refuses.
+void WriteColmapRecords(const ColmapRecords& records, bool is_binary,
+                        const std::filesystem::path& folder, const std::function<void()>& on_block);
+
+/// The keypoints of a model that was read, in the order of its files.
+std::vector<double> ReadKeypoints(const ColmapModel& model);
+
+/// Colours and tracks of a model that was read, in the order of its files.
+struct ColmapTracks {
+  std::vector<uint8_t> colors;  ///< three a point
+  std::vector<int64_t> lengths;
+  std::vector<ColmapIndex::TrackElement> elements;
+};
+ColmapTracks ReadTracks(const ColmapModel& model);
+
+/// Parts of the writer, for rigs and frames of a model that has none. `digits`: of text, 0 for the
+/// shortest number that reads back as the same.
+void WriteColmapRigs(const std::vector<ColmapIndex::Rig>& rigs, bool is_binary, int digits,
+                     const std::filesystem::path& folder);
+void WriteColmapFrames(const std::vector<ColmapIndex::Frame>& frames, bool is_binary, int digits,
+                       const std::filesystem::path& folder);
+
+}  // namespace bundle

@@ -1,1 +1,0 @@
-"""COLMAP models, binary and text."""

@@ -1,0 +1,276 @@
+"""A problem as the COLMAP model that is written of it: its source with every edit in it.
+
+The problem decides about all that it has: cameras, registered images, points and observations are
+its own in the model, no more and no fewer. The source adds what a problem does not have: colours,
+rigs, ids of frames, keypoints without a point. A problem without a source is an edit of the empty
+model; its points stay black, COLMAP's "no colour".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError
+from bundle.model.colmap.keypoint_numbers import KeypointNumbers, number_keypoints
+from bundle.model.colmap.rig_records import MAX_ID, check_rigs, edited_rigs
+from bundle.model.colmap.source_records import Contents, Frame, Sensor, SourceRecords
+from bundle.model.problem_arrays import ProblemArrays
+from bundle.model.pycolmap.problem_source import source_records
+from bundle.model.rigid_motions import multiply_as_colmap
+
+__all__ = ["ModelRecords", "check", "model_records"]
+
+MAX_POINT_ID = 2**63 - 1
+"""The largest point id: we hold them as signed numbers."""
+
+_NO_POINT = np.uint64(2**64 - 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelRecords:
+    """A COLMAP model to be written, in the order of COLMAP's files: by id, but images by frame.
+
+    Attributes:
+        camera_ids: (num_cameras,); models, sizes and parameters as in a problem.
+        rigs: id and sensors of each rig.
+        frames: id, rig, rig_from_world and data of each frame.
+        image_ids: (num_images,).
+        image_camera_ids: (num_images,) camera of each image.
+        cam_from_world: (num_images, 7) as COLMAP computes it of frames and rigs.
+        num_keypoints: (num_images,) of each image.
+        keypoint_xy: (num_keypoints, 2) image by image.
+        keypoint_points: (num_keypoints,) id of the point of each; 2^64-1 for none.
+        point_ids: (num_points,).
+        points: (num_points, 3).
+        point_colors: (num_points, 3) red, green, blue.
+        track_lengths: (num_points,) observations of each point.
+        track_images: (num_observations,) position in ``image_ids``, point by point.
+        track_keypoints: (num_observations,) index among the keypoints of the image.
+        num_renumbered: observations with another keypoint index than in the problem.
+        num_new_points: points that the source does not have; 0 where there is no source.
+        num_without_pose: images of the source without a pose, which no file holds.
+        frames_without_pose: by id; no file holds them.
+    """
+
+    camera_ids: NDArray[np.int64]
+    camera_models: tuple[str, ...]
+    camera_sizes: NDArray[np.int64]
+    camera_params: NDArray[np.float64]
+    rigs: list[tuple[int, list[Sensor]]]
+    frames: list[tuple[int, *tuple[object, ...]]]
+    image_ids: NDArray[np.int64]
+    image_names: tuple[str, ...]
+    image_camera_ids: NDArray[np.int64]
+    cam_from_world: NDArray[np.float64]
+    num_keypoints: NDArray[np.int64]
+    keypoint_xy: NDArray[np.float64]
+    keypoint_points: NDArray[np.uint64]
+    point_ids: NDArray[np.int64]
+    points: NDArray[np.float64]
+    point_colors: NDArray[np.uint8]
+    track_lengths: NDArray[np.int64]
+    track_images: NDArray[np.int64]
+    track_keypoints: NDArray[np.int64]
+    num_renumbered: int
+    num_new_points: int
+    num_without_pose: int
+    frames_without_pose: dict[int, Frame]
+
+
+def check(problem: ProblemArrays, source: Any) -> None:
+    """Raise now what :func:`model_records` would raise."""
+    _checked(problem, source)
+
+
+def _checked(problem: ProblemArrays, source: Any) -> tuple[SourceRecords | None, KeypointNumbers]:
+    """Check that COLMAP can hold a problem; return its source and where its observations go."""
+    for kind, ids, largest in (
+        ("camera", problem.camera_ids, MAX_ID),
+        ("image", problem.image_ids, MAX_ID),
+        ("point", problem.point_ids, MAX_POINT_ID),
+    ):
+        outside = (ids < 0) | (ids > largest)
+        if outside.any():
+            raise InputError(
+                f"{kind}_ids: expected {kind} ids from 0 to {largest}, found {ids[outside][0]}"
+            )
+    problem.check_padding()
+    records = source_records(source)
+    known = records or SourceRecords()
+    check_rigs(problem, known)
+    rows = _rows_of(problem.image_ids, known.image_ids)
+    num_keypoints = np.where(rows >= 0, np.append(known.num_keypoints, 0)[rows], -1)
+    return records, number_keypoints(problem, num_keypoints)
+
+
+def model_records(problem: ProblemArrays, source: Any) -> ModelRecords:
+    """Return the model that is written of a problem.
+
+    Args:
+        problem: the problem.
+        source: of the problem, as it keeps it. Without one from COLMAP, images get names such as
+            image_000007 where they have none.
+
+    Raises:
+        InputError: an id that COLMAP cannot hold, numbers beyond the parameters of a camera, rigs
+            without a reference sensor, or a keypoint index that does not exist or is there twice;
+            the message names the field.
+    """
+    records, numbers = _checked(problem, source)
+    known = records or SourceRecords()
+    contents = known.contents()
+    rigs, frames = edited_rigs(problem, known)
+    by_camera, by_point = (np.argsort(ids) for ids in (problem.camera_ids, problem.point_ids))
+    posed = {frame_id: frame for frame_id, frame in frames.items() if frame.pose is not None}
+    ids = [image_id for frame in posed.values() for image_id in frame.image_ids]
+    by_image = _rows_of(np.array(ids, np.int64), problem.image_ids)
+    rank = np.empty_like(by_image)
+    rank[by_image] = np.arange(problem.num_images)
+    num_keypoints = numbers.num_keypoints[by_image]
+    first = np.cumsum(num_keypoints) - num_keypoints
+    image = rank[problem.observation_image]
+    place = first[image] + numbers.keypoint
+    image_ids = problem.image_ids[by_image]
+    xy = _keypoints(known, contents, image_ids, first, int(num_keypoints.sum()))
+    xy[place] = problem.observation_xy
+    keypoint_points = np.full(len(xy), _NO_POINT)
+    keypoint_points[place] = problem.point_ids[problem.observation_point]
+    tracks = _tracks(problem, known, contents, numbers.keypoint, by_point)
+    point_ids = problem.point_ids[by_point]
+    rows = _rows_of(point_ids, contents.point_ids)
+    colors = np.vstack([contents.point_colors, np.zeros((1, 3), np.uint8)])[rows]
+    names = _names(problem, is_named=records is not None)
+    return ModelRecords(
+        camera_ids=problem.camera_ids[by_camera],
+        camera_models=tuple(problem.camera_models[camera] for camera in by_camera),
+        camera_sizes=problem.camera_sizes[by_camera],
+        camera_params=problem.camera_params[by_camera],
+        rigs=list(rigs.items()),
+        frames=[
+            (frame_id, frame.rig_id, frame.pose, frame.data)
+            for frame_id, frame in sorted(posed.items())
+        ],
+        image_ids=image_ids,
+        image_names=tuple(names[image] for image in by_image),
+        image_camera_ids=problem.camera_ids[problem.image_camera[by_image]],
+        cam_from_world=_poses(problem)[by_image],
+        num_keypoints=num_keypoints,
+        keypoint_xy=xy,
+        keypoint_points=keypoint_points,
+        point_ids=point_ids,
+        points=problem.points[by_point],
+        point_colors=colors,
+        track_lengths=np.bincount(problem.observation_point, minlength=problem.num_points)[
+            by_point
+        ],
+        track_images=image[tracks],
+        track_keypoints=numbers.keypoint[tracks],
+        num_renumbered=numbers.num_renumbered,
+        num_new_points=0 if records is None else int((rows < 0).sum()),
+        num_without_pose=_num_without_pose(problem, known),
+        frames_without_pose={f: frame for f, frame in frames.items() if f not in posed},
+    )
+
+
+def _rows_of(ids: NDArray[np.int64], among: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the position of each id among others, -1 where it is not there."""
+    order = np.argsort(among, kind="stable")
+    found = np.searchsorted(among, ids, sorter=order)
+    rows = np.append(order, 0)[found]
+    known = (found < len(among)) & (np.append(among, 0)[rows] == ids)
+    return np.where(known, rows, -1)
+
+
+def _num_without_pose(problem: ProblemArrays, source: SourceRecords) -> int:
+    """Count the images of the source that have no pose, neither there nor in the problem."""
+    ids = [i for frame in source.frames.values() if frame.pose is None for i in frame.image_ids]
+    return len(set(ids) - set(problem.image_ids.tolist())) if ids else 0
+
+
+def _poses(problem: ProblemArrays) -> NDArray[np.float64]:
+    """Return (num_images, 7) cam_from_world; of images with a frame as COLMAP computes it."""
+    if not problem.num_frames:
+        return problem.cam_from_world
+    poses = problem.cam_from_world.copy()
+    images = np.flatnonzero(problem.image_frame >= 0)
+    poses[images] = problem.rig_from_world[problem.image_frame[images]]
+    on_arm = images[problem.image_sensor[images] >= 0]
+    arms = problem.sensor_from_rig[problem.image_sensor[on_arm]]
+    poses[on_arm] = multiply_as_colmap(arms, poses[on_arm])
+    return poses
+
+
+def _keypoints(
+    source: SourceRecords,
+    contents: Contents,
+    image_ids: NDArray[np.int64],
+    first: NDArray[np.int64],
+    total: int,
+) -> NDArray[np.float64]:
+    """Return (total, 2) keypoints, those of the source in their places, the others zero.
+
+    Args:
+        source: records of the source.
+        contents: of the source.
+        image_ids: (num_images,) of the model.
+        first: (num_images,) row of the first keypoint of each.
+        total: how many keypoints the model has.
+    """
+    rows = _rows_of(source.image_ids, image_ids)
+    kept = np.repeat(rows >= 0, source.num_keypoints)
+    begins = np.cumsum(source.num_keypoints) - source.num_keypoints
+    shift = np.repeat(np.append(first, 0)[rows] - begins, source.num_keypoints)
+    xy = np.zeros((total, 2))
+    xy[(np.arange(len(shift)) + shift)[kept]] = contents.keypoint_xy[kept]
+    return xy
+
+
+def _tracks(
+    problem: ProblemArrays,
+    source: SourceRecords,
+    contents: Contents,
+    keypoint: NDArray[np.int64],
+    by_point: NDArray[np.int64],
+) -> NDArray[np.int64]:
+    """Return the observations by point, and of each point in the order of its track.
+
+    A track keeps the order of the source; what is new comes after, in the order of the problem.
+    """
+    num_elements = len(contents.track_keypoints)
+    # The number of each element of a track by its keypoint, all images one after the other.
+    begins = np.cumsum(source.num_keypoints) - source.num_keypoints
+    element = np.full(len(contents.keypoint_xy) + 1, -1)
+    image_rows = _rows_of(contents.track_image_ids, source.image_ids)
+    element[begins[image_rows] + contents.track_keypoints] = np.arange(num_elements)
+    point_of_element = np.append(np.repeat(contents.point_ids, contents.track_lengths), -1)
+
+    rows = _rows_of(problem.image_ids, source.image_ids)[problem.observation_image]
+    inside = (rows >= 0) & (keypoint < np.append(source.num_keypoints, 0)[rows])
+    place = np.where(inside, np.append(begins, 0)[rows] + keypoint, -1)
+    found = element[place]
+    stays = (found >= 0) & (point_of_element[found] == problem.point_ids[problem.observation_point])
+    place_in_track = np.where(stays, found, num_elements + np.arange(problem.num_observations))
+    point_rank = np.empty_like(by_point)
+    point_rank[by_point] = np.arange(problem.num_points)
+    return np.lexsort((place_in_track, point_rank[problem.observation_point]))
+
+
+def _names(problem: ProblemArrays, *, is_named: bool) -> list[str]:
+    """Return the names of the images; of a model that is not from COLMAP none is empty."""
+    names = list(problem.image_names)
+    if is_named:
+        return names
+    taken = set(names)
+    for index, image_id in enumerate(problem.image_ids.tolist()):
+        if names[index]:
+            continue
+        name = f"image_{image_id:06d}"
+        while name in taken:
+            name += "_"
+        taken.add(name)
+        names[index] = name
+    return names

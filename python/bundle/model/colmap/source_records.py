@@ -1,0 +1,165 @@
+"""What the source of a problem holds beside it: rigs, frames, keypoints, colours, tracks.
+
+COLMAP puts every image into a frame of a rig. The sensors of a rig are cameras and IMUs, the first
+of them its reference sensor; the data of a frame name the images (of cameras) that it took.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+
+__all__ = [
+    "CAMERA",
+    "Contents",
+    "Datum",
+    "Frame",
+    "Pose",
+    "Sensor",
+    "SourceRecords",
+    "frame_of_image",
+    "is_trivial",
+    "records_of_model",
+]
+
+CAMERA = 0
+"""The type of a sensor that is a camera; 1 is an IMU."""
+
+Pose = tuple[float, ...]
+"""qx qy qz qw tx ty tz."""
+
+
+_ORIGIN = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+class Sensor(NamedTuple):
+    """A sensor of a rig.
+
+    Attributes:
+        type: CAMERA or 1 for an IMU.
+        id: of the camera, or of the IMU.
+        pose: sensor_from_rig; None where it is not known, and for the reference sensor.
+    """
+
+    type: int
+    id: int
+    pose: Pose | None = None
+
+
+class Datum(NamedTuple):
+    """Something that a sensor took: an image id where it is a camera."""
+
+    type: int
+    sensor_id: int
+    id: int
+
+
+class Frame(NamedTuple):
+    """A rig at one time; ``pose`` is rig_from_world, None where it is not known."""
+
+    rig_id: int
+    pose: Pose | None
+    data: tuple[Datum, ...]
+
+    @property
+    def image_ids(self) -> list[int]:
+        """Ids of the images that the frame took."""
+        return [datum.id for datum in self.data if datum.type == CAMERA]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contents:
+    """Keypoints, colours and tracks.
+
+    Attributes:
+        keypoint_xy: (num_keypoints, 2) of all images, in the order of ``SourceRecords.image_ids``.
+        point_ids: (num_points,) in any order.
+        point_colors: (num_points, 3) red, green, blue.
+        track_lengths: (num_points,) elements of each track.
+        track_image_ids: (num_elements,) image of each element, track by track.
+        track_keypoints: (num_elements,) index among the keypoints of the image.
+    """
+
+    keypoint_xy: NDArray[np.float64]
+    point_ids: NDArray[np.int64]
+    point_colors: NDArray[np.uint8]
+    track_lengths: NDArray[np.int64]
+    track_image_ids: NDArray[np.int64]
+    track_keypoints: NDArray[np.int64]
+
+
+def _no_contents() -> Contents:
+    none = np.empty(0, np.int64)
+    return Contents(
+        keypoint_xy=np.empty((0, 2)),
+        point_ids=none,
+        point_colors=np.empty((0, 3), np.uint8),
+        track_lengths=none,
+        track_image_ids=none,
+        track_keypoints=none,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceRecords:
+    """A COLMAP model; empty for the source of a problem from memory or from a BAL file.
+
+    Attributes:
+        rigs: sensors by rig id.
+        frames: by id, in the order in which they were registered: the order of images in files.
+        image_ids: (num_images,) in any order.
+        image_camera_ids: (num_images,) camera of each image.
+        num_keypoints: (num_images,) of each image.
+        contents: reads the rest, which takes a while for large models.
+    """
+
+    rigs: dict[int, list[Sensor]] = field(default_factory=dict)
+    frames: dict[int, Frame] = field(default_factory=dict)
+    image_ids: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    image_camera_ids: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    num_keypoints: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    contents: Callable[[], Contents] = _no_contents
+
+
+def records_of_model(model: _core.ColmapModel) -> SourceRecords:
+    """Return the records of a model that was read.
+
+    A model from before there were rigs and frames gets those that COLMAP makes of it: a rig a
+    camera and a frame an image, of the same ids.
+    """
+    views: dict[str, Any] = _core.colmap_views(model)
+    rigs = {rig_id: [Sensor(*sensor) for sensor in sensors] for rig_id, sensors in views["rigs"]}
+    frames = {
+        frame_id: Frame(rig_id, tuple(pose), tuple(Datum(*datum) for datum in data))
+        for frame_id, rig_id, pose, data in views["frames"]
+    }
+    if not rigs and not frames:
+        rigs = {camera_id: [Sensor(CAMERA, camera_id)] for camera_id in views["camera_ids"]}
+        for image_id, camera_id in zip(
+            views["image_ids"].tolist(), views["image_camera_ids"].tolist(), strict=True
+        ):
+            frames[image_id] = frame_of_image(camera_id, image_id, camera_id, _ORIGIN)
+    return SourceRecords(
+        rigs=rigs,
+        frames=frames,
+        image_ids=views["image_ids"],
+        image_camera_ids=views["image_camera_ids"],
+        num_keypoints=views["num_keypoints"],
+        contents=lambda: Contents(**_core.colmap_contents(model)),
+    )
+
+
+def frame_of_image(rig_id: int, image_id: int, camera_id: int, pose: Pose) -> Frame:
+    """Return a frame with one image."""
+    return Frame(rig_id, pose, (Datum(CAMERA, camera_id, image_id),))
+
+
+def is_trivial(sensors: list[Sensor]) -> bool:
+    """Tell whether the only camera of a rig is its reference sensor."""
+    return all(sensor.type != CAMERA for sensor in sensors[1:])
