@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import re
 import subprocess
 import sys
@@ -158,3 +159,19 @@ def test_modules_have_names_of_their_own() -> None:
     pair = ["cli", "reports/terminal"]
     assert {name for name, found in twins.items() if sorted(found) == pair} <= set(COMMANDS)
     assert {name: found for name, found in twins.items() if sorted(found) != pair} == {}
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    """Count imports in functions and those for types, too."""
+    package = ROOT / "python" / "bundle"
+    files = {
+        ".".join(path.relative_to(package.parent).with_suffix("").parts): path
+        for path in package.rglob("*.py")
+        if path.name != "__init__.py"
+    }
+    graph: dict[str, set[str]] = {}
+    for name, path in files.items():
+        nodes = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.ImportFrom)]
+        names = {f"{node.module}.{alias.name}" for node in nodes for alias in node.names}
+        graph[name] = (names | {str(node.module) for node in nodes}) & set(files)
+    graphlib.TopologicalSorter(graph).prepare()  # CycleError names the files

@@ -17,6 +17,7 @@
 #include "bindings/immutable_array.h"
 #include "core/cameras/registry.h"
 #include "core/error.h"
+#include "core/io/colmap_contents.h"
 #include "core/io/colmap_records.h"
 
 namespace py = pybind11;

@@ -2,162 +2,17 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <cmath>
 #include <limits>
 #include <string>
 #include <string_view>
-#include <utility>
 
 #include "core/cameras/camera_model.h"
 #include "core/cameras/registry.h"
-#include "core/io/colmap_binary_records.h"
-#include "core/io/files.h"
-#include "core/io/text_cursor.h"
+#include "core/io/colmap_record_file.h"
 
 namespace bundle {
 namespace {
-
-/// One file of a model: values one after the other, in either format. Text separates them by
-/// blanks and has no counts but in its comments.
-class RecordFile {
- public:
-  /// `comments`: the lines at the head of text; without "#" and the line end of the last.
-  RecordFile(const std::filesystem::path& folder, const char* stem, bool is_binary, int digits,
-             std::string_view comments, size_t count, std::function<void()> on_block = {})
-      : file_(folder / (std::string(stem) + (is_binary ? ".bin" : ".txt")), Compression::kNone),
-        is_binary_(is_binary),
-        digits_(digits),
-        on_block_(std::move(on_block)) {
-    if (is_binary) {
-      Raw(static_cast<uint64_t>(count));
-    } else {
-      buffer_.append(comments).append(std::to_string(count));
-    }
-  }
-
-  /// ", WORDS: MEAN" behind the count of text.
-  void Mean(const char* words, size_t sum, size_t count) {
-    if (is_binary_) return;
-    buffer_.append(words);
-    AppendNumber(count == 0 ? 0.0 : static_cast<double>(sum) / static_cast<double>(count));
-  }
-
-  void BeginRecord() {
-    if (buffer_.size() >= OutputFile::kBlockSize) Flush();
-    EndLine();
-  }
-
-  /// In text, the next values stand in a line of their own.
-  void EndLine() {
-    if (!is_binary_) buffer_ += '\n';
-    at_begin_of_line_ = true;
-  }
-
-  template <typename T>
-  void Integer(T value) {
-    if (is_binary_) {
-      Raw(value);
-    } else {
-      Separate();
-      char text[24];
-      buffer_.append(text, std::to_chars(text, text + sizeof(text), +value).ptr);
-    }
-  }
-
-  void Number(double value) {
-    if (is_binary_) {
-      Raw(value);
-    } else {
-      Separate();
-      AppendNumber(value);
-    }
-  }
-
-  /// qw qx qy qz tx ty tz.
-  void Pose(const std::array<double, 7>& pose) {
-    for (const double value : pose) Number(value);
-  }
-
-  /// A number in binary, a word in text.
-  template <typename T>
-  void Named(T value, std::string_view name) {
-    if (is_binary_) {
-      Raw(value);
-    } else {
-      Separate();
-      buffer_.append(name);
-    }
-  }
-
-  void Sensor(const ColmapIndex::Sensor& sensor) {
-    Named(static_cast<int32_t>(sensor.type), sensor.type == SensorType::kCamera ? "CAMERA" : "IMU");
-    Integer(sensor.id);
-  }
-
-  void Name(const std::string& name) {
-    if (!is_binary_) Separate();
-    buffer_.append(name);
-    if (is_binary_) buffer_ += '\0';
-  }
-
-  /// What text does not count.
-  template <typename T>
-  void BinaryCount(T count) {
-    if (is_binary_) Raw(count);
-  }
-
-  /// COLMAP's text has a blank here, whether anything follows or not.
-  void Blank() {
-    if (is_binary_) return;
-    buffer_ += ' ';
-    at_begin_of_line_ = true;
-  }
-
-  /// Between blocks, once there is one.
-  void MayFlush() {
-    if (buffer_.size() >= OutputFile::kBlockSize) Flush();
-  }
-
-  void Close() {
-    if (!is_binary_) buffer_ += '\n';
-    Flush();
-    file_.Close();
-  }
-
- private:
-  template <typename T>
-  void Raw(T value) {
-    buffer_.append(reinterpret_cast<const char*>(&value), sizeof(T));
-  }
-
-  void Separate() {
-    if (!at_begin_of_line_) buffer_ += ' ';
-    at_begin_of_line_ = false;
-  }
-
-  void AppendNumber(double value) {
-    char text[40];
-    char* const end = text + sizeof(text);
-    const auto result = digits_ == 0
-                            ? std::to_chars(text, end, value)
-                            : std::to_chars(text, end, value, std::chars_format::general, digits_);
-    buffer_.append(text, result.ptr);
-  }
-
-  void Flush() {
-    if (on_block_) on_block_();
-    file_.Write(buffer_);
-    buffer_.clear();
-  }
-
-  OutputFile file_;
-  bool is_binary_;
-  int digits_;
-  std::function<void()> on_block_;
-  std::string buffer_;
-  bool at_begin_of_line_ = true;
-};
 
 /// COLMAP writes so many digits.
 constexpr int kDigits = 17;
@@ -238,6 +93,19 @@ std::vector<const ColmapIndex::Camera*> CamerasOfImages(const ColmapRecords& rec
   return cameras;
 }
 
+/// The angle between the rays of a point and of a pixel of a panorama, in pixels of the equator.
+double ErrorOnSphere(const double* params, const std::array<double, 3>& p, const double* xy) {
+  constexpr double kPi = 3.14159265358979323846;
+  const double azimuth = 2 * kPi * (xy[0] / params[0] - 0.5);
+  const double elevation = kPi * (xy[1] / params[1] - 0.5);
+  const double ray[3] = {std::cos(elevation) * std::sin(azimuth), std::sin(elevation),
+                         std::cos(elevation) * std::cos(azimuth)};
+  const double across = std::hypot(ray[1] * p[2] - ray[2] * p[1], ray[2] * p[0] - ray[0] * p[2],
+                                   ray[0] * p[1] - ray[1] * p[0]);
+  const double along = ray[0] * p[0] + ray[1] * p[1] + ray[2] * p[2];
+  return std::atan2(across, along) * params[0] / (2 * kPi);
+}
+
 double ErrorOf(const ColmapIndex::Image& image, const ColmapIndex::Camera& camera,
                const double* point, const double* measurement) {
   const std::array<double, 3> in_camera = ToCamera(image.pose, point);
@@ -245,6 +113,9 @@ double ErrorOf(const ColmapIndex::Image& image, const ColmapIndex::Camera& camer
   const Projection projection =
       camera.model->project(camera.params.data(), in_camera.data(), xy, nullptr, nullptr);
   if (projection != Projection::kValid) return std::sqrt(std::numeric_limits<double>::max());
+  if (camera.model->name == std::string_view(Equirectangular::kName)) {
+    return ErrorOnSphere(camera.params.data(), in_camera, measurement);
+  }
   const double dx = xy[0] - measurement[0], dy = xy[1] - measurement[1];
   return std::sqrt(dx * dx + dy * dy);
 }
@@ -286,35 +157,6 @@ void WritePoints(const ColmapRecords& records, bool is_binary, const std::filesy
   }
   file.Close();
 }
-
-/// Keeps the coordinates of keypoints.
-struct KeepKeypoints {
-  std::vector<double> xy;
-
-  void Begin(uint64_t, uint64_t num_bytes) { xy.reserve(2 * (num_bytes / kKeypointSize)); }
-  void Image(const ColmapIndex::Image&) {}
-  void Keypoint(uint64_t, const double* keypoint, uint64_t) {
-    xy.insert(xy.end(), keypoint, keypoint + 2);
-  }
-};
-
-/// Keeps colours and tracks.
-struct KeepTracks {
-  const char* contents;
-  ColmapTracks tracks;
-
-  void Begin(uint64_t count, uint64_t num_bytes) {
-    tracks.colors.reserve(3 * count);
-    tracks.lengths.reserve(count);
-    tracks.elements.reserve((num_bytes - count * kPointRecordSize) / kTrackElementSize);
-  }
-  void Point(const ColmapIndex::Point& point, const std::vector<ColmapIndex::TrackElement>& track) {
-    const char* color = contents + point.xyz_span.end;
-    tracks.colors.insert(tracks.colors.end(), color, color + 3);
-    tracks.lengths.push_back(static_cast<int64_t>(track.size()));
-    tracks.elements.insert(tracks.elements.end(), track.begin(), track.end());
-  }
-};
 
 }  // namespace
 
@@ -374,53 +216,6 @@ void WriteColmapRecords(const ColmapRecords& records, bool is_binary,
   WriteColmapFrames(records.frames, is_binary, kDigits, folder);
   WriteImages(records, is_binary, folder, num_observations, on_block);
   WritePoints(records, is_binary, folder, num_observations, on_block);
-}
-
-std::vector<double> ReadKeypoints(const ColmapModel& model) {
-  const ModelFile& file = model.index.images_file;
-  if (model.is_binary()) {
-    KeepKeypoints sink;
-    ScanImageRecords(file, &sink);
-    return std::move(sink.xy);
-  }
-  std::vector<double> xy;
-  ColmapTextCursor cursor(file);
-  while (cursor.NextRecord()) {
-    cursor.NextLine();
-    while (!cursor.AtEndOfLine()) {
-      xy.push_back(cursor.Number("x"));
-      xy.push_back(cursor.Number("y"));
-      cursor.SignedInteger("a point id");
-    }
-  }
-  return xy;
-}
-
-ColmapTracks ReadTracks(const ColmapModel& model) {
-  const ModelFile& file = model.index.points_file;
-  if (model.is_binary()) {
-    KeepTracks sink{file.contents().data(), {}};
-    ScanPointRecords(file, &sink);
-    return std::move(sink.tracks);
-  }
-  ColmapTracks tracks;
-  ColmapTextCursor cursor(file);
-  while (cursor.NextRecord()) {
-    cursor.Token("a point id");
-    for (int i = 0; i < 3; ++i) cursor.Number("a coordinate");
-    for (int i = 0; i < 3; ++i) {
-      tracks.colors.push_back(static_cast<uint8_t>(cursor.Integer("a colour", 255)));
-    }
-    cursor.Number("an error");
-    const size_t before = tracks.elements.size();
-    while (!cursor.AtEndOfLine()) {
-      const uint32_t image_id = cursor.Id("an image id");
-      tracks.elements.push_back(
-          {image_id, static_cast<uint32_t>(cursor.Integer("a keypoint", kInvalidColmapId))});
-    }
-    tracks.lengths.push_back(static_cast<int64_t>(tracks.elements.size() - before));
-  }
-  return tracks;
 }
 
 }  // namespace bundle

@@ -1,6 +1,6 @@
 #pragma once
 
-/// COLMAP models written whole, and what a model that was read holds beside a problem.
+/// COLMAP models written whole, record by record.
 
 #include <cstddef>
 #include <cstdint>
@@ -9,7 +9,6 @@
 #include <vector>
 
 #include "core/io/colmap_index.h"
-#include "core/io/colmap_model.h"
 
 namespace bundle {
 
@@ -37,25 +36,15 @@ struct ColmapRecords {
 ///
 /// The error of a point is computed here, as COLMAP defines it: the mean of ||r|| in pixels along
 /// its track, with rotations by the quaternions as they are; sqrt(DBL_MAX) for an observation
-/// without a projection and beyond 90 degrees from the optical axis; -1, "not known", without
-/// observations. COLMAP's text reader takes no other error than a finite one: in text, -1 stands
-/// for those as well. Projections are ours: the last digits of an error are not COLMAP's.
+/// without a projection and beyond 90 degrees from the optical axis; on a panorama the angle
+/// between the rays, in pixels of the equator; -1, "not known", without observations. COLMAP's text
+/// reader takes no other error than a finite one: in text, -1 stands for those as well. Projections
+/// are ours: the last digits of an error are not COLMAP's.
 ///
 /// `on_block` is called now and then and may throw. Throws std::system_error when the system
 /// refuses.
 void WriteColmapRecords(const ColmapRecords& records, bool is_binary,
                         const std::filesystem::path& folder, const std::function<void()>& on_block);
-
-/// The keypoints of a model that was read, in the order of its files.
-std::vector<double> ReadKeypoints(const ColmapModel& model);
-
-/// Colours and tracks of a model that was read, in the order of its files.
-struct ColmapTracks {
-  std::vector<uint8_t> colors;  ///< three a point
-  std::vector<int64_t> lengths;
-  std::vector<ColmapIndex::TrackElement> elements;
-};
-ColmapTracks ReadTracks(const ColmapModel& model);
 
 /// Parts of the writer, for rigs and frames of a model that has none. `digits`: of text, 0 for the
 /// shortest number that reads back as the same.

@@ -1,0 +1,23 @@
+#pragma once
+
+/// What a COLMAP model that was read holds beside a problem.
+
+#include <cstdint>
+#include <vector>
+
+#include "core/io/colmap_model.h"
+
+namespace bundle {
+
+/// The keypoints of a model that was read, in the order of its files.
+std::vector<double> ReadKeypoints(const ColmapModel& model);
+
+/// Colours and tracks of a model that was read, in the order of its files.
+struct ColmapTracks {
+  std::vector<uint8_t> colors;  ///< three a point
+  std::vector<int64_t> lengths;
+  std::vector<ColmapIndex::TrackElement> elements;
+};
+ColmapTracks ReadTracks(const ColmapModel& model);
+
+}  // namespace bundle
