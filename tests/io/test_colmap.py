@@ -145,7 +145,7 @@ def test_loading_and_saving_print_nothing(tmp_path: Path, binary: bool) -> None:
     folder = write_model(synthesize(14), tmp_path / "in", binary=binary)
     (tmp_path / "out").mkdir()
     code = (
-        "import pathlib, sys; from bundle.io.colmap import colmap\n"
+        "import pathlib, sys; from bundle.io import colmap\n"
         "problem, folder = colmap.load(sys.argv[1]), pathlib.Path(sys.argv[2])\n"
         "colmap.write(problem, folder, binary=sys.argv[3] == 'y')"
     )
@@ -158,7 +158,7 @@ def test_disk_that_fills_is_noticed(tmp_path: Path, binary: bool) -> None:
     folder = write_model(synthesize(15), tmp_path / "in", binary=True)
     (tmp_path / "out").mkdir()
     code = (
-        "import pathlib, resource, sys; from bundle.io.colmap import colmap\n"
+        "import pathlib, resource, sys; from bundle.io import colmap\n"
         "problem = colmap.load(sys.argv[1])\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))\n"
         "try: colmap.write(problem, pathlib.Path(sys.argv[2]), binary=sys.argv[3] == 'y')\n"

@@ -134,12 +134,11 @@ def test_errors_of_points_are_pycolmaps(tmp_path: Path, model: str) -> None:
     kinds = param_kinds(model)
     values = {"focal": 700.0, "metadata": 1024.0, "principal-point": 400.0}
     params = [values.get(kind, 0.01) for kind in kinds]
-    scales = np.linspace(0.9, 1.1, problem.num_images)[:, None] ** np.array([1, 1, 1, 1, 0, 0, 0])
+    scales = np.linspace(0.9, 1.1, problem.num_images)[:, None] ** [1, 1, 1, 1, 0, 0, 0]
     problem = problem.replace(
         camera_models=[model] * problem.num_cameras,
         camera_params=np.tile(params, (problem.num_cameras, 1)),
-        cam_from_world=problem.cam_from_world
-        * np.append(scales.repeat(4, 1), scales.repeat(3, 1), 1),
+        cam_from_world=problem.cam_from_world * scales,
         points=problem.points * np.linspace(0.1, 9, problem.num_points)[:, None],
     )
     ours = pycolmap.Reconstruction(saved(problem, tmp_path / "ours", binary=True))
