@@ -126,7 +126,7 @@ def test_any_number_of_processes_goes_on(source, tmp_path, monkeypatch):
     (tmp_path / "late").mkdir()
     with np.load(file) as archive:
         assert json.loads(archive["meta"].tobytes())["has_ended"]
-    monkeypatch.delattr(SlicedRefinement, "_segment")
+    monkeypatch.delattr(SlicedRefinement, "run")
     late = refined(source, tmp_path / "late" / name, 2, resume=tmp_path / "one.npz")
     assert late.initial_problem.num_points == len(ends[0])
     np.testing.assert_array_equal(late.iterations["cost"], one.iterations["cost"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import resource
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -31,6 +31,7 @@ __all__ = [
     "PartOfOutput",
     "Ranks",
     "heeding",
+    "process_record",
     "solve_divided",
     "work_on",
 ]
@@ -158,16 +159,21 @@ def solve_divided(
             costs[name][factors[rank][1]] = getattr(given, name)
     crew.is_solving = False
     output |= {"points": freeze(points)} | {name: freeze(of) for name, of in costs.items()}
+    output["summary"] |= {
+        "num_factors": _num_factors(core_factors),
+        "num_processes": crew.num_ranks,
+        "processes": process_record(parts, ranks),
+    }
+    return output
+
+
+def process_record(parts: Iterable[ProcessPart], ranks: Ranks) -> ProcessRecord:
+    """Return the record of the ranks' parts and of rank 0's messages."""
     traffic = tuple(
         Traffic(what=what, num_messages=int(n), num_bytes=int(size), seconds=seconds)
         for what, (n, size, seconds) in ranks.traffic.items()
     )
-    output["summary"] |= {
-        "num_factors": _num_factors(core_factors),
-        "num_processes": crew.num_ranks,
-        "processes": ProcessRecord(parts=tuple(parts), traffic=traffic),
-    }
-    return output
+    return ProcessRecord(parts=tuple(parts), traffic=traffic)
 
 
 def heeding(

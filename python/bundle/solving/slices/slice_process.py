@@ -1,4 +1,4 @@
-"""What every process does of a refinement in slices, at the word of the first."""
+"""One process of a refinement in slices: it runs the methods that rank 0 calls on all ranks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bundle.solving.ranks.divided_solve import Job, PartOfOutput, Ranks, work_on
 from bundle.solving.ranks.partition import ProblemPart
 from bundle.solving.rounds.input_digest import sums_of_rows
 from bundle.solving.slices.divided_errors import divided_statistics
-from bundle.solving.slices.skeleton import skeleton
+from bundle.solving.slices.gauge_problem import gauge_problem
 from bundle.solving.slices.slice_reading import Meeting, Survey, read_slice
 
 __all__ = ["Process"]
@@ -29,12 +29,12 @@ _LAST = "measure"
 
 
 class Process:
-    """One process with its slice. Each method is called in all of them; the first gets the values.
+    """A process with its slice. All ranks run each method; rank 0 gets the values.
 
     Args:
         meeting: all processes.
         path: of the model.
-        found: the survey of the first one, None elsewhere.
+        found: survey of rank 0; None on the others.
 
     Raises:
         InputError, OSError: as ``read_slice``.
@@ -46,20 +46,20 @@ class Process:
         self._part = self.slice.part
         self._errors: dict[str, tuple[Any, Any]] = {}  # by cheirality
 
-    def follow(self) -> None:
-        """Do what the first process says, up to the measuring."""
+    def serve(self) -> None:
+        """Run the methods that rank 0 broadcasts, up to the measuring."""
         name = ""
         while name != _LAST:
             name, given = self._meeting.broadcast()
             getattr(self, name)(*given)
 
-    def lead(self, name: str, *given: Any, **own: Any) -> Any:
-        """Let all do something; return what this one, the first, gets of it.
+    def run_on_all(self, name: str, *given: Any, **own: Any) -> Any:
+        """Run a method on all ranks and return rank 0's result.
 
         Args:
-            name: of a method.
-            given: arguments of all.
-            own: of this one alone.
+            name: of the method.
+            given: arguments of all ranks.
+            own: arguments of rank 0 alone.
         """
         self._meeting.broadcast((name, given))
         return getattr(self, name)(*given, **own)
@@ -71,11 +71,11 @@ class Process:
         return None if sums is None else np.sum(sums, axis=0, dtype=np.uint64)
 
     def restart(self, state: dict[str, Any], points: NDArray[np.float64] | None = None) -> None:
-        """Go on from other values.
+        """Continue from other values.
 
         Args:
-            state: of images and cameras, to all.
-            points: (num_points, 3) of the model, of the first process alone.
+            state: of images and cameras, on all ranks.
+            points: (num_points, 3) of the model, on rank 0 alone.
         """
         survey, own = self.slice.survey, self._part.points
         for rank in range(self._meeting.num_ranks):  # one part at a time
@@ -87,7 +87,7 @@ class Process:
     def solve(
         self, options: dict[str, Any], progress: _Progress | None = None
     ) -> tuple[dict[str, Any], list[PartOfOutput] | None, Ranks]:
-        """Adjust; return the core's output, with the points of all to the first process."""
+        """Adjust; return the output of the core, and the points of all ranks to rank 0."""
         part = self._part
         fixed = np.intersect1d(np.asarray(options["fixed_point_ids"], np.int64), part.point_ids)
         ranks = self._meeting.ranks()
@@ -107,9 +107,9 @@ class Process:
         )
 
     def measure(self, options: dict[str, Any]) -> tuple[Any, Any, Any, Any]:
-        """Return the statistics before and after, the sums of images, and the skeleton.
+        """Return the statistics before and after, the sums of images, and the gauge problem.
 
-        There is no skeleton where nobody asks for the gauge.
+        The gauge problem is None without rigs, and with gauge "none".
         """
         own, meeting = self.slice, self._meeting
         threads, cheirality = options["num_threads"], options["cheirality"]
@@ -120,8 +120,8 @@ class Process:
         )
         after = divided_statistics(meeting, errors, behind, cheirality)
         asked = own.cameras.num_frames > 0 and options["gauge"] != "none"
-        bones = skeleton(meeting, own, options["fixed_point_ids"]) if asked else None
-        return before, after, meeting.gather(sums), bones
+        gauge = gauge_problem(meeting, own, options["fixed_point_ids"]) if asked else None
+        return before, after, meeting.gather(sums), gauge
 
     def _move(self, points: NDArray[np.float64], state: dict[str, Any]) -> None:
         shared = self._part.shared | state

@@ -1,4 +1,4 @@
-"""A BAL file or a binary COLMAP model refined by processes of which each has a slice."""
+"""Refinement of a BAL file or a binary COLMAP model by processes with a slice each."""
 
 from __future__ import annotations
 
@@ -6,16 +6,13 @@ import dataclasses
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.paths import as_path
 from bundle.errors import InputError, shown
-from bundle.interface.option_fields import number
 from bundle.interface.options import SolveOptions
-from bundle.interface.process_record import ProcessRecord, Traffic
 from bundle.interface.round_options import CHECKPOINT_INTERVAL
 from bundle.interface.solve_record import Progress
 from bundle.io import bal, colmap
@@ -25,9 +22,9 @@ from bundle.io.open import save_model
 from bundle.model.problem import Problem
 from bundle.model.worst_images import worst_of_sums
 from bundle.solving.free_degrees import gauge_freedom
-from bundle.solving.prepare import prepare
-from bundle.solving.ranks.divided_solve import Crew, heeding
-from bundle.solving.request import SolveRequest
+from bundle.solving.prepare import Prepared, prepare
+from bundle.solving.ranks.divided_solve import Crew, heeding, process_record
+from bundle.solving.request import RunPlan, SolveRequest
 from bundle.solving.result import Result
 from bundle.solving.rounds.segments import solve_in_segments
 from bundle.solving.slices.slice_process import Process
@@ -39,33 +36,33 @@ __all__ = ["SliceCrew", "SliceJob", "SlicedRefinement"]
 
 @dataclass
 class SliceJob:
-    """What the other processes do: read, then what the first one says."""
+    """The job of the other ranks: read a slice, then serve rank 0."""
 
     path: Path
 
     def work(self, meeting: Meeting) -> None:
-        """Take part in all that ``SlicedRefinement`` does."""
-        Process(meeting, self.path, None).follow()
+        """Serve the calls of ``SlicedRefinement``."""
+        Process(meeting, self.path, None).serve()
 
 
 class SliceCrew(Crew, Protocol):
-    """The processes, as the first of them sees them."""
+    """The processes as rank 0 sees them."""
 
     def meeting(self) -> Meeting:
-        """Return how all of them meet."""
+        """Return the communication of all ranks."""
 
     def send_to_all(self, job: SliceJob) -> None:
-        """Send a job to the others, which hear nothing else until its end."""
+        """Send a job to the other ranks, which accept no other until it ends."""
 
     def release(self) -> None:
-        """Take note that the others wait again."""
+        """Mark the other ranks as waiting again."""
 
 
 class SlicedRefinement:
-    """The first process's side of it. Calls have to come in the order of the methods.
+    """The side of rank 0, and an executor. Methods are called in their order.
 
     Args:
-        crew: the others, which wait for a job.
+        crew: the other ranks, which wait for a job.
         path: of a BAL file, or the folder of a COLMAP model in binary.
 
     Raises:
@@ -88,8 +85,8 @@ class SlicedRefinement:
 
     @property
     def cameras(self) -> Problem:
-        """The cameras of the model as it is; counts of points and observations are the model's."""
-        return self._whole(self._slice.cameras)
+        """The model as it was read, its points left in the slices."""
+        return DividedModel.of(self._slice.cameras, self._survey, np.zeros((0, 3)))
 
     def solve(
         self,
@@ -119,28 +116,32 @@ class SlicedRefinement:
         unknown = self._survey.unknown(np.asarray(settled.fixed_point_ids, np.int64))
         if unknown.size:
             raise InputError(f"fixed_point_ids: expected ids in the problem, found {unknown[0]}")
-        checkpoint = None if checkpoint is None else as_path(checkpoint, "checkpoint")
-        resume = None if resume is None else as_path(resume, "resume")
-        path = checkpoint if checkpoint is not None else resume
-        if path is None:
+        plan = RunPlan(
+            checkpoint=checkpoint,  # type: ignore[arg-type]
+            resume=resume,  # type: ignore[arg-type]
+            checkpoint_interval=checkpoint_interval,
+        )
+        if plan.file is None:
             return self._finished(self._segment(settled, progress))
-        interval = number("checkpoint_interval", checkpoint_interval, whole=True, minimum=1)
-        sums = self._process.lead("digest")
-        keeper = SlicedCheckpoint(path, self._slice.cameras, sums, self._survey, options, interval)
+        resume, interval = plan.resume, plan.checkpoint_interval
+        sums = self._process.run_on_all("digest")
+        keeper = SlicedCheckpoint(
+            plan.file, self._slice.cameras, sums, self._survey, options, interval
+        )
         so_far, has_ended = None, False
         if resume is not None and resume.exists():
             kept = keeper.read(resume, settled)
             state = kept.state
             self._points = state.pop("points")
             self._now = self._now._moved(**state)
-            self._process.lead("restart", state, points=self._points)
+            self._process.run_on_all("restart", state, points=self._points)
             so_far, has_ended = kept.so_far, kept.has_ended
             if so_far is not None:
-                so_far = dataclasses.replace(so_far, problem=self._whole(self._now))
+                so_far = dataclasses.replace(so_far, problem=self._model(self._now))
         if so_far is None or not has_ended:
             so_far = solve_in_segments(
                 lambda _, used, told: self._segment(used, told),
-                self._whole(self._now),
+                self._model(self._now),
                 settled,
                 interval,
                 so_far=so_far,
@@ -169,7 +170,7 @@ class SlicedRefinement:
             return ()
         errors = np.empty(len(ids))
         for rank, given in enumerate(
-            self._process.lead("point_errors", self._options["num_threads"])
+            self._process.run_on_all("point_errors", self._options["num_threads"])
         ):
             errors[found.owner == rank] = given
 
@@ -181,7 +182,7 @@ class SlicedRefinement:
 
     def measure(self, result: Result) -> None:
         """Measure the errors before and after, and the worst images, into the result."""
-        before, after, sums, bones = self._process.lead("measure", self._options)
+        before, after, sums, gauge = self._process.run_on_all("measure", self._options)
         values = vars(result)  # where cached_property keeps them; the dataclass itself is frozen
         values["reprojection_error_before"] = before
         values["reprojection_error_after"] = after
@@ -189,52 +190,57 @@ class SlicedRefinement:
         values["worst_images"] = worst_of_sums(
             self._now, sum(count), sum(total), np.max(largest, axis=0)
         )
-        if bones is not None:
-            values["gauge_freedom"] = gauge_freedom(bones, result.options)
+        if gauge is not None:
+            values["gauge_freedom"] = gauge_freedom(gauge, result.options)
         self._crew.release()
 
-    def _segment(self, options: SolveOptions, progress: Progress | None) -> Result:
-        """Adjust from where things are."""
-        output, given, ranks = self._process.lead(
-            "solve", options.asdict(), progress=heeding(self._crew, progress)
+    def run(self, prepared: Prepared, progress: Progress | None) -> dict[str, Any]:
+        """Adjust from the present values; see :meth:`Executor.run`."""
+        output, given, ranks = self._process.run_on_all(
+            "solve", prepared.layout.options.asdict(), progress=heeding(self._crew, progress)
         )
         self._points = np.empty((len(self._survey.owner), 3))
         for rank, of_rank in enumerate(given):
             self._points[self._survey.owner == rank] = of_rank.points
-        traffic = tuple(
-            Traffic(what=what, num_messages=int(n), num_bytes=int(size), seconds=seconds)
-            for what, (n, size, seconds) in ranks.traffic.items()
-        )
-        output["summary"] |= {
-            "num_processes": self._num_ranks,
-            "processes": ProcessRecord(
-                parts=tuple(of_rank.process for of_rank in given), traffic=traffic
-            ),
-        }
+        record = process_record([of_rank.process for of_rank in given], ranks)
+        output["summary"] |= {"num_processes": self._num_ranks, "processes": record}
+        return {**output, "points": prepared.before.points}
+
+    def _segment(self, options: SolveOptions, progress: Progress | None) -> Result:
+        """Adjust from the present values, which its end becomes."""
         before = self._now
         prepared = self._prepared.laid_out_at(before, options)
-        result = prepared.result(output | {"points": before.points})
+        result = prepared.result(self.run(prepared, progress))
         self._now = result.problem
         return dataclasses.replace(
-            result, problem=self._whole(self._now), initial_problem=self._whole(before)
+            result, problem=self._model(self._now), initial_problem=self._model(before)
         )
 
     def _finished(self, result: Result) -> Result:
         return dataclasses.replace(result, initial_problem=self.cameras)
 
-    def _whole(self, cameras: Problem) -> Problem:
-        return cast("Problem", _Whole(cameras, self._survey, self._points))
+    def _model(self, cameras: Problem) -> Problem:
+        return DividedModel.of(cameras, self._survey, self._points)
 
 
-class _Whole:
-    """Cameras of a model with all its points and its counts, for reports and checkpoints."""
+class DividedModel(Problem):
+    """A model whose points and observations are in slices: cameras, counts, and refined points."""
 
-    def __init__(self, cameras: Problem, found: Survey, points: NDArray[np.float64]) -> None:
-        self._cameras = cameras
-        vars(self)["source"] = vars(cameras)["source"]  # without pycolmap
-        self.points = points
-        self.num_points = len(found.owner)
-        self.num_observations = found.num_observations
+    _census: Survey
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._cameras, name)
+    @staticmethod
+    def of(cameras: Problem, found: Survey, points: NDArray[np.float64]) -> DividedModel:
+        """Return the model of these cameras, with the counts that were found."""
+        model = object.__new__(DividedModel)
+        vars(model).update(vars(cameras), points=points, _census=found)
+        return model
+
+    @property
+    def num_points(self) -> int:
+        """Number of points in all slices."""
+        return len(self._census.owner)
+
+    @property
+    def num_observations(self) -> int:
+        """Number of observations in all slices."""
+        return self._census.num_observations

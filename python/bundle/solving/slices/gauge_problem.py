@@ -1,9 +1,10 @@
-"""A problem that several processes have in slices, as far as its gauge depends on observations.
+"""The gauge problem of a model in slices: a small problem with the same gauge freedom.
 
-The count of free degrees (``bundle.solving.free_degrees``) asks which images free points connect,
-and where the points are that are held. So of free points a slice gives, for each image that it
-observes, one point that connects the image with the first one of its component; of held points all
-observations. That is at most a point per image and process, and what the user has named.
+The count of gauge freedoms (``bundle.solving.free_degrees``) depends on the images that free points
+connect, and on the positions of constant points. Of free points a slice therefore gives, for each
+image that it observes, one point that connects the image with the first one of its component; of
+constant points it gives all observations. That is at most one point per image and process, and the
+points that the user named.
 """
 
 from __future__ import annotations
@@ -17,16 +18,16 @@ from bundle.base.components import component_roots
 from bundle.model.problem import Problem
 from bundle.solving.slices.slice_reading import Meeting, Slice
 
-__all__ = ["skeleton"]
+__all__ = ["gauge_problem"]
 
 
-def skeleton(meeting: Meeting, own: Slice, fixed_point_ids: list[int]) -> Problem | None:
-    """Return, to the first process, a problem of the same free degrees; points are refined.
+def gauge_problem(meeting: Meeting, own: Slice, fixed_point_ids: list[int]) -> Problem | None:
+    """Return a problem of the same gauge freedom to rank 0, None to the others.
 
     Args:
         meeting: all processes.
-        own: of this process.
-        fixed_point_ids: of all slices.
+        own: slice of this process.
+        fixed_point_ids: constant points of all slices.
     """
     given = meeting.gather(_of_slice(own, np.asarray(fixed_point_ids, np.int64)))
     if given is None:
@@ -49,7 +50,7 @@ def skeleton(meeting: Meeting, own: Slice, fixed_point_ids: list[int]) -> Proble
 
 
 def _of_slice(own: Slice, fixed: NDArray[np.int64]) -> tuple[NDArray[Any], ...]:
-    """Return linked images, then images, rows, positions and ids of the points that are held."""
+    """Return linked images, then images, rows, positions and ids of the constant points."""
     part = own.part
     is_held = np.isin(part.point_ids, fixed)
     held = np.flatnonzero(is_held[part.observation_point])
