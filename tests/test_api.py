@@ -9,7 +9,7 @@ import pytest
 
 import bundle
 from bundle.base.words import contents, plural
-from bundle.interface.compare_defaults import COMPARED
+from bundle.interface.compare_options import COMPARED
 from bundle.interface.option_class import spellings
 from bundle.model.reprojection import reprojection_error
 from tests import scenes

@@ -29,8 +29,7 @@ import pycolmap
 import bundle
 
 # What `refine` imports, once here and not in every child.
-import bundle.cli.output
-import bundle.cli.progress
+import bundle.cli.refine
 import bundle.reports.terminal.refine
 from bundle.cli.main import main
 from bundle.io.atomic import exchange

@@ -24,8 +24,7 @@ import numpy as np
 import bundle
 
 # What `refine` imports, once here and not in every child.
-import bundle.cli.output
-import bundle.cli.progress
+import bundle.cli.refine
 import bundle.reports.terminal.refine
 import bundle.solving.rounds
 from bundle.cli.main import main

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bundle.cli.main import COMMANDS, _parser
+from bundle.cli.main import COMMANDS, command_parser
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"])
@@ -27,7 +27,7 @@ def commands(page):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_the_flags_parse(page):
     for words in commands(page):
-        _parser([words[0]]).parse_args(words)
+        command_parser().parse_args(words)
 
 
 def test_there_are_commands():

@@ -6,14 +6,14 @@ from pathlib import Path
 import pytest
 
 import bundle
-from bundle.cli.main import COMMANDS, _parser
+from bundle.cli.main import COMMANDS, command_parser
 from bundle.cli.path_checks import PathArgument
 from bundle.errors import InputError
 from tests.cli.test_bad_input import assert_refused, snapshot
 from tests.graphs.pose_graphs import graphs
 from tests.scenes import scene
 
-PARSER = _parser(COMMANDS)
+PARSER = command_parser()
 REQUIRED = {
     "output": "new", "input": "in", "inputs": "in", "a": "in", "b": "in2", "sequence": "in",
 }  # fmt: skip

@@ -10,7 +10,7 @@ import pytest
 
 import bundle
 from bundle.base.arguments import as_integers
-from bundle.cli.main import COMMANDS, _parser
+from bundle.cli.main import COMMANDS, command_parser
 from bundle.errors import brief
 from tests.cli.conftest import command, environment
 from tests.cli.test_bad_input import assert_refused
@@ -20,7 +20,7 @@ from tests.scenes import scene
 @pytest.mark.parametrize("columns", [50, 80, 100])
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_breaks_at_blanks_only(monkeypatch, name, columns):
-    parser = _parser(COMMANDS).commands()[name]
+    parser = command_parser().commands()[name]
     monkeypatch.setenv("COLUMNS", str(columns))
     shown = " ".join(parser.format_help().split())
     for action in parser._actions:

@@ -18,7 +18,7 @@ from docutils import nodes
 from sphinx.util.docutils import SphinxDirective
 
 import bundle
-from bundle.cli.main import COMMANDS, _parser
+from bundle.cli.main import COMMANDS, command_parser
 
 
 def entry(names: Iterable[str], anchor: str, text: str, details: str = "") -> nodes.Node:
@@ -101,7 +101,7 @@ class Command(SphinxDirective):
         name = self.arguments[0]
         if name not in COMMANDS:
             raise self.error(f"command: expected one of {', '.join(COMMANDS)}, found {name}")
-        parser = _parser([name]).commands()[name]
+        parser = command_parser().commands()[name]
         for module in [__name__, *(name for name in sys.modules if name.startswith("bundle.cli."))]:
             self.env.note_dependency(inspect.getfile(sys.modules[module]))
         found: list[nodes.Node] = [nodes.paragraph("", sentence(parser.description or ""))]

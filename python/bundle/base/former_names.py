@@ -115,7 +115,7 @@ FORMER = {
     "two_loops.window_loop": "inertial.two_loops.window_loop",
     "two_loops.yaw_motion": "inertial.two_loops.yaw_motion",
     "uncertainty.compute_covariance": "analysis.uncertainty.compute_covariance",
-    "uncertainty.covariance_choices": "interface.covariance_choices",
+    "uncertainty.covariance_choices": "interface.covariance_options",
     "uncertainty.covariance_result": "analysis.uncertainty.covariance_result",
     "uncertainty.graph_covariance": "analysis.uncertainty.graph_covariance",
     "vio.calibration": "model.sequence.calibration",

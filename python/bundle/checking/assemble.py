@@ -16,7 +16,7 @@ from bundle.checking.gradient_report import (
     Verdict,
 )
 from bundle.checking.tally import EDGES, MOST_WORST, Tally, verdicts
-from bundle.interface.check_defaults import TOLERANCE
+from bundle.interface.check_options import TOLERANCE
 
 __all__ = ["CHECKER_PRECISION", "make_report", "undecided_points"]
 

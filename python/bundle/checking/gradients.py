@@ -16,7 +16,7 @@ from bundle.checking.manifolds import ManifoldLike
 from bundle.checking.residual_blocks import Layout, Name, sample
 from bundle.checking.sample_check import SamplePoint, check_samples
 from bundle.errors import InputError, brief
-from bundle.interface.check_defaults import TOLERANCE
+from bundle.interface.check_options import TOLERANCE
 from bundle.interface.option_fields import number
 
 __all__ = ["check_gradients"]

@@ -19,7 +19,7 @@ from bundle.checking.gradient_report import GradientCheckerSummary, GradientRepo
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.tally import Tally, Worst
 from bundle.errors import InputError
-from bundle.interface.check_defaults import SAMPLES_PER_IMAGE, TOLERANCE
+from bundle.interface.check_options import SAMPLES_PER_IMAGE, TOLERANCE
 from bundle.interface.option_fields import number
 from bundle.io.source import Source, as_problem
 from bundle.model.cameras import camera_models, param_kinds

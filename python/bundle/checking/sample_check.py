@@ -22,7 +22,7 @@ from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.padding import padded
 from bundle.checking.residual_blocks import Layout
 from bundle.checking.tally import Tally
-from bundle.interface.check_defaults import TOLERANCE
+from bundle.interface.check_options import TOLERANCE
 
 __all__ = ["SamplePoint", "check_samples"]
 

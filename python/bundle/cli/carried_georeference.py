@@ -10,6 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bundle.errors import InputError, shown
+from bundle.io.atomic import atomic_write as atomic
+from bundle.io.georeference_file import OWNER, georeference_of, owner_of, path_beside
+from bundle.reports.sections import dumps, plain
 
 if TYPE_CHECKING:
     from bundle.georeference.alignment_result import Alignment
@@ -27,8 +30,6 @@ FRAME = ("reference_system", "origin", "pipeline")
 
 def georeference_at(source: str) -> dict[str, Any] | None:
     """Return what is said of the place of a model; None where nothing is."""
-    from bundle.io.georeference_file import georeference_of
-
     return georeference_of(Path(source), is_folder=Path(source).is_dir())
 
 
@@ -39,9 +40,6 @@ def check_georeference(path: str, format: str) -> None:
         InputError: something that is no file stands there, or it is of another model.
         OSError: there is no permission.
     """
-    from bundle.io.atomic import atomic_write as atomic
-    from bundle.io.georeference_file import owner_of, path_beside
-
     model = Path(path)
     beside = path_beside(model, is_folder=format != "bal")
     if not beside.parent.is_dir():
@@ -69,8 +67,6 @@ def write_georeference(
         format: of the model.
         reference: path of another model, whose frame it has.
     """
-    from bundle.reports.sections import plain
-
     found = plain(georeference.asdict())
     frame = None if reference is None else georeference_at(reference)
     _write(found | ({} if frame is None else _frame(frame)), path, format)
@@ -107,9 +103,6 @@ def _frame(found: dict[str, Any]) -> dict[str, Any]:
 
 
 def _write(found: dict[str, Any], path: str, format: str) -> None:
-    from bundle.io.atomic import atomic_write as atomic
-    from bundle.io.georeference_file import OWNER, path_beside
-    from bundle.reports.sections import dumps
 
     model = Path(path)
     content = {name: value for name, value in found.items() if name != OWNER}

@@ -1,87 +1,54 @@
-"""`bundle diagnose`."""
+"""`bundle diagnose` of a reconstruction."""
 
 from __future__ import annotations
 
 import argparse
 from time import perf_counter
 
-from bundle.cli.constraint_flags import add_constraint_flags, as_options, constraints_given
+from bundle.analysis.diagnosis.diagnose_problem import diagnose
 from bundle.cli.error_lines import EXIT_DONE
-from bundle.cli.gps_flags import NAMED, add_gps_flags, check_gps_flags, main_flag
-from bundle.cli.option_flags import (
-    WHAT_IS_REFINED,
-    add_options,
-    naming_flags,
-    options_given,
-    with_named_images,
+from bundle.cli.flags_by_kind import refuse_flags_of_graphs
+from bundle.cli.georeference_flags import (
+    GEOREFERENCE_FLAGS,
+    georeference_given,
+    main_flag,
+    priors_of,
 )
-from bundle.cli.parser import add_input, add_rig_config, with_rigs
-from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
-from bundle.interface.options import SolveOptions
-from bundle.io.recognition import is_pose_graph_file
+from bundle.cli.option_flags import naming_flags, options_given, with_named_images
+from bundle.cli.output import publish
+from bundle.cli.problem_edits import rules_as_options, rules_of, with_rigs
+from bundle.cli.progress import Progress
+from bundle.errors import shown
+from bundle.interface.camera_edit_options import RuleOptions
+from bundle.interface.options import LINEARIZATION, SolveOptions
+from bundle.io.open import load
+from bundle.reports.terminal.diagnose import diagnosed
 
-__all__ = ["HELP", "NAME", "add_arguments", "run"]
-
-NAME = "diagnose"
-HELP = (
-    "what the observations, or the edges of a pose graph, do not determine, and why: rank, weak "
-    "directions, pieces, points, suspicious edges"
-)
-
-# What the linearisation depends on.
-OPTIONS = (*WHAT_IS_REFINED, "gauge", "loss", "loss_scale")
-GRAPH_OPTIONS = ("error", "information", "loss", "loss_on")
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of this command."""
-    parser.usage = "bundle diagnose INPUT [options]"
-    add_input(parser)
-    add_rig_config(parser)
-    add_options(parser, SolveOptions, "what would be refined", OPTIONS)
-    add_constraint_flags(parser)
-    add_gps_flags(
-        parser,
-        "What a refine with the same flags would be given; the model is looked at in metres about "
-        "the middle of the control points, or of the positions where there are none.",
-    )
-    add_pose_graph_flags(parser, GRAPH_OPTIONS, "pose graphs (.g2o), beside loss and threads")
-    parser.set_defaults(html=None, only_images=None)  # of a refine
+__all__ = ["run"]
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Diagnose INPUT."""
     started = perf_counter()
-    if is_pose_graph_file(arguments.input):
-        from bundle.cli.pose_graph_analyses import diagnose_graph_file
-
-        return diagnose_graph_file(arguments)
     refuse_flags_of_graphs(arguments)
-    from bundle.analysis.diagnosis.diagnose_problem import diagnose
-    from bundle.cli.gps_flags import priors_given
-    from bundle.cli.output import publish
-    from bundle.cli.progress import Progress
-    from bundle.errors import shown
-    from bundle.io.open import load
-    from bundle.reports.terminal.diagnose import diagnosed
-
     options = options_given(arguments, SolveOptions, names_follow=True)
-    check_gps_flags(arguments, options)
-    constraints = constraints_given(arguments)
+    georeference = georeference_given(arguments, options.refine)
+    rules = options_given(arguments, RuleOptions)
+    constraints = rules_of(rules)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(arguments.input)}")
         problem = with_rigs(load(arguments.input, progress.text), arguments.rig_config)
         options = with_named_images(options, arguments, problem)
-        known = priors_given(arguments, problem)
+        known = priors_of(georeference, problem)
         progress.stage("diagnosing")
-        with naming_flags(SolveOptions, **NAMED, priors=main_flag(arguments)):
+        with naming_flags(SolveOptions, **GEOREFERENCE_FLAGS, priors=main_flag(georeference)):
             diagnosis = diagnose(
                 problem,
                 options,
                 priors=() if known is None else known.priors,
                 constraints=constraints,
             )
-    asked = {name: getattr(options, name) for name in OPTIONS} | as_options(arguments)
+    asked = {name: getattr(options, name) for name in LINEARIZATION} | rules_as_options(rules)
     wall = perf_counter() - started
     publish(diagnosed(arguments.input, problem, diagnosis, asked, wall), arguments.json)
     return EXIT_DONE

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import gc
-import importlib
 import signal
 import sys
 import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from types import ModuleType
+from functools import partial
 from typing import Any
 
 from bundle import __version__
 from bundle.cli import startup
+from bundle.cli.dispatch import COMMANDS, find_handler, kind_of_input
 from bundle.cli.error_lines import (
     EXIT_BAD_INPUT,
     EXIT_DONE,
@@ -22,30 +22,13 @@ from bundle.cli.error_lines import (
     describe_error,
     is_interruption,
 )
-from bundle.cli.parser import Parser, add_common_arguments
+from bundle.cli.parser import Parser
 from bundle.cli.standard_streams import complain, open_missing_streams, release_broken_streams
 from bundle.cli.suggestions import unknown_flag
 from bundle.errors import end_in_one_line
 from bundle.io.atomic import atomic_write as atomic
 
-__all__ = ["main"]
-
-COMMANDS = (
-    "info",
-    "inspect",
-    "refine",
-    "compare",
-    "check",
-    "covariance",
-    "diagnose",
-    "align",
-    "merge",
-    "report",
-    "vio",
-    "convert",
-    "synth",
-)
-"""Subcommands, in the order of the help; each a module with NAME, HELP, add_arguments and run."""
+__all__ = ["COMMANDS", "command_parser", "main"]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -74,16 +57,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
-    # The other commands take a while to import, and are only needed to be listed.
-    known = [word for word in words[:1] if word in COMMANDS]
-    parser = _parser(known or COMMANDS)
-    startup.done()
+    parser = command_parser()
     code = EXIT_DONE
     try:
         if words:
             arguments = parser.parse_args(words)
-            code = arguments.run(arguments)
+            run = find_handler(arguments.command, arguments.kind(arguments))
+            startup.done()
+            code = run(arguments)
         else:
+            startup.done()
             parser.print_help()
     except SystemExit:  # after --help and --version
         _flush()
@@ -98,15 +81,12 @@ def _flush() -> None:
         raise lost
 
 
-def _parser(names: Sequence[str]) -> Parser:
-    """Return a parser that knows some of the commands."""
-    flags: dict[str, tuple[str, ...]] = {}
+def command_parser() -> Parser:
+    """Return the parser of all commands; each declares its arguments when they are needed."""
 
     def unknown(found: str, command: str) -> str:
-        if len(flags) < len(COMMANDS):
-            others = _parser([name for name in COMMANDS if name not in flags])
-            flags.update(_flags(others))
-        return unknown_flag(found, command, {name: flags[name] for name in COMMANDS})
+        flags = {name: each.flags() for name, each in parser.commands().items()}
+        return unknown_flag(found, command, flags)
 
     parser = Parser(
         prog="bundle",
@@ -116,28 +96,25 @@ def _parser(names: Sequence[str]) -> Parser:
     )
     parser.add_argument("--version", action="version", version=f"bundle {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name in names:
-        command = _module(name)
-        subparser = commands.add_parser(
+    for name, help in COMMANDS.items():
+        commands.add_parser(
             name,
-            help=command.HELP,
-            description=command.HELP,
+            help=help,
+            description=help,
+            declare=partial(_declare, name),
             explain=lambda found, name=name: unknown(found, name),
         )
-        command.add_arguments(subparser)
-        add_common_arguments(subparser)
-        subparser.set_defaults(run=command.run)
-        flags[name] = subparser.flags()
     return parser
 
 
-def _flags(parser: Parser) -> dict[str, tuple[str, ...]]:
-    """Return the flags of the commands that a parser knows."""
-    return {name: command.flags() for name, command in parser.commands().items()}
+def _declare(name: str, parser: Parser) -> None:
+    """Declare the arguments of a command."""
+    from bundle.cli.commands import ARGUMENTS, add_common  # not for --version and --help
 
-
-def _module(name: str) -> ModuleType:
-    return importlib.import_module(f"bundle.cli.{name}")
+    parser.set_defaults(command=name, kind=kind_of_input)
+    ARGUMENTS[name](parser)
+    add_common(parser)
+    parser.set_defaults(flags=parser.flags_by_name())
 
 
 @contextmanager

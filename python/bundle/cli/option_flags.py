@@ -1,4 +1,4 @@
-"""Flags made from the fields of an option class (``bundle.interface.option_fields``), and back."""
+"""Flags made from the fields of option classes (``bundle.interface.option_fields``), and back."""
 
 from __future__ import annotations
 
@@ -6,73 +6,90 @@ import argparse
 import dataclasses
 import functools
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from bundle.cli.flag_values import READERS, choice_word
 from bundle.errors import InputError
-from bundle.model.image_selection import MOST_IDS, find_images, id_range
+from bundle.interface.option_class import Options
+from bundle.interface.option_classes import option_class
+from bundle.interface.option_fields import join
+from bundle.model.image_selection import find_images
 
 if TYPE_CHECKING:
     from bundle.interface.options import SolveOptions
     from bundle.model.problem import Problem
 
 __all__ = [
-    "WHAT_IS_REFINED",
+    "add_fields",
     "add_options",
-    "choice_word",
     "naming_flags",
     "options_given",
-    "parse_ids",
-    "parse_images",
-    "parse_sensors",
     "with_named_images",
 ]
 
-Options = TypeVar("Options")
-
-WHAT_IS_REFINED = (
-    "num_threads",
-    "refine",
-    "fixed_camera_ids",
-    "fixed_image_ids",
-    "fixed_point_ids",
-    "refine_sensor_from_rig",
-    "fixed_sensors",
-)
-"""Options of the commands that look at a problem without solving it, and for how many threads."""
+AnyOptions = TypeVar("AnyOptions", bound=Options)
 
 
 def add_options(
     parser: argparse.ArgumentParser,
-    kind: type[Any],
+    kind: type[Options] | str,
     title: str,
     names: Collection[str] | None = None,
+    description: str | None = None,
+    **helps: str,
 ) -> None:
-    """Add one flag for each field of an option class, or for those of the given names."""
-    group = parser.add_argument_group(title)
-    for field in dataclasses.fields(kind):
+    """Add a group with one flag for each field of an option class.
+
+    Args:
+        parser: of the command.
+        kind: the option class, or its name.
+        title: of the group in the help.
+        names: of the fields; None: all.
+        description: of the group in the help.
+        **helps: help of fields whose meaning differs in this command.
+    """
+    group = parser.add_argument_group(title, description)
+    add_fields(group, kind, names, **helps)
+
+
+def add_fields(
+    group: argparse._ActionsContainer,
+    kind: type[Options] | str,
+    names: Collection[str] | None = None,
+    **helps: str,
+) -> None:
+    """Add the flags of the fields of an option class to a group; see :func:`add_options`."""
+    for field in dataclasses.fields(option_class(kind) if isinstance(kind, str) else kind):  # type: ignore[arg-type]
         if names is None or field.name in names:
-            _add_option(group, field)
+            _add_option(group, field, helps.get(field.name, field.metadata["help"]))
 
 
 def options_given(
-    arguments: argparse.Namespace, kind: type[Options], *, names_follow: bool = False
-) -> Options:
+    arguments: argparse.Namespace,
+    kind: type[AnyOptions],
+    *,
+    names_follow: bool = False,
+    beside: Collection[str] = (),
+) -> AnyOptions:
     """Return the options that were given.
 
     Args:
         arguments: of the command line.
         kind: class of the options.
         names_follow: leave out images that are named, for :func:`with_named_images`.
+        beside: fields that have an effect without the options that they need.
 
     Raises:
-        InputError: a value is out of range; the message names the flag.
+        InputError: a value is out of range, or an option lacks another that it needs; the message
+            names the flag.
     """
     fields = dataclasses.fields(kind)  # type: ignore[arg-type]
     values = {field.name: getattr(arguments, field.name, None) for field in fields}
+    flags = {field.name: field.metadata["flag"] for field in fields}
     for field in fields:
-        if field.metadata["metavar"] == "IMAGES" and isinstance(values[field.name], str):
+        if field.metadata["value"] == "images" and isinstance(values[field.name], str):
             if not names_follow:
                 raise InputError(
                     f"{field.metadata['flag']}: expected ids such as 1,2,5-9, "
@@ -80,7 +97,16 @@ def options_given(
                 )
             values[field.name] = None
     with naming_flags(kind):
-        return kind(**{name: value for name, value in values.items() if value is not None})
+        given = kind(**{name: value for name, value in values.items() if value is not None})
+    for field in fields:
+        needs = field.metadata["needs"]
+        alone = needs and field.name not in beside and all(not values[name] for name in needs)
+        if alone and values[field.name] is not None:
+            others = join(flags[name] for name in needs)
+            raise InputError(
+                f"{field.metadata['flag']}: expected with {others} only, found without"
+            )
+    return given
 
 
 def with_named_images(
@@ -107,11 +133,7 @@ def naming_flags(*kinds: type[Any], **others: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        flags = others | {
-            field.name: field.metadata["flag"]
-            for kind in kinds
-            for field in dataclasses.fields(kind)
-        }
+        flags = {**_flags_of(kinds), **others}
         name, colon, rest = str(error).partition(":")
         if name not in flags:
             raise
@@ -120,10 +142,16 @@ def naming_flags(*kinds: type[Any], **others: str) -> Iterator[None]:
         raise InputError(f"{flags[name]}{colon}{words}") from None
 
 
+def _flags_of(kinds: Collection[type[Any]]) -> Mapping[str, str]:
+    return {
+        field.name: field.metadata["flag"] for kind in kinds for field in dataclasses.fields(kind)
+    }
+
+
 @functools.cache
 def _values() -> frozenset[str]:
-    """Return every value that options name."""
-    from bundle.interface.options import REFINABLE, SENSORS, SolveOptions
+    """Return every value that options of a solve name."""
+    from bundle.interface.options import REFINABLE, SENSORS, SolveOptions  # for messages only
 
     fields = dataclasses.fields(SolveOptions)
     return frozenset(
@@ -135,94 +163,44 @@ def _as_typed(word: str) -> str:
     return choice_word(word) if word in _values() else word
 
 
-def parse_ids(text: str) -> tuple[int, ...]:
-    """Return the ids that "1,2,5-9" names, sorted, each once.
-
-    Raises:
-        argparse.ArgumentTypeError: anything else, or more than ten million ids.
-    """
-    ids: set[int] = set()
-    for part in text.split(","):
-        try:
-            more = id_range(part)
-        except ValueError as error:
-            raise argparse.ArgumentTypeError(str(error)) from None
-        if more is None:
-            raise argparse.ArgumentTypeError(
-                f"expected ids and ranges such as 1,2,5-9, found {text!r}"
-            )
-        if more.stop - more.start > MOST_IDS - len(ids):  # len() ends at 2^63 - 1
-            raise argparse.ArgumentTypeError(f"expected at most {MOST_IDS} ids, found {text!r}")
-        ids.update(more)
-    return tuple(sorted(ids))
-
-
-def parse_images(text: str) -> tuple[int, ...] | str:
-    """Return the ids of images, or the text where it has names: what these mean is known later.
-
-    Raises:
-        argparse.ArgumentTypeError: it is neither.
-    """
-    parts = [part.strip() for part in text.split(",")]
-    numeric = all(part.replace("-", "").strip().isdigit() for part in parts)
-    return parse_ids(text) if numeric or not all(parts) else text
-
-
-def parse_sensors(text: str) -> tuple[tuple[int, int], ...]:
-    """Return the pairs of ids that "1:2,1:3" names.
-
-    Raises:
-        argparse.ArgumentTypeError: anything else.
-    """
-    pairs = []
-    for part in text.split(","):
-        rig, _, camera = part.partition(":")
-        try:
-            pairs.append((int(rig), int(camera)))
-        except ValueError:
-            raise argparse.ArgumentTypeError(
-                f"expected sensors RIG:CAMERA such as 1:2,1:3, found {text!r}"
-            ) from None
-    return tuple(pairs)
-
-
-def _add_option(group: argparse._ArgumentGroup, field: dataclasses.Field[Any]) -> None:
+def _add_option(
+    group: argparse._ActionsContainer, field: dataclasses.Field[Any], meaning: str
+) -> None:
     meta = field.metadata
-    flag, default, values = meta["flag"], _shown(field.default), ""
+    flag, default, values = meta["flag"], _shown(field), ""
     settings: dict[str, Any] = {"metavar": meta["metavar"]}
     if meta["choices"] is not None:
         choices = [choice_word(choice) for choice in meta["choices"]]
-        settings = {"metavar": flag.lstrip("-").upper(), "choices": choices, "type": choice_word}
-        values, default = f"one of {', '.join(choices)}; ", choice_word(default)
-    elif meta["metavar"] == "IDS":
-        settings["type"] = parse_ids
-        values = "such as 1,2,5-9; "
-    elif meta["metavar"] == "IMAGES":
-        settings["type"] = parse_images
-        values = "ids and names, such as 1,2,5-9,left/*.jpg; "
-    elif meta["metavar"] == "SENSORS":
-        settings["type"] = parse_sensors
-        values = "RIG:CAMERA by ids, such as 1:2,1:3; "
+        settings["metavar"] = meta["metavar"] or flag.lstrip("-").upper()
+        settings |= {"choices": choices, "type": choice_word}
+        values = f"one of {', '.join(choices)}; "
+    elif meta["value"] == "several":
+        settings["action"] = "append"
+    elif meta["value"]:
+        settings["type"], values = READERS[meta["value"]]
     elif isinstance(field.default, bool):
-        settings = {"action": argparse.BooleanOptionalAction}
-        default = flag if field.default else f"--no-{flag.lstrip('-')}"
+        action = argparse.BooleanOptionalAction if meta["negatable"] else "store_true"
+        settings = {"action": action}
     elif isinstance(meta["metavar"], tuple):
         settings |= {"nargs": len(meta["metavar"]), "type": int}
     elif isinstance(field.default, int | float):
         settings["type"] = type(field.default)
-    text = f"{meta['help']} ({values}default: {default})".replace("%", "%%")
+    text = f"{meaning} ({values}default: {default})".replace("%", "%%")
     group.add_argument(flag, dest=field.name, default=None, help=text, **settings)
 
 
-def choice_word(text: str) -> str:
-    """Return a choice as the command line writes it."""
-    return text.lower().replace("_", "-")
-
-
-def _shown(default: Any) -> str:
-    """Return a default as the user would type it."""
+def _shown(field: dataclasses.Field[Any]) -> str:
+    """Return the default of an option as the user would type it."""
+    default, flag = field.default, str(field.metadata["flag"])
+    if default is None:
+        return str(field.metadata["unset"])
+    if isinstance(default, bool):
+        off = f"--no-{flag.lstrip('-')}" if field.metadata["negatable"] else "off"
+        return flag if default else off
     if isinstance(default, tuple):
         numbers = all(isinstance(entry, int) for entry in default)
         joined = " ".join(map(str, default)) if numbers else choice_word(",".join(default))
         return joined or "none"
+    if field.metadata["choices"] is not None:
+        return choice_word(str(default))
     return f"{default:g}" if isinstance(default, float) else str(default)

@@ -14,6 +14,7 @@ from bundle.base.tables import console, render
 from bundle.cli.standard_streams import print_out
 from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
+from bundle.io.image_names import has_same_images
 from bundle.io.recognition import reconstruction_at, sequence_at
 from bundle.reports.sections import Report, dumps
 from bundle.reports.terminal.screen import laid_out
@@ -60,8 +61,6 @@ def check_replaced(
 
 def same_images(*problems: Problem) -> Callable[[Path], bool]:
     """Return a function that tells whether a model at a path has the images of some problems."""
-    from bundle.io.image_names import has_same_images
-
     names = [name for problem in problems for name in problem.image_names]
     if len(problems) > 1:  # of shared images once
         names = list(dict.fromkeys(names))

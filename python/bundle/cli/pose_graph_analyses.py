@@ -1,31 +1,33 @@
-"""What `bundle diagnose` and `bundle covariance` do with a pose graph."""
+"""`bundle diagnose` and `bundle covariance` of a pose graph."""
 
 from __future__ import annotations
 
 import argparse
 from time import perf_counter
 
+from bundle.analysis.diagnosis.diagnose_graph import diagnose_graph
+from bundle.analysis.uncertainty.graph_covariance import graph_covariance
 from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.flags_by_kind import refuse_flags_of_reconstructions
 from bundle.cli.option_flags import naming_flags, options_given
-from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
+from bundle.cli.output import publish
+from bundle.cli.progress import Progress
+from bundle.errors import shown
+from bundle.interface.covariance_options import CovarianceOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.io.g2o_files import load_g2o
+from bundle.reports.terminal.covariance import uncertainties_of_graph
+from bundle.reports.terminal.diagnose import diagnosed_graph
 
-__all__ = ["covariance_of_graph_file", "diagnose_graph_file"]
+__all__ = ["compute_covariance", "diagnose"]
 
 LINEARIZATION = ("error", "information", "loss", "loss_scale", "loss_on")
-"""Options that decide the information of a graph at its poses."""
+"""Options on which the information of a graph at its poses depends."""
 
 
-def diagnose_graph_file(arguments: argparse.Namespace) -> int:
+def diagnose(arguments: argparse.Namespace) -> int:
     """Diagnose the pose graph INPUT."""
     started = perf_counter()
-    from bundle.analysis.diagnosis.diagnose_graph import diagnose_graph
-    from bundle.cli.output import publish
-    from bundle.cli.progress import Progress
-    from bundle.errors import shown
-    from bundle.io.g2o_files import load_g2o
-    from bundle.reports.terminal.diagnose import diagnosed_graph
-
     refuse_flags_of_reconstructions(arguments, (*LINEARIZATION, "num_threads"))
     options = options_given(arguments, PoseGraphOptions)
     source = arguments.input
@@ -41,19 +43,13 @@ def diagnose_graph_file(arguments: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def covariance_of_graph_file(arguments: argparse.Namespace) -> int:
+def compute_covariance(arguments: argparse.Namespace) -> int:
     """Compute the covariances of the poses of the pose graph INPUT."""
     started = perf_counter()
-    from bundle.analysis.uncertainty.graph_covariance import graph_covariance
-    from bundle.cli.output import publish
-    from bundle.cli.progress import Progress
-    from bundle.errors import shown
-    from bundle.io.g2o_files import load_g2o
-    from bundle.reports.terminal.covariance import uncertainties_of_graph
-
     own = ("relative", "covariance_gauge", "scale", "num_threads")
     refuse_flags_of_reconstructions(arguments, (*LINEARIZATION, *own))
     options = options_given(arguments, PoseGraphOptions)
+    wanted = options_given(arguments, CovarianceOptions)
     source, target = arguments.input, arguments.output
     flags = {name: f"--{name}" for name in ("relative", "gauge", "scale")}
     with Progress(quiet=arguments.quiet) as progress:
@@ -64,9 +60,9 @@ def covariance_of_graph_file(arguments: argparse.Namespace) -> int:
             found = graph_covariance(
                 graph,
                 options,
-                relative=arguments.relative,
-                gauge=arguments.covariance_gauge or "first",
-                scale=arguments.scale,
+                relative=wanted.relative,
+                gauge=wanted.covariance_gauge or "first",
+                scale=wanted.scale,
             )
         progress.stage(f"writing {shown(target)}")
         found.save(target)

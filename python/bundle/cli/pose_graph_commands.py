@@ -1,41 +1,40 @@
-"""What `bundle refine`, `info` and `convert` do with a pose graph."""
+"""`bundle refine`, `info` and `convert` of a pose graph."""
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
+from bundle.cli.flags_by_kind import refuse_flags_of_reconstructions
+from bundle.cli.many_processes import note_alone
 from bundle.cli.option_flags import naming_flags, options_given
-from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
+from bundle.cli.output import check_replaced, publish
+from bundle.cli.progress import Progress
+from bundle.cli.standard_streams import complain
+from bundle.errors import shown
+from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
 from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.io.g2o_files import check_g2o_target, load_g2o, save_g2o
+from bundle.reports.sections import Report
+from bundle.reports.terminal.convert import converted_graph
+from bundle.reports.terminal.pose_graph_tables import described_graph, refined_graph
+from bundle.reports.terminal.timing import WallTime
 
 if TYPE_CHECKING:
     from bundle.model.pose_graph_arrays import PoseGraph
-    from bundle.reports.sections import Report
 
-__all__ = ["convert_graph", "describe_graph", "refine_graph"]
-
-_OPTIONS = {field.name for field in dataclasses.fields(PoseGraphOptions)}
+__all__ = ["convert", "describe", "refine"]
 
 
-def refine_graph(arguments: argparse.Namespace) -> int:
+def refine(arguments: argparse.Namespace) -> int:
     """Refine the pose graph INPUT into OUTPUT."""
+    note_alone("refines the pose graph")
     started = perf_counter()
-    from bundle.cli.output import check_replaced, publish
-    from bundle.cli.progress import Progress
-    from bundle.cli.standard_streams import complain
-    from bundle.errors import shown
-    from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
-    from bundle.io.g2o_files import check_g2o_target, load_g2o, save_g2o
-    from bundle.reports.terminal.pose_graph_tables import refined_graph
-    from bundle.reports.terminal.timing import WallTime
-
-    refuse_flags_of_reconstructions(arguments, _OPTIONS)
+    refuse_flags_of_reconstructions(arguments, PoseGraphOptions.names())
     options = options_given(arguments, PoseGraphOptions)
     source, target = arguments.input, arguments.output
     check_g2o_target(target)
@@ -70,22 +69,14 @@ def refine_graph(arguments: argparse.Namespace) -> int:
     return EXIT_NO_SOLUTION
 
 
-def describe_graph(path: str) -> Report:
+def describe(path: str, arguments: argparse.Namespace, _progress: Progress) -> Report:
     """Return the report of `bundle info` on a pose graph."""
-    from bundle.io.g2o_files import load_g2o
-    from bundle.reports.terminal.pose_graph_tables import described_graph
-
+    refuse_flags_of_reconstructions(arguments)
     return described_graph(path, load_g2o(path))
 
 
-def convert_graph(arguments: argparse.Namespace) -> int:
+def convert(arguments: argparse.Namespace) -> int:
     """Write the pose graph INPUT anew: compressed or not, with poses where it had none."""
-    from bundle.cli.output import check_replaced, publish
-    from bundle.cli.progress import Progress
-    from bundle.errors import shown
-    from bundle.io.g2o_files import check_g2o_target, load_g2o, save_g2o
-    from bundle.reports.terminal.convert import converted_graph
-
     refuse_flags_of_reconstructions(arguments)
     path = arguments.output
     check_g2o_target(path)
@@ -103,7 +94,5 @@ def convert_graph(arguments: argparse.Namespace) -> int:
 
 def _has_same_poses(graph: PoseGraph, path: Path) -> bool:
     """Tell whether the file of a pose graph has poses of the same ids."""
-    from bundle.io.g2o_files import load_g2o
-
     there = load_g2o(path)
     return there.poses.shape == graph.poses.shape and sorted(there.ids) == sorted(graph.ids)

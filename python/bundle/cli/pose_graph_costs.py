@@ -1,19 +1,24 @@
-"""What `bundle inspect` and `bundle compare` do with a pose graph."""
+"""`bundle inspect` and `bundle compare` of a pose graph."""
 
 from __future__ import annotations
 
 import argparse
 from time import perf_counter
-from typing import Any
 
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
+from bundle.cli.flags_by_kind import refuse_flags_of_reconstructions
 from bundle.cli.option_flags import naming_flags, options_given
-from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
-from bundle.errors import InputError
-from bundle.interface import compare_defaults as defaults
+from bundle.cli.output import publish
+from bundle.cli.progress import Progress
+from bundle.errors import InputError, shown
+from bundle.interface.inspect_options import RankOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.io.g2o_files import load_g2o
+from bundle.planning.comparison.compare_methods import compare
+from bundle.planning.inspection.problem_inspection import inspect
+from bundle.reports.terminal.graph_costs import compared_graph, inspected_graph
 
-__all__ = ["compare_graph_file", "inspect_graph_file"]
+__all__ = ["compare_graph", "inspect_graph"]
 
 OPTIONS = (
     *("error", "init", "information", "loss", "loss_scale", "loss_on", "max_num_iterations"),
@@ -22,16 +27,11 @@ OPTIONS = (
 """Of every solve that is compared."""
 
 
-def inspect_graph_file(arguments: argparse.Namespace) -> int:
+def inspect_graph(arguments: argparse.Namespace) -> int:
     """Inspect the pose graph INPUT."""
     started = perf_counter()
-    from bundle.cli.output import publish
-    from bundle.cli.progress import Progress
-    from bundle.errors import shown
-    from bundle.io.g2o_files import load_g2o
-    from bundle.planning.inspection.problem_inspection import inspect
-    from bundle.reports.terminal.graph_costs import inspected_graph
-
+    if options_given(arguments, RankOptions).ranks is not None:
+        raise InputError("--ranks: expected a bundle adjustment problem, found a pose graph")
     refuse_flags_of_reconstructions(arguments, ("num_threads",))
     source = arguments.input
     with Progress(quiet=arguments.quiet) as progress:
@@ -44,23 +44,17 @@ def inspect_graph_file(arguments: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def compare_graph_file(arguments: argparse.Namespace) -> int:
+def compare_graph(arguments: argparse.Namespace) -> int:
     """Compare methods on the pose graph INPUT: 0 if one can be recommended."""
     started = perf_counter()
-    from bundle.cli.output import publish
-    from bundle.cli.progress import Progress
-    from bundle.errors import shown
-    from bundle.io.g2o_files import load_g2o
-    from bundle.planning.comparison.compare_methods import compare
-    from bundle.reports.terminal.graph_costs import compared_graph
-
     if len(arguments.inputs) > 1:
         raise InputError(f"expected one INPUT with a pose graph, found {len(arguments.inputs)}")
-    own = ("inputs", "backends", "threads", "repeat", "timeout")
-    refuse_flags_of_reconstructions(_without_defaults(arguments), (*OPTIONS, *own))
+    own = ("backends", "threads", "repeat", "timeout")
+    refuse_flags_of_reconstructions(arguments, (*OPTIONS, *own))
     options = options_given(arguments, PoseGraphOptions)
+    given = {name: getattr(arguments, name) for name in own}
     source = arguments.inputs[0]
-    flags = {name: f"--{name}" for name in ("backends", "threads", "repeat", "timeout")}
+    flags = {name: f"--{name}" for name in own}
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         graph = load_g2o(source)
@@ -69,26 +63,10 @@ def compare_graph_file(arguments: argparse.Namespace) -> int:
             found = compare(
                 graph,
                 options,
-                backends=arguments.backends,
-                threads=arguments.threads,
-                repeat=arguments.repeat,
-                timeout=arguments.timeout,
+                **{name: value for name, value in given.items() if value is not None},
                 progress=progress.stage,
             )
     asked = {name: getattr(options, name) for name in OPTIONS}
     wall = perf_counter() - started
     publish(compared_graph(source, found, asked, wall), arguments.json)
     return EXIT_DONE if found.recommended is not None else EXIT_NO_SOLUTION
-
-
-def _without_defaults(arguments: argparse.Namespace) -> argparse.Namespace:
-    """Return the arguments without those that only reconstructions have, where not given."""
-    values: dict[str, Any] = dict(vars(arguments))
-    for name, default in (
-        ("solvers", defaults.SOLVERS),
-        ("preconditioners", defaults.PRECONDITIONERS),
-        ("orderings", defaults.ORDERINGS),
-    ):
-        if values[name] == default:
-            values[name] = None
-    return argparse.Namespace(**values)

@@ -1,46 +1,41 @@
-"""What `bundle info` and `convert` do with a visual-inertial sequence."""
+"""`bundle info` and `convert` of a visual-inertial sequence."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from bundle.cli.error_lines import EXIT_DONE
-from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
+from bundle.cli.flags_by_kind import refuse_flags_of_reconstructions
+from bundle.cli.output import check_replaced, publish
+from bundle.cli.progress import Progress
+from bundle.errors import shown
+from bundle.inertial.vio.sequence_statistics import sequence_statistics
 from bundle.io.recognition import sequence_format
+from bundle.io.sequences.sequence_folder import (
+    check_sequence_target,
+    read_sequence,
+    save_sequence,
+)
+from bundle.reports.sections import Report
+from bundle.reports.terminal.convert import converted_sequence
+from bundle.reports.terminal.sequence_tables import described_sequence
 
-if TYPE_CHECKING:
-    from bundle.reports.sections import Report
-
-__all__ = ["convert_sequence", "describe_sequence"]
+__all__ = ["convert", "describe"]
 
 
-def describe_sequence(path: str) -> Report:
+def describe(path: str, arguments: argparse.Namespace, _progress: Progress) -> Report:
     """Return the report of `bundle info` on a sequence."""
-    from bundle.inertial.vio.sequence_statistics import sequence_statistics
-    from bundle.io.sequences.sequence_folder import read_sequence
-    from bundle.reports.terminal.sequence_tables import described_sequence
-
+    refuse_flags_of_reconstructions(arguments)
     sequence, findings = read_sequence(path)
     statistics = sequence_statistics(sequence)
     return described_sequence(path, sequence_format(path), sequence, statistics, findings)
 
 
-def convert_sequence(arguments: argparse.Namespace) -> int:
+def convert(arguments: argparse.Namespace) -> int:
     """Write a sequence as a folder."""
-    import numpy as np
-
-    from bundle.cli.output import check_replaced, publish
-    from bundle.cli.progress import Progress
-    from bundle.errors import shown
-    from bundle.io.sequences.sequence_folder import (
-        check_sequence_target,
-        read_sequence,
-        save_sequence,
-    )
-    from bundle.reports.terminal.convert import converted_sequence
-
     refuse_flags_of_reconstructions(arguments)
     source, target = arguments.input, arguments.output
     check_sequence_target(target)

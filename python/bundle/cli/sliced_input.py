@@ -11,6 +11,7 @@ from bundle.interface.options import SolveOptions
 from bundle.io.atomic.model_files import is_text_model, missing_model_files
 from bundle.io.open import output_format, recover
 from bundle.solving.ranks.launch import current
+from bundle.solving.ranks.mpi_crew import MpiCrew
 from bundle.solving.ranks.one_process import reason_in_options
 
 if TYPE_CHECKING:
@@ -20,44 +21,22 @@ __all__ = ["sliced_input"]
 
 COMPRESSED = (".gz", ".bz2")
 
-# Flags beside the options of a solve that have nothing to do with the observations.
-_HARMLESS = {
-    *(
-        "command",
-        "run",
-        "input",
-        "output",
-        "json",
-        "quiet",
-        "format",
-        "overwrite",
-        "fixed_image_ids",
-    ),
-    *("checkpoint", "checkpoint_interval", "resume"),
-}
-
 
 def sliced_input(arguments: argparse.Namespace, options: SolveOptions) -> SlicedRefinement | None:
     """Return the refinement of INPUT in slices; None where one process has to read it all.
 
     That is one process, COLMAP models as text, an output in another format than the input or
-    compressed, options whose solve is not divided, and any flag beside the options of a plain
-    solve.
+    compressed, and options whose solve is not divided.
 
     Raises:
         InputError: there are no observations, or INPUT is not what its format says.
         OSError: a file cannot be read.
     """
-    from bundle.solving.ranks.mpi_crew import MpiCrew
-
     crew = current()
     source, target = Path(arguments.input), Path(arguments.output)
     if not isinstance(crew, MpiCrew):
         return None
-    plain = _HARMLESS | {field.name for field in dataclasses.fields(SolveOptions)}
-    others = {name: value for name, value in vars(arguments).items() if name not in plain}
-    given = [value for value in others.values() if value not in (None, False, [], ())]
-    if given or reason_in_options(options.asdict()):
+    if reason_in_options(options.asdict()):
         return None
     recover(source)
     source_format = _format(source)
@@ -68,7 +47,7 @@ def sliced_input(arguments: argparse.Namespace, options: SolveOptions) -> Sliced
     is_compressed = target_format == "bal" and target.suffix.lower() in COMPRESSED
     if target_format != source_format or is_compressed:
         return None
-    from bundle.solving.slices.sliced_refinement import SlicedRefinement
+    from bundle.solving.slices.sliced_refinement import SlicedRefinement  # by mpirun only
 
     return SlicedRefinement(crew, source)
 

@@ -5,108 +5,36 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
 
+import numpy as np
+
+from bundle.base.paths import as_path
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
-from bundle.cli.option_flags import add_options, naming_flags, options_given
-from bundle.cli.path_checks import (
-    a_path,
-    page_path,
-    reconstruction,
-    telemetry_path,
-    trajectory_path,
-)
+from bundle.cli.option_flags import naming_flags, options_given
+from bundle.cli.output import publish
+from bundle.cli.progress import Progress
+from bundle.cli.standard_streams import complain
+from bundle.errors import InputError, shown
+from bundle.inertial.two_loops.closure_files import load_closures
+from bundle.inertial.two_loops.replay import TwoLoopsResult, run_two_loops
+from bundle.inertial.vio.keyframe_record import KeyframeRecord
+from bundle.inertial.vio.odometry import run_odometry
+from bundle.inertial.vio.trajectory_comparison import compare_trajectories, covered_by
 from bundle.interface.window_options import WindowOptions
+from bundle.io.atomic import atomic_write as atomic
+from bundle.io.recognition import sequence_format
+from bundle.io.sequences.sequence_folder import read_sequence, refuse_fatal
+from bundle.io.sequences.trajectory_files import load_trajectory, save_tum
+from bundle.model.sequence.sequence import Sequence
+from bundle.reports.terminal.two_loops_tables import with_loops
+from bundle.reports.terminal.vio import odometry_report, telemetry_lines
 
-if TYPE_CHECKING:
-    from bundle.inertial.two_loops.replay import TwoLoopsResult
-    from bundle.inertial.vio.keyframe_record import KeyframeRecord
-    from bundle.model.sequence.sequence import Sequence
-
-__all__ = ["HELP", "NAME", "add_arguments", "run"]
-
-NAME = "vio"
-HELP = "visual-inertial odometry from feature tracks and IMU samples"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of this command."""
-    parser.usage = "bundle vio SEQUENCE -o FILE.tum [options]"
-    parser.add_argument(
-        "sequence",
-        metavar="SEQUENCE",
-        type=reconstruction,
-        help="a folder with imu.csv, tracks.csv and calibration.yaml, or a table of both that "
-        "bundle convert reads",
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="FILE.tum",
-        type=trajectory_path,
-        required=True,
-        help="poses world_from_imu of the images that were solved for, a line each: timestamp in "
-        "seconds, tx ty tz, qx qy qz qw; z is up",
-    )
-    parser.add_argument(
-        "--ground-truth",
-        metavar="FILE",
-        type=a_path,
-        help="compare with it: EuRoC's csv or a TUM file (needs evo)",
-    )
-    parser.add_argument(
-        "--telemetry",
-        metavar="FILE.jsonl",
-        type=telemetry_path,
-        help="one line of JSON per keyframe, as it is settled",
-    )
-    parser.add_argument(
-        "--html",
-        metavar="PAGE",
-        type=page_path(),
-        help="a page with the curves of the telemetry and the path, a single file",
-    )
-    loops = parser.add_argument_group("two loops")
-    loops.add_argument(
-        "--publish",
-        metavar="FILE.tum",
-        type=trajectory_path,
-        help="a pose per IMU sample: the window's last solution, propagated, and moved by what "
-        "closures correct",
-    )
-    loops.add_argument(
-        "--loops",
-        metavar="FILE",
-        type=a_path,
-        help="closures: csv of first_timestamp_ns, second_timestamp_ns, tx ty tz, qx qy qz qw of "
-        "the IMU at the second time in its frame at the first, sigmas in metres and degrees; or a "
-        "g2o file whose ids are the stamps",
-    )
-    loops.add_argument(
-        "--real-time",
-        action="store_true",
-        help="replay at the rate of the sensors and report how late the poses are",
-    )
-    add_options(parser, WindowOptions, "the window")
+__all__ = ["run"]
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the odometry over SEQUENCE."""
     started = perf_counter()
-    import numpy as np
-
-    from bundle.base.paths import as_path
-    from bundle.cli.output import publish
-    from bundle.cli.progress import Progress
-    from bundle.cli.standard_streams import complain
-    from bundle.errors import InputError, shown
-    from bundle.inertial.vio.odometry import run_odometry
-    from bundle.inertial.vio.trajectory_comparison import compare_trajectories, covered_by
-    from bundle.io.atomic import atomic_write as atomic
-    from bundle.io.recognition import sequence_format
-    from bundle.io.sequences.sequence_folder import read_sequence, refuse_fatal
-    from bundle.io.sequences.trajectory_files import load_trajectory, save_tum
-    from bundle.reports.terminal.vio import odometry_report, telemetry_lines
 
     source, target = arguments.sequence, arguments.output
     if arguments.publish is None and (arguments.loops is not None or arguments.real_time):
@@ -147,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.telemetry is not None:
             atomic.write_text(as_path(arguments.telemetry), telemetry_lines(result))
         if arguments.html is not None:
-            from bundle.reports.page.odometry_page import write_odometry
+            from bundle.reports.page.odometry_page import write_odometry  # for --html only
 
             progress.stage(f"writing {shown(arguments.html)}")
             write_odometry(result, arguments.html, truth=truth, error=error, name=Path(source).name)
@@ -157,8 +85,6 @@ def run(arguments: argparse.Namespace) -> int:
         source, sequence_format(source), sequence, result, error, written, wall, findings
     )
     if loops is not None:
-        from bundle.reports.terminal.two_loops_tables import with_loops
-
         path = arguments.publish if result.is_usable else None
         report = with_loops(report, loops, corrected, path)
     publish(report, arguments.json)
@@ -172,8 +98,6 @@ def run(arguments: argparse.Namespace) -> int:
 def _replayed(
     arguments: argparse.Namespace, sequence: Sequence, options: WindowOptions
 ) -> TwoLoopsResult:
-    from bundle.inertial.two_loops.closure_files import load_closures
-    from bundle.inertial.two_loops.replay import run_two_loops
 
     closures = () if arguments.loops is None else load_closures(arguments.loops)
     return run_two_loops(sequence, options, closures=closures, real_time=arguments.real_time)

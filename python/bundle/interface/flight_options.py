@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 from bundle.errors import InputError
-from bundle.interface.observation_options import outlier_share_option, pixel_noise_option
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
+from bundle.interface.scene_options import outlier_share_option, pixel_noise_option
 
 __all__ = ["FlightOptions"]
 

@@ -60,6 +60,11 @@ class Options:
             raise InputError(f"options: expected {cls.__name__}, found {found}")
         return options._changed(caller, changes) if changes else options
 
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """Return the name of every option."""
+        return tuple(field.name for field in _declared(cls).fields)
+
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some options changed."""
         return self._changed(type(self).__name__, changes)

@@ -63,17 +63,15 @@ REFINABLE = ("poses", "points", "focal", "principal_point", "extra")
 GAUGES = ("auto", "none", "two_cameras", "three_points")
 CHEIRALITIES = ("auto", "algebraic", "zero")
 
-GRAPH_ORDERINGS = (
-    "natural",
-    "reverse",
-    "landmarks_first",
-    "minimum_degree",
-    "amd",
-    "colamd",
-    "metis",
-    "nesdis",
+REFINED = (
+    *("num_threads", "refine", "fixed_camera_ids", "fixed_image_ids", "fixed_point_ids"),
+    *("refine_sensor_from_rig", "fixed_sensors"),
 )
-"""Orders in which `inspect_graph` eliminates the variables of a graph."""
+"""Options of the commands that look at a problem without solving it, and the number of threads."""
+PATTERN = (*REFINED, "gauge")
+INFORMATION = (*REFINED, "loss", "loss_scale")
+LINEARIZATION = (*REFINED, "gauge", "loss", "loss_scale")
+"""Options on which the sparsity pattern, the information matrix and the linearization depend."""
 
 
 @documented
@@ -188,16 +186,21 @@ class SolveOptions(Options):
         metavar="LIST",
     )
     fixed_camera_ids: tuple[int, ...] = option(
-        (), "--fix-cameras", "ids of cameras whose intrinsics are held fixed", metavar="IDS"
+        (),
+        "--fix-cameras",
+        "ids of cameras whose intrinsics are held fixed",
+        metavar="IDS",
+        value="ids",
     )
     fixed_image_ids: tuple[int, ...] = option(
         (),
         "--fix-images",
         "images whose pose is held fixed, on a rig with their frame; their sensors are not refined",
         metavar="IMAGES",
+        value="images",
     )
     fixed_point_ids: tuple[int, ...] = option(
-        (), "--fix-points", "ids of points that are held fixed", metavar="IDS"
+        (), "--fix-points", "ids of points that are held fixed", metavar="IDS", value="ids"
     )
     refine_sensor_from_rig: bool = option(
         False,
@@ -210,6 +213,7 @@ class SolveOptions(Options):
         "--fix-sensors",
         "sensors whose pose on their rig is held fixed, each a rig's id and a camera's",
         metavar="SENSORS",
+        value="sensors",
     )
     gauge: str = option(
         "auto",

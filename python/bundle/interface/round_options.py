@@ -7,7 +7,13 @@ from dataclasses import dataclass
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 
-__all__ = ["CHECKPOINT_INTERVAL", "RESTS", "RoundOptions"]
+__all__ = [
+    "CHECKPOINT_INTERVAL",
+    "RESTS",
+    "CheckpointOptions",
+    "LocalOptions",
+    "RoundOptions",
+]
 
 CHECKPOINT_INTERVAL = 20
 """Iterations from one checkpoint to the next within a round."""
@@ -37,6 +43,7 @@ class RoundOptions(Options):
         "largest reprojection error that a round leaves, in pixels",
         above=0.0,
         metavar="PIXELS",
+        needs=("num_rounds",),
     )
     min_angle: float = option(
         1.5,
@@ -46,6 +53,7 @@ class RoundOptions(Options):
         minimum=0.0,
         maximum=90.0,
         metavar="DEGREES",
+        needs=("num_rounds",),
     )
     min_track_length: int = option(
         2,
@@ -53,4 +61,63 @@ class RoundOptions(Options):
         "smallest number of observations of a point that a round leaves",
         minimum=0,
         metavar="N",
+        needs=("num_rounds",),
+    )
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class LocalOptions(Options):
+    """Part of a problem that is refined while the rest stays."""
+
+    only_images: str | None = option(
+        None,
+        "--only-images",
+        "refine only these images, the points that they see and their cameras, and leave all else "
+        "as it is, bit for bit; other images that see these points take part, held",
+        metavar="IMAGES",
+        value="names of images",
+        unset="all images",
+    )
+    rest: str = option(
+        RESTS[0],
+        "--rest",
+        "with --only-images, what all else does. fixed: other images that see these points are "
+        "held. marginal: they and their cameras move too, under the exact marginal prior of "
+        "everything that does not take part; only the named images, their points and cameras are "
+        "written",
+        choices=RESTS,
+        needs=("only_images",),
+    )
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class CheckpointOptions(Options):
+    """Files from which a killed run goes on."""
+
+    checkpoint: str | None = option(
+        None,
+        "--checkpoint",
+        "write FILE after each round and every few iterations, for --resume",
+        metavar="FILE",
+        value="checkpoint",
+    )
+    resume: str | None = option(
+        None,
+        "--resume",
+        "go on from this checkpoint, with the same INPUT and options (--threads may differ), and "
+        "go on writing it; from the start if there is no such file. With --deterministic the "
+        "result is that of a run with --checkpoint that was not killed, bit for bit",
+        metavar="FILE",
+        value="resumed checkpoint",
+    )
+    checkpoint_interval: int = option(
+        CHECKPOINT_INTERVAL,
+        "--checkpoint-interval",
+        "iterations from one checkpoint to the next within a round; the solver starts anew from "
+        "each, which takes a few more steps",
+        metavar="N",
+        needs=("checkpoint", "resume"),
+        late=True,
     )

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from bundle.errors import InputError
-from bundle.interface.observation_options import outlier_share_option, pixel_noise_option
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 
-__all__ = ["SceneOptions"]
+__all__ = ["SceneOptions", "outlier_share_option", "pixel_noise_option"]
 
 SCENES = ("street", "orbit", "photo_collection")
 # Models that intrinsics.py can draw a believable lens of.
@@ -23,6 +23,30 @@ CAMERAS = ("auto", "shared", "individual")
 MIN_OBSERVATIONS_PER_IMAGE = 20
 MIN_TRACK_LENGTH = 2
 USUAL_TRACK_LENGTH = 6.0
+
+
+def pixel_noise_option() -> Any:
+    """Return the field of ``pixel_noise``, for synthetic observations of any kind."""
+    return option(
+        0.5,
+        "--pixel-noise",
+        "standard deviation of x and of y, in pixels",
+        minimum=0.0,
+        below=1e6,
+        metavar="PIXELS",
+    )
+
+
+def outlier_share_option() -> Any:
+    """Return the field of ``outlier_share``, for synthetic observations of any kind."""
+    return option(
+        0.0,
+        "--outlier-share",
+        "share of the observations replaced by uniformly random pixels",
+        minimum=0.0,
+        below=1.0,
+        metavar="X",
+    )
 
 
 @documented

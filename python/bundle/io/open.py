@@ -25,7 +25,7 @@ from bundle.io.atomic.model_files import (
 )
 from bundle.io.file_names import check_name
 from bundle.io.georeference_file import remove_georeference
-from bundle.io.recognition import is_pose_graph_file, other_format_at
+from bundle.io.recognition import FORMATS, is_pose_graph_file, other_format_at
 from bundle.model.problem import Problem
 
 __all__ = [
@@ -37,8 +37,6 @@ __all__ = [
     "save",
     "save_model",
 ]
-
-FORMATS = ("bal", "colmap", "colmap-text")
 
 MOST_HINTS = 5
 """Models inside a folder that an error names."""

@@ -4,18 +4,27 @@ from __future__ import annotations
 
 import os
 import re
+from enum import StrEnum
 from pathlib import Path
 
 from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files
 from bundle.io.file_names import format_of_name
 
 __all__ = [
+    "FORMATS",
     "SEQUENCE_FILES",
+    "Kind",
     "is_pose_graph_file",
     "other_format_at",
+    "recognize",
     "reconstruction_at",
     "sequence_at",
+    "sequence_format",
 ]
+
+FORMATS = ("bal", "colmap", "colmap-text")
+"""Formats of reconstructions that are written."""
+
 
 _HEADER = re.compile(rb"\s*\d+\s+\d+\s+\d+\s+\d+\s+\d+\s+[-+.\d]")  # counts, first observation
 _RECORD = re.compile(
@@ -44,6 +53,25 @@ _BEGINNINGS = {
 }
 """First bytes of files of formats that are not read here."""
 SEQUENCE_FILES = ("imu.csv", "tracks.csv", "calibration.yaml")
+
+
+class Kind(StrEnum):
+    """Kinds of inputs."""
+
+    RECONSTRUCTION = "a reconstruction"
+    POSE_GRAPH = "a pose graph"
+    SEQUENCE = "a sequence"
+
+
+def recognize(path: object) -> Kind:
+    """Return the kind of an input by its content, or by its name where nothing can be read.
+
+    What is neither a pose graph nor a sequence counts as a reconstruction: its reader says what it
+    found instead. Pipes are never looked into.
+    """
+    if is_pose_graph_file(path):
+        return Kind.POSE_GRAPH
+    return Kind.SEQUENCE if sequence_at(path) else Kind.RECONSTRUCTION
 
 
 def reconstruction_at(path: Path) -> str | None:

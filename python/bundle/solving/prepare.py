@@ -14,11 +14,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from bundle.errors import InputError
-from bundle.georeference.placed_problem import PlacedProblem, place_at_priors
 from bundle.interface.options import SolveOptions
 from bundle.interface.solve_record import record_fields, with_warnings
 from bundle.model.problem import Problem
 from bundle.solving.layout import Layout, lay_out
+from bundle.solving.placed_problem import PlacedProblem, place_at_priors
 from bundle.solving.request import Bounds, PartRequest, SolveRequest
 from bundle.solving.result import Result
 from bundle.solving.sensor_changes import weak_baseline

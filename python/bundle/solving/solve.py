@@ -24,11 +24,11 @@ from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
-    from bundle.georeference.placed_problem import Prior
     from bundle.graphs.factors.factors import Factor
     from bundle.solving.constraints.applied import Applied
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
+    from bundle.solving.placed_problem import Prior
 
 __all__ = ["solve"]
 

@@ -45,7 +45,8 @@ def reports(monkeypatch, files):
     """Run a command and return what it showed, at any width."""
     monkeypatch.setattr(problem_inspection, "machine_rates", lambda *_, **__: RATES)
     shown = []
-    monkeypatch.setattr("bundle.cli.output.show", lambda *parts: shown.extend(parts))
+    for module in ("output", "info"):
+        monkeypatch.setattr(f"bundle.cli.{module}.show", lambda *parts: shown.extend(parts))
 
     def run(*words):
         assert main([word.replace("TMP", str(files)) for word in words] + ["--quiet"]) in (0, 1)

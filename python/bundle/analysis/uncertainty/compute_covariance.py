@@ -18,7 +18,7 @@ from bundle.base.words import not_converged
 from bundle.errors import InputError, brief
 from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
-from bundle.interface.covariance_choices import GAUGES, PARTS, ROBUST, SCALES, one_of, parts_of
+from bundle.interface.covariance_options import GAUGES, PARTS, ROBUST, SCALES, one_of, parts_of
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.source import Source, as_problem
@@ -29,10 +29,10 @@ from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
-    from bundle.georeference.placed_problem import Prior
     from bundle.graphs.factors.factors import Factor
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
+    from bundle.solving.placed_problem import Prior
 
 __all__ = ["covariance"]
 

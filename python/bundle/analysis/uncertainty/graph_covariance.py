@@ -18,7 +18,7 @@ from bundle.base.words import not_converged, number, plural
 from bundle.errors import InputError, brief
 from bundle.graphs.pose_graphs.edge_weights import WeightedGraph, weighted_graph
 from bundle.graphs.pose_graphs.joints import find_joints
-from bundle.interface.covariance_choices import SCALES, one_of
+from bundle.interface.covariance_options import SCALES, one_of
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.atomic import atomic_write as atomic
 from bundle.model.pose_graph_arrays import PoseGraph

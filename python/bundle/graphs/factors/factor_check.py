@@ -31,7 +31,7 @@ from bundle.checking.sample_check import SamplePoint, check_samples
 from bundle.errors import InputError, brief, check_keywords
 from bundle.graphs.factors.other_coordinates import other_coordinates
 from bundle.graphs.factors.variables import Array, Variable
-from bundle.interface.check_defaults import TOLERANCE
+from bundle.interface.check_options import TOLERANCE
 from bundle.interface.option_fields import number
 
 __all__ = ["FactorCheck", "check_each"]

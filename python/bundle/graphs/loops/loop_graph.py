@@ -43,7 +43,7 @@ from bundle.graphs.loops.loop_closing import LoopClosing, LoopClosure
 from bundle.graphs.loops.loop_edges import Closures, as_closures, images_of
 from bundle.graphs.loops.similarity_graph import Nodes, SimilarityGraph
 from bundle.graphs.pose_graphs.gnc import QUANTILES
-from bundle.interface.loop_losses import LOOP_LOSSES
+from bundle.interface.loop_options import LOOP_LOSSES
 from bundle.interface.option_fields import choice, number
 from bundle.io.source import Source, as_problem
 from bundle.model.losses import evaluate_loss

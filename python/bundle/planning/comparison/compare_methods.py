@@ -13,7 +13,7 @@ from bundle.base.arguments import check_function
 from bundle.errors import InputError, check_keywords
 from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
-from bundle.interface.compare_defaults import (
+from bundle.interface.compare_options import (
     BACKENDS,
     COMPARED,
     ORDERINGS,

@@ -17,7 +17,7 @@ from bundle.base.words import number, plural, seconds
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
-from bundle.interface.compare_defaults import BACKENDS, REPEAT, SECONDS_NOT_REPEATED, TIMEOUT
+from bundle.interface.compare_options import BACKENDS, REPEAT, SECONDS_NOT_REPEATED, TIMEOUT
 from bundle.interface.option_fields import choice
 from bundle.interface.option_fields import number as checked_number
 from bundle.interface.pose_graph_options import PoseGraphOptions

@@ -10,7 +10,7 @@ from typing import Any
 from bundle import _core
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
-from bundle.interface.compare_defaults import BACKENDS, ORDERINGS, PRECONDITIONERS, SOLVERS, THREADS
+from bundle.interface.compare_options import BACKENDS, ORDERINGS, PRECONDITIONERS, SOLVERS, THREADS
 from bundle.interface.option_fields import number
 from bundle.interface.options import SolveOptions
 

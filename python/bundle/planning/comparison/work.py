@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bundle.base.memory_sizes import format_size
 from bundle.base.paths import is_path
 from bundle.errors import InputError, shown
-from bundle.interface.compare_defaults import SECONDS_NOT_REPEATED
+from bundle.interface.compare_options import SECONDS_NOT_REPEATED
 from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary
 from bundle.io.source import Source, as_problem

@@ -14,8 +14,8 @@ from bundle.base.arguments import as_flag
 from bundle.base.display import Display, Displayed
 from bundle.base.words import plural
 from bundle.errors import InputError
+from bundle.interface.inspect_options import GRAPH_ORDERINGS
 from bundle.interface.option_fields import choice
-from bundle.interface.options import GRAPH_ORDERINGS
 from bundle.planning.inspection.elimination import EliminationStep, eliminate, minimum_degree_order
 from bundle.planning.inspection.graph_input import (
     as_block_sizes,

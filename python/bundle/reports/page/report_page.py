@@ -50,9 +50,9 @@ from bundle.solving.result import Result
 if TYPE_CHECKING:
     from bundle.analysis.uncertainty.covariance_result import Covariance
     from bundle.georeference.georeferenced import Georeference
-    from bundle.georeference.placed_problem import Prior
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
+    from bundle.solving.placed_problem import Prior
 
 __all__ = ["write_report"]
 

@@ -25,11 +25,11 @@ from bundle.solving.rounds.run_state import State
 from bundle.solving.rounds.segments import num_steps, solve_in_segments
 
 if TYPE_CHECKING:
-    from bundle.georeference.placed_problem import Prior
     from bundle.graphs.factors.factors import Factor
     from bundle.model.problem import Problem
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
+    from bundle.solving.placed_problem import Prior
 
 __all__ = ["run", "solve_rounds"]
 

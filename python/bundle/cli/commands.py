@@ -1,0 +1,240 @@
+"""Arguments of every command: INPUT, OUTPUT and reports by hand, options from their classes.
+
+``ARGUMENTS`` has the function that declares the arguments of each command; the function that runs
+the command is found by ``bundle.cli.dispatch``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+
+from bundle.cli.analysis_commands import (
+    add_check,
+    add_compare,
+    add_covariance,
+    add_diagnose,
+    add_info,
+    add_inspect,
+    add_report,
+)
+from bundle.cli.dispatch import FLIGHT
+from bundle.cli.flags_by_kind import add_flight_flags, add_pose_graph_flags
+from bundle.cli.option_flags import add_fields, add_options
+from bundle.cli.path_checks import (
+    PathArgument,
+    a_path,
+    page_path,
+    reconstruction,
+    telemetry_path,
+    trajectory_path,
+)
+from bundle.cli.shared_arguments import (
+    CONTROL_POINTS,
+    POSITIONS,
+    ROBUSTNESS,
+    add_common,
+    add_format,
+    add_georeference,
+    add_input,
+    add_output,
+    add_rig_config,
+    add_rules,
+)
+
+__all__ = ["ARGUMENTS", "add_common", "ground_truth_path"]
+
+Parser = argparse.ArgumentParser
+
+
+def _refine(parser: Parser) -> None:
+    parser.usage = "bundle refine INPUT -o OUTPUT [options]"
+    add_input(parser)
+    add_output(parser, "-o", "--output", required=True)
+    add_rig_config(parser)
+    add_options(parser, "SolveOptions", "options of the solve")
+    add_pose_graph_flags(parser)
+    add_options(parser, "RoundOptions", "rounds of adjusting and filtering")
+    add_rules(parser)
+    add_georeference(parser)
+    add_options(parser, "LensOptions", "cameras of OUTPUT")
+    add_fields(parser, "LocalOptions")
+    add_options(parser, "LoopOptions", "loops")
+    add_options(parser, "CheckpointOptions", "runs that may be killed")
+    parser.add_argument(
+        "--html",
+        metavar="FILE",
+        type=page_path(),
+        help="also write a report page, as `bundle report` does, with residuals before and after; "
+        "--images DIR has its photographs (default: none)",
+    )
+    parser.add_argument(
+        "--check-gradients",
+        action="store_true",
+        help="first check the Jacobians on a sample, as `bundle check` does, and stop with its "
+        "report if any is wrong, not where that is undecided (default: off)",
+    )
+
+
+def _align(parser: Parser) -> None:
+    parser.usage = "bundle align INPUT -o OUTPUT [--gcp FILE] [--gps exif|FILE] [options]"
+    add_input(parser)
+    add_output(parser, "-o", "--output", required=True)
+    add_options(parser, "GeoreferenceOptions", "ground control points", CONTROL_POINTS)
+    add_options(parser, "GeoreferenceOptions", "positions of images", POSITIONS)
+    group = parser.add_argument_group("another model")
+    group.add_argument(
+        "--reference",
+        metavar="MODEL",
+        type=reconstruction,
+        help="a model with images of the same names, into whose frame INPUT goes (default: none)",
+    )
+    add_options(parser, "GeoreferenceOptions", "robustness", ROBUSTNESS)
+
+
+def _merge(parser: Parser) -> None:
+    parser.usage = "bundle merge A B -o OUTPUT [options]"
+    parser.add_argument(
+        "a",
+        metavar="A",
+        type=reconstruction,
+        help="a COLMAP model, whose frame, poses and ids stay",
+    )
+    parser.add_argument(
+        "b",
+        metavar="B",
+        type=reconstruction,
+        help="a COLMAP model with some images of the same names",
+    )
+    add_output(parser, "-o", "--output", required=True, replaces=("a", "b"))
+    parser.add_argument(
+        "--max-error",
+        metavar="PX",
+        type=float,
+        default=8.0,
+        help="points that meet at a keypoint are one if their projections differ by at most this, "
+        "the median over the images of both, in pixels (default: 8)",
+    )
+
+
+def _vio(parser: Parser) -> None:
+    parser.usage = "bundle vio SEQUENCE -o FILE.tum [options]"
+    parser.add_argument(
+        "sequence",
+        metavar="SEQUENCE",
+        type=reconstruction,
+        help="a folder with imu.csv, tracks.csv and calibration.yaml, or a table of both that "
+        "bundle convert reads",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="FILE.tum",
+        type=trajectory_path,
+        required=True,
+        help="poses world_from_imu of the images that were solved for, a line each: timestamp in "
+        "seconds, tx ty tz, qx qy qz qw; z is up",
+    )
+    parser.add_argument(
+        "--ground-truth",
+        metavar="FILE",
+        type=a_path,
+        help="compare with it: EuRoC's csv or a TUM file (needs evo)",
+    )
+    parser.add_argument(
+        "--telemetry",
+        metavar="FILE.jsonl",
+        type=telemetry_path,
+        help="one line of JSON per keyframe, as it is settled",
+    )
+    parser.add_argument(
+        "--html",
+        metavar="PAGE",
+        type=page_path(),
+        help="a page with the curves of the telemetry and the path, a single file",
+    )
+    loops = parser.add_argument_group("two loops")
+    loops.add_argument(
+        "--publish",
+        metavar="FILE.tum",
+        type=trajectory_path,
+        help="a pose per IMU sample: the window's last solution, propagated, and moved by what "
+        "closures correct",
+    )
+    loops.add_argument(
+        "--loops",
+        metavar="FILE",
+        type=a_path,
+        help="closures: csv of first_timestamp_ns, second_timestamp_ns, tx ty tz, qx qy qz qw of "
+        "the IMU at the second time in its frame at the first, sigmas in metres and degrees; or a "
+        "g2o file whose ids are the stamps",
+    )
+    loops.add_argument(
+        "--real-time",
+        action="store_true",
+        help="replay at the rate of the sensors and report how late the poses are",
+    )
+    add_options(parser, "WindowOptions", "the window")
+
+
+def _convert(parser: Parser) -> None:
+    add_input(parser)
+    add_output(parser, "output")
+    add_rig_config(parser)
+    add_options(parser, "LensOptions", "cameras of OUTPUT")
+
+
+def _synth(parser: Parser) -> None:
+    parser.add_argument(
+        "output",
+        metavar="OUTPUT",
+        type=PathArgument("output", is_data=True),
+        help="where the start goes: NAME.txt, .txt.gz and .txt.bz2 are BAL files, other names "
+        "folders of COLMAP models; of a flight the folder of a sequence",
+    )
+    add_format(parser)
+    parser.add_argument(
+        "--ground-truth",
+        metavar="PATH",
+        type=PathArgument("ground truth", is_data=True, otherwise=ground_truth_path),
+        help="where the true solution goes, with the same observations (default: beside OUTPUT, "
+        "OUTPUT_ground_truth)",
+    )
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace what stands at these paths (default: stop if there is anything)",
+    )
+    add_options(parser, "SceneOptions", "options of the scene")
+    add_flight_flags(parser)
+    parser.set_defaults(kind=lambda given: FLIGHT if given.scene == FLIGHT else "scene")
+
+
+def ground_truth_path(arguments: argparse.Namespace) -> str | None:
+    """Return the path of the true solution of a scene; None for a flight, whose folder has it."""
+    if arguments.scene == FLIGHT:
+        return None
+    path: str = arguments.output
+    if arguments.ground_truth:
+        return str(arguments.ground_truth)
+    if path.endswith("/"):
+        return path.rstrip("/") + "_ground_truth/"
+    return re.sub(r"((\.txt(\.gz|\.bz2)?)?)$", r"_ground_truth\1", path, count=1, flags=re.I)
+
+
+ARGUMENTS = {
+    "info": add_info,
+    "inspect": add_inspect,
+    "refine": _refine,
+    "compare": add_compare,
+    "check": add_check,
+    "covariance": add_covariance,
+    "diagnose": add_diagnose,
+    "align": _align,
+    "merge": _merge,
+    "report": add_report,
+    "vio": _vio,
+    "convert": _convert,
+    "synth": _synth,
+}
+"""Functions that declare the arguments of the commands."""

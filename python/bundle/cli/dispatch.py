@@ -1,0 +1,98 @@
+"""Two tables: what each command is for, and which function runs it for which kind of input.
+
+Handlers are named, not imported: a command imports what it needs and no more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from collections.abc import Callable
+from typing import Any
+
+from bundle.io.recognition import Kind, recognize
+
+__all__ = [
+    "COMMANDS",
+    "FLIGHT",
+    "GRAPH_FILE",
+    "HANDLERS",
+    "SEVERAL",
+    "find_handler",
+    "kind_of_input",
+]
+
+COMMANDS = {
+    "info": "what a reconstruction holds, its reprojection error [px] now, and what looks wrong",
+    "inspect": "what each way to solve a problem will cost: nonzeros, fill, flops, memory, time "
+    "per step",
+    "refine": "bundle adjustment: poses, points and intrinsics that explain the observations best; "
+    "of a pose graph (.g2o) the poses that explain its edges best",
+    "compare": "the same start under several solvers: measured, and one of them recommended",
+    "check": "validates the analytic Jacobians on this very problem, and names what is wrong",
+    "covariance": "how certain poses, points and intrinsics, or the poses of a pose graph are: "
+    "their marginal covariances",
+    "diagnose": "what the observations, or the edges of a pose graph, do not determine, and why: "
+    "rank, weak directions, pieces, points, suspicious edges",
+    "align": "puts a reconstruction where GPS, control points or another model say it is",
+    "merge": "makes two reconstructions of partly the same images one",
+    "report": "one page (HTML, no network) on a reconstruction: residuals, lenses, tracks, a 3-D "
+    "view",
+    "vio": "visual-inertial odometry from feature tracks and IMU samples",
+    "convert": "between formats, saying what is lost",
+    "synth": "seeded synthetic scenes with ground truth, from toy to millions of observations",
+}
+"""Commands in the order of the help, with what they do."""
+
+SEVERAL = "several inputs"
+GRAPH_FILE = "file of a graph"
+FLIGHT = "flight"
+
+HANDLERS = {
+    ("info", SEVERAL): "info:run",
+    ("info", Kind.RECONSTRUCTION): "info:describe_reconstruction",
+    ("info", Kind.POSE_GRAPH): "pose_graph_commands:describe",
+    ("info", Kind.SEQUENCE): "sequence_commands:describe",
+    ("inspect", Kind.RECONSTRUCTION): "inspect:run",
+    ("inspect", Kind.POSE_GRAPH): "pose_graph_costs:inspect_graph",
+    ("inspect", GRAPH_FILE): "inspect_graph_file:run",
+    ("refine", Kind.RECONSTRUCTION): "refine:run",
+    ("refine", Kind.POSE_GRAPH): "pose_graph_commands:refine",
+    ("compare", Kind.RECONSTRUCTION): "compare:run",
+    ("compare", Kind.POSE_GRAPH): "pose_graph_costs:compare_graph",
+    ("check", Kind.RECONSTRUCTION): "check:run",
+    ("covariance", Kind.RECONSTRUCTION): "covariance:run",
+    ("covariance", Kind.POSE_GRAPH): "pose_graph_analyses:compute_covariance",
+    ("diagnose", Kind.RECONSTRUCTION): "diagnose:run",
+    ("diagnose", Kind.POSE_GRAPH): "pose_graph_analyses:diagnose",
+    ("align", Kind.RECONSTRUCTION): "align:run",
+    ("merge", Kind.RECONSTRUCTION): "merge:run",
+    ("report", Kind.RECONSTRUCTION): "report:run",
+    ("vio", Kind.RECONSTRUCTION): "vio:run",
+    ("convert", Kind.RECONSTRUCTION): "convert:run",
+    ("convert", Kind.POSE_GRAPH): "pose_graph_commands:convert",
+    ("convert", Kind.SEQUENCE): "sequence_commands:convert",
+    ("synth", Kind.RECONSTRUCTION): "synth:run",
+    ("synth", FLIGHT): "flight_synthesis:run",
+}
+"""Functions of this room that run a command, by the kind of its input.
+
+A kind that a command does not list goes to the reader of reconstructions, which says what it found.
+"""
+
+
+def find_handler(command: str, kind: str) -> Callable[..., Any]:
+    """Import the function that runs a command for a kind of input."""
+    name = HANDLERS.get((command, kind)) or HANDLERS[command, Kind.RECONSTRUCTION]
+    module, _, function = name.partition(":")
+    handler: Callable[..., Any] = getattr(importlib.import_module(f"bundle.cli.{module}"), function)
+    return handler
+
+
+def kind_of_input(arguments: argparse.Namespace) -> str:
+    """Recognize INPUT; several inputs are a pose graph where one of them is."""
+    paths = [arguments.input] if "input" in arguments else getattr(arguments, "inputs", [])
+    kinds = {recognize(path) for path in paths}
+    if len(kinds) == 1:
+        return kinds.pop()
+    return Kind.POSE_GRAPH if Kind.POSE_GRAPH in kinds else Kind.RECONSTRUCTION

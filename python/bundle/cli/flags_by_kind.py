@@ -1,0 +1,151 @@
+"""Flags of one kind of input or scene: added beside those of the others, and refused for them."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Collection, Iterable
+from typing import Any
+
+from bundle.cli.dispatch import FLIGHT
+from bundle.cli.flag_values import choice_word
+from bundle.cli.option_flags import add_options
+from bundle.errors import InputError
+from bundle.interface.option_class import Options
+from bundle.interface.option_classes import option_class
+
+__all__ = [
+    "add_flight_flags",
+    "add_pose_graph_flags",
+    "refuse_flags_of_flights",
+    "refuse_flags_of_graphs",
+    "refuse_flags_of_reconstructions",
+    "refuse_flags_of_scenes",
+]
+
+_OF_ALL = (
+    *("input", "inputs", "output", "json", "quiet", "overwrite"),
+    *("command", "kind", "flags"),
+)
+
+
+def add_pose_graph_flags(
+    parser: argparse.ArgumentParser,
+    names: Collection[str] | None = None,
+    title: str = "pose graphs (.g2o), beside backend, loss, trust region, tolerances and threads",
+) -> None:
+    """Add the options that only pose graphs have, and widen the choices of the others.
+
+    Args:
+        parser: of the command.
+        names: of the options; None: all.
+        title: of their group in the help.
+    """
+    for field in dataclasses.fields(option_class("PoseGraphOptions")):  # type: ignore[arg-type]
+        if names is None or field.name in names:
+            _widen(parser, field, "pose graphs")
+    own = [field.name for field in _only("PoseGraphOptions", "SolveOptions")]
+    chosen = [name for name in own if names is None or name in names]
+    add_options(parser, "PoseGraphOptions", title, chosen)
+
+
+def _widen(parser: argparse.ArgumentParser, field: dataclasses.Field[Any], kind: str) -> None:
+    """Let the flag that another class has made take the choices of this one as well."""
+    action = parser._option_string_actions.get(field.metadata["flag"])
+    if action is None or action.choices is None:
+        return
+    known = list(action.choices)
+    words = [choice_word(word) for word in field.metadata["choices"]]
+    added = [word for word in words if word not in known]
+    if added:
+        action.choices = [*known, *added]
+        action.help = f"{action.help}; for {kind} also {', '.join(added)}"
+
+
+def add_flight_flags(parser: argparse.ArgumentParser) -> None:
+    """Add the scene "flight", and the options that no other scene has."""
+    action = parser._option_string_actions["--scene"]
+    action.choices = [*(action.choices or ()), FLIGHT]
+    action.help = (
+        f"{action.help}; {FLIGHT}: a visual-inertial sequence, samples of an IMU and tracks, with "
+        "ground_truth.csv in its folder"
+    )
+    add_options(
+        parser,
+        "FlightOptions",
+        f"options of --scene {FLIGHT}, beside --pixel-noise, --outlier-share and --seed",
+        [field.name for field in _only("FlightOptions", "SceneOptions")],
+    )
+
+
+def refuse_flags_of_flights(arguments: argparse.Namespace) -> None:
+    """Refuse, for another scene, what only a flight has.
+
+    Raises:
+        InputError: such a flag was given.
+    """
+    scene = arguments.scene or option_class("SceneOptions")().asdict()["scene"]
+    for flag in _given(arguments, _only("FlightOptions", "SceneOptions")):
+        raise InputError(f"{flag}: expected with --scene {FLIGHT} only, found with --scene {scene}")
+
+
+def refuse_flags_of_scenes(arguments: argparse.Namespace) -> None:
+    """Refuse, for a flight, what only another scene has.
+
+    Raises:
+        InputError: such a flag was given.
+    """
+    scenes = [f for f in _only("SceneOptions", "FlightOptions") if f.name != "scene"]
+    others = [
+        f"--{n.replace('_', '-')}" for n in ("format", "ground_truth") if arguments.__dict__[n]
+    ]
+    for flag in (*_given(arguments, scenes), *others):
+        raise InputError(f"{flag}: expected with other scenes, found with --scene {FLIGHT}")
+
+
+def refuse_flags_of_graphs(arguments: argparse.Namespace) -> None:
+    """Refuse, for a reconstruction, what only a pose graph has.
+
+    Raises:
+        InputError: such a flag was given.
+    """
+    for flag in _given(arguments, _only("PoseGraphOptions", "SolveOptions")):
+        raise InputError(f"{flag}: expected with a pose graph only, found a reconstruction")
+
+
+def refuse_flags_of_reconstructions(
+    arguments: argparse.Namespace, taken: Collection[str] = ()
+) -> None:
+    """Refuse, for a pose graph, what only a reconstruction has.
+
+    Args:
+        arguments: of the command line.
+        taken: arguments beside those of every command that a pose graph has.
+
+    Raises:
+        InputError: such a flag was given.
+    """
+    for name, value in vars(arguments).items():
+        if name in _OF_ALL or name in taken or value is None or value is False:
+            continue
+        flag = arguments.flags[name]
+        raise InputError(f"{flag}: expected with a reconstruction only, found a pose graph")
+
+
+def _only(kind: str, other: str) -> list[dataclasses.Field[Any]]:
+    """Return the fields of an option class that another one has not."""
+    shared = {field.name for field in _fields(option_class(other))}
+    return [field for field in _fields(option_class(kind)) if field.name not in shared]
+
+
+def _fields(kind: type[Options]) -> tuple[dataclasses.Field[Any], ...]:
+    return dataclasses.fields(kind)  # type: ignore[arg-type]
+
+
+def _given(
+    arguments: argparse.Namespace, fields: Iterable[dataclasses.Field[Any]]
+) -> Iterable[str]:
+    """Yield the flags of those fields that were given."""
+    for field in fields:
+        if getattr(arguments, field.name, None) is not None:
+            yield field.metadata["flag"]

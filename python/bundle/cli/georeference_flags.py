@@ -1,0 +1,109 @@
+"""Positions and control points from the command line: checked, then made priors of a solve."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Collection
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bundle.cli.option_flags import naming_flags, options_given
+from bundle.errors import InputError, shown
+from bundle.interface.georeference_options import GeoreferenceOptions
+
+if TYPE_CHECKING:
+    from bundle.georeference.gcp_priors import GcpPriors
+    from bundle.georeference.gps_priors import GpsPriors
+    from bundle.model.problem import Problem
+
+__all__ = ["GEOREFERENCE_FLAGS", "georeference_given", "main_flag", "priors_of", "settings_of"]
+
+GEOREFERENCE_FLAGS = {
+    **{name: f"--{name.replace('_', '-')}" for name in ("gps", "images", "gps_sigma", "antenna")},
+    **{"prior_loss": "--prior-loss", "prior_loss_scale": "--prior-loss-scale"},
+    **{"gcps": "--gcp", "gcp_sigma": "--gcp-sigma", "gcp_pixel_sigma": "--gcp-pixel-sigma"},
+    "check_points": "--check-points",
+}
+"""Flags of the arguments of ``gps_priors``, ``gcp_priors`` and :func:`bundle.align`."""
+
+
+def georeference_given(
+    arguments: argparse.Namespace,
+    refined: Collection[str],
+    *,
+    page: bool = False,
+    only_images: str | None = None,
+) -> GeoreferenceOptions:
+    """Return what is known of positions and control points.
+
+    Args:
+        arguments: of the command line.
+        refined: kinds of parameters that are refined.
+        page: whether a page is written, which shows the photographs of ``--images``.
+        only_images: images to which the solve is confined.
+
+    Raises:
+        InputError: a flag lacks another that it needs or contradicts another, or there is no
+            folder of images.
+    """
+    if page and arguments.images is not None and not Path(arguments.images).is_dir():
+        raise InputError(f"--images: expected a folder, found none: {shown(arguments.images)}")
+    beside = ("images",) if page else ()
+    given = options_given(arguments, GeoreferenceOptions, beside=beside)
+    if not given.is_given:
+        return given
+    if given.gps == "exif" and given.images is None:
+        raise InputError("--gps: expected --images DIR beside exif, found none")
+    if given.gps not in (None, "exif") and given.images is not None and not page:
+        raise InputError("--images: expected with --gps exif only, found with a file")
+    if arguments.prior_loss_scale is not None and given.prior_loss == "trivial":
+        raise InputError("--prior-loss-scale: expected with a --prior-loss other than trivial")
+    flag = main_flag(given)
+    if only_images is not None:
+        raise InputError(f"{flag}: expected without --only-images, which leaves the rest in place")
+    if "poses" not in refined:
+        raise InputError(f"{flag}: expected poses among those of --refine, found them held")
+    return given
+
+
+def main_flag(given: GeoreferenceOptions) -> str:
+    """Return the flag that an error about all priors names."""
+    return "--gps" if given.gcp is None else "--gcp"
+
+
+def priors_of(given: GeoreferenceOptions, problem: Problem) -> GcpPriors | GpsPriors | None:
+    """Return the priors of images and control points; None where nothing was given.
+
+    Raises:
+        InputError: a file or a flag is wrong; the message names the flag.
+        OSError: a file cannot be read.
+    """
+    if not given.is_given:
+        return None
+    # Coordinates on the earth need pyproj, which most runs do without.
+    from bundle.georeference.gcp_priors import gcp_priors
+    from bundle.georeference.gps_priors import gps_priors
+
+    with naming_flags(**GEOREFERENCE_FLAGS):
+        settings = settings_of(given)
+        if given.gps != "exif":  # the folder is for the report page
+            settings.pop("images", None)
+        if given.gcp is None:
+            return gps_priors(problem, **settings)
+        return gcp_priors(problem, **settings)
+
+
+def settings_of(given: GeoreferenceOptions) -> dict[str, Any]:
+    """Return the arguments of ``gps_priors``, ``gcp_priors`` and ``align`` that differ from theirs.
+
+    Raises:
+        InputError: the place of the antenna cannot be read.
+    """
+    settings = given.changed()
+    if "antenna" in settings:
+        settings["antenna"] = given.lever_arm
+    if "gcp" in settings:
+        settings["gcps"] = settings.pop("gcp")
+    if "check_points" in settings:
+        settings["check_points"] = given.check_point_names
+    return settings

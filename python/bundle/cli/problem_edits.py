@@ -1,0 +1,96 @@
+"""Changes of a problem before it is solved: cameras, rigs, loops, and rules about its parameters.
+
+Each needs modules that most runs do without; they are imported where the change is asked for.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from bundle.cli.option_flags import naming_flags
+from bundle.errors import InputError
+from bundle.interface.camera_edit_options import LensOptions, RuleOptions
+from bundle.interface.loop_options import LoopOptions
+
+if TYPE_CHECKING:
+    from bundle.editing.cameras.edit_record import CameraEdits
+    from bundle.graphs.loops.loop_closing import LoopClosing
+    from bundle.model.problem import Problem
+    from bundle.solving.constraints.rule_list import Constraints
+
+__all__ = ["cameras_edited", "loops_closed", "rules_as_options", "rules_of", "with_rigs"]
+
+
+def with_rigs(problem: Problem, path: str | None) -> Problem:
+    """Return the problem with the rigs of a file, if there is one.
+
+    Raises:
+        InputError: the file is no rig configuration, or does not fit the problem.
+        OSError: the file cannot be read.
+    """
+    if path is None:
+        return problem
+    from bundle.editing.rig_config import apply_rig_config
+
+    return apply_rig_config(problem, path)
+
+
+def cameras_edited(given: LensOptions, problem: Problem) -> CameraEdits | None:
+    """Return the problem with the cameras that were asked for; None where nothing was.
+
+    Raises:
+        InputError: this cannot be done; the message names the flag, or the camera.
+    """
+    if not given.changed():
+        return None
+    if given.share_cameras is not None and given.split_cameras:
+        raise InputError("--split-cameras: expected without --share-cameras, found both")
+    from bundle.editing.cameras.edit_record import edit_cameras
+
+    share = False if given.share_cameras is None else given.share_cameras
+    with naming_flags(model="--camera-model", camera_ids="--share-cameras"):
+        return edit_cameras(problem, given.camera_model, share=share, split=given.split_cameras)
+
+
+def loops_closed(given: LoopOptions, problem: Problem) -> LoopClosing | None:
+    """Return the problem with its loops closed; None where no loops were given.
+
+    Raises:
+        InputError: as :func:`bundle.close_loops`.
+    """
+    if given.loops is None:
+        return None
+    from bundle.graphs.loops.loop_graph import close_loops
+
+    with naming_flags(loss="--loop-loss", loss_scale="--loop-loss-scale"):
+        return close_loops(
+            problem, given.loops, loss=given.loop_loss, loss_scale=given.loop_loss_scale
+        )
+
+
+def rules_of(given: RuleOptions) -> Constraints | tuple[()]:
+    """Return the rules of the file, then those of the command line.
+
+    Raises:
+        InputError: one is no rule; the message names the file and line, or which --set it is.
+        OSError: the file cannot be read.
+    """
+    if given.rules is None and given.constraints is None:
+        return ()
+    from bundle.solving.constraints.rule_list import Constraints
+    from bundle.solving.constraints.rule_text import parse_rule
+
+    texts = given.rules or ()
+    rules = [
+        parse_rule(text, f"--set {number}" if len(texts) > 1 else "--set")
+        for number, text in enumerate(texts, 1)
+    ]
+    if given.constraints is None:
+        return Constraints(rules)
+    return Constraints.read(given.constraints) + rules
+
+
+def rules_as_options(given: RuleOptions) -> dict[str, Any]:
+    """Return the rules for a report, as they were given."""
+    named = {"set": given.rules, "constraints": given.constraints}
+    return {name: value for name, value in named.items() if value is not None}

@@ -1,0 +1,51 @@
+"""Options of a check of Jacobians, with the defaults that :func:`bundle.check_jacobians` shares."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from bundle.interface.option_class import Options, documented
+from bundle.interface.option_fields import option
+
+__all__ = ["SAMPLES_PER_IMAGE", "TOLERANCE", "CheckOptions"]
+
+SAMPLES_PER_IMAGE = 100
+"""Observations that are checked of each image."""
+TOLERANCE = 1e-7
+"""Relative error above which an entry is wrong."""
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class CheckOptions(Options):
+    """Options of ``bundle check``.
+
+    Raises:
+        InputError: an option has a value outside its range; the message names option and value.
+    """
+
+    samples_per_image: int = option(
+        SAMPLES_PER_IMAGE,
+        "--samples",
+        "observations to check of each image and its camera",
+        minimum=1,
+        maximum=math.inf,
+        metavar="N",
+    )
+    seed: int = option(0, "--seed", "of the sampling", minimum=0, maximum=math.inf, metavar="N")
+    tolerance: float = option(
+        TOLERANCE,
+        "--tolerance",
+        "relative error from which on an entry is wrong",
+        metavar="X",
+        late=True,
+    )
+    num_threads: int = option(
+        0,
+        "--threads",
+        "threads, at most one a core; 0: all cores",
+        minimum=0,
+        maximum=math.inf,
+        metavar="N",
+    )

@@ -1,0 +1,139 @@
+"""Options of a comparison, with the defaults that :func:`bundle.compare` shares.
+
+Methods are the combinations of the values of five options of a solve (``COMPARED``).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY, parse_size
+from bundle.errors import InputError
+from bundle.interface.option_class import Options, documented
+from bundle.interface.option_fields import checked, option
+from bundle.interface.options import (
+    BACKENDS as EVERY_BACKEND,
+)
+from bundle.interface.options import (
+    LINEAR_SOLVER_TYPES,
+    PRECONDITIONER_TYPES,
+)
+from bundle.interface.options import (
+    ORDERINGS as EVERY_ORDERING,
+)
+
+__all__ = [
+    "BACKENDS",
+    "COMPARED",
+    "ORDERINGS",
+    "PRECONDITIONERS",
+    "REPEAT",
+    "SECONDS_NOT_REPEATED",
+    "SHARE_OF_FREE_MEMORY",
+    "SOLVERS",
+    "THREADS",
+    "TIMEOUT",
+    "CompareOptions",
+]
+
+BACKENDS = ("fused", "ceres")
+SOLVERS = ("dense_schur", "sparse_schur", "iterative_schur")
+PRECONDITIONERS = ("auto",)
+ORDERINGS = ("points_first",)
+THREADS = (0,)
+REPEAT = 3
+"""Runs of each method."""
+TIMEOUT = 60.0
+"""Seconds after which a solve is stopped."""
+SECONDS_NOT_REPEATED = 10.0
+"""A run that took this long is not repeated: its spread is small."""
+
+COMPARED = {
+    "backend": "backends",
+    "linear_solver_type": "solvers",
+    "linear_solver_ordering": "orderings",
+    "preconditioner_type": "preconditioners",
+    "num_threads": "threads",
+}
+"""Options of a solve that are compared, with the arguments (and flags) that list their values."""
+
+
+def _listed(default: tuple[str, ...], flag: str, words: str, choices: tuple[str, ...]) -> Any:
+    every = ", ".join(choices).replace("_", "-")
+    return option(default, flag, f"{words}out of {every}", metavar="LIST", value="words", late=True)
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class CompareOptions(Options):
+    """Options of ``bundle compare``.
+
+    Raises:
+        InputError: an option has a value outside its range; the message names option and value.
+    """
+
+    solvers: tuple[str, ...] = _listed(SOLVERS, "--solvers", "", LINEAR_SOLVER_TYPES)
+    backends: tuple[str, ...] = _listed(BACKENDS, "--backends", "", EVERY_BACKEND)
+    preconditioners: tuple[str, ...] = _listed(
+        PRECONDITIONERS,
+        "--preconditioners",
+        "for iterative solvers, ",
+        ("auto", *PRECONDITIONER_TYPES),
+    )
+    orderings: tuple[str, ...] = _listed(
+        ORDERINGS, "--orderings", "which blocks are eliminated first, ", EVERY_ORDERING
+    )
+    threads: tuple[int, ...] = option(
+        THREADS,
+        "--threads",
+        "numbers of threads, such as 1,2; 0: all cores",
+        metavar="LIST",
+        value="counts",
+        late=True,
+    )
+    repeat: int = option(
+        REPEAT,
+        "--repeat",
+        "runs of each method, of which the median counts; a run of more than "
+        f"{SECONDS_NOT_REPEATED:g} s is not repeated",
+        minimum=1,
+        metavar="N",
+    )
+    timeout: float = option(
+        TIMEOUT,
+        "--timeout",
+        "stop a solve that takes longer",
+        metavar="SECONDS",
+        late=True,
+    )
+    memory_cap: str | None = option(
+        None,
+        "--memory-cap",
+        "stop a solve that takes more memory beyond the loaded problem, such as 500MB; 1 MB is "
+        "1,000,000 bytes",
+        metavar="SIZE",
+        unset=f"{100 * SHARE_OF_FREE_MEMORY:g} % of what is free at the start",
+    )
+
+    def __post_init__(self) -> None:
+        _ = self.memory_cap_in_bytes
+        super().__post_init__()
+        if not self.timeout > 0:
+            raise InputError(f"timeout: expected more than 0 seconds, found {self.timeout:g}")
+
+    @property
+    def memory_cap_in_bytes(self) -> int:
+        """Memory that a solve may take beyond the loaded problem; 0: a share of what is free.
+
+        Raises:
+            InputError: the size cannot be read.
+        """
+        try:
+            return 0 if self.memory_cap is None else parse_size(self.memory_cap)
+        except InputError as error:
+            raise InputError(f"memory_cap: {error}") from None
+
+    def _checked(self, field: dataclasses.Field[Any], value: Any) -> Any:
+        return tuple(value) if isinstance(field.default, tuple) else checked(field, value)

@@ -1,0 +1,93 @@
+"""Options of a covariance, with the choices that :func:`bundle.covariance` shares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from bundle.errors import InputError, brief
+from bundle.interface.option_class import Options, documented
+from bundle.interface.option_fields import option
+
+__all__ = ["GAUGES", "PARTS", "ROBUST", "SCALES", "CovarianceOptions", "one_of", "parts_of"]
+
+PARTS = ("poses", "points", "intrinsics")
+GAUGES = ("inner", "two_cameras", "three_points", "none")
+SCALES = ("unit", "sigma0")
+ROBUST = ("weights", "sandwich")
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class CovarianceOptions(Options):
+    """Options of ``bundle covariance``; of a pose graph only pairs, gauge and scale count."""
+
+    parts: str | None = option(
+        None,
+        "--of",
+        "some of poses, points, intrinsics",
+        metavar="LIST",
+        value="word",
+        unset="all",
+    )
+    relative: tuple[tuple[int, int], ...] = option(
+        (),
+        "--relative",
+        "pairs of image ids: covariances of cam_b_from_cam_a; of a pose graph pairs of pose ids, "
+        "of X_a^-1 X_b",
+        metavar="A:B,...",
+        value="pairs",
+        late=True,
+    )
+    covariance_gauge: str | None = option(
+        None,
+        "--gauge",
+        "how position, direction and scale of the world are held: inner gives the least trace "
+        "(the pseudo-inverse); none: by priors or what is fixed; first, for pose graphs: as a "
+        "solve does, by the first pose of each component without a fixed one",
+        choices=(*GAUGES, "first"),
+        unset="inner; pose graphs: first",
+        late=True,
+    )
+    scale: str = option(
+        SCALES[0],
+        "--scale",
+        "unit: residuals have a sigma of 1 px; sigma0: the one that they show; priors keep theirs",
+        choices=SCALES,
+    )
+    robust: str | None = option(
+        None,
+        "--robust",
+        "what --loss means: weights of observations, or H^-1 (sum psi psi^T) H^-1, which holds for "
+        "residuals of any distribution",
+        choices=ROBUST,
+        unset="weights",
+        late=True,
+    )
+
+
+def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
+    """Return the choice that a word names, in any case, with hyphens or underscores.
+
+    Raises:
+        InputError: the word names no choice.
+    """
+    word = value.lower().replace("-", "_") if isinstance(value, str) else value
+    if word not in choices:
+        expected = ", ".join(choices[:-1])
+        raise InputError(f"{name}: expected {expected} or {choices[-1]}, found {brief(value)}")
+    return str(word)
+
+
+def parts_of(name: str, value: str | Iterable[str]) -> tuple[str, ...]:
+    """Return the named parts, in the order of ``PARTS``.
+
+    Raises:
+        InputError: a name is not in ``PARTS``, or there are no names.
+    """
+    words = value.split(",") if isinstance(value, str) else list(value)
+    named = {one_of(name, word.strip() if isinstance(word, str) else word, PARTS) for word in words}
+    if not named:
+        raise InputError(f"{name}: expected some of {', '.join(PARTS)}, found none")
+    return tuple(part for part in PARTS if part in named)

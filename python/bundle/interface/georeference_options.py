@@ -1,0 +1,138 @@
+"""Options of positions and control points: where a model stands on the earth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from bundle.errors import InputError, brief
+from bundle.interface.option_class import Options, documented
+from bundle.interface.option_fields import option
+from bundle.interface.options import LOSSES
+
+__all__ = [
+    "GCP_PIXEL_SIGMA",
+    "GCP_SIGMA",
+    "GPS_SIGMA",
+    "ROBUST_SCALE",
+    "GeoreferenceOptions",
+]
+
+GPS_SIGMA = "2/5"
+GCP_SIGMA = "0.02"
+"""Standard deviations in metres, horizontal and vertical, where a file has none."""
+GCP_PIXEL_SIGMA = 0.5
+ROBUST_SCALE = math.sqrt(7.814727903251179)
+"""Length in sigmas that 5 % of good residuals in space exceed: the 95 % quantile of chi with 3."""
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class GeoreferenceOptions(Options):
+    """Positions of images and ground control points, with what is assumed of their errors."""
+
+    gps: str | None = option(
+        None,
+        "--gps",
+        "measured positions; exif: what the images themselves say; FILE: OpenDroneMap's geo.txt",
+        metavar="exif|FILE",
+        value="exif or path",
+    )
+    images: str | None = option(
+        None,
+        "--images",
+        "folder of the images, for --gps exif",
+        metavar="DIR",
+        value="path",
+        needs=("gps",),
+    )
+    gps_sigma: str = option(
+        GPS_SIGMA,
+        "--gps-sigma",
+        "standard deviation of positions without their own, horizontal and vertical, in metres",
+        metavar="H[/V]",
+        needs=("gps",),
+    )
+    antenna: str = option(
+        "0,0,0",
+        "--antenna",
+        "place of the antenna in the frame of the camera, right, down, forward, in metres",
+        metavar="X,Y,Z",
+        needs=("gps",),
+    )
+    prior_loss: str = option(
+        "trivial",
+        "--prior-loss",
+        "robust loss of positions and control points: tukey and arctan give up on gross errors, "
+        "the others keep pulling",
+        choices=LOSSES,
+        metavar="NAME",
+        needs=("gcp", "gps"),
+        late=True,
+    )
+    prior_loss_scale: float = option(
+        ROBUST_SCALE,
+        "--prior-loss-scale",
+        "length of a residual in standard deviations at which it bends; 5 % of good ones exceed "
+        "the default",
+        metavar="X",
+        needs=("gcp", "gps"),
+        late=True,
+    )
+    gcp: str | None = option(
+        None, "--gcp", "OpenDroneMap's gcp_list.txt", metavar="FILE", value="path"
+    )
+    gcp_sigma: str = option(
+        GCP_SIGMA,
+        "--gcp-sigma",
+        "standard deviation of control points, horizontal and vertical, in metres, where the file "
+        "has none",
+        metavar="H[/V]",
+        needs=("gcp",),
+    )
+    gcp_pixel_sigma: float = option(
+        GCP_PIXEL_SIGMA,
+        "--gcp-pixel-sigma",
+        "standard deviation of their measurements in pixels, where the file has none",
+        metavar="PX",
+        needs=("gcp",),
+        late=True,
+    )
+    check_points: str | None = option(
+        None,
+        "--check-points",
+        "control points that are compared and have no influence, such as gcp02,gcp07",
+        metavar="NAMES",
+        unset="those that the file marks so",
+        needs=("gcp",),
+    )
+
+    @property
+    def is_given(self) -> bool:
+        """Whether there are positions or control points."""
+        return self.gps is not None or self.gcp is not None
+
+    @property
+    def lever_arm(self) -> list[float]:
+        """Place of the antenna in the frame of the camera.
+
+        Raises:
+            InputError: the text is no three numbers.
+        """
+        try:
+            numbers = [float(part) for part in self.antenna.split(",")]
+        except ValueError:
+            numbers = []
+        if len(numbers) != 3:
+            raise InputError(
+                "antenna: expected X,Y,Z in metres, such as 0,-0.1,0.05, "
+                f"found {brief(self.antenna)}"
+            )
+        return numbers
+
+    @property
+    def check_point_names(self) -> list[str] | None:
+        """Names of the check points; None: those that the file marks so."""
+        if self.check_points is None:
+            return None
+        return [name.strip() for name in self.check_points.split(",") if name.strip()]

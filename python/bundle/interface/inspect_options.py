@@ -1,0 +1,109 @@
+"""Options of an inspection beside what is refined: several processes, or a graph from a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bundle.errors import InputError
+from bundle.interface.option_class import Options, documented
+from bundle.interface.option_fields import option
+
+__all__ = ["GRAPH_ORDERINGS", "GraphFileOptions", "RankOptions"]
+
+GRAPH_ORDERINGS = (
+    "natural",
+    "reverse",
+    "landmarks_first",
+    "minimum_degree",
+    "amd",
+    "colamd",
+    "metis",
+    "nesdis",
+)
+"""Orders in which :func:`bundle.inspect_graph` eliminates the variables of a graph."""
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class RankOptions(Options):
+    """Processes for which an inspection predicts times, and the network between them."""
+
+    ranks: str | None = option(
+        None,
+        "--ranks",
+        "predict `mpirun -n N bundle refine` for these N, such as 1,4,16,64,256",
+        metavar="LIST",
+    )
+    network: str = option(
+        "10,50",
+        "--network",
+        "between the processes: gigabits per second and microseconds of latency",
+        metavar="GBIT,US",
+        needs=("ranks",),
+    )
+
+    def counts(self) -> list[int]:
+        """Return the numbers of processes.
+
+        Raises:
+            InputError: they cannot be read.
+        """
+        try:
+            return [] if self.ranks is None else [int(count) for count in self.ranks.split(",")]
+        except ValueError:
+            raise InputError(
+                f"--ranks: expected numbers of processes such as 1,4,16, found {self.ranks}"
+            ) from None
+
+    def rate_and_latency(self) -> tuple[float, float]:
+        """Return gigabits per second and microseconds of the network.
+
+        Raises:
+            InputError: they cannot be read.
+        """
+        try:
+            rate, latency = (float(number) for number in self.network.split(","))
+        except ValueError:
+            raise InputError(
+                "--network: expected gigabits per second and microseconds such as 10,50, "
+                f"found {self.network}"
+            ) from None
+        return rate, latency
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class GraphFileOptions(Options):
+    """A small graph from a file, which is eliminated step by step."""
+
+    graph: str | None = option(
+        None,
+        "--graph",
+        "eliminate a small graph step by step: an edge a line, two names; # begins a comment",
+        metavar="FILE",
+        value="path",
+    )
+    ordering: str = option(
+        "natural",
+        "--ordering",
+        "of the graph",
+        choices=GRAPH_ORDERINGS,
+        needs=("graph",),
+        late=True,
+    )
+    landmarks: str | None = option(
+        None,
+        "--landmarks",
+        "variables that landmarks-first eliminates first, such as l1,l2",
+        metavar="NAMES",
+        unset="those whose names are an l and a number",
+        needs=("graph",),
+    )
+    block_size: int = option(
+        1,
+        "--block-size",
+        "scalars of each variable, such as 6 for poses",
+        metavar="N",
+        needs=("graph",),
+        late=True,
+    )

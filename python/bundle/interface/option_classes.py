@@ -1,0 +1,42 @@
+"""Table of every option class, by name.
+
+The command line, the documentation and the tests find the classes here. Each is imported when it is
+asked for: a command needs few of them.
+"""
+
+from __future__ import annotations
+
+import importlib
+
+from bundle.interface.option_class import Options
+
+__all__ = ["OPTION_CLASSES", "option_class"]
+
+OPTION_CLASSES = {
+    "CheckOptions": "check_options",
+    "CheckpointOptions": "round_options",
+    "CompareOptions": "compare_options",
+    "CovarianceOptions": "covariance_options",
+    "FlightOptions": "flight_options",
+    "GeoreferenceOptions": "georeference_options",
+    "GraphFileOptions": "inspect_options",
+    "GraphOptions": "graph_options",
+    "LensOptions": "camera_edit_options",
+    "LocalOptions": "round_options",
+    "LoopOptions": "loop_options",
+    "PoseGraphOptions": "pose_graph_options",
+    "RankOptions": "inspect_options",
+    "RoundOptions": "round_options",
+    "RuleOptions": "camera_edit_options",
+    "SceneOptions": "scene_options",
+    "SolveOptions": "options",
+    "WindowOptions": "window_options",
+}
+"""Option classes, with the modules of this room that define them."""
+
+
+def option_class(name: str) -> type[Options]:
+    """Import the option class of a name."""
+    module = importlib.import_module(f"bundle.interface.{OPTION_CLASSES[name]}")
+    kind: type[Options] = getattr(module, name)
+    return kind
