@@ -18,7 +18,7 @@ RANKS = f"{ROOMS} planning analysis figures reports cli".split()  # of python/bu
 ROOT_FILES = ["__init__.py", "__main__.py", "_core.pyi", "errors.py", "py.typed"]
 OUTSIDERS = {  # other people's packages, and the rooms that may know them
     "argparse": "cli", "rich": "base checking reports cli", "matplotlib": "figures",
-    "pycolmap": "model io graphs editing", "pyproj": "georeference", "yaml": "model",
+    "pycolmap": "model io", "pyproj": "georeference", "yaml": "model",
     "evo": "inertial", "mpi4py": "solving cli", "PIL": "georeference reports",
 }  # fmt: skip
 

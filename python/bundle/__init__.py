@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from bundle.georeference.control_point import GroundControlPoint
     from bundle.georeference.position_prior import PositionPrior
     from bundle.graphs.factors.digits import DigitsLeft
-    from bundle.graphs.factors.factor_graph import FactorGraph
+    from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
     from bundle.graphs.factors.factors import (
         BetweenFactor,
         PositionFactor,
@@ -45,12 +45,10 @@ if TYPE_CHECKING:
         ScalarPriorFactor,
     )
     from bundle.graphs.factors.function_factor import FunctionFactor
-    from bundle.graphs.factors.graph_result import GraphResult
     from bundle.graphs.factors.incremental_smoother import IncrementalSmoother, IncrementalUpdate
-    from bundle.graphs.factors.linear_prior import LinearPrior
+    from bundle.graphs.factors.linear_prior import LinearPrior, SquareRootPrior
     from bundle.graphs.factors.problem_factors import check_factors
     from bundle.graphs.factors.spectrum import PriorSpectrum
-    from bundle.graphs.factors.square_root_prior import SquareRootPrior
     from bundle.graphs.loops.loop_closing import LoopClosing, LoopClosure
     from bundle.graphs.loops.loop_graph import close_loops
     from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult, PoseGraphSummary
@@ -268,7 +266,6 @@ _DEFERRED = {
     "georeference.control_point": ("GroundControlPoint",),
     "georeference.position_prior": ("PositionPrior",),
     "graphs.factors.digits": ("DigitsLeft",),
-    "graphs.factors.factor_graph": ("FactorGraph",),
     "graphs.factors.factors": (
         "BetweenFactor",
         "PositionFactor",
@@ -278,12 +275,11 @@ _DEFERRED = {
         "ScalarPriorFactor",
     ),
     "graphs.factors.function_factor": ("FunctionFactor",),
-    "graphs.factors.graph_result": ("GraphResult",),
+    "graphs.factors.factor_graph": ("FactorGraph", "GraphResult"),
     "graphs.factors.incremental_smoother": ("IncrementalSmoother", "IncrementalUpdate"),
-    "graphs.factors.linear_prior": ("LinearPrior",),
     "graphs.factors.problem_factors": ("check_factors",),
     "graphs.factors.spectrum": ("PriorSpectrum",),
-    "graphs.factors.square_root_prior": ("SquareRootPrior",),
+    "graphs.factors.linear_prior": ("LinearPrior", "SquareRootPrior"),
     "graphs.loops.loop_closing": ("LoopClosing", "LoopClosure"),
     "graphs.loops.loop_graph": ("close_loops",),
     "graphs.pose_graphs.pose_graph_result": ("PoseGraphResult", "PoseGraphSummary"),

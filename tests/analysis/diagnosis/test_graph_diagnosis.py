@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import chi2 as chi2_distribution
 
 import bundle
-from bundle.analysis.diagnosis.diagnose_graph import BEYOND_DOUBT, MEDIANS
+from bundle.analysis.diagnosis.diagnose_graph import MEDIANS
+from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_A_MILLION
 from tests.graphs.pose_graphs import graphs
 from tests.graphs.pose_graphs.test_wrong_closures import with_wrong_closures
 
@@ -45,7 +46,7 @@ def kinds(diagnosis):
 
 def test_quantiles():
     for k in range(1, 7):
-        np.testing.assert_allclose(BEYOND_DOUBT[k], chi2_distribution.isf(1e-6, k), rtol=1e-12)
+        np.testing.assert_allclose(ONE_IN_A_MILLION[k], chi2_distribution.isf(1e-6, k), rtol=1e-12)
         np.testing.assert_allclose(MEDIANS[k], chi2_distribution.median(k), rtol=1e-12)
 
 

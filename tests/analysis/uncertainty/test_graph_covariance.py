@@ -8,7 +8,7 @@ import pytest
 
 import bundle
 from bundle import _core
-from bundle.graphs.pose_graphs.adjoints import adjoints
+from bundle.graphs.pose_graphs.lie_groups import adjoints
 from tests.graphs.pose_graphs import graphs
 from tests.graphs.pose_graphs.test_wrong_closures import certain_loop, with_wrong_closures
 

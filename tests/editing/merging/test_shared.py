@@ -4,7 +4,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from bundle.editing.merging.shared import shared_keypoints
+from bundle.model.pycolmap.shared_keypoints import shared_keypoints
 
 
 def model(xy, seen):

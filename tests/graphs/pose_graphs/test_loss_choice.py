@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
 from bundle.graphs.pose_graphs.edge_weights import weighted_graph
-from bundle.graphs.pose_graphs.gnc import QUANTILES
 from bundle.graphs.pose_graphs.loss_choice import choose_loss, loss_cost, truncated_cost
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from tests.graphs.pose_graphs.test_wrong_closures import certain_loop, with_wrong_closures
@@ -51,7 +51,7 @@ def test_the_cost_of_a_loss_is_that_of_a_solve(loss):
     options = PoseGraphOptions(loss=loss, loss_scale=1.0 if loss == "trivial" else 1.7)
     chi2 = np.array(bundle.pose_graph_chi2(graph))
     doubted = graph.is_closure & (loss != "trivial")
-    found = loss_cost(chi2, doubted, options, 1.7**2 * QUANTILES[3])
+    found = loss_cost(chi2, doubted, options, 1.7**2 * ONE_IN_2000[3])
     solved = bundle.solve(graph, options, max_num_iterations=0)
     assert found == pytest.approx(solved.summary.initial_cost, rel=1e-12)
 
@@ -134,7 +134,7 @@ def test_weights_of_the_truncated_loss_have_its_scale():
     chi2 = np.array(bundle.pose_graph_chi2(graph))
     edge = int(np.flatnonzero(graph.is_closure)[0])
     information = graph.information.copy()
-    information[edge] *= 3 * QUANTILES[3] / chi2[edge]
+    information[edge] *= 3 * ONE_IN_2000[3] / chi2[edge]
     graph = graph.replace(information=information)
     for scale, weight in ((1.0, 0), (1.6, 0), (1.8, 1), (2.0, 1)):
         found = weighted_graph(graph, None, {"loss": "gnc_tls", "loss_scale": scale}, "covariance")

@@ -7,7 +7,7 @@ from scipy.stats import chi2 as chi2_distribution
 import bundle
 from bundle import _core
 from bundle.graphs.pose_graphs import truncated_search
-from bundle.graphs.pose_graphs.gnc import QUANTILES, chi2_quantile
+from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000, chi2_quantile
 from bundle.graphs.pose_graphs.gnc_solve import _joins_all
 from bundle.graphs.pose_graphs.truncated_search import TruncatedSearch, find_doubt, flip_gains
 from tests.graphs.pose_graphs import graphs
@@ -78,7 +78,7 @@ def test_weak_odometry_hides_no_wrong_closure(dimension, seed, num_wrong, agreei
             assert 2 * result.summary.final_cost == pytest.approx(
                 truncated(graph, result.problem.poses), rel=1e-9
             )
-            beyond = result.chi2_after > QUANTILES[graph.tangent_size]
+            beyond = result.chi2_after > ONE_IN_2000[graph.tangent_size]
             assert sorted(result.rejected) == np.flatnonzero(beyond & graph.is_closure).tolist()
 
 
@@ -92,7 +92,7 @@ def test_weights_start_from_the_errors_before_closures_pull():
 def test_a_masked_closure_is_named_in_the_reason():
     graph = weak_walk(3, 3)
     plain = bundle.solve(graph, **TIGHT)
-    assert (plain.chi2_after[graph.is_closure] < QUANTILES[6]).all()  # nothing stands out
+    assert (plain.chi2_after[graph.is_closure] < ONE_IN_2000[6]).all()  # nothing stands out
     auto = bundle.solve(graph, loss="auto", **TIGHT)
     assert auto.summary.loss == "gnc_tls" and auto.rejected == (graph.num_edges - 1,)
     assert "degrees of freedom" in auto.summary.loss_choice
@@ -101,7 +101,7 @@ def test_a_masked_closure_is_named_in_the_reason():
 def doubt_of(graph, poses):
     there = graph.replace(poses=poses)
     chi2 = np.asarray(_core.edge_chi2(there, "log"))
-    return find_doubt(there, "log", graph.is_closure, chi2, QUANTILES[graph.tangent_size])
+    return find_doubt(there, "log", graph.is_closure, chi2, ONE_IN_2000[graph.tangent_size])
 
 
 def test_what_is_doubted_and_what_is_not():
@@ -128,7 +128,7 @@ def search_of(graph, solves):
         found = _core.solve_pose_graph(weighed, held, none, options, None)["poses"]
         return found, np.asarray(_core.edge_chi2(graph.replace(poses=found), "log"))
 
-    return TruncatedSearch(graph, "log", graph.is_closure, QUANTILES[graph.tangent_size], solve)
+    return TruncatedSearch(graph, "log", graph.is_closure, ONE_IN_2000[graph.tangent_size], solve)
 
 
 def test_settling_never_raises_the_cost_and_improving_lowers_it(monkeypatch):

@@ -10,8 +10,8 @@ from scipy.stats import chi2 as chi2_distribution
 
 import bundle
 from bundle import _core
-from bundle.graphs.pose_graphs.gnc import QUANTILES, graduate, tls_weights
-from bundle.graphs.pose_graphs.solve_pose_graph import BEYOND_DOUBT
+from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000, ONE_IN_A_MILLION
+from bundle.graphs.pose_graphs.gnc import graduate, tls_weights
 from tests.graphs.pose_graphs import graphs
 
 LOSSES = ["geman_mcclure", "switchable", "dcs", "gnc_tls"]
@@ -56,8 +56,8 @@ def distance(one, other):
 
 def test_quantiles():
     for d in (3, 6):
-        np.testing.assert_allclose(QUANTILES[d], chi2_distribution.ppf(0.9995, d), rtol=1e-12)
-        np.testing.assert_allclose(BEYOND_DOUBT[d], chi2_distribution.isf(1e-6, d), rtol=1e-12)
+        np.testing.assert_allclose(ONE_IN_2000[d], chi2_distribution.ppf(0.9995, d), rtol=1e-12)
+        np.testing.assert_allclose(ONE_IN_A_MILLION[d], chi2_distribution.isf(1e-6, d), rtol=1e-12)
 
 
 @pytest.mark.parametrize("x", [0.0, 0.5, 3.9, 4.1, 100.0])
@@ -120,7 +120,7 @@ def test_wrong_closures_are_found_and_named(dimension, loss):
     assert (result.weights[:39] == 1).all() and (result.weights[79:] < 0.5).all()
     if loss == "gnc_tls":
         assert distance(result.problem, clean.problem) < 1e-5
-        c_squared = QUANTILES[graph.tangent_size]
+        c_squared = ONE_IN_2000[graph.tangent_size]
         truncated = np.minimum(result.chi2_after[39:], c_squared).sum()
         cost = (result.chi2_after[:39].sum() + truncated) / 2
         np.testing.assert_allclose(result.summary.final_cost, cost, rtol=1e-12)

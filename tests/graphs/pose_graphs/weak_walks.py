@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import _core
-from bundle.graphs.pose_graphs.gnc import QUANTILES
+from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
 from tests.graphs.pose_graphs.graphs import matrix, pose_of
 
 
@@ -67,7 +67,7 @@ def weak_walk(dimension, seed, *, num_wrong=1, agreeing=False, num_right=3, num_
 def truncated(graph, poses):
     """Chi2 of odometry, and of closures up to the quantile."""
     chi2 = np.asarray(_core.edge_chi2(graph.replace(poses=poses), "log"))
-    bounded = np.minimum(chi2, QUANTILES[graph.tangent_size])
+    bounded = np.minimum(chi2, ONE_IN_2000[graph.tangent_size])
     return float(np.where(graph.is_closure, bounded, chi2).sum())
 
 

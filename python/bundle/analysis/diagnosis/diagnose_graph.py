@@ -18,22 +18,13 @@ from bundle.analysis.diagnosis.graph_diagnosis import (
 from bundle.analysis.diagnosis.graph_modes import component_modes_of_graph, joint_modes
 from bundle.base.arrays import freeze
 from bundle.base.words import number, plural
+from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_A_MILLION
 from bundle.graphs.pose_graphs.edge_weights import WeightedGraph, weighted_graph
 from bundle.graphs.pose_graphs.joints import Joints, find_joints
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 
 __all__ = ["diagnose_graph"]
-
-BEYOND_DOUBT = {
-    1: 23.928126976934827,
-    2: 27.631021115928547,
-    3: 30.664849706213598,
-    4: 33.37684158171984,
-    5: 35.888186879672865,
-    6: 38.25833637720969,
-}
-"""Of chi2, by degrees of freedom: beyond it is one right edge in a million."""
 
 MEDIANS = {
     1: 0.454936423119572,
@@ -163,7 +154,7 @@ def _suspicious(
     scale: float,
 ) -> tuple[SuspiciousEdge, ...]:
     graph = weighted.given
-    limit = np.array([BEYOND_DOUBT.get(degrees, np.inf) for degrees in rank.tolist()])
+    limit = np.array([ONE_IN_A_MILLION.get(degrees, np.inf) for degrees in rank.tolist()])
     ratio = np.where(np.isfinite(test) & (rank > 0), test, 0.0) / limit
     chi2 = np.full(graph.num_edges, np.nan)
     chi2[weighted.edges] = _core.edge_chi2(weighted.graph, weighted.options.error)

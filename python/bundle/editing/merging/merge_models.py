@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from bundle.base.words import plural
 from bundle.editing.merging.disagreement import disagreements
 from bundle.editing.merging.frame_of_a import DEGREES, find_similarity
-from bundle.editing.merging.joining import join
 from bundle.editing.merging.merge_result import Merge
-from bundle.editing.merging.shared import shared_keypoints
 from bundle.errors import InputError
 from bundle.georeference.similar_problem import moved
 from bundle.interface.option_fields import number
 from bundle.io.source import Source, as_problem
 from bundle.model.problem import Problem
+from bundle.model.pycolmap.joining import join
+from bundle.model.pycolmap.shared_keypoints import shared_keypoints
 
 __all__ = ["MAX_ERROR", "merge"]
 

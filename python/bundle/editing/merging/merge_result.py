@@ -8,9 +8,9 @@ from typing import Any
 
 from bundle.base.display import Display, Displayed
 from bundle.base.words import number, pixels, plural
-from bundle.editing.merging.joining import Joined
 from bundle.georeference.similarity import Similarity
 from bundle.model.problem import Problem
+from bundle.model.pycolmap.joining import Joined
 
 __all__ = ["Merge"]
 

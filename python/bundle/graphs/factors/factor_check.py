@@ -8,6 +8,15 @@ they are.
 The checker takes the size of a parameter for its scale: it makes its first steps in proportion. A
 parameter that is zero has none. So c is 1 for an angle, and for a translation the length of the
 variable's own (1 if that is zero).
+
+Tangent coordinates other than the ones asked for: how right columns become those.
+
+A variable X moves by delta to X Exp(delta). Who differentiates by d of another movement has
+J M, as delta = M d to first order. With R and t the rotation and translation of X,
+
+- Exp(d) X: X^-1 Exp(d) X = Exp(Ad(X)^-1 d), so M = Ad(X)^-1;
+- t + d, in the frame of the world: M = R^T for the translation; likewise Exp(d) R of the rotation;
+- translation and rotation in the other order: M is a permutation.
 """
 
 from __future__ import annotations
@@ -29,12 +38,87 @@ from bundle.checking.manifolds import Manifold
 from bundle.checking.residual_blocks import Layout, sample
 from bundle.checking.sample_check import SamplePoint, check_samples
 from bundle.errors import InputError, brief, check_keywords
-from bundle.graphs.factors.other_coordinates import other_coordinates
 from bundle.graphs.factors.variables import Array, Variable
 from bundle.interface.check_options import TOLERANCE
 from bundle.interface.option_fields import number
+from bundle.model.rotations import rotation_matrices
 
-__all__ = ["FactorCheck", "check_each"]
+__all__ = ["FactorCheck", "check_each", "other_coordinates"]
+
+
+Conventions = dict[tuple[str, str], Array]
+
+_LEFT = "left for right perturbation: by d of Exp(d) X, not of X Exp(d)"
+_WORLD = "the translation in the frame of the world, t + d for t + R d: R is missing"
+_BOTH = "left for right perturbation of rotation and translation alike: by d of Exp(d) R and t + d"
+_TURN = "left for right perturbation of the rotation alone: Exp(d) R for R Exp(d)"
+_ORDER = "in a wrong order, {} first"
+
+
+def other_coordinates(manifold: str, values: Array) -> Conventions:
+    """Return kind and words of each wrong convention with its M at the values (K, n): (K, d, d)."""
+    return _MANIFOLDS[manifold](values) if manifold in _MANIFOLDS else {}
+
+
+def _so3(values: Array) -> Conventions:
+    return {("perturbation", _LEFT): _turned(values)}
+
+
+def _se3(values: Array) -> Conventions:
+    back, t = _turned(values[:, :4]), values[:, 4:]
+    one = np.broadcast_to(np.eye(3), back.shape)
+    skew = np.cross(t[:, None, :], np.eye(3)).transpose(0, 2, 1)
+    left = _blocks(back, back)
+    left[:, 3:, :3] = -back @ skew
+    plain = {
+        ("perturbation", _LEFT): left,
+        ("frame", _WORLD): _blocks(one, back),
+        ("perturbation", _BOTH): _blocks(back, back),
+        ("perturbation", _TURN): _blocks(back, one),
+    }
+    return _also_reordered(plain, [3, 4, 5, 0, 1, 2], "translation")
+
+
+def _se2(values: Array) -> Conventions:
+    cosine, sine = np.cos(values[:, 2]), np.sin(values[:, 2])
+    back = np.array([[cosine, sine], [-sine, cosine]]).transpose(2, 0, 1)
+    world = np.zeros((len(values), 3, 3))
+    world[:, :2, :2] = back
+    world[:, 2, 2] = 1
+    left = world.copy()
+    across = np.stack([-values[:, 1], values[:, 0]], axis=1)
+    left[:, :2, 2] = (back @ across[..., None])[..., 0]
+    return _also_reordered(
+        {("perturbation", _LEFT): left, ("frame", _WORLD): world}, [2, 0, 1], "angle"
+    )
+
+
+def _also_reordered(plain: Conventions, order: list[int], first: str) -> Conventions:
+    """Add all of them with columns in another order: column j holds that of order[j]."""
+    size = len(order)
+    count = len(next(iter(plain.values())))
+    words = _ORDER.format(first)
+    right = np.broadcast_to(np.eye(size), (count, size, size))
+    moved: Conventions = {("order", words): right[..., order]}
+    for (kind, what), matrix in plain.items():
+        moved[kind, f"{what}; and {words}"] = matrix[..., order]
+    return plain | moved
+
+
+def _turned(quaternions: Array) -> Array:
+    """Return R^T (K, 3, 3)."""
+    back: Array = rotation_matrices(quaternions).transpose(0, 2, 1)
+    return back
+
+
+def _blocks(first: Array, second: Array) -> Array:
+    matrices = np.zeros((len(first), 6, 6))
+    matrices[:, :3, :3], matrices[:, 3:, 3:] = first, second
+    return matrices
+
+
+_MANIFOLDS: dict[str, Callable[[Array], Conventions]] = {"so3": _so3, "se2": _se2, "se3": _se3}
+
 
 _SETTINGS = {"num_samples": 3, "radius": 0.1, "seed": 0, "tolerance": TOLERANCE}
 """Default settings of the check."""

@@ -1,29 +1,60 @@
-"""A factor graph: what to estimate, what is known of it, and everything that is asked of both."""
+"""A factor graph: what to estimate, what is known of it, and everything that is asked of both.
+
+What the solve of a factor graph gives back.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from bundle import _core
 from bundle.base.arguments import as_flag, check_function
 from bundle.base.display import Display
-from bundle.base.words import plural
+from bundle.base.words import change, plural, seconds
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.check_solve import Conditioning, SolvedGraph, checked
 from bundle.graphs.factors.contents import factor_name
 from bundle.graphs.factors.digits import DigitsLeft
 from bundle.graphs.factors.factor_check import FactorCheck, check_each
 from bundle.graphs.factors.factors import Factor
-from bundle.graphs.factors.graph_result import GraphResult
 from bundle.graphs.factors.marginals import GraphMarginals
-from bundle.graphs.factors.variables import Variable, as_list
+from bundle.graphs.factors.variables import Array, Key, Variable, as_list
 from bundle.interface.graph_options import GraphOptions
 from bundle.interface.options import SolveOptions
-from bundle.interface.solve_record import Progress, record_fields
+from bundle.interface.solve_record import Progress, SolveRecord, record_fields
 
-__all__ = ["FactorGraph"]
+__all__ = ["FactorGraph", "GraphResult"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class GraphResult(SolveRecord):
+    """The values that a solve found and how it came about.
+
+    Attributes:
+        values: one array a variable, by key, as its manifold stores it.
+        options: every option as used.
+        summary: what the solver says; costs are 1/2 sum rho(||r||^2) over the factors.
+        iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
+        build_time_in_seconds: outside the solver.
+        solve_time_in_seconds: inside the solver.
+    """
+
+    values: Mapping[Key, Array]
+
+    def _display(self) -> Display:
+        summary = self.summary
+        facts = [
+            ("cost", change(summary.initial_cost, summary.final_cost)),
+            ("time", f"{seconds(self.build_time_in_seconds + self.solve_time_in_seconds)} s"),
+            ("solver", f"{summary.backend_used} {summary.linear_solver_type_used}"),
+            ("graph", f"{plural(len(self.values), 'variable')}"),
+            *(("warning", warning) for warning in summary.warnings),
+        ]
+        return Display(title=f"GraphResult: {self.outcome}", facts=tuple(facts))
+
 
 _OF_OTHERS = (
     "linear_solver_ordering",

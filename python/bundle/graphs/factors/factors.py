@@ -21,6 +21,7 @@ from bundle.errors import InputError, brief
 from bundle.graphs.factors.variables import Array, Key, as_row, check_key
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
+from bundle.model.cameras import camera_models
 
 __all__ = [
     "BetweenFactor",
@@ -334,8 +335,6 @@ class ReprojectionFactor(Factor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        from bundle.model.cameras import camera_models
-
         self._set("model", choice(f"{self.name}: model", self.model, camera_models()))
         self._freeze_row("observation")
         self._freeze_matrix("information")

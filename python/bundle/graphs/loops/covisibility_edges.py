@@ -33,11 +33,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import pycolmap
 from numpy.typing import NDArray
 
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
+from bundle.model.pycolmap.lens import pixel_directions
 from bundle.model.reprojection import reprojection_errors
 from bundle.model.rotations import cross_matrices, dot, quaternion_inverse, quaternion_rotate
 
@@ -133,8 +133,7 @@ def _views(problem: Problem, fitting: NDArray[np.bool_]) -> _Views:
         mine = camera == index
         model = problem.camera_models[index]
         params = problem.camera_params[index, : len(camera_models()[model])]
-        lens = pycolmap.Camera(model=model, width=1, height=1, params=params.tolist())
-        local[mine] = np.column_stack([lens.cam_from_img(xy[mine]), np.ones(int(mine.sum()))])
+        local[mine] = pixel_directions(model, params.tolist(), xy[mine])
         kinds = np.array(param_kinds(model))
         focal[mine] = params[kinds == "focal"].mean()
     local /= np.linalg.norm(local, axis=1, keepdims=True)

@@ -39,10 +39,15 @@ from bundle.graphs.loops.covisibility_edges import (
     covisibility_edges,
     fitting_observations,
 )
-from bundle.graphs.loops.loop_closing import LoopClosing, LoopClosure
-from bundle.graphs.loops.loop_edges import Closures, as_closures, images_of
+from bundle.graphs.loops.loop_closing import (
+    Closures,
+    LoopClosing,
+    LoopClosure,
+    as_closures,
+    images_of,
+)
 from bundle.graphs.loops.similarity_graph import Nodes, SimilarityGraph
-from bundle.graphs.pose_graphs.gnc import QUANTILES
+from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
 from bundle.interface.loop_options import LOOP_LOSSES
 from bundle.interface.option_fields import choice, number
 from bundle.io.source import Source, as_problem
@@ -110,7 +115,7 @@ def close_loops(
 class _Closing:
     def __init__(self, problem: Problem, given: PoseGraph, loss: str, scale: float) -> None:
         self.problem, self.given, self.loss, self.scale = problem, given, loss, scale
-        self.limit = scale**2 * QUANTILES[6]
+        self.limit = scale**2 * ONE_IN_2000[6]
         ends = images_of(given, problem)
         self.ends = ends
         self.fitting = fitting_observations(problem)

@@ -39,23 +39,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError
-from bundle.graphs.pose_graphs.adjoints import adjoints
+from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_A_MILLION
 from bundle.graphs.pose_graphs.largest_set import largest_set
+from bundle.graphs.pose_graphs.lie_groups import adjoints, compose, inverse, logarithm
 from bundle.graphs.pose_graphs.odometry_chain import OdometryChain, edge_covariance, odometry_chain
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
-from bundle.model.rotations import inverse_jacobian_coefficient, vector_from_quaternion
 
 __all__ = [
-    "PAIR_QUANTILES",
     "ClosureConsistency",
     "LeftOutEdge",
     "closure_consistency",
     "pair_chi2",
 ]
-
-PAIR_QUANTILES = {3: 30.664849706213598, 6: 38.25833637720969}
-"""Of chi2 at 1 - 1e-6, by degrees of freedom."""
 
 PAIRS_AT_ONCE = 20_000
 
@@ -113,7 +108,7 @@ def closure_consistency(graph: PoseGraph, num_threads: int = 1) -> ClosureConsis
             f"consistency: expected at most {MOST_CLOSURES} closures, found {len(closures)}"
         )
     chi2 = pair_chi2(graph, closures, odometry_chain(graph, num_threads))
-    conflicts = ~(chi2 <= PAIR_QUANTILES[graph.tangent_size])  # what is not finite contradicts
+    conflicts = ~(chi2 <= ONE_IN_A_MILLION[graph.tangent_size])  # what is not finite contradicts
     kept, proven = largest_set(conflicts)
     out = np.flatnonzero(~kept)
     worst = chi2[np.ix_(out, kept)].max(axis=1, initial=0.0)
@@ -131,8 +126,8 @@ def pair_chi2(graph: PoseGraph, closures: NDArray[np.intp], chain: OdometryChain
     """Return Log(D)^T Cov^-1 Log(D) of each pair of closures: (k, k) symmetric, zero diagonal."""
     first, second = graph.edges[closures].T
     poses = chain.poses
-    claims = _compose(_compose(poses[first], graph.measurements[closures]), _inverse(poses[second]))
-    claims_back = _inverse(claims)
+    claims = compose(compose(poses[first], graph.measurements[closures]), inverse(poses[second]))
+    claims_back = inverse(claims)
     back = adjoints(claims_back)
     moved = adjoints(poses[second])
     noise = moved @ edge_covariance(graph, closures) @ moved.transpose(0, 2, 1)
@@ -143,7 +138,7 @@ def pair_chi2(graph: PoseGraph, closures: NDArray[np.intp], chain: OdometryChain
     for begin in range(0, len(upper_a), PAIRS_AT_ONCE):
         a = upper_a[begin : begin + PAIRS_AT_ONCE]
         b = upper_b[begin : begin + PAIRS_AT_ONCE]
-        apart = _logarithm(_compose(claims_back[a], claims[b]))
+        apart = logarithm(compose(claims_back[a], claims[b]))
         for turned in (back[a], back[b]):
             covariance = noise[a] + noise[b]
             covariance += _odometry_noise(
@@ -183,34 +178,3 @@ def _odometry_noise(
         + twice @ both @ twice.transpose(0, 2, 1)
     )
     return total
-
-
-def _compose(one: Floats, other: Floats) -> Floats:
-    if one.shape[1] == 3:
-        c, s = np.cos(one[:, 2]), np.sin(one[:, 2])
-        x = one[:, 0] + c * other[:, 0] - s * other[:, 1]
-        y = one[:, 1] + s * other[:, 0] + c * other[:, 1]
-        return np.stack([x, y, one[:, 2] + other[:, 2]], axis=1)
-    return multiply_poses(unit_poses(one), other)
-
-
-def _inverse(poses: Floats) -> Floats:
-    if poses.shape[1] == 3:
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        x, y = poses[:, 0], poses[:, 1]
-        return np.stack([-c * x - s * y, s * x - c * y, -poses[:, 2]], axis=1)
-    return inverse_poses(unit_poses(poses))
-
-
-def _logarithm(poses: Floats) -> Floats:
-    """Return Log of poses, (n, d): V^-1 t, V^-1 = I - [r]/2 + c [r]^2 of the rotation vector r."""
-    if poses.shape[1] == 3:
-        angle = np.arctan2(np.sin(poses[:, 2]), np.cos(poses[:, 2]))
-        x, y = poses[:, 0], poses[:, 1]
-        along = 1 - inverse_jacobian_coefficient(np.abs(angle)) * angle**2
-        half = angle / 2
-        return np.stack([along * x + half * y, along * y - half * x, angle], axis=1)
-    turn, place = vector_from_quaternion(poses[:, :4]), poses[:, 4:]
-    once = np.cross(turn, place)
-    bend = inverse_jacobian_coefficient(np.linalg.norm(turn, axis=1))[:, None]
-    return np.concatenate([turn, place - once / 2 + bend * np.cross(turn, once)], axis=1)

@@ -12,7 +12,7 @@ from bundle import _core
 from bundle.base.arguments import check_type
 from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError
-from bundle.graphs.pose_graphs.gnc import QUANTILES
+from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
 from bundle.graphs.pose_graphs.information import checked_information
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.pose_graph_options import PoseGraphOptions
@@ -115,7 +115,7 @@ def _weights(graph: PoseGraph, options: PoseGraphOptions) -> NDArray[np.float64]
     doubted = graph.is_closure if options.loss_on == "closures" else np.ones(graph.num_edges, bool)
     chi2 = _core.edge_chi2(graph, options.error)
     if options.loss == "gnc_tls":
-        beyond = options.loss_scale**2 * QUANTILES[graph.tangent_size]
+        beyond = options.loss_scale**2 * ONE_IN_2000[graph.tangent_size]
         weights[doubted] = chi2[doubted] <= beyond
         return weights
     for edge in np.flatnonzero(doubted).tolist():

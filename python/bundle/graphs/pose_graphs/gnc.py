@@ -24,13 +24,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["QUANTILES", "chi2_quantile", "graduate", "tls_weights"]
-
-QUANTILES = {3: 17.72999622894616, 6: 24.102798994983747}
-"""Of chi2 at 0.9995, by degrees of freedom."""
-
-NORMAL_QUANTILE = 3.2905267314918945
-"""At 0.9995."""
+__all__ = ["graduate", "tls_weights"]
 
 GROWTH = 1.4
 """Of mu from one solve to the next, as its authors have it."""
@@ -38,17 +32,6 @@ GROWTH = 1.4
 MOST_SOLVES = 100
 NEARLY = 1e-3
 """Of 0 or 1: a weight that counts as either."""
-
-
-def chi2_quantile(degrees: int) -> float:
-    """Return the 99.95 % quantile of chi2, to a percent (E. Wilson, M. Hilferty, 1931).
-
-    The cube root of chi2 / k is nearly normal, with mean 1 - 2 / (9 k) and variance 2 / (9 k).
-    """
-    if degrees < 1:
-        return 0.0
-    variance = 2 / (9 * degrees)
-    return float(degrees * (1 - variance + NORMAL_QUANTILE * variance**0.5) ** 3)
 
 
 def tls_weights(chi2: NDArray[np.float64], mu: float, c_squared: float) -> NDArray[np.float64]:

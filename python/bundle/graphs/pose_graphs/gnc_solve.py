@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from bundle import _core
 from bundle.base.arrays import freeze
-from bundle.graphs.pose_graphs.gnc import QUANTILES, graduate
+from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
+from bundle.graphs.pose_graphs.gnc import graduate
 from bundle.graphs.pose_graphs.truncated_search import Settled, TruncatedSearch
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.solve_record import Progress
@@ -101,7 +102,7 @@ def solve_gnc(
     Returns:
         What the last solve returned, with chi2, weights and costs of the truncated loss.
     """
-    c_squared = options.loss_scale**2 * QUANTILES[graph.tangent_size]
+    c_squared = options.loss_scale**2 * ONE_IN_2000[graph.tangent_size]
     before = _core.edge_chi2(graph, options.error)
     solves = _Solves(graph, held, options, progress)
     search = TruncatedSearch(

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
-from bundle.graphs.pose_graphs.adjoints import adjoint_between
+from bundle.graphs.pose_graphs.lie_groups import adjoint_between
 from bundle.model.pose_graph_arrays import PoseGraph
 
 __all__ = ["Joint", "Joints", "find_joints", "typical_sigmas"]

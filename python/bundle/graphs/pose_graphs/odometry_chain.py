@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from bundle import _core
 from bundle.errors import InputError
-from bundle.graphs.pose_graphs.adjoints import adjoints
+from bundle.graphs.pose_graphs.lie_groups import adjoints
 from bundle.model.pose_graph_arrays import PoseGraph
 
 __all__ = ["OdometryChain", "edge_covariance", "odometry_chain"]

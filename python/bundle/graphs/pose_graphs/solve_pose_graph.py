@@ -1,7 +1,13 @@
-"""A pose graph and options in, a refined graph and its story out."""
+"""A pose graph and options in, a refined graph and its story out.
+
+A solve without the closures that do not agree with the others.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -9,11 +15,11 @@ from numpy.typing import NDArray
 
 from bundle import _core
 from bundle.base.arguments import check_function, check_type
+from bundle.base.arrays import freeze
 from bundle.base.words import plural
 from bundle.errors import InputError
-from bundle.graphs.pose_graphs.consistency import closure_consistency
-from bundle.graphs.pose_graphs.consistent_solve import solve_consistent
-from bundle.graphs.pose_graphs.gnc import QUANTILES
+from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000, ONE_IN_A_MILLION
+from bundle.graphs.pose_graphs.consistency import ClosureConsistency, closure_consistency
 from bundle.graphs.pose_graphs.gnc_solve import Proposal, solve_gnc
 from bundle.graphs.pose_graphs.information import checked_information
 from bundle.graphs.pose_graphs.loss_choice import choose_loss, loss_cost
@@ -25,7 +31,83 @@ from bundle.interface.solve_record import Progress, record_fields, with_warnings
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.starts import choose_start, lower_start, started
 
-__all__ = ["initial_poses", "pose_graph_chi2", "solve_pose_graph"]
+__all__ = ["initial_poses", "pose_graph_chi2", "solve_consistent", "solve_pose_graph"]
+
+
+UNPROVEN_SET = "unproven_set"
+MOST_LEFT_OUT = "most_left_out"
+
+Floats = NDArray[np.float64]
+Solve = Callable[[PoseGraph, PoseGraphOptions], tuple[PoseGraphResult, Floats]]
+
+
+def solve_consistent(graph: PoseGraph, options: PoseGraphOptions, solve: Solve) -> PoseGraphResult:
+    """Solve without the closures outside the largest consistent set; the result is of all edges.
+
+    Args:
+        graph: left untouched.
+        options: with ``consistency``.
+        solve: a graph, with options without it; returns the result and the poses at the start.
+
+    Raises:
+        InputError: as :func:`closure_consistency`; what ``solve`` raises.
+    """
+    begun = perf_counter()
+    weighed = checked_information(graph, options.information)
+    found = closure_consistency(weighed, options.num_threads or 1)
+    kept = np.ones(graph.num_edges, bool)
+    kept[[entry.edge for entry in found.left_out]] = False
+    edges = np.flatnonzero(kept)
+    check_time = perf_counter() - begun
+    solved, start = solve(
+        graph.replace(
+            edges=graph.edges[edges],
+            measurements=graph.measurements[edges],
+            information=graph.information[edges],
+            edge_lines=graph.edge_lines[edges],
+        ),
+        options.replace(consistency=False),
+    )
+    after = _core.edge_chi2(weighed.replace(poses=solved.problem.poses), options.error).copy()
+    before = _core.edge_chi2(weighed.replace(poses=start), options.error).copy()
+    after[edges], before[edges] = solved.chi2_after, solved.chi2_before
+    weights = np.zeros(graph.num_edges)
+    weights[edges] = solved.weights
+    said = _warnings(found)
+    return dataclasses.replace(
+        solved,
+        problem=graph.replace(poses=solved.problem.poses, has_poses=True),
+        initial_problem=graph,
+        options=options.replace(num_threads=solved.options.num_threads),
+        chi2_before=freeze(before),
+        chi2_after=freeze(after),
+        weights=freeze(weights),
+        rejected=tuple(int(edges[edge]) for edge in solved.rejected),
+        left_out=found.left_out,
+        build_time_in_seconds=solved.build_time_in_seconds + check_time,
+        summary=dataclasses.replace(
+            solved.summary,
+            num_left_out_edges=len(found.left_out),
+            warnings=(*solved.summary.warnings, *said.values()),
+            warning_kinds=(*solved.summary.warning_kinds, *said),
+        ),
+    )
+
+
+def _warnings(found: ClosureConsistency) -> dict[str, str]:
+    said = {}
+    if not found.proven:
+        said[UNPROVEN_SET] = (
+            "The search for the largest consistent set of closures ran out of time: the best set "
+            "found is taken, and a larger one may exist."
+        )
+    if 2 * len(found.left_out) >= found.num_closures > 1:
+        said[MOST_LEFT_OUT] = (
+            f"{plural(len(found.left_out), 'closure')} of {found.num_closures} contradict the "
+            "largest consistent set and are left out: no majority says which are right."
+        )
+    return said
+
 
 SUSPICIOUS_STEPS = "suspicious_steps"
 SEVERAL_COMPONENTS = "several_components"
@@ -34,9 +116,6 @@ BETTER_START = "better_start"
 
 MOST_CHECKED = 2500
 """Closures whose consistency ``auto`` looks at: three million pairs, some seconds."""
-
-BEYOND_DOUBT = {3: 30.664849706213598, 6: 38.25833637720969}
-"""Of chi2, by degrees of freedom: beyond it is one right edge in a million."""
 
 
 def solve_pose_graph(
@@ -85,7 +164,7 @@ def _refined(
     else:
         start = started(weighed, held, options.init, options.num_threads)
     started_graph = weighed.replace(poses=start.poses)
-    c_squared = options.loss_scale**2 * QUANTILES[graph.tangent_size]
+    c_squared = options.loss_scale**2 * ONE_IN_2000[graph.tangent_size]
     proposals: list[Proposal] = []
 
     def solve(how: PoseGraphOptions) -> dict[str, Any]:
@@ -210,7 +289,7 @@ def _rejected(
         return ()
     out = doubted & (output["weights"] < 0.5)
     if options.loss != "gnc_tls":
-        out &= output["chi2_after"] > BEYOND_DOUBT[graph.tangent_size]
+        out &= output["chi2_after"] > ONE_IN_A_MILLION[graph.tangent_size]
     worst_first = np.argsort(-output["chi2_after"], kind="stable")
     return tuple(int(edge) for edge in worst_first if out[edge])
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from bundle import _core
 from bundle.base.words import number, plural
-from bundle.graphs.pose_graphs.gnc import chi2_quantile
+from bundle.graphs.pose_graphs.chi2_quantiles import chi2_quantile
 from bundle.model.pose_graph_arrays import PoseGraph
 
 __all__ = ["Settled", "TruncatedSearch", "find_doubt", "flip_gains"]

@@ -104,16 +104,9 @@ class Sequence(Displayed):
         calibration = self.calibration
         if calibration.camera_model is None:
             return self.xy
-        import pycolmap
+        from bundle.model.pycolmap.lens import normalized  # start-up: it loads pycolmap
 
-        lens = pycolmap.Camera(
-            model=calibration.camera_model,
-            width=1,
-            height=1,
-            params=list(calibration.camera_params),
-        )
-        rays: NDArray[np.float64] = np.asarray(lens.cam_from_img(self.xy), np.float64)
-        return rays
+        return normalized(calibration.camera_model, calibration.camera_params, self.xy)
 
     def _display(self) -> Display:
         tracks = len(np.unique(self.track_ids))

@@ -1,0 +1,34 @@
+"""Quantiles of the chi-square distribution, by degrees of freedom.
+
+Tables hold exact values (SciPy's ``chi2.isf``), so that solves need no SciPy. For many degrees of
+freedom E. Wilson and M. Hilferty (1931) have the approximation: the cube root of chi2 / k is nearly
+normal, with mean 1 - 2 / (9 k) and variance 2 / (9 k).
+"""
+
+from __future__ import annotations
+
+__all__ = ["ONE_IN_2000", "ONE_IN_A_MILLION", "chi2_quantile"]
+
+ONE_IN_2000 = {3: 17.72999622894616, 6: 24.102798994983747}
+"""99.95 % quantiles: limit of a squared error that one right edge in 2000 exceeds."""
+
+ONE_IN_A_MILLION = {
+    1: 23.928126976934827,
+    2: 27.631021115928547,
+    3: 30.664849706213598,
+    4: 33.37684158171984,
+    5: 35.888186879672865,
+    6: 38.25833637720969,
+}
+"""Quantiles at 1 - 1e-6: limit of a squared error that one right edge in a million exceeds."""
+
+_NORMAL_QUANTILE = 3.2905267314918945
+"""99.95 % quantile of the standard normal distribution."""
+
+
+def chi2_quantile(degrees: int) -> float:
+    """Return the 99.95 % quantile of chi2, accurate to a percent (Wilson and Hilferty)."""
+    if degrees < 1:
+        return 0.0
+    variance = 2 / (9 * degrees)
+    return float(degrees * (1 - variance + _NORMAL_QUANTILE * variance**0.5) ** 3)

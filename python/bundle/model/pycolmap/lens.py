@@ -1,0 +1,36 @@
+"""Inverse projection by COLMAP's camera models: from pixels to the plane z = 1 of the camera.
+
+``bundle.model.cameras`` has the projections themselves. COLMAP inverts most models by Newton's
+method; ``bundle.editing.cameras.pixel_rays`` inverts a model to machine precision, which takes
+longer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+__all__ = ["normalized", "pixel_directions"]
+
+
+def normalized(model: str, params: Sequence[float], xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return undistorted coordinates (N, 2) on the plane z = 1 of the camera.
+
+    Args:
+        model: COLMAP's name of the camera model.
+        params: its parameters, without padding.
+        xy: (N, 2) pixels.
+    """
+    lens = pycolmap.Camera(model=model, width=1, height=1, params=list(params))
+    rays: NDArray[np.float64] = np.asarray(lens.cam_from_img(xy), np.float64)
+    return rays
+
+
+def pixel_directions(
+    model: str, params: Sequence[float], xy: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the directions (N, 3) of pixels in the frame of the camera, with z = 1."""
+    return np.column_stack([normalized(model, params, xy), np.ones(len(xy))])
