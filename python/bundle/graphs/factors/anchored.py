@@ -1,4 +1,4 @@
-"""Factors about a linearization point: what priors of marginalisation have in common."""
+"""Base class of priors that marginalisation makes: factors about linearization points."""
 
 from __future__ import annotations
 
@@ -22,14 +22,17 @@ __all__ = ["AnchoredFactor"]
 
 
 class AnchoredFactor(Factor):
-    """A factor of d = Log(X*^-1 X) over several variables, about linearization points X*."""
+    """Factor of d = Log(X*^-1 X) over several variables, about linearization points X*."""
 
     linearization_point: Mapping[Key, Any]
     manifolds: Mapping[Key, str]
 
     cost_jump = 0.0
-    """1/2 d^T Lambda d - eta^T d of the last re-anchoring by d: the constant that the quadratic
-    form about the new points leaves out. At the new values the form falls from this to 0."""
+    """1/2 d^T Lambda d - eta^T d at the step d of the last re-anchoring.
+
+    This is the constant that the quadratic form about the new points leaves out. At the new values
+    the form falls from this to 0.
+    """
 
     _sources: Iterable[Factor] = ()
     _spectrum: PriorSpectrum | None = None
@@ -38,19 +41,18 @@ class AnchoredFactor(Factor):
         return {name: value for name, value in self.__dict__.items() if name != "_sources"}
 
     def __copy__(self) -> Self:
-        return self  # nothing of it can change
+        return self  # its factors cannot change
 
     @property
     def sources(self) -> tuple[Factor, ...]:
-        """The factors that were marginalised into this prior, as far as they still exist.
+        """Factors that were marginalised into this prior, as far as they still exist.
 
-        A graph refuses a prior beside a factor that it contains. Pickles and deep copies forget
-        their sources.
+        Store factors and their sources as weak references, so that a window does not grow.
         """
         return tuple(self._sources)
 
     def made_of(self, factors: Iterable[Factor]) -> Self:
-        """Remember factors as sources, and theirs; weakly, so that a window does not grow."""
+        """Store factors and their sources as weak references, so that a window does not grow."""
         sources: WeakSet[Factor] = WeakSet()
         for factor in factors:
             sources.add(factor)
@@ -74,7 +76,9 @@ class AnchoredFactor(Factor):
         size = 0
         for key in self.keys:
             if key not in self.linearization_point:
-                raise InputError(f"{self.name}: linearization_point: expected one of {brief(key)}")
+                raise InputError(
+                    f"{self.name}: linearization_point: expected a value for {brief(key)}"
+                )
             where = f"{self.name}: manifold of {brief(key)}"
             manifolds[key] = choice(where, self.manifolds.get(key, "euclidean"), MANIFOLDS)
             where = f"{self.name}: linearization_point of {brief(key)}"
@@ -86,17 +90,17 @@ class AnchoredFactor(Factor):
         return size
 
     def _keys_first(self) -> None:
-        """Make a tuple of the keys given, before anything names the factor by them."""
+        """Make a tuple of the given keys before any message names the factor by them."""
         self._set("keys", as_keys(f"{type(self).__name__}: keys", self.keys))
 
     def _step_to(self, values: Mapping[Key, Any]) -> tuple[dict[Key, Array], Array]:
-        """Return new linearization points out of values, and the step from the old ones."""
+        """Return new linearization points taken from values, and the step from the old ones."""
         points, steps = {}, []
         if not isinstance(values, Mapping):
             raise InputError(f"values: expected a dict by key, found {brief(values)}")
         for key in self.keys:
             if key not in values:
-                raise InputError(f"values: expected one of {variable_name(key)}, found none")
+                raise InputError(f"values: expected a value for {variable_name(key)}")
             manifold = self.manifolds[key]
             value = as_row(variable_name(key), values[key])
             points[key], _ = _core.check_value(variable_name(key), manifold, value)
@@ -110,7 +114,7 @@ class AnchoredFactor(Factor):
         return points, np.concatenate(steps)
 
     def _moved(self, moved: Self, jump: float) -> Self:
-        """Complete what :meth:`reanchor` made of this."""
+        """Complete the prior that :meth:`reanchor` returns."""
         moved._set("cost_jump", jump)
         if self._sources:
             moved.made_of(self._sources)
@@ -125,14 +129,17 @@ class AnchoredFactor(Factor):
 
     @property
     def spectrum(self) -> PriorSpectrum:
-        """Eigenvalues and asymmetry of Lambda; computed when first asked for."""
+        """Eigenvalues and asymmetry of Lambda; computed on first access."""
         if self._spectrum is None:
             self._set("_spectrum", self._find_spectrum())
         assert self._spectrum is not None
         return self._spectrum
 
     def alarm(self, largest: int) -> str:
-        """Return the warning of the spectrum; of more than `largest` columns only where known."""
+        """Return the warning of the spectrum.
+
+        Above `largest` columns only if it is already known.
+        """
         if self._spectrum is None and len(self._matrix()) > largest:
             return ""
         return self.spectrum.warning

@@ -1,6 +1,7 @@
-"""Checks after the solve of a graph, or of a problem with factors, for its warnings.
+"""Checks after the solve of a graph, or of a problem with factors, and their warnings.
 
-Notes on the solve of a graph: parts, free directions, priors that lost their digits.
+Warnings are about disconnected parts, undetermined directions, wrong Jacobians of functions in
+Python, and priors in poor numerical condition.
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ __all__ = [
 
 
 RELATIVE = {"between", "relative_pose", "reprojection"}
-"""Kinds of factors that a movement of everything leaves as they are."""
+"""Kinds of factors that are invariant under a motion of everything."""
 
 LARGE = 300
-"""Columns of a prior whose spectrum takes longer than a millisecond or two."""
+"""Most columns of a prior for which the spectrum takes a millisecond or two."""
 
 
 def find_parts(variables: Mapping[Key, Variable], factors: Sequence[Factor]) -> dict[Key, Key]:
-    """Return for each variable the first one of its part: those that factors join."""
+    """Return for each variable the first one of its connected component."""
     parent = {key: key for key in variables}
 
     def root(key: Key) -> Key:
@@ -63,9 +64,9 @@ def find_parts(variables: Mapping[Key, Variable], factors: Sequence[Factor]) -> 
 def about_parts(
     variables: Mapping[Key, Variable], parts: Mapping[Key, Key], factors: Sequence[Factor]
 ) -> str:
-    """Return a sentence if no factor joins parts of the graph, and not all have a place; "" else.
+    """Return a warning if components are disconnected and not all are anchored; "" otherwise.
 
-    A part has one where something is held, or known of one variable alone or by a prior.
+    A component is anchored if it has a fixed coordinate, a factor of a single variable, or a prior.
     """
     sizes = Counter(parts.values())
     large = [key for key, size in sizes.items() if size > 1]
@@ -79,8 +80,9 @@ def about_parts(
         return ""
     named = ", ".join(f"{plural(sizes[key], 'variable')} with {brief(key)}" for key in large[:3])
     return (
-        f"The graph has {len(large)} parts that no factor joins ({named}"
-        f"{', ...' if len(large) > 3 else ''}): where they are to each other is not known."
+        f"The graph has {len(large)} disconnected parts "
+        f"({named}{', ...' if len(large) > 3 else ''}): their relative placement is "
+        "undetermined."
     )
 
 
@@ -90,13 +92,13 @@ def about_free_directions(
     dependent: Sequence[Key] | None,
     factors: Sequence[Factor],
 ) -> str:
-    """Return a sentence if factors leave directions free; "" else.
+    """Return a warning if the factors leave directions undetermined; "" otherwise.
 
     Args:
-        variables: of the graph.
-        parts: of ``find_parts``.
-        dependent: the variables of columns that depend on others; None if nobody looked.
-        factors: of the graph.
+        variables: variables of the graph.
+        parts: result of ``find_parts``.
+        dependent: variables of linearly dependent columns; None if not computed.
+        factors: factors of the graph.
     """
     if dependent is None:
         free = Counter(_floating(variables, parts, factors))
@@ -113,16 +115,16 @@ def about_free_directions(
     columns = sum(len(v.coordinates) - sum(v.held) for v in variables.values())
     total = sum(free.values())
     return (
-        f"No factor says anything of {least}{total} of {plural(columns, 'direction')} ({where}"
-        f"{', ...' if len(free) > 3 else ''}): the damping alone holds them. Hold a variable, or "
-        "add a prior."
+        f"No factor determines {least}{total} of {plural(columns, 'direction')} "
+        f"({where}{', ...' if len(free) > 3 else ''}): only the damping holds them. Fix "
+        "a variable, or add a prior."
     )
 
 
 def _floating(
     variables: Mapping[Key, Variable], parts: Mapping[Key, Key], factors: Sequence[Factor]
 ) -> list[Key]:
-    """Return parts that certainly float, each as often as it has ways to."""
+    """Return components that certainly float, each once per free direction."""
     kinds: dict[Key, set[str]] = {}
     for factor in factors:
         for key in factor.keys[:1]:
@@ -141,7 +143,7 @@ def _floating(
 
 
 def about_priors(factors: Sequence[Factor]) -> str:
-    """Return a sentence if the spectrum of a prior alarms; "" else."""
+    """Return a warning if the spectrum of a prior is suspicious; "" otherwise."""
     found = [
         (factor_name(position, factor), alarm)
         for position, factor in enumerate(factors)
@@ -151,23 +153,23 @@ def about_priors(factors: Sequence[Factor]) -> str:
         return ""
     name, warning = found[0]
     more = f" ({len(found)} priors in all)" if len(found) > 1 else ""
-    return f"A prior should not be trusted, {name}: {warning}{more}."
+    return f"Do not trust a prior, {name}: {warning}{more}."
 
 
 Conditioning = tuple[float, float, int, list[int]]
-"""The value that ``_core.graph_conditioning`` returns."""
+"""Result of ``_core.graph_conditioning``."""
 
 MOST_SECONDS = 0.03
 LARGEST_SHARE = 0.015
 MOST_COLUMNS = 300
-"""Columns of a Jacobian whose QR factorisation takes a few milliseconds."""
+"""Most columns of a Jacobian whose QR factorisation takes only a few milliseconds."""
 
 ADVICE = "FactorGraph.check_gradients"
 
 
 @dataclass(frozen=True, eq=False)
 class SolvedGraph:
-    """A graph as it was solved: its variables at the start, and what the core was given."""
+    """Solved graph: its variables at the start, and the arguments of the core."""
 
     variables: Mapping[Key, Variable]
     factors: Sequence[Factor]
@@ -176,7 +178,7 @@ class SolvedGraph:
 
     @property
     def num_columns(self) -> int:
-        """Free coordinates."""
+        """Number of free tangent coordinates."""
         return sum(len(v.coordinates) - sum(v.held) for v in self.variables.values())
 
 
@@ -187,7 +189,7 @@ def checked(output: Mapping[str, Any], graph: SolvedGraph) -> dict[str, Any]:
     ends = dict(zip(graph.variables, output["values"], strict=True))
     parts = find_parts(graph.variables, graph.factors)
     sentences = {
-        # A projected step misses what its model promised as one by a wrong Jacobian does.
+        # A projected step may miss the model's prediction as one with a wrong Jacobian does.
         "suspicious_steps": ""
         if has_bounds
         else _core.watch_convergence(output["iterations"], f"{ADVICE} finds out"),
@@ -214,15 +216,15 @@ def spot_checked(
     seconds: float,
     advice: str,
 ) -> str:
-    """Return the sentence of a spot check of the factors in Python; "" if nothing is wrong.
+    """Return the warning of a spot check of the factors in Python; "" without a finding.
 
     Args:
-        output: of the solve.
-        factors: all of them.
-        variables: at the start.
-        ends: their values at the end.
-        seconds: that it may take.
-        advice: the call that names a mistake.
+        output: output of the solve.
+        factors: all factors.
+        variables: variables at the start.
+        ends: values of the variables at the end.
+        seconds: time limit of the check.
+        advice: call that identifies a mistake.
     """
     if output["summary"]["interrupted"]:
         return ""
@@ -262,7 +264,7 @@ def _candidate(
 
 
 def _dependent(output: Mapping[str, Any], graph: SolvedGraph, seconds: float) -> list[Key] | None:
-    """Return the variables of columns that depend on others at the end; None if not looked for."""
+    """Return the variables of dependent columns at the end; None if not computed."""
     if graph.conditioning is not None and not graph.conditioning[3]:
         return []
     is_costly = graph.conditioning is None and (
@@ -277,7 +279,7 @@ def _dependent(output: Mapping[str, Any], graph: SolvedGraph, seconds: float) ->
     ]
     try:
         found = _core.graph_conditioning(ends, graph.core[1])
-    except InputError:  # a factor without a value there, which the solve tells of
+    except InputError:  # a factor has no value there; the solve reports it
         return None
     return [keys[variable] for variable in found[3]]
 

@@ -1,4 +1,4 @@
-"""The variables and factors of a graph, and their checks when they are added."""
+"""Variables and factors of a graph, checked when they are added."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["GraphContents", "factor_name"]
 
 
 class GraphContents(Displayed):
-    """Variables and factors, without what is computed from them (:class:`bundle.FactorGraph`)."""
+    """Variables and factors, without computations on them (:class:`bundle.FactorGraph`)."""
 
     def __init__(self) -> None:
         self._variables: dict[Key, Variable] = {}
@@ -53,17 +53,18 @@ class GraphContents(Displayed):
         """Add a variable.
 
         Args:
-            key: a name: any hashable object.
-            value: where a solve starts, as the manifold stores it; a quaternion of any norm but 0.
+            key: name of the variable, any hashable object.
+            value: start of a solve, in the manifold's representation; quaternions may have any norm
+                but 0.
             manifold: "euclidean", "so2", "so3", "se2" or "se3".
-            fixed: True to keep it where it is, or the tangent coordinates that stay.
-            lower: bound of each number of a Euclidean variable, or one for all. A step that would
-                leave a bound ends on it; bounds that are equal hold the number.
-            upper: likewise.
+            fixed: True to hold the variable constant, or the tangent coordinates to hold constant.
+            lower: lower bound of each number of a Euclidean variable, or one for all. A step that
+                would cross a bound ends on it; equal bounds hold the number constant.
+            upper: upper bounds, likewise.
 
         Raises:
-            InputError: the key is taken, the value is none of the manifold, or the bounds exclude
-                it.
+            InputError: the key is taken, the value does not lie on the manifold, or the bounds
+                exclude it.
         """
         check_key("key", key)
         if key in self._variables:
@@ -74,10 +75,11 @@ class GraphContents(Displayed):
         """Add a factor of variables that are in the graph.
 
         Raises:
-            InputError: it is no factor, a key is unknown, or its numbers do not fit the variables:
-                a wrong size, an information matrix that is asymmetric, singular or indefinite. Or
-                it would count twice: a prior of :meth:`bundle.FactorGraph.marginalize` beside a
-                factor that it was made of, or two priors made of the same factor.
+            InputError: this is no factor, a key is unknown, or its numbers do not fit the
+                variables: a wrong size, or an information matrix that is asymmetric, singular or
+                indefinite. Or information would count twice: a prior of
+                :meth:`bundle.FactorGraph.marginalize` beside a factor that it contains, or two
+                priors that contain the same factor.
         """
         check_type("factor", factor, Factor)
         position = len(self._factors)
@@ -92,7 +94,7 @@ class GraphContents(Displayed):
                         f"{self._variables[key].manifold}, found {manifold}; give manifolds="
                     )
         self._refuse_double_counting(name, factor)
-        if factor.kind != "function":  # which is called first when its values are meant
+        if factor.kind != "function":  # it is first called when its values are needed
             variables, (given,) = self._core(factor.keys, [position], [factor])
             _core.factor_function(variables, given)
         self._factors.append(factor)
@@ -100,32 +102,32 @@ class GraphContents(Displayed):
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        """The variables, in the order in which they were added."""
+        """Variables in the order in which they were added."""
         return self._tuples()[0]
 
     @property
     def variables(self) -> Mapping[Key, Variable]:
-        """The variables by key."""
+        """Variables by key."""
         return dict(self._variables)
 
     @property
     def factors(self) -> tuple[Factor, ...]:
-        """The factors, in the order in which they were added."""
+        """Factors in the order in which they were added."""
         return self._tuples()[1]
 
     @property
     def values(self) -> Mapping[Key, Array]:
-        """The values of the variables, where a solve starts; changes as the graph does."""
+        """Values of the variables, where a solve starts; the view follows changes of the graph."""
         return Values(self._variables)
 
     def with_values(self, values: Mapping[Key, ArrayLike]) -> Self:
         """Return the graph with other values, such as the result of a solve.
 
         Args:
-            values: by key; variables that are not in it keep theirs.
+            values: values by key; missing variables keep theirs.
 
         Raises:
-            InputError: a key is unknown, or a value is none of its manifold.
+            InputError: a key is unknown, or a value does not lie on its manifold.
         """
         if not isinstance(values, Mapping):
             raise InputError(f"values: expected a dict by key, found {brief(values)}")
@@ -146,7 +148,7 @@ class GraphContents(Displayed):
         return graph
 
     def without(self, keys: Iterable[Key]) -> Self:
-        """Return the graph without some variables and without every factor that touches one.
+        """Return the graph without some variables and without every factor of them.
 
         Raises:
             InputError: a key is unknown.
@@ -166,13 +168,13 @@ class GraphContents(Displayed):
         self.__dict__.update(state, _in_priors=WeakKeyDictionary())
 
     def _refuse_double_counting(self, name: str, factor: Factor) -> None:
-        """Refuse a factor that a prior of the graph contains, and a prior of factors in it."""
+        """Refuse a factor that a prior of the graph contains, and a prior of its factors."""
         sources = factor.sources if isinstance(factor, AnchoredFactor) else ()
         for source in (factor, *sources):
             if source in self._in_priors:
                 raise InputError(
-                    f"{name}: expected every factor to count once, found {source.name} "
-                    f"marginalised into {self._in_priors[source]} of the graph already"
+                    f"{name}: expected every factor to count once, but {source.name} is already "
+                    f"marginalised into {self._in_priors[source]} of the graph"
                 )
         if not sources:
             return
@@ -180,19 +182,19 @@ class GraphContents(Displayed):
         for source in sources:
             if id(source) in places:
                 raise InputError(
-                    f"{name}: expected every factor to count once, found "
-                    f"{factor_name(places[id(source)], source)}, of which it was made, in the "
-                    "graph; add it to the graph without(...) the variables that it eliminated"
+                    f"{name}: expected every factor to count once, but it contains "
+                    f"{factor_name(places[id(source)], source)}, which is in the graph; add it to "
+                    "the graph without(...) the eliminated variables"
                 )
 
     def _remember(self, factor: Factor) -> None:
-        """Note which factors a prior of the graph contains."""
+        """Store which factors a prior of the graph contains."""
         if isinstance(factor, AnchoredFactor):
             for source in factor.sources:
                 self._in_priors[source] = factor.name
 
     def _tuples(self) -> tuple[tuple[Key, ...], tuple[Factor, ...]]:
-        """Return keys and factors, which are only ever added; made anew once some were."""
+        """Return keys and factors; cached until some are added (none is ever removed)."""
         keys, factors = self._as_tuples
         if len(factors) != len(self._factors):
             factors = tuple(self._factors)
@@ -207,7 +209,7 @@ class GraphContents(Displayed):
         positions: Iterable[int] | None = None,
         factors: Iterable[Factor] | None = None,
     ) -> tuple[list[Any], list[Any]]:
-        """Return variables and factors as ``_core`` takes them; all if none are given."""
+        """Return variables and factors in the format of ``_core``; all if none are given."""
         factors = list(self._factors if factors is None else factors)
         members = list(self._variables if keys is None else keys)
         positions = range(len(factors)) if positions is None else positions
@@ -227,7 +229,7 @@ class GraphContents(Displayed):
         return [self._variables[key].core() for key in members], described
 
     def core(self) -> tuple[list[Any], list[Any]]:
-        """Return variables and factors as ``_core`` takes them."""
+        """Return variables and factors in the format of ``_core``."""
         return self._core()
 
     def _known(self, argument: str, key: Key) -> Variable:
@@ -241,12 +243,12 @@ class GraphContents(Displayed):
     def _checked_keys(self, keys: Iterable[Key]) -> tuple[Key, ...]:
         found = as_keys("keys", keys, ordered=False)
         if not found:
-            raise InputError("keys: expected at least one variable, found none")
+            raise InputError("keys: expected at least one variable, found 0")
         for key in found:
             self._known("keys", key)
         return found
 
 
 def factor_name(position: int, factor: Factor) -> str:
-    """Return how messages name a factor of a graph."""
+    """Return the name of a factor of a graph for messages."""
     return f"factor {position}, {factor.name}"

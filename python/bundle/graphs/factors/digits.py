@@ -1,4 +1,4 @@
-"""How many digits of a step the linear algebra leaves."""
+"""Number of digits of a step that the linear algebra preserves."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ ENOUGH = 4
 class DigitsLeft(Displayed):
     """Digits of a step by normal equations and by a QR factorisation.
 
-    J is the whitened Jacobian, its columns scaled to norm 1: units do not count. Normal equations
-    square it, and lose twice as many digits as J has decades between its singular values.
+    J is the whitened Jacobian with its columns scaled to norm 1, so units have no effect. Normal
+    equations square its condition number and lose twice as many digits.
 
     Attributes:
-        condition_number: kappa(J), largest over least singular value, to a few percent; infinite
-            where columns depend on each other, as those of a graph without a prior.
-        rank: of J, as the QR factorisation sees it.
-        num_columns: free coordinates.
+        condition_number: kappa(J), the ratio of the largest and the smallest singular value,
+            accurate to a few percent; infinite for dependent columns, as in a graph without a
+            prior.
+        rank: rank of J according to the QR factorisation.
+        num_columns: number of free coordinates.
     """
 
     condition_number: float
@@ -35,7 +36,7 @@ class DigitsLeft(Displayed):
 
     @staticmethod
     def of(largest: float, least: float, num_columns: int, dependent: Sequence[int]) -> DigitsLeft:
-        """Return what two singular values say, and the columns that depend on others."""
+        """Return the digits for two singular values and the dependent columns."""
         rank = num_columns - len(dependent)
         condition = largest / least if least > 0 and rank == num_columns else math.inf
         return DigitsLeft(max(condition, 1.0), rank, num_columns)
@@ -52,7 +53,7 @@ class DigitsLeft(Displayed):
 
     @property
     def needs_square_root(self) -> bool:
-        """True where normal equations leave fewer than 4 digits, and J has full rank."""
+        """True if normal equations leave fewer than 4 digits and J has full rank."""
         return self.rank == self.num_columns and self.normal_equations < ENOUGH
 
     def _digits(self, power: int) -> int:

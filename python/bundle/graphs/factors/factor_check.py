@@ -1,18 +1,16 @@
-"""Jacobians of factors against differences, by the checker for any residual.
+"""Jacobians of factors against finite differences, by the general checker of residuals.
 
-A factor's Jacobian J at X is by the tangent coordinates at X. At each of its samples X the checker
-is given the residual as a function of s, the value being X Exp(s - c) with a constant c: its
-Jacobian at s = c is J itself, whatever mistake is in it. Euclidean variables are given to it as
-they are.
+A factor's Jacobian J at X is with respect to the tangent coordinates at X. At each of its samples X
+the checker gets the residual as a function of s with the value X Exp(s - c) and a constant c. Its
+Jacobian at s = c is J itself, including any mistake. Euclidean variables are passed unchanged.
 
-The checker takes the size of a parameter for its scale: it makes its first steps in proportion. A
-parameter that is zero has none. So c is 1 for an angle, and for a translation the length of the
-variable's own (1 if that is zero).
+The checker's first steps are proportional to the size of a parameter, so a parameter must not be
+zero. Therefore c is 1 for an angle, and for a translation the length of the variable's own
+translation (1 if that is zero).
 
-Tangent coordinates other than the ones asked for: how right columns become those.
-
-A variable X moves by delta to X Exp(delta). Who differentiates by d of another movement has
-J M, as delta = M d to first order. With R and t the rotation and translation of X,
+Common mistakes are derivatives with respect to other tangent coordinates. A variable X moves by
+delta to X Exp(delta). A derivative with respect to another motion d is J M with delta = M d. With R
+and t the rotation and translation of X:
 
 - Exp(d) X: X^-1 Exp(d) X = Exp(Ad(X)^-1 d), so M = Ad(X)^-1;
 - t + d, in the frame of the world: M = R^T for the translation; likewise Exp(d) R of the rotation;
@@ -48,15 +46,17 @@ __all__ = ["FactorCheck", "check_each", "other_coordinates"]
 
 Conventions = dict[tuple[str, str], Array]
 
-_LEFT = "left for right perturbation: by d of Exp(d) X, not of X Exp(d)"
-_WORLD = "the translation in the frame of the world, t + d for t + R d: R is missing"
-_BOTH = "left for right perturbation of rotation and translation alike: by d of Exp(d) R and t + d"
-_TURN = "left for right perturbation of the rotation alone: Exp(d) R for R Exp(d)"
-_ORDER = "in a wrong order, {} first"
+_LEFT = "left for right perturbation: derivative by d of Exp(d) X, not of X Exp(d)"
+_WORLD = "translation in the world frame: t + d instead of t + R d (R is missing)"
+_BOTH = (
+    "left for right perturbation of rotation and translation: derivative by d of Exp(d) R and t + d"
+)
+_TURN = "left for right perturbation of the rotation: Exp(d) R instead of R Exp(d)"
+_ORDER = "wrong order: {} first"
 
 
 def other_coordinates(manifold: str, values: Array) -> Conventions:
-    """Return kind and words of each wrong convention with its M at the values (K, n): (K, d, d)."""
+    """Return kind, description and M (K, d, d) of each wrong convention at the values (K, n)."""
     return _MANIFOLDS[manifold](values) if manifold in _MANIFOLDS else {}
 
 
@@ -94,7 +94,7 @@ def _se2(values: Array) -> Conventions:
 
 
 def _also_reordered(plain: Conventions, order: list[int], first: str) -> Conventions:
-    """Add all of them with columns in another order: column j holds that of order[j]."""
+    """Add the same conventions with reordered columns: column j holds that of order[j]."""
     size = len(order)
     count = len(next(iter(plain.values())))
     words = _ORDER.format(first)
@@ -128,22 +128,22 @@ FactorFunction = Callable[[list[Array]], tuple[Array, list[Array]] | None]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FactorCheck(Displayed):
-    """What a check of factors found. True if every Jacobian is right.
+    """Result of a check of factors. True if every Jacobian is right.
 
     Attributes:
-        reports: one a factor, by its name in the graph.
+        reports: one report per factor, by its name in the graph.
     """
 
     reports: Mapping[str, GradientReport]
 
     @property
     def ok(self) -> bool:
-        """Whether the verdict is "correct"."""
+        """True if the verdict is "correct"."""
         return self.verdict == "correct"
 
     @property
     def verdict(self) -> str:
-        """The worst of the factors' verdicts: "wrong", "undecided" or "correct"."""
+        """Worst verdict of the factors: "wrong", "undecided" or "correct"."""
         found = {report.verdict for report in self.reports.values()}
         return next((name for name in ("wrong", "undecided") if name in found), "correct")
 
@@ -152,12 +152,12 @@ class FactorCheck(Displayed):
 
     @property
     def wrong(self) -> dict[str, GradientReport]:
-        """The reports of the factors with which something is wrong."""
+        """Reports of the factors with a wrong Jacobian."""
         return self._with_verdict("wrong")
 
     @property
     def undecided(self) -> dict[str, GradientReport]:
-        """The reports of the factors of which nothing can be said."""
+        """Reports of the factors without a verdict."""
         return self._with_verdict("undecided")
 
     def _with_verdict(self, verdict: str) -> dict[str, GradientReport]:
@@ -214,12 +214,12 @@ def check_each(
     return FactorCheck(reports)
 
 
-# Of the value and of the tangent coordinates: where the translation is.
+# Slices of the translation in the value and in the tangent coordinates.
 _TRANSLATIONS = {"se2": (slice(0, 2), slice(0, 2)), "se3": (slice(4, 7), slice(3, 6))}
 
 
 def _sample(variable: Variable, radius: float, rng: np.random.Generator) -> Array:
-    """Return a value near that of the variable."""
+    """Return a sample near the value of a variable."""
     if variable.manifold == "euclidean":
         return sample(Manifold.parse(None, len(variable.value)), variable.value, radius, rng)
     step = (
@@ -229,7 +229,7 @@ def _sample(variable: Variable, radius: float, rng: np.random.Generator) -> Arra
 
 
 def _origin(variable: Variable, value: Array) -> Array:
-    """Return where the checker is: the value, or the c at which the step is zero."""
+    """Return the checker's parameters: the value, or the c at which the step is zero."""
     if variable.manifold == "euclidean":
         return value
     origin = np.ones(len(variable.coordinates))
@@ -242,7 +242,7 @@ def _origin(variable: Variable, value: Array) -> Array:
 
 
 def _layout(variables: Sequence[Variable], values: Sequence[Sequence[Array]]) -> Layout:
-    """Return names, and blocks that know what else one may have differentiated by."""
+    """Return names, and parameter blocks with the other conventions of their coordinates."""
     names = [
         (brief(v.key), [f"{brief(v.key)} {coordinate}" for coordinate in v.coordinates])
         for v in variables
@@ -267,7 +267,7 @@ def _layout(variables: Sequence[Variable], values: Sequence[Sequence[Array]]) ->
 
 
 class _InTangentCoordinates:
-    """The factor as a function of the steps that its variables take from values."""
+    """Factor as a function of steps of its variables from given values."""
 
     def __init__(
         self,

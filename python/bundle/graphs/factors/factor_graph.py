@@ -1,7 +1,4 @@
-"""A factor graph: what to estimate, what is known of it, and everything that is asked of both.
-
-What the solve of a factor graph gives back.
-"""
+"""Factor graph: variables, factors, and the operations on both."""
 
 from __future__ import annotations
 
@@ -31,15 +28,15 @@ __all__ = ["FactorGraph", "GraphResult"]
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GraphResult(SolveRecord):
-    """The values that a solve found and how it came about.
+    """Values that a solve found, with its summary.
 
     Attributes:
-        values: one array a variable, by key, as its manifold stores it.
-        options: every option as used.
-        summary: what the solver says; costs are 1/2 sum rho(||r||^2) over the factors.
-        iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
-        build_time_in_seconds: outside the solver.
-        solve_time_in_seconds: inside the solver.
+        values: one array per variable, by key, in the manifold's representation.
+        options: all options as used.
+        summary: the solver's summary; costs are 1/2 sum rho(||r||^2) over the factors.
+        iterations: one array per field of Ceres' IterationSummary, one entry per iteration.
+        build_time_in_seconds: time outside the solver.
+        solve_time_in_seconds: time inside the solver.
     """
 
     values: Mapping[Key, Array]
@@ -69,17 +66,17 @@ _OF_OTHERS = (
     "gauge",
     "cheirality",
 )
-"""Options that say something of reconstructions, and nothing of a factor graph."""
+"""Options of reconstructions that a factor graph does not support."""
 
 _MOST_COLUMNS_LOOKED_AT = 3000
-"""A QR factorisation of so many columns takes about as long as some steps."""
+"""A QR factorisation of this many columns takes about as long as a few steps."""
 
 
 class FactorGraph(GraphMarginals):
-    """Variables on manifolds and factors between them: a least-squares problem of any structure.
+    """Nonlinear least-squares problem of any structure: variables on manifolds and factors.
 
-    A variable X moves by its tangent coordinates delta to X Exp(delta). Residuals are
-    differentiated and information matrices are ordered by these:
+    A variable X moves by its tangent coordinates delta to X Exp(delta). Jacobians and information
+    matrices refer to these coordinates:
 
     ===========  =========================  ==================================================
     manifold     value                      tangent coordinates
@@ -91,9 +88,10 @@ class FactorGraph(GraphMarginals):
     se3          qx qy qz qw tx ty tz       rotation (3), then translation (3), in the frame of X
     ===========  =========================  ==================================================
 
-    Angles are radians. The information matrix of a graph is Lambda = J^T J and its vector
-    eta = -J^T r, with J and r of all factors at the variables' values, whitened, losses applied:
-    the cost is 1/2 delta^T Lambda delta - eta^T delta and a constant, to second order. Example::
+    Angles are in radians. The information matrix of a graph is Lambda = J^T J and its vector is eta
+    = -J^T r, with J and r of all factors at the variables' values, whitened and with losses
+    applied. To second order, the cost is 1/2 delta^T Lambda delta - eta^T delta plus a constant.
+    Example::
 
         graph = bundle.FactorGraph()
         graph.add_variable("a", [0, 0, 0], "se2", fixed=True)
@@ -112,29 +110,29 @@ class FactorGraph(GraphMarginals):
     ) -> GraphResult:
         """Minimise 1/2 sum rho(||r||^2) over the factors, from the variables' values.
 
-        By Ceres and normal equations, or, with ``square_root``, by the same trust region over a
-        sparse QR factorisation of the whitened Jacobian: slower, on one thread, with twice the
-        digits (:meth:`digits`), without bounds. A graph whose factors are linear ends at its
-        minimum to rounding, whatever the tolerances: a last step by QR takes it there.
+        The default is Ceres with normal equations. With ``square_root``, the same trust region uses
+        a sparse QR factorisation of the whitened Jacobian: slower, on one thread, without bounds,
+        with twice the digits (:meth:`digits`). A graph of linear factors ends at its minimum up to
+        rounding for any tolerances, because a last QR step is added.
 
-        The graph keeps its values; :meth:`with_values` takes over those of the result. The GIL is
-        released but for factors in Python. Ctrl-C stops the solve and keeps the best state; not
-        converging is a result as well.
+        The graph keeps its values; :meth:`with_values` applies those of the result. The GIL is
+        released except for factors in Python. Ctrl-C stops the solve and keeps the best state; a
+        solve that does not converge also returns a result.
 
         Args:
-            options: how to solve. Those that concern reconstructions must have their defaults;
-                trust_region_strategy_type may be "gauss_newton", too.
+            options: solve options. Options of reconstructions must have their defaults;
+                trust_region_strategy_type may also be "gauss_newton".
             progress: called after each iteration, as by :func:`bundle.solve`.
-            square_root: True for QR, False for normal equations. If not given, QR where normal
-                equations would leave fewer than 4 digits; looked for in graphs of at most 3000 free
-                coordinates without bounds and without functions in Python, where options leave the
-                linear solver and backend open.
-            **changes: options by name, in place of those in ``options``.
+            square_root: True for QR, False for normal equations. By default, QR if normal equations
+                would leave fewer than 4 digits; this is checked for graphs of at most 3000 free
+                coordinates without bounds and functions in Python, if options leave linear solver
+                and backend open.
+            **changes: options by name, which replace those in ``options``.
 
         Raises:
-            InputError: a free variable has no factor, a residual or Jacobian has no finite value at
-                the start or the wrong shape, or options exclude each other. What a function of
-                yours raises comes through.
+            InputError: a free variable has no factor, a residual or Jacobian is not finite at the
+                start or has the wrong shape, or options contradict each other. Exceptions of your
+                functions are passed on.
             KeyboardInterrupt: Ctrl-C before the start was evaluated.
         """
         options = GraphOptions.of(options, changes, "solve")
@@ -143,13 +141,14 @@ class FactorGraph(GraphMarginals):
         for option in _OF_OTHERS:
             if getattr(options, option) != getattr(defaults, option):
                 raise InputError(
-                    f"{option}: expected the default for a factor graph, "
-                    f"found {brief(getattr(options, option))}"
+                    f"{option}: expected the default for a factor graph, found "
+                    f"{brief(getattr(options, option))}"
                 )
         cores = _core.hardware_threads()
         options = options.replace(num_threads=min(options.num_threads or cores, cores))
         as_core = options.asdict() | {"gauge": "none", "cheirality": "algebraic"}
-        factors = list(self._factors)  # before the variables: the graph may grow meanwhile
+        # taken before the variables, because the graph may grow meanwhile
+        factors = list(self._factors)
         variables = dict(self._variables)
         keys = list(variables)
         core = self._core(keys, factors=factors)
@@ -166,17 +165,17 @@ class FactorGraph(GraphMarginals):
         )
 
     def digits(self) -> DigitsLeft:
-        """Return how many digits of a step normal equations and a QR factorisation leave.
+        """Return how many digits of a step normal equations and a QR factorisation preserve.
 
         Raises:
-            InputError: nothing is free, or a factor has no finite value.
+            InputError: there is no free coordinate, or a factor has no finite value.
         """
         return DigitsLeft.of(*_core.graph_conditioning(*self._core()))
 
     def _choose_square_root(
         self, wanted: bool | None, options: SolveOptions, core: Any, factors: list[Factor]
     ) -> tuple[bool, str, Conditioning | None]:
-        """Return whether to solve by QR, a sentence why if that was chosen here, and from what."""
+        """Return whether to solve by QR, the reason if chosen here, and the conditioning used."""
         if wanted is not None:
             by_root = as_flag("square_root", wanted)
             for option in ("backend", "linear_solver_type"):
@@ -200,8 +199,8 @@ class FactorGraph(GraphMarginals):
         if not digits.needs_square_root:
             return False, "", found
         why = (
-            f"Normal equations would leave {plural(digits.normal_equations, 'digit')} of a step, "
-            f"a QR factorisation {digits.square_root}."
+            f"Normal equations would leave {plural(digits.normal_equations, 'digit')} of a "
+            f"step, a QR factorisation {digits.square_root}."
         )
         return True, why, found
 
@@ -215,16 +214,16 @@ class FactorGraph(GraphMarginals):
         """Check the Jacobians of factors as :func:`bundle.check_gradients` does.
 
         Args:
-            factors: of the graph; all if not given.
-            **settings: num_samples (3 if not given), radius, seed, tolerance of
-                :func:`bundle.check_gradients`; the radius is that of tangent coordinates, and of
-                Euclidean variables relative to their values.
+            factors: factors of the graph; by default all.
+            **settings: num_samples (default 3), radius, seed and tolerance of
+                :func:`bundle.check_gradients`; the radius refers to tangent coordinates, and for
+                Euclidean variables to relative changes.
 
         Returns:
-            A report that is true if all is well, and explains itself when printed.
+            Report that is true if all Jacobians are right, and readable when printed.
 
         Raises:
-            InputError: a factor is not of the graph, or a function answers with wrong shapes.
+            InputError: a factor is not in the graph, or a function returns wrong shapes.
         """
         wanted = [factors] if isinstance(factors, Factor) else factors
         every = {id(factor): i for i, factor in enumerate(self._factors)}
@@ -232,7 +231,9 @@ class FactorGraph(GraphMarginals):
         if wanted is not None:
             for factor in (wanted := as_list("factors", "factors", wanted)):
                 if id(factor) not in every:
-                    raise InputError(f"factors: expected some of the graph, found {brief(factor)}")
+                    raise InputError(
+                        f"factors: expected factors of the graph, found {brief(factor)}"
+                    )
             chosen = [every[id(factor)] for factor in wanted]
         return check_each(
             [(factor_name(i, self._factors[i]), *self._one(i)) for i in chosen], settings

@@ -1,8 +1,8 @@
-"""Factors of a graph: what is known of its variables, each a residual and a loss.
+"""Factors of a graph: measurements of its variables, each a residual and a loss.
 
-Every factor costs 1/2 rho(r^T r) with its whitened residual r = L^T e, where e is its error and
-L L^T = Omega the Cholesky factorisation of its information matrix, so that r^T r = e^T Omega e.
-The core computes residuals and Jacobians; ``cpp/core/factors`` has the derivations.
+A factor costs 1/2 rho(r^T r) with the whitened residual r = L^T e, where e is its error and L L^T =
+Omega the Cholesky factorisation of its information matrix, so that r^T r = e^T Omega e. The core
+computes residuals and Jacobians; ``cpp/core/factors`` has the derivations.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Factor(Displayed):
-    """What all factors have.
+    """Base class of all factors.
 
     Attributes:
-        loss: a robust loss out of :class:`bundle.SolveOptions`.
-        loss_scale: the norm of the whitened residual, in sigmas, at which the loss bends.
+        loss: robust loss of :class:`bundle.SolveOptions`.
+        loss_scale: norm of the whitened residual, in sigmas, beyond which the loss is robust.
     """
 
     loss: str = field(default="trivial", kw_only=True)
@@ -48,11 +48,11 @@ class Factor(Displayed):
 
     kind = ""
 
-    if TYPE_CHECKING:  # a property here would be the default of a field of that name
+    if TYPE_CHECKING:  # at run time a property would become the default of a dataclass field
 
         @property
         def keys(self) -> tuple[Key, ...]:
-            """The variables, in the order of the Jacobians."""
+            """Variables in the order of the Jacobians."""
 
     def __post_init__(self) -> None:
         for key in self.keys:
@@ -65,15 +65,15 @@ class Factor(Displayed):
 
     @cached_property
     def name(self) -> str:
-        """The kind and the variables, in messages."""
+        """Kind and variables, for messages."""
         return f"{type(self).__name__}({', '.join(brief(key) for key in self.keys)})"
 
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:
-        """Return what ``_core`` takes beside name, variables and loss.
+        """Return the arguments of ``_core`` beside name, variables and loss.
 
         Args:
-            name: of the factor within its graph.
-            sizes: of the variables' tangent spaces.
+            name: name of the factor within its graph.
+            sizes: tangent sizes of the variables.
         """
         raise NotImplementedError
 
@@ -97,7 +97,7 @@ class Factor(Displayed):
 
 
 def as_information(name: str, information: Array, size: int) -> Array:
-    """Return an information matrix; a number stands for that times the identity.
+    """Return an information matrix; a number is multiplied by the identity.
 
     Raises:
         InputError: it has another shape.
@@ -114,19 +114,19 @@ def as_information(name: str, information: Array, size: int) -> Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PriorFactor(Factor):
-    """What is known of one variable X: e = Log(value^-1 X).
+    """Prior on one variable X: e = Log(value^-1 X).
 
-    On a Euclidean variable e = X - value: a prior on a point, or on the parameters of a camera.
+    On a Euclidean variable e = X - value: a prior on a point or on the parameters of a camera.
 
     Attributes:
         key: the variable.
-        value: as the variable's manifold stores it.
-        information: symmetric positive definite, by the tangent coordinates of the variable
-            (:class:`bundle.FactorGraph` lists them), or a number: times the identity.
+        value: prior value, in the manifold's representation.
+        information: symmetric positive definite, in the tangent coordinates of the variable (listed
+            by :class:`bundle.FactorGraph`), or a number that multiplies the identity.
 
     Raises:
-        InputError: these are no numbers; what does not fit the variable is refused by
-            :meth:`bundle.FactorGraph.add_factor`.
+        InputError: an argument is not numeric. :meth:`bundle.FactorGraph.add_factor` refuses values
+            that do not fit the variable.
     """
 
     key: Key
@@ -142,7 +142,7 @@ class PriorFactor(Factor):
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        """The variables, in the order of the Jacobians."""
+        """Variables in the order of the Jacobians."""
         return (self.key,)
 
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:
@@ -152,21 +152,21 @@ class PriorFactor(Factor):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ScalarPriorFactor(Factor):
-    """What is known of one number x of a Euclidean variable, such as a camera's parameter.
+    """Prior on one number x of a Euclidean variable, such as a camera parameter.
 
-    The residual is (x - value) / sigma, or (log x - log value) / sigma where relative.
+    The residual is (x - value) / sigma, or (log x - log value) / sigma if ``relative``.
 
     Attributes:
         key: the variable.
-        index: of the number in the variable.
-        value: that was measured.
-        sigma: its standard deviation; where relative a share of the value: 0.02 is two percent.
-        relative: whether it is the logarithm that is known, as of a focal length: half and twice
-            the value are as far from it. The number then stays on its side of zero.
+        index: index of the number in the variable.
+        value: measured value.
+        sigma: standard deviation; if ``relative``, as a share of the value: 0.02 is two percent.
+        relative: the logarithm is measured, as for a focal length: half and twice the value are
+            equally far. The number then keeps its sign.
 
     Raises:
-        InputError: these are no numbers, sigma is not above 0, or a relative value is 0; an index
-            that the variable does not have is refused by :meth:`bundle.FactorGraph.add_factor`.
+        InputError: an argument is not numeric, sigma is not above 0, or a relative value is 0.
+            :meth:`bundle.FactorGraph.add_factor` refuses an index that the variable does not have.
     """
 
     key: Key
@@ -185,11 +185,11 @@ class ScalarPriorFactor(Factor):
         self._set("sigma", number(f"{self.name}: sigma", self.sigma, above=0))
         self._set("relative", as_flag(f"{self.name}: relative", self.relative))
         if self.relative and self.value == 0:
-            raise InputError(f"{self.name}: value: expected another number than 0 where relative")
+            raise InputError(f"{self.name}: value: expected a nonzero number if relative, found 0")
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        """The variables, in the order of the Jacobians."""
+        """Variables in the order of the Jacobians."""
         return (self.key,)
 
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
@@ -199,7 +199,7 @@ class ScalarPriorFactor(Factor):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _RelativeFactor(Factor):
-    """A measurement between two variables."""
+    """Base class of measurements between two variables."""
 
     a: Key
     b: Key
@@ -209,32 +209,32 @@ class _RelativeFactor(Factor):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.a == self.b:
-            raise InputError(f"{self.name}: expected two different variables, found one twice")
+            raise InputError(f"{self.name}: expected two different variables, found the same twice")
         self._freeze_row("measurement")
         self._freeze_matrix("information")
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        """The variables, in the order of the Jacobians."""
+        """Variables in the order of the Jacobians."""
         return self.a, self.b
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BetweenFactor(_RelativeFactor):
-    """A relative measurement of two variables on one manifold: e = Log(Z^-1 A^-1 B).
+    """Relative measurement of two variables on one manifold: e = Log(Z^-1 A^-1 B).
 
-    The error of a pose graph's edge, with the full logarithm of SE(2) or SE(3). On Euclidean
-    variables e = b - a - z; differences of angles are taken within a half turn.
+    This is the error of a pose graph's edge, with the full logarithm of SE(2) or SE(3). On
+    Euclidean variables e = b - a - z; differences of angles are wrapped to a half turn.
 
     Attributes:
         a: key of the variable A, in whose frame B was measured.
         b: key of the variable B.
-        measurement: Z = A^-1 B as measured, as the manifold stores it.
-        information: symmetric positive definite, by the tangent coordinates of the manifold
-            (:class:`bundle.FactorGraph` lists them: se3 has the rotation first), or a number.
+        measurement: measured Z = A^-1 B, in the manifold's representation.
+        information: symmetric positive definite, in the tangent coordinates of the manifold (listed
+            by :class:`bundle.FactorGraph`; se3 has the rotation first), or a number.
 
     Raises:
-        InputError: these are no numbers, or both keys are the same.
+        InputError: an argument is not numeric, or both keys are the same.
     """
 
     kind = "between"
@@ -246,20 +246,20 @@ class BetweenFactor(_RelativeFactor):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RelativePoseFactor(_RelativeFactor):
-    """A measured relative pose of two images A and B: e = Log(Z^-1 B A^-1).
+    """Measured relative pose of two images A and B: e = Log(Z^-1 B A^-1).
 
-    The variables are cam_from_world, so that B A^-1 is cam_b_from_cam_a, which no motion of the
-    world changes. (:class:`BetweenFactor` of the same variables would compare A^-1 B, which means
-    something where variables are world_from_camera.)
+    The variables are cam_from_world. B A^-1 is therefore cam_b_from_cam_a, which is invariant under
+    motions of the world. (:class:`BetweenFactor` would compare A^-1 B, which is meaningful for
+    world_from_camera.)
 
     Attributes:
         a: key of the pose A, on se3.
         b: key of the pose B, on se3.
-        measurement: Z, cam_b_from_cam_a as measured: qx qy qz qw tx ty tz.
+        measurement: measured Z, cam_b_from_cam_a: qx qy qz qw tx ty tz.
         information: (6, 6) symmetric positive definite, rotation first, or a number.
 
     Raises:
-        InputError: these are no numbers, or both keys are the same.
+        InputError: an argument is not numeric, or both keys are the same.
     """
 
     kind = "relative_pose"
@@ -271,16 +271,16 @@ class RelativePoseFactor(_RelativeFactor):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PositionFactor(Factor):
-    """A measured position of an antenna on a camera: e = R^T (lever_arm - t) - position.
+    """Measured position of an antenna on a camera: e = R^T (lever_arm - t) - position.
 
     Attributes:
-        key: a pose cam_from_world (R, t) on se3.
-        position: (3,) of the antenna in the world.
-        information: (3, 3) symmetric positive definite, by the axes of the world, or a number.
-        lever_arm: (3,) place of the antenna in the frame of the camera; zeros: the camera's centre.
+        key: pose cam_from_world (R, t), on se3.
+        position: (3,) position of the antenna in the world frame.
+        information: (3, 3) symmetric positive definite, along the world axes, or a number.
+        lever_arm: (3,) position of the antenna in the camera frame; zeros: the projection centre.
 
     Raises:
-        InputError: these are no numbers.
+        InputError: an argument is not numeric.
     """
 
     key: Key
@@ -297,7 +297,7 @@ class PositionFactor(Factor):
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        """The variables, in the order of the Jacobians."""
+        """Variables in the order of the Jacobians."""
         return (self.key,)
 
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
@@ -308,9 +308,9 @@ class PositionFactor(Factor):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ReprojectionFactor(Factor):
-    """A point seen in an image: e = projection(R X + t) - observation, in pixels.
+    """Observation of a point in an image: e = projection(R X + t) - observation, in pixels.
 
-    A point behind its camera keeps the error that the formula gives.
+    A point behind its camera keeps the error of this formula.
 
     Attributes:
         pose: key of the pose cam_from_world (R, t), on se3.
@@ -321,7 +321,7 @@ class ReprojectionFactor(Factor):
         information: (2, 2) symmetric positive definite, or a number; 1 is a sigma of one pixel.
 
     Raises:
-        InputError: these are no numbers.
+        InputError: an argument is not numeric.
     """
 
     pose: Key
@@ -341,7 +341,7 @@ class ReprojectionFactor(Factor):
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        """The variables, in the order of the Jacobians."""
+        """Variables in the order of the Jacobians."""
         return self.pose, self.camera, self.point
 
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002

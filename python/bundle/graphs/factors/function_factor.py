@@ -1,4 +1,4 @@
-"""A factor whose residual and Jacobians are a Python function."""
+"""Factor whose residual and Jacobians are a Python function."""
 
 from __future__ import annotations
 
@@ -22,35 +22,35 @@ FactorFunction = Callable[[list[Array]], tuple[Any, Sequence[Any]]]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FunctionFactor(Factor):
-    """A residual of your own: ``function(values) -> (residual, jacobians)``.
+    """User-defined residual: ``function(values) -> (residual, jacobians)``.
 
-    ``values`` is a list of arrays, one a key, each as its manifold stores the variable: (n,) for
-    "euclidean", (angle,) for "so2", (qx, qy, qz, qw) for "so3", (x, y, angle) for "se2",
-    (qx, qy, qz, qw, tx, ty, tz) for "se3"; quaternions have norm 1. The function returns the
-    residual (m,), whitened, and a list of Jacobians, one a key. Jacobian k has shape (m, d) with d
-    the tangent size of variable k: it is the derivative of the residual by the tangent coordinates
-    of X, by which X moves to X Exp(delta), at delta = 0:
+    ``values`` is a list of arrays, one per key, in the manifold's representation: (n,) for
+    "euclidean", (angle,) for "so2", (qx, qy, qz, qw) for "so3", (x, y, angle) for "se2", (qx, qy,
+    qz, qw, tx, ty, tz) for "se3"; quaternions have norm 1. The function returns the whitened
+    residual (m,) and a list of Jacobians, one per key. Jacobian k has shape (m, d) with d the
+    tangent size of variable k. It is the derivative of the residual with respect to delta at delta
+    = 0, where X moves to X Exp(delta):
 
-    - "euclidean": delta (n) is added; the usual Jacobian;
+    - "euclidean": delta (n) is added; this is the usual Jacobian;
     - "so2": delta (1) is added to the angle;
     - "so3": delta (3) is a rotation vector in the frame of X: R becomes R Exp(delta);
     - "se2": delta = (x, y, angle) in the frame of X: the translation t becomes t + R (x, y) to
-      first order, the angle grows by delta's;
+      first order, and the angle grows by that of delta;
     - "se3": delta = (rotation (3), translation (3)) in the frame of X: R becomes R Exp(rotation),
       t becomes t + R translation to first order.
 
-    Check them with :meth:`bundle.FactorGraph.check_gradients`. The function is called from the
-    thread that solves, with the GIL; a graph with such a factor is evaluated on one thread. What it
-    raises ends the solve and comes out of it.
+    Check Jacobians with :meth:`bundle.FactorGraph.check_gradients`. The function is called from the
+    solving thread with the GIL held; a graph with such a factor is evaluated on one thread. An
+    exception of the function ends the solve and is passed on.
 
     Attributes:
         keys: the variables.
-        function: of their values, as above. m must not change between calls. A residual that is not
-            finite rejects the step that led there.
+        function: function of their values, as above. m must not change between calls. A residual
+            that is not finite rejects the step.
 
     Raises:
-        InputError: the keys are no list, or the function cannot be called. A solve raises it where
-            the function answers with other shapes; the message names factor and variable.
+        InputError: keys is no list, or the function is not callable. A solve raises it if the
+            function returns other shapes; the message names factor and variable.
     """
 
     keys: tuple[Key, ...]
@@ -59,13 +59,13 @@ class FunctionFactor(Factor):
     kind = "function"
 
     seconds_a_call = np.inf
-    """The least of all calls within solves."""
+    """Fastest call within solves."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "keys", as_keys("FunctionFactor: keys", self.keys))
         super().__post_init__()
         if not self.keys:
-            raise InputError("FunctionFactor: keys: expected at least one variable, found none")
+            raise InputError("FunctionFactor: keys: expected at least one variable, found 0")
         if not callable(self.function):
             raise InputError(f"{self.name}: expected a function, found {brief(self.function)}")
 
@@ -75,7 +75,7 @@ class FunctionFactor(Factor):
 
 
 class _CheckedFunction:
-    """Calls the user's function and checks what it answers, in the form ``_core`` wants."""
+    """Wrapper of the user's function that checks its return values for ``_core``."""
 
     def __init__(self, factor: FunctionFactor, name: str, sizes: tuple[int, ...]) -> None:
         self.factor, self.name, self.sizes = factor, name, sizes
@@ -92,19 +92,19 @@ class _CheckedFunction:
                 f"found {type(answer).__name__}"
             )
         residual = as_array(f"{self.name}: residual", answer[0])
-        if residual.size != max(residual.shape, default=1):  # a column is a row as well
+        if residual.size != max(residual.shape, default=1):  # a column is accepted as a row
             raise InputError(
-                f"{self.name}: residual: expected numbers in one row, found shape {residual.shape}"
+                f"{self.name}: residual: expected a row of numbers, found shape {residual.shape}"
             )
         residual = residual.reshape(-1)
         if not self.num_residuals:
             if not len(residual):
-                raise InputError(f"{self.name}: expected at least one residual, found none")
+                raise InputError(f"{self.name}: residual: expected at least one number, found 0")
             self.num_residuals = len(residual)
         if len(residual) != self.num_residuals:
             raise InputError(
-                f"{self.name}: expected {plural(self.num_residuals, 'residual')} as before, "
-                f"found {len(residual)}"
+                f"{self.name}: expected {plural(self.num_residuals, 'residual')} as in earlier "
+                f"calls, found {len(residual)}"
             )
         if not np.isfinite(residual).all():
             return None
@@ -114,8 +114,8 @@ class _CheckedFunction:
         if not isinstance(given, list | tuple) or len(given) != len(self.sizes):
             found = f"{len(given)}" if isinstance(given, list | tuple) else brief(given)
             raise InputError(
-                f"{self.name}: expected a list of {plural(len(self.sizes), 'Jacobian')}, one a "
-                f"variable, found {found}"
+                f"{self.name}: expected a list of {plural(len(self.sizes), 'Jacobian')}, one "
+                f"per variable, found {found}"
             )
         matrices = []
         for key, size, jacobian in zip(self.factor.keys, self.sizes, given, strict=True):

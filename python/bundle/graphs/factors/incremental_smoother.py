@@ -1,10 +1,10 @@
-"""Incremental smoothing: a factor graph that grows, by iSAM2 of GTSAM's wheel.
+"""Incremental smoothing of a growing factor graph by iSAM2 of GTSAM's Python package.
 
-iSAM2 keeps the factorised problem as a Bayes tree and, for each update, eliminates again only the
-part of it that new factors or variables that moved have to do with (M. Kaess et al., iSAM2:
-Incremental smoothing and mapping using the Bayes tree, IJRR 31, 2012). GTSAM is an optional extra,
-``pip install gtsam``. Its tangent coordinates, errors and losses are those of
-:class:`bundle.FactorGraph`: rotation first in se3, full logarithms.
+iSAM2 stores the factorised problem as a Bayes tree. An update eliminates only the part of the tree
+that new factors or relinearised variables affect (M. Kaess et al., iSAM2: Incremental smoothing and
+mapping using the Bayes tree, IJRR 31, 2012). GTSAM is an optional dependency, ``pip install
+gtsam``. Tangent coordinates, errors and losses are those of :class:`bundle.FactorGraph`: rotation
+first in se3, full logarithms.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ _LOSSES = {"huber": "Huber", "cauchy": "Cauchy", "tukey": "Tukey"}
 
 @dataclass(frozen=True)
 class IncrementalUpdate:
-    """What one update did.
+    """Statistics of one update.
 
     Attributes:
-        seconds: wall time, with the new estimate of all variables.
-        num_variables: in the graph by then.
-        num_reeliminated: variables whose part of the factorisation was computed anew.
-        num_relinearized: variables whose linearization point moved.
+        seconds: wall time, including the new estimate of all variables.
+        num_variables: variables in the graph after the update.
+        num_reeliminated: variables whose part of the factorisation was recomputed.
+        num_relinearized: variables with a new linearization point.
     """
 
     seconds: float
@@ -57,10 +57,10 @@ class IncrementalUpdate:
 
 
 class IncrementalSmoother(Displayed):
-    """A factor graph that is solved again after each addition, by iSAM2.
+    """Factor graph that iSAM2 solves again after each addition.
 
-    Takes :class:`bundle.PriorFactor` and :class:`bundle.BetweenFactor`, with the losses trivial,
-    huber, cauchy and tukey. Example::
+    It supports :class:`bundle.PriorFactor` and :class:`bundle.BetweenFactor` with the losses
+    trivial, huber, cauchy and tukey. Example::
 
         smoother = bundle.IncrementalSmoother()
         smoother.add_variable(0, [0, 0, 0], "se2")
@@ -72,15 +72,15 @@ class IncrementalSmoother(Displayed):
         smoother.values[1]
 
     Args:
-        relinearize_threshold: a variable gets a new linearization point once a tangent coordinate
-            has moved by more (metres or radians).
-        relinearize_skip: updates between looks for such variables.
+        relinearize_threshold: change of a tangent coordinate (metres or radians) above which a
+            variable gets a new linearization point.
+        relinearize_skip: number of updates between checks of this threshold.
 
     Attributes:
-        updates: one :class:`bundle.IncrementalUpdate` an update.
+        updates: one :class:`bundle.IncrementalUpdate` per update.
 
     Raises:
-        InputError: GTSAM is not installed, or a number is out of its range.
+        InputError: GTSAM is not installed, or a number is out of range.
     """
 
     def __init__(self, relinearize_threshold: float = 0.01, relinearize_skip: int = 1) -> None:
@@ -101,18 +101,18 @@ class IncrementalSmoother(Displayed):
         self.updates: list[IncrementalUpdate] = []
 
     def add_variable(self, key: Key, value: ArrayLike, manifold: str = "euclidean") -> None:
-        """Add a variable for the next update, as :meth:`bundle.FactorGraph.add_variable` does.
+        """Add a variable for the next update; see :meth:`bundle.FactorGraph.add_variable`.
 
         Raises:
-            InputError: the key is taken, or the value is none of the manifold.
+            InputError: the key is taken, or the value does not lie on the manifold.
         """
         self._graph.add_variable(key, value, manifold)
 
     def add_factor(self, factor: Factor) -> None:
-        """Add a factor for the next update, as :meth:`bundle.FactorGraph.add_factor` does.
+        """Add a factor for the next update; see :meth:`bundle.FactorGraph.add_factor`.
 
         Raises:
-            InputError: as there, or iSAM2 has no factor or loss of this kind.
+            InputError: as there, or iSAM2 does not support this kind of factor or loss.
         """
         if isinstance(factor, Factor):
             if type(factor) not in (PriorFactor, BetweenFactor):
@@ -128,18 +128,17 @@ class IncrementalSmoother(Displayed):
         self._graph.add_factor(factor)
 
     def update(self) -> IncrementalUpdate:
-        """Solve with all that was added since the last update; with nothing new, one more step.
+        """Solve with all additions since the last update; without additions, make one more step.
 
         Raises:
-            InputError: the factors do not determine a variable, which is named; the smoother can
-                not go on then, as iSAM2 has lost its factorisation. Or nothing was ever added.
+            InputError: the factors do not determine a variable, which the message names; the
+                smoother is then unusable, because iSAM2 has lost its factorisation. Or the graph is
+                empty.
         """
         if self._broken:
-            raise InputError(
-                f"update: expected a smoother that works, found one that {self._broken}"
-            )
+            raise InputError(f"update: expected a usable smoother, found one that {self._broken}")
         if not self._graph.keys:
-            raise InputError("update: expected variables, found none")
+            raise InputError("update: expected at least one variable, found 0")
         values, factors = self._gtsam.Values(), self._gtsam.NonlinearFactorGraph()
         variables = self._graph._variables
         keys = self._graph.keys
@@ -171,22 +170,22 @@ class IncrementalSmoother(Displayed):
 
     @property
     def values(self) -> Mapping[Key, Array]:
-        """The estimate of the last update, by key, converted as it is looked up."""
+        """Estimate of the last update, by key, converted on access."""
         return self._estimate
 
     @property
     def graph(self) -> FactorGraph:
-        """All variables and factors at the estimate, as a graph: to solve it in one batch."""
+        """All variables and factors at the estimate, as a graph for batch solves."""
         return self._graph.with_values(dict(self._estimate))
 
     def statistics(self) -> dict[str, float]:
-        """Return over all updates: p50, p95 and max of seconds, mean share re-eliminated.
+        """Return p50, p95 and max of seconds, and the mean share re-eliminated, over all updates.
 
         Raises:
             InputError: there was no update.
         """
         if not self.updates:
-            raise InputError("statistics: expected an update, found none")
+            raise InputError("statistics: expected at least one update, found 0")
         seconds = np.array([update.seconds for update in self.updates])
         share = np.mean([update.share_reeliminated for update in self.updates])
         return {
@@ -205,12 +204,12 @@ class IncrementalSmoother(Displayed):
         key = list(self._places)[int(found[1])]
         self._broken = f"failed at {variable_name(key)}"
         return InputError(
-            f"{variable_name(key)}: expected factors that determine it, found a direction that "
-            "none does (iSAM2); give a variable of its component a PriorFactor"
+            f"{variable_name(key)}: expected factors that determine it, found an "
+            "undetermined direction (iSAM2); give a variable of its component a PriorFactor"
         )
 
     def _given(self, manifold: str, value: Array) -> Any:
-        """Return a value of ours as one of GTSAM's."""
+        """Convert a value to GTSAM."""
         gtsam = self._gtsam
         if manifold == "euclidean":
             return np.array(value)
@@ -218,12 +217,13 @@ class IncrementalSmoother(Displayed):
             return gtsam.Rot2(float(value[0]))
         if manifold == "se2":
             return gtsam.Pose2(*map(float, value))
-        x, y, z, w = map(float, value[:4] / np.linalg.norm(value[:4]))  # measurements have any norm
+        # measurements may have any norm
+        x, y, z, w = map(float, value[:4] / np.linalg.norm(value[:4]))
         turn = gtsam.Rot3(w, x, y, z)
         return turn if manifold == "so3" else gtsam.Pose3(turn, np.array(value[4:]))
 
     def _taken(self, key: Key, estimate: Any, place: int) -> Array:
-        """Return an estimate of GTSAM's as a value of ours."""
+        """Convert an estimate from GTSAM."""
         manifold = self._graph._variables[key].manifold
         found = getattr(estimate, f"at{_TYPES[manifold]}")(place)
         if manifold == "euclidean":
@@ -238,7 +238,7 @@ class IncrementalSmoother(Displayed):
         return np.array(parts if manifold == "so3" else [*parts, *found.translation()])
 
     def _translated(self, factor: Factor) -> Any:
-        """Return a factor of ours as one of GTSAM's."""
+        """Convert a factor to GTSAM."""
         assert isinstance(factor, PriorFactor | BetweenFactor)
         variable = self._graph._variables[factor.keys[0]]
         size = len(variable.coordinates)
@@ -274,7 +274,7 @@ class IncrementalSmoother(Displayed):
 
 
 class _Estimate(Mapping[Key, Array]):
-    """What GTSAM estimated at one update."""
+    """GTSAM's estimate after one update."""
 
     def __init__(self, smoother: IncrementalSmoother, estimate: Any) -> None:
         self._smoother, self._estimate = smoother, estimate
@@ -298,7 +298,8 @@ def _import_gtsam() -> ModuleType:
         import gtsam
     except ImportError:
         raise InputError(
-            "IncrementalSmoother: expected GTSAM, found none; install it with pip install gtsam"
+            "IncrementalSmoother: expected the package gtsam, which is not installed: pip "
+            "install gtsam"
         ) from None
     found: ModuleType = gtsam
     return found

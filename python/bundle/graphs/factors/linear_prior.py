@@ -1,6 +1,6 @@
-"""A dense quadratic prior on several variables, as marginalisation leaves it.
+"""Quadratic priors on several variables, as marginalisation leaves them.
 
-A prior kept as the square root of its information, as marginalisation by QR leaves it.
+``LinearPrior`` stores the information matrix, ``SquareRootPrior`` its square root from QR.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ __all__ = ["LinearPrior", "SquareRootPrior"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinearPrior(AnchoredFactor):
-    """The cost 1/2 d^T Lambda d - eta^T d of d = Log(X*^-1 X) over several variables.
+    """Quadratic cost 1/2 d^T Lambda d - eta^T d of d = Log(X*^-1 X) over several variables.
 
-    As a factor it costs this and a constant that makes its minimum 0. Lambda may be singular: what
-    a gauge leaves free stays free.
+    As a factor, it costs this plus a constant that makes its minimum 0. Lambda may be singular;
+    gauge directions then stay free.
 
     Attributes:
         Lambda: (n, n) symmetric positive semidefinite, n the sum of the tangent sizes, variables in
             the order of ``keys``.
         eta: (n,), in the range of Lambda.
-        linearization_point: the values X* by key, as the manifolds store them.
+        linearization_point: values X* by key, in the manifolds' representation.
         keys: the variables.
-        manifolds: by key, "euclidean" where not given.
+        manifolds: manifolds by key; "euclidean" if missing.
 
-    Beside these it has ``spectrum`` (:class:`bundle.PriorSpectrum` of Lambda), ``cost_jump`` of the
-    last re-anchoring and, where :meth:`bundle.FactorGraph.marginalize` made it, ``sources``.
+    Further attributes are ``spectrum`` (:class:`bundle.PriorSpectrum` of Lambda), ``cost_jump`` of
+    the last re-anchoring and, for results of :meth:`bundle.FactorGraph.marginalize`, ``sources``.
 
     Raises:
-        InputError: shapes, keys or manifolds do not fit each other; a Lambda that is asymmetric or
-            indefinite is refused by :meth:`bundle.FactorGraph.add_factor`.
+        InputError: shapes, keys or manifolds do not fit each other.
+            :meth:`bundle.FactorGraph.add_factor` refuses an asymmetric or indefinite Lambda.
     """
 
     Lambda: ArrayLike
@@ -67,16 +67,16 @@ class LinearPrior(AnchoredFactor):
     def reanchor(self, values: Mapping[Key, ArrayLike]) -> LinearPrior:
         """Return the same prior about other values: eta - Lambda d, Lambda unchanged.
 
-        On Euclidean variables the cost is the same function, without the constant that it leaves
-        out: 1/2 d^T Lambda d - eta^T d, ``cost_jump`` of the result. As a factor, whose minimum is
-        0 about any point, it costs the same before and after. On curved manifolds the quadratic
-        form is carried over as it is; its Jacobians stay those of the first linearization point.
+        On Euclidean variables the cost is the same function up to the constant 1/2 d^T Lambda d -
+        eta^T d, which is ``cost_jump`` of the result. As a factor, whose minimum is 0 about any
+        point, the prior costs the same before and after. On curved manifolds the quadratic form is
+        kept, with the Jacobians of the first linearization point (first-estimate Jacobians).
 
         Args:
-            values: new linearization points by key; keys that are not the prior's are ignored.
+            values: new linearization points by key; other keys are ignored.
 
         Raises:
-            InputError: a value is missing or none of its manifold.
+            InputError: a value is missing or does not lie on its manifold.
         """
         points, step = self._step_to(values)
         slope = np.asarray(self.Lambda) @ step
@@ -102,17 +102,17 @@ class LinearPrior(AnchoredFactor):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SquareRootPrior(AnchoredFactor):
-    """The cost 1/2 ||R d - b||^2 of d = Log(X*^-1 X) over several variables.
+    """Quadratic cost 1/2 ||R d - b||^2 of d = Log(X*^-1 X) over several variables.
 
-    Its information R^T R is positive semidefinite whatever R is, and has twice the digits of a
+    The information R^T R is positive semidefinite for any R, and has twice the digits of a
     :class:`bundle.LinearPrior`. ``spectrum``, ``cost_jump`` and ``sources`` are as there.
 
     Attributes:
         root: R, (rows, n), n the sum of the tangent sizes, variables in the order of ``keys``.
         vector: b, (rows,).
-        linearization_point: the values X* by key, as the manifolds store them.
+        linearization_point: values X* by key, in the manifolds' representation.
         keys: the variables.
-        manifolds: by key, "euclidean" where not given.
+        manifolds: manifolds by key; "euclidean" if missing.
 
     Raises:
         InputError: shapes, keys or manifolds do not fit each other, or a number is not finite.
@@ -140,32 +140,34 @@ class SquareRootPrior(AnchoredFactor):
             )
         for name, array in (("root", root), ("vector", vector)):
             if not np.isfinite(array).all():
-                raise InputError(f"{self.name}: {name}: expected finite numbers, found others")
+                raise InputError(
+                    f"{self.name}: {name}: expected finite numbers, found nan or infinity"
+                )
         if not root.any():
-            raise InputError(f"{self.name}: root: expected some information, found none")
+            raise InputError(f"{self.name}: root: expected at least one row, found 0")
 
     @property
     def Lambda(self) -> Array:  # noqa: N802
-        """R^T R, (n, n)."""
+        """Information matrix R^T R, (n, n)."""
         root: Array = np.asarray(self.root)
         return np.asarray(root.T @ root)
 
     @property
     def eta(self) -> Array:
-        """R^T b, (n,)."""
+        """Information vector R^T b, (n,)."""
         return np.asarray(np.asarray(self.root).T @ np.asarray(self.vector))
 
     def reanchor(self, values: Mapping[Key, ArrayLike]) -> SquareRootPrior:
         """Return the same prior about other values: b - R d, R unchanged.
 
-        As :meth:`bundle.LinearPrior.reanchor`, ``cost_jump`` included; on Euclidean variables the
-        cost is the same function.
+        ``cost_jump`` is as in :meth:`bundle.LinearPrior.reanchor`; on Euclidean variables the cost
+        is the same function.
 
         Args:
-            values: new linearization points by key; keys that are not the prior's are ignored.
+            values: new linearization points by key; other keys are ignored.
 
         Raises:
-            InputError: a value is missing or none of its manifold.
+            InputError: a value is missing or does not lie on its manifold.
         """
         points, step = self._step_to(values)
         change = np.asarray(self.root) @ step
@@ -191,7 +193,7 @@ class SquareRootPrior(AnchoredFactor):
         """See :meth:`Factor.core_arguments`."""
         if np.asarray(self.root).shape[1] != sum(sizes):
             raise InputError(
-                f"{name}: expected {plural(sum(sizes), 'column')} of root, one a tangent "
+                f"{name}: expected {plural(sum(sizes), 'column')} of root, one per tangent "
                 f"coordinate, found {np.asarray(self.root).shape[1]}"
             )
         return [self.linearization_point[key] for key in self.keys], self.root, self.vector

@@ -1,18 +1,17 @@
-"""What the factors of a graph know of some of its variables, all others eliminated.
+"""Marginalisation: information of the factors on some variables, all others eliminated.
 
-Marginalisation by dense matrices in either precision: by a QR factorisation, or plainly.
-
-With J_a and J_b the columns of the whitened Jacobian that are eliminated and kept, Householder's
-reflections give
+Dense elimination runs in single or double precision, by QR (square-root marginalisation) or by
+normal equations. Let J_a and J_b be the eliminated and the kept columns of the whitened Jacobian.
+Householder reflections give
 
     Q^T [J_a  J_b  r] = [R_a  R_ab  r_a]
                         [ 0   R_b   r_b]
                         [ 0    0     e ],
 
-so that the cost minimised over d_a is 1/2 ||R_b d_b + r_b||^2 + 1/2 e^2: R_b is a square root of
+so that the cost minimised over d_a is 1/2 ||R_b d_b + r_b||^2 + 1/2 e^2. R_b is a square root of
 the Schur complement Lambda' = R_b^T R_b, and eta' = -R_b^T r_b. No difference of large numbers is
-formed and no product squares what J has: Lambda' cannot become indefinite, in single precision
-either (N. Demmel, D. Schubert, C. Sommer, D. Cremers, V. Usenko: Square Root Marginalization for
+formed and no product squares the condition of J: Lambda' cannot become indefinite, even in single
+precision (N. Demmel, D. Schubert, C. Sommer, D. Cremers, V. Usenko: Square Root Marginalization for
 Sliding-Window Bundle Adjustment, ICCV 2021).
 """
 
@@ -35,7 +34,7 @@ __all__ = ["GraphMarginals", "UndeterminedError", "schur_complement", "square_ro
 
 
 class UndeterminedError(Exception):
-    """A column of what is eliminated depends on those before it; its index is the argument."""
+    """Eliminated column that depends on columns before it; its index is the argument."""
 
 
 def square_root_of_marginal(
@@ -61,10 +60,11 @@ def square_root_of_marginal(
 def schur_complement(
     eliminated: Array, kept: Array, residual: Array, dtype: Any
 ) -> tuple[Array, Array]:
-    """Return Lambda' (n, n), symmetric, and eta' (n,) by normal equations, computed in ``dtype``.
+    """Return Lambda' (n, n), symmetric, and eta' (n,) by normal equations in ``dtype``.
 
     Raises:
-        UndeterminedError: the normal equations of what is eliminated are not positive definite.
+        UndeterminedError: the normal equations of the eliminated variables are not positive
+            definite.
     """
     scaled = _scaled(eliminated).astype(dtype)
     others = np.hstack((kept, -residual[:, None])).astype(dtype)
@@ -83,7 +83,7 @@ def schur_complement(
 
 
 def _scaled(columns: Array) -> Array:
-    """Return columns of norm 1, which makes pivots comparable whatever the units."""
+    """Return columns of norm 1, which makes pivots comparable in any units."""
     norms = np.linalg.norm(columns, axis=0)
     return columns / np.where(norms > 0, norms, 1.0)
 
@@ -99,28 +99,28 @@ PRECISIONS = {"double": np.float64, "single": np.float32}
 
 
 class GraphMarginals(GraphContents):
-    """The part of :class:`bundle.FactorGraph` that eliminates variables."""
+    """Part of :class:`bundle.FactorGraph` that eliminates variables."""
 
     def information(self, keys: Iterable[Key] | None = None) -> tuple[Array, Array]:
-        """Return what all factors together know of some variables, all others eliminated.
+        """Return the joint information of all factors on some variables, all others eliminated.
 
-        The marginal information at the variables' values: with a the free coordinates of all other
-        variables and b those asked for,
+        The result is the marginal information at the variables' values. With a the free coordinates
+        of all other variables and b those of ``keys``,
 
             Lambda = L_bb - L_ba L_aa^-1 L_ab,    eta = e_b - L_ba L_aa^-1 e_a
 
-        by one factorisation of L_aa, without an inverse. Bounds do not count. Fixed coordinates of
-        the variables asked for count as if they were free; those of others stay.
+        by one factorisation of L_aa, without an inverse. Bounds have no effect. Fixed coordinates
+        of ``keys`` count as free; fixed coordinates of other variables stay fixed.
 
         Args:
-            keys: the variables, in the order of the result; all of the graph if not given.
+            keys: variables in the order of the result; by default all variables.
 
         Returns:
-            Lambda (n, n), symmetric to the last bit, and eta (n,), n the sum of tangent sizes.
+            Lambda (n, n), exactly symmetric, and eta (n,), with n the sum of tangent sizes.
 
         Raises:
-            InputError: a key is unknown, or the factors do not determine what is eliminated; the
-                message names a variable.
+            InputError: a key is unknown, or the factors do not determine the eliminated variables;
+                the message names one.
         """
         positions = range(len(self._factors))
         members = self.keys
@@ -131,32 +131,32 @@ class GraphMarginals(GraphContents):
     def marginalize(
         self, keys: Iterable[Key], *, square_root: bool = False, precision: str = "double"
     ) -> LinearPrior | SquareRootPrior:
-        """Return what eliminating variables leaves on those that their factors touch.
+        """Return the prior that eliminating variables leaves on the neighbours of their factors.
 
-        Only the factors of these variables are used, linearised at the variables' values;
-        :meth:`without` drops the same factors, so that ``graph.without(keys)`` and the prior
-        together stand for the graph. The graph stays as it is.
+        Only the factors of these variables are used, linearised at the variables' values.
+        :meth:`without` drops the same factors, so ``graph.without(keys)`` and the prior together
+        replace the graph. The graph itself does not change.
 
         Args:
             keys: the variables to eliminate.
             square_root: eliminate by a QR factorisation of the Jacobian and keep its triangle: a
                 :class:`bundle.SquareRootPrior`, which cannot become indefinite.
-            precision: "double" or "single", in which the elimination computes, by dense matrices
-                where it is single or by QR.
+            precision: "double" or "single" precision of the elimination; single precision and QR
+                use dense matrices.
 
         Raises:
-            InputError: a key is unknown, the factors touch nothing else, or do not determine what
-                is eliminated.
+            InputError: a key is unknown, the factors have no other variables, or do not determine
+                the eliminated variables.
         """
         precision = choice("precision", precision, tuple(PRECISIONS))
         gone = set(self._checked_keys(keys))
         used = [i for i, factor in enumerate(self._factors) if not gone.isdisjoint(factor.keys)]
         touched = {key for i in used for key in self._factors[i].keys}
         for key in gone - touched:
-            raise InputError(f"{variable_name(key)}: expected a factor that touches it, found none")
+            raise InputError(f"{variable_name(key)}: expected at least one factor of it, found 0")
         kept = [key for key in self._variables if key in touched - gone]
         if not kept:
-            raise InputError("keys: expected factors that touch other variables too, found none")
+            raise InputError("keys: expected factors that also have other variables, found 0")
         members = [key for key in self._variables if key in touched]
         by_root = as_flag("square_root", square_root)
         if by_root or precision == "single":
@@ -184,18 +184,19 @@ class GraphMarginals(GraphContents):
         square_root: bool = False,
         precision: str = "double",
     ) -> Self:
-        """Return the graph after variables left it, as a window that slides forgets its oldest.
+        """Return the graph without some variables, as a fixed-lag smoother drops its oldest.
 
         Args:
-            keys: the variables that leave.
-            how: "marginalize": their factors become a prior on what they touched, which is exact
-                where these are linear; "drop": their factors are lost, with what they knew of the
-                others, the gauge perhaps; "keep": nothing leaves, for comparison.
-            square_root: as :meth:`marginalize` has it.
-            precision: likewise.
+            keys: variables to remove.
+            how: "marginalize": their factors become a prior on the neighbours, which is exact if
+                the factors are linear; "drop": their factors are lost, including their information
+                on the neighbours and possibly the gauge; "keep": nothing is removed, for
+                comparison.
+            square_root: as in :meth:`marginalize`.
+            precision: as in :meth:`marginalize`.
 
         Raises:
-            InputError: as by :meth:`marginalize`, or another word.
+            InputError: as by :meth:`marginalize`, or ``how`` is unknown.
         """
         how = choice("how", how, ("marginalize", "drop", "keep"))
         keys = self._checked_keys(keys)
@@ -232,8 +233,8 @@ class GraphMarginals(GraphContents):
             return compute(jacobian[:, [c for c, _ in free]], jacobian[:, of_kept], residual, dtype)
         except UndeterminedError as column:
             raise InputError(
-                f"{variable_name(free[column.args[0]][1])}: expected factors that determine what "
-                "is eliminated, found a direction that none does"
+                f"{variable_name(free[column.args[0]][1])}: expected factors that determine the "
+                "eliminated variables, found an undetermined direction"
             ) from None
 
     def _marginal(

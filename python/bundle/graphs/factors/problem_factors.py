@@ -1,4 +1,4 @@
-"""Factors beside the observations of a reconstruction: their keys name what it consists of.
+"""Factors beside the observations of a reconstruction, with keys for its parts.
 
 =====================================  =========  ===========================================
 key                                    manifold   value
@@ -10,7 +10,7 @@ key                                    manifold   value
 ``("point", point_id)``                euclidean  x y z
 =====================================  =========  ===========================================
 
-A factor of an image of a rig moves its frame, and its sensor where that is refined.
+A factor of an image of a rig constrains its frame, and its sensor if that is refined.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ def check_factors(problem: Problem, factors: Iterable[Factor], **settings: Any) 
     """Check the Jacobians of factors of :func:`bundle.solve` as ``check_gradients`` does.
 
     Args:
-        problem: checked at its values; left untouched.
-        factors: as :func:`bundle.solve` takes them.
-        **settings: of :meth:`bundle.FactorGraph.check_gradients`.
+        problem: problem at whose values to check; not modified.
+        factors: factors as in :func:`bundle.solve`.
+        **settings: settings of :meth:`bundle.FactorGraph.check_gradients`.
 
     Returns:
-        A report that is true if all is well, and explains itself when printed.
+        Report that is true if all Jacobians are right, and readable when printed.
 
     Raises:
-        InputError: these are no factors, a key names nothing of the problem, a factor does not fit
-            its variables, or a function answers with wrong shapes.
+        InputError: this is no list of factors, a key is not in the problem, a factor does not fit
+            its variables, or a function returns wrong shapes.
     """
     check_type("problem", problem, Problem)
     return ProblemFactors(problem, factors).graph.check_gradients(**settings)
@@ -63,9 +63,9 @@ def wrong_factor(start: Problem, factors: Iterable[Factor], output: Mapping[str,
     """Return a warning about a function whose Jacobian is wrong; "" without any.
 
     Args:
-        start: what was solved.
-        factors: all of them.
-        output: what the core's solver returned.
+        start: the problem before the solve.
+        factors: all factors.
+        output: output of the core's solver.
     """
     factors = list(factors)
     known = ProblemFactors(start, [factor for factor in factors if factor.kind == "function"])
@@ -76,23 +76,23 @@ def wrong_factor(start: Problem, factors: Iterable[Factor], output: Mapping[str,
         key: variable.holding(_stayed(variable.value, ends[key], variable.manifold))
         for key, variable in known.graph.variables.items()
     }
-    if output["summary"]["num_successful_steps"] <= 1:  # the start alone
+    if output["summary"]["num_successful_steps"] <= 1:  # no step was accepted
         variables = dict(known.graph.variables)
     seconds = time_for_checks(output)
     return spot_checked(output, factors, variables, ends, seconds, ADVICE)
 
 
 def _stayed(start: Array, end: Array, manifold: str) -> NDArray[np.bool_]:
-    """Return the numbers that a solve has held; what is held is for no Jacobian to know."""
+    """Return the numbers that a solve held constant; Jacobians must not be checked there."""
     same = np.abs(end - start) <= 1e-12 * np.abs(start).max(initial=1e-300)
     return same if manifold == "euclidean" else np.full(6, same.all())
 
 
 class ProblemFactors:
-    """Factors whose variables are those of a problem, checked.
+    """Checked factors whose variables are those of a problem.
 
     Raises:
-        InputError: these are no factors, a key names nothing of the problem, or a factor does not
+        InputError: this is no list of factors, a key is not in the problem, or a factor does not
             fit its variables.
     """
 
@@ -113,11 +113,11 @@ class ProblemFactors:
 
     @property
     def graph(self) -> FactorGraph:
-        """The factors and their variables, at the problem's values."""
+        """Factors and their variables, at the problem's values."""
         return self._graph
 
     def values_in(self, output: Mapping[str, Any]) -> dict[Key, Array]:
-        """Return the values of the variables in what the core's solver returned, by key."""
+        """Return the values of the variables in the output of the core's solver, by key."""
         arrays = {**_POSES, "camera": "camera_params", "point": "points"}
         return {
             key: np.asarray(output[arrays[kind]])[index][: len(value)]
@@ -128,16 +128,16 @@ class ProblemFactors:
 
     @property
     def factors(self) -> tuple[Factor, ...]:
-        """They themselves."""
+        """The factors."""
         return self._graph.factors
 
     @property
     def locate(self) -> bool:
-        """Whether some of them say where images or points are."""
+        """True if some factors determine where images or points are."""
         return any(kind != "camera" for kind, _ in self._places)
 
     def information(self) -> tuple[list[tuple[str, int, int]], Array]:
-        """Return kind, index and tangent size of the variables, and what factors know of them.
+        """Return kind, index and tangent size of the variables, and the factors' information.
 
         The information matrix (n, n) is in the variables' tangent coordinates, n the sum of their
         sizes; see :meth:`bundle.FactorGraph.information`.
@@ -150,7 +150,10 @@ class ProblemFactors:
         return variables, self._graph.information()[0]
 
     def core(self) -> tuple[list[Any], list[Any], list[tuple[str, int]]] | None:
-        """Return what ``_core.solve`` takes: variables, factors and what the variables are."""
+        """Return the arguments of ``_core.solve``.
+
+        Variables, factors, and identity of the variables.
+        """
         if not self._graph.factors:
             return None
         return (*self._graph.core(), self._places)

@@ -1,4 +1,4 @@
-"""The spectrum of an information matrix: how a prior ages, in a few numbers."""
+"""Spectrum of the information matrix of a prior, as an indicator of its numerical health."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ CONDITION_LIMIT = 1e8
 class PriorSpectrum(Displayed):
     """Eigenvalues of the information matrix of a prior, in the units of its coordinates.
 
-    A healthy prior of a sliding window keeps its ratio above 1e-6 without a trend. One in single
-    precision loses it over some hundred windows, until its least eigenvalue is negative.
+    A healthy prior of a sliding window keeps its ratio above 1e-6 without a trend. In single
+    precision, the ratio falls over some hundred windows until the smallest eigenvalue is negative.
 
     Attributes:
-        min_eigenvalue: the least of all; rounding where the prior leaves directions free.
-        max_eigenvalue: the largest.
-        nullity: number of eigenvalues that are rounding once the diagonal is scaled to 1: the
-            directions of which the prior says nothing.
-        ratio: of the least eigenvalue that is not among these to the largest.
-        asymmetry: largest difference of two entries across the diagonal, beside the largest entry.
+        min_eigenvalue: smallest eigenvalue; rounding error if the prior has a null space.
+        max_eigenvalue: largest eigenvalue.
+        nullity: dimension of the null space: eigenvalues that are rounding errors once the diagonal
+            is scaled to 1.
+        ratio: smallest eigenvalue outside the null space relative to the largest.
+        asymmetry: largest difference of two symmetric entries relative to the largest entry.
     """
 
     min_eigenvalue: float
@@ -39,7 +39,7 @@ class PriorSpectrum(Displayed):
 
     @staticmethod
     def of(matrix: Array) -> PriorSpectrum:
-        """Return the spectrum of a square matrix of finite numbers; its precision counts."""
+        """Return the spectrum of a square matrix of finite numbers in its own precision."""
         n = len(matrix)
         largest_entry = float(np.abs(matrix).max(initial=0.0))
         difference = float(np.abs(matrix - matrix.T).max(initial=0.0))
@@ -51,7 +51,7 @@ class PriorSpectrum(Displayed):
         scaled = np.linalg.eigvalsh(scale[:, None] * symmetric * scale)
         nullity = int((np.abs(scaled) <= rounding * np.abs(scaled).max(initial=0.0)).sum())
         largest = float(eigenvalues[-1]) if n else 0.0
-        # Free directions have the eigenvalues nearest to 0.
+        # Null directions have the eigenvalues nearest to 0.
         others = np.sort(eigenvalues[np.argsort(np.abs(eigenvalues), kind="stable")[nullity:]])
         return PriorSpectrum(
             float(eigenvalues[0]) if n else 0.0,
@@ -63,7 +63,7 @@ class PriorSpectrum(Displayed):
 
     @staticmethod
     def of_root(root: Array) -> PriorSpectrum:
-        """Return the spectrum of R^T R, by the singular values of R: with twice the digits."""
+        """Return the spectrum of R^T R from the singular values of R, with twice the digits."""
         rows, n = root.shape
         padded = np.vstack((root, np.zeros((max(n - rows, 0), n))))
         norms = np.linalg.norm(padded, axis=0)
@@ -79,11 +79,11 @@ class PriorSpectrum(Displayed):
 
     @property
     def warning(self) -> str:
-        """A sentence if the prior should not be trusted, otherwise empty."""
+        """Warning if the prior should not be trusted, otherwise ""."""
         if self.asymmetry > ASYMMETRY_LIMIT:
             return f"asymmetry {self.asymmetry:.1e} is above {ASYMMETRY_LIMIT:g}"
         if self.ratio < 0:
-            return f"the least eigenvalue is negative, {self.min_eigenvalue:.3g}"
+            return f"the smallest eigenvalue is negative, {self.min_eigenvalue:.3g}"
         if self.ratio < 1 / CONDITION_LIMIT:
             return f"condition {1 / self.ratio if self.ratio else np.inf:.1e} is above " + (
                 f"{CONDITION_LIMIT:g}"
@@ -91,7 +91,7 @@ class PriorSpectrum(Displayed):
         return ""
 
     def line(self) -> str:
-        """Return all of it in one line."""
+        """Return all values in one line."""
         free = f", {self.nullity} free" if self.nullity else ""
         return (
             f"{self.min_eigenvalue:.3g} to {self.max_eigenvalue:.3g}, "

@@ -1,26 +1,26 @@
-"""A spot check of the factors in Python, where a solve began and where it ended.
+"""Spot check of the Jacobians of factors in Python, at the start and at the end of a solve.
 
-Their Jacobians J are held against differences of the residual r. Along one tangent coordinate e of
-a variable X, with s its natural size (a radian, the length of a translation, the number itself),
+Jacobians J are compared with differences of the residual r. Along one tangent coordinate e of a
+variable X with natural size s (a radian, the length of a translation, the number itself),
 
     D(h) = (r(X Exp(h s e)) - r(X Exp(-h s e))) / 2 h s,    R = D(h/2) + (D(h/2) - D(h)) / 3,
 
-R = J e + O(h^4), and u = |D(h/2) - D(h)| + n / h s is far above its error wherever r is smooth at
-the scale of h. n = eps (|r| + sum |J| size) is what rounding may change. Row by row, as the rows of
-a whitened residual have different sizes, a step is *conclusive* if u is below a hundredth of |R|.
-An entry J agrees with it if
+R = J e + O(h^4), and u = |D(h/2) - D(h)| + n / h s is far above the error of R wherever r is smooth
+at the scale of h. n = eps (|r| + sum |J| size) is the rounding error. Rows of a whitened residual
+have different sizes, so each row is tested alone. A step is *conclusive* if u is below a hundredth
+of |R|. An entry of J agrees with it if
 
     |J - R| < 1e-3 max(|J|, |R|) + 4 u + |r(+h/2) - 2 r(0) + r(-h/2)| / h s,
 
-the last term being half the difference of the slopes on both sides, within which any number is a
-slope at a kink. A conclusive step that agrees acquits the entry; two that agree with each other,
-100 times apart or more, and not with J convict it. Everything else leaves it undecided. So a
-residual would have to mislead at every scale, and a right Jacobian is not accused; what is wrong by
-less than one in a thousand is left to :meth:`bundle.FactorGraph.check_gradients`.
+where the last term is half the difference of the one-sided slopes; at a kink, any slope between
+them is valid. A conclusive step that agrees proves the entry right. Two conclusive steps, at least
+100 times apart, that agree with each other and not with J prove it wrong. Otherwise the entry is
+undecided. A wrong verdict would need a residual that misleads at every scale. Errors of less than
+0.1 % are left to :meth:`bundle.FactorGraph.check_gradients`.
 
-Factors with one code and the same kinds of variables are one kind. Some of each are checked, spread
-over all, for as long as the time allows: first every kind once. A function that is too slow for all
-its columns is checked along one direction of all of them together.
+Factors with the same code and the same kinds of variables are one kind. As many of each kind are
+checked as time allows, spread evenly, starting with one of every kind. If a function is too slow
+for all columns, one combined direction of all columns is checked.
 """
 
 from __future__ import annotations
@@ -54,15 +54,16 @@ Evaluate = Callable[[list[Array], bool], tuple[Array, Any] | None]
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A factor that may be checked.
+    """Factor that may be checked.
 
     Attributes:
-        name: of the factor.
-        evaluate: the residual and, if wanted, the Jacobians at values of its variables.
-        variables: of each its name, manifold and the names of its tangent coordinates.
-        free: of each the coordinates that a solve moves.
-        points: values of the variables: where to check.
-        seconds_a_call: that its function has taken.
+        name: name of the factor.
+        evaluate: function that returns the residual and, if requested, the Jacobians at given
+            values.
+        variables: name, manifold and names of the tangent coordinates of each variable.
+        free: coordinates of each variable that a solve may change.
+        points: values of the variables at which to check.
+        seconds_a_call: duration of a call of its function.
     """
 
     name: str
@@ -75,13 +76,13 @@ class Candidate:
 
 @dataclass(eq=False)
 class Kind:
-    """Factors that run one code, and what became of their columns.
+    """Factors with the same code, and the verdicts on their columns.
 
     Attributes:
         members: the factors.
-        candidate: what a member is to the check.
-        decided: how many were, by variable and coordinate.
-        convicted: those that were, with the factor by which they are off.
+        candidate: function that makes a candidate of a member.
+        decided: number of decided entries, by variable and coordinate.
+        convicted: wrong entries, with the ratio to the correct derivative.
     """
 
     members: Sequence[Any]
@@ -92,13 +93,13 @@ class Kind:
     )
 
     def is_wrong(self, column: tuple[int, int]) -> bool:
-        """Return whether enough of those decided were convicted."""
+        """Return True if enough of the decided entries are wrong."""
         count = len(self.convicted.get(column, ()))
         return count > 0 and count >= CONVICTED_SHARE * self.decided[column]
 
 
 def code_of(function: Any) -> Any:
-    """Return what tells functions of one code from others: closures and methods share theirs."""
+    """Return an identifier of a function's code; closures and methods share it."""
     while isinstance(function, functools.partial):
         function = function.func
     function = getattr(function, "__func__", function)
@@ -109,9 +110,9 @@ def spot_check(kinds: Sequence[Kind], seconds: float, advice: str) -> str:
     """Return a sentence about the first kind of factor with wrong Jacobians; "" if there is none.
 
     Args:
-        kinds: the factors.
-        seconds: that it may take.
-        advice: the call that names the mistake.
+        kinds: the factors by kind.
+        seconds: time limit.
+        advice: call that identifies the mistake.
     """
     end = perf_counter() + seconds
     for turn in range(MOST_OF_A_KIND):
@@ -123,9 +124,9 @@ def spot_check(kinds: Sequence[Kind], seconds: float, advice: str) -> str:
             for values in candidate.points:
                 try:
                     _check(kind, candidate, values, end - perf_counter())
-                except KeyboardInterrupt:  # the solve is done: its result counts
+                except KeyboardInterrupt:  # the solve is done, so its result counts
                     return _sentence(kinds, advice)
-                except Exception:  # of the user's function, beside the path
+                except Exception:  # the user's function may fail at points off the solver's path
                     continue
         if perf_counter() > end:
             break
@@ -153,11 +154,11 @@ def _check(kind: Kind, candidate: Candidate, values: list[Array], left: float) -
 
 
 _ALL = (-1, -1)
-"""In place of a column: one direction of them all."""
+"""Pseudo column: one combined direction of all columns."""
 
 
 class _Line:
-    """A factor at values, along its columns."""
+    """Factor at given values, along its columns."""
 
     def __init__(
         self,
@@ -181,7 +182,7 @@ class _Line:
         self.noise = np.finfo(float).eps * moved
 
     def compare(self, column: tuple[int, int]) -> tuple[bool, bool, float | None]:
-        """Return whether a column agrees, whether it is convicted, and of what factor."""
+        """Return whether a column agrees, whether it is wrong, and by which factor."""
         step = self._step(column)
         claimed = np.zeros_like(self.residual)
         for matrix, part in zip(self.jacobians, step, strict=True):
@@ -218,7 +219,7 @@ class _Line:
         return False, True, _factor(claimed, np.where(convicted, found, claimed), convicted)
 
     def _step(self, column: tuple[int, int]) -> list[Array]:
-        """Return a step of natural size along a column, of each variable."""
+        """Return a step of natural size along a column, for each variable."""
         step = [np.zeros_like(size) for size in self.sizes]
         if column != _ALL:
             variable, coordinate = column
@@ -237,7 +238,7 @@ class _Line:
         return step
 
     def _differentiate(self, step: list[Array], move: float) -> tuple[Array, Array, Array] | None:
-        """Return R, u and the fold; None where there is no value."""
+        """Return R, u and the kink term; None if the residual has no value."""
         coarse, fine = self._both_sides(step, move), self._both_sides(step, move / 2)
         if coarse is None or fine is None:
             return None
@@ -282,7 +283,7 @@ def _sizes(manifold: str, value: Array) -> Array:
 
 
 def _factor(claimed: Array, found: Array, convicted: Array) -> float | None:
-    """Return by what the rows convicted are to be divided, if that is one number."""
+    """Return the common ratio of the wrong rows to the differences, if there is one."""
     right, given = found[convicted], claimed[convicted]
     factor = float(given @ right / (right @ right))
     same = np.abs(given - factor * right) <= SAME_FACTOR * np.abs(given).max()
@@ -306,12 +307,13 @@ def _about(kind: Kind, columns: list[tuple[int, int]], advice: str) -> str:
     if others or first is None:
         how = "differ from differences of the residual"
     else:
-        how = f"are {first} times what differences of the residual give"
+        how = f"are {first} times the differences of the residual"
     others_like = len(kind.members) - 1
-    alike = f", as perhaps in {plural(others_like, 'other')} of its code" if others_like else ""
+    alike = f", possibly also in {plural(others_like, 'other')} of its code" if others_like else ""
     return (
         f"A Jacobian is wrong: the derivatives of {candidate.name} by "
-        f"{'; '.join(_names(candidate, columns))} {how}{alike}; {advice} names the mistake."
+        f"{'; '.join(_names(candidate, columns))} {how}{alike}; {advice} identifies the "
+        "mistake."
     )
 
 

@@ -37,21 +37,21 @@ MANIFOLDS = ("euclidean", "so2", "so3", "se2", "se3")
 
 
 def variable_name(key: Key) -> str:
-    """Return how messages name a variable."""
+    """Return the name of a variable for messages."""
     return f"variable {brief(key)}"
 
 
 @dataclass(frozen=True, eq=False)
 class Variable:
-    """One variable.
+    """Variable of a graph.
 
     Attributes:
         key: its name in the graph.
         manifold: one of MANIFOLDS.
-        value: (n,) as the manifold stores it; quaternions have norm 1.
+        value: (n,) in the manifold's representation; quaternions have norm 1.
         coordinates: names of its tangent coordinates.
-        held: one flag a tangent coordinate, or () where all are free.
-        lower: (n,), or (0,) where there are no bounds.
+        held: one flag per tangent coordinate, or () if all are free.
+        lower: (n,), or (0,) without bounds.
         upper: likewise.
     """
 
@@ -68,7 +68,7 @@ class Variable:
 
     @cached_property
     def name(self) -> str:
-        """How messages name it."""
+        """Name for messages."""
         return variable_name(self.key)
 
     @staticmethod
@@ -80,10 +80,10 @@ class Variable:
         lower: ArrayLike | None,
         upper: ArrayLike | None,
     ) -> Variable:
-        """Return a variable whose parts fit each other.
+        """Return a checked variable.
 
         Raises:
-            InputError: they do not; the message names the variable.
+            InputError: its parts do not fit each other; the message names the variable.
         """
         name = variable_name(key)
         manifold = choice(f"{name}: manifold", manifold, MANIFOLDS)
@@ -105,12 +105,15 @@ class Variable:
         return variable
 
     def holding(self, held: NDArray[np.bool_]) -> Variable:
-        """Return the variable with these coordinates held beside those that are."""
+        """Return the variable with additional coordinates held constant."""
         flags = held | np.array(self.held or (False,) * len(held))
         return replace(self, held=tuple(map(bool, flags)))
 
     def core(self) -> tuple[Any, ...]:
-        """Return what ``_core`` takes; Ceres refuses bounds that are equal, which hold instead."""
+        """Return the arguments of ``_core``.
+
+        Equal bounds, which Ceres refuses, become constants.
+        """
         equal = self.lower == self.upper
         lower, upper = (
             np.where(equal, infinity, bound)
@@ -127,7 +130,7 @@ class Variable:
 
 
 class Values(Mapping[Key, Array]):
-    """The values of variables by key: a view, as ``dict.values`` is one."""
+    """View of the values of variables by key, like ``dict.values``."""
 
     def __init__(self, variables: Mapping[Key, Variable]) -> None:
         self._variables = variables
@@ -149,24 +152,24 @@ def as_row(name: str, value: Any) -> Array:
     """Return numbers as an array (n,); one number has n = 1.
 
     Raises:
-        InputError: these are no real numbers, or not in one row.
+        InputError: these are no real numbers, or not one-dimensional.
     """
     row = np.atleast_1d(as_array(name, value))
     if row.ndim != 1:
-        raise InputError(f"{name}: expected numbers in one row, found shape {row.shape}")
+        raise InputError(f"{name}: expected a row of numbers, found shape {row.shape}")
     return row
 
 
 def as_keys(argument: str, keys: Any, *, ordered: bool = True) -> tuple[Key, ...]:
-    """Return distinct keys in the order given.
+    """Return distinct keys in the given order.
 
     Args:
-        argument: whose keys they are.
-        keys: a list of them, or anything else to iterate over.
-        ordered: whether their order matters, so that a set will not do.
+        argument: name of the argument, for messages.
+        keys: list or other iterable of keys.
+        ordered: refuse sets, because the order matters.
 
     Raises:
-        InputError: this is no list of keys, or one is named twice.
+        InputError: this is no list of keys, or a key occurs twice.
     """
     listed = as_list(argument, "keys", keys)
     if ordered and isinstance(keys, Set):
@@ -181,10 +184,10 @@ def as_keys(argument: str, keys: Any, *, ordered: bool = True) -> tuple[Key, ...
 
 
 def as_list(argument: str, things: str, given: Any) -> tuple[Any, ...]:
-    """Return the members of anything that can be iterated over, but for text.
+    """Return the members of an iterable that is no text.
 
     Raises:
-        InputError: it cannot.
+        InputError: it is not iterable.
     """
     try:
         if not isinstance(given, str | bytes):
@@ -195,14 +198,14 @@ def as_list(argument: str, things: str, given: Any) -> tuple[Any, ...]:
 
 
 def check_key(argument: str, key: Any) -> None:
-    """Refuse what cannot name a variable.
+    """Refuse keys that are not hashable.
 
     Raises:
-        InputError: it is not hashable.
+        InputError: the key is not hashable.
     """
     try:
         hash(key)
-    except Exception:  # whatever a __hash__ of the user's raises
+    except Exception:  # any exception of a user's __hash__
         raise InputError(
             f"{argument}: expected a key, such as a word or a number, found {brief(key)}"
         ) from None

@@ -1,8 +1,8 @@
-"""Points carried along by images that a similarity each takes from the old world to the new one.
+"""Points moved by the images that observe them, after each image got a similarity of the world.
 
-A point goes to the mean of where the images that see it take it, of those only whose pixels the
-model explained; if it explained none, where the one with the least error takes it. Points that no
-image sees, and those of images that stay, stay.
+A point moves to the mean of the positions to which its observing images carry it. Only images count
+whose observation the model explains; if there is none, the one with the least error counts. Points
+without observations, and points of images that stay, do not move.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ def carry(
     nodes: tuple[Nodes, Nodes],
     fitting: NDArray[np.bool_],
 ) -> tuple[Problem, int]:
-    """Return the problem with images and points where the nodes take them.
+    """Return the problem with images and points moved by their nodes.
 
     Args:
-        problem: left untouched.
+        problem: problem to move; not modified.
         node_of: (num_images,) node of each image.
         mounts: (num_images, 7) node_from_camera.
-        nodes: before and after.
-        fitting: (num_observations,) observations that the model explained.
+        nodes: nodes before and after.
+        fitting: (num_observations,) observations that the model explains.
 
     Returns:
-        The problem, and the number of points that were carried.
+        Moved problem, and the number of moved points.
     """
     before, after = nodes
     cameras = after.of(node_of, mounts)

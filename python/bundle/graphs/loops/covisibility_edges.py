@@ -1,30 +1,32 @@
-"""What a model says of the relative poses of its images, from the points that they share.
+"""Covisibility edges: information of a model on the relative poses of its images.
 
-A point X that images i and j see, x = R_j X + t_j in the frame of j, is carried by the one and
-seen by the other. If j moves against i by d = (w, t, l), rotation, translation and log scale in its
-own frame, x moves by G d, G = [-[x]x, I, x]. An image sees that as an angle: with u the direction
-of the point from it, at the distance r, and f its focal length, pixels move by f / r (I - u u^T) of
-what the point moves, exactly so in the middle of the image and nearly so elsewhere. So
+A point X observed by images i and j, x = R_j X + t_j in the frame of j, is carried by one and
+observed by the other. If j moves relative to i by d = (w, t, l), rotation, translation and log
+scale in its own frame, x moves by G d, G = [-[x]x, I, x]. An image observes this as an angle. With
+u the direction of the point from the image, r its distance and f the focal length, pixels move by f
+/ r (I - u u^T) times the motion of the point: exactly in the centre of the image and approximately
+elsewhere. So
 
     W = sum over points  w_X G^T (f_i^2 / r_i^2 (I - u_i u_i^T) + f_j^2 / r_j^2 (I - u_j u_j^T)) G,
 
-all in the frame of j. Neither sees that its own camera grows about its own centre, but together
-they see all seven numbers: growth about one centre is growth about the other and a shift along the
-baseline. So W says little of the scale where the parallax is small, which is where a monocular
-model drifts.
+all in the frame of j. An image cannot observe a scaling about its own centre, but both together
+observe all seven numbers: a scaling about one centre is a scaling about the other plus a shift
+along the baseline. W therefore says little about scale where the parallax is small, which is where
+a monocular model drifts.
 
-A track of n images brings 2 n - 3 measurements more than its point has coordinates, and pairs of
-them would count these again and again: with p pairs of it in use, 4 p numbers, each weighs
+A track of n images has 2 n - 3 more measurements than coordinates of its point, but pairs of images
+would count them repeatedly. With p pairs in use, 4 p numbers, each is weighted by
 
     w_X = (2 n - 3) / (4 p).
 
-That holds a point fast while it is carried, so W is somewhat too large. :mod:`.loop_graph` finds
-by how much from the closures.
+This holds a point fixed while it is carried, so W is somewhat too large. :mod:`.loop_graph`
+estimates the excess from the closures.
 
-Where a drifted model comes back to a place, points seen on both passes fit one of them at most. Of
-two images that do not both fit a point it counts where their own rays meet, if they do: so images
-of one pass are joined by what they share, and those of two passes, whose rays miss each other, are
-not joined by the drift. For an edge at least half of the shared points have to count.
+Where a drifted model returns to a place, points observed in both passes fit at most one of them. If
+two images do not both fit a point, the intersection of their own rays is used, if they intersect.
+Images of one pass are thus connected by their common points. Images of different passes have skew
+rays, so drift does not connect them. An edge requires that at least half of the shared points
+count.
 """
 
 from __future__ import annotations
@@ -46,14 +48,14 @@ __all__ = ["MIN_SHARED", "CovisibilityEdges", "covisibility_edges", "fitting_obs
 Array = NDArray[np.float64]
 
 MIN_SHARED = 6
-"""Points that two images share, at least, for an edge."""
+"""Fewest points that two images must share for an edge."""
 MOST_NEIGHBOURS = 10
-"""Images after it on a point's track, in the order of images, that an image makes pairs with."""
+"""Next images on a point's track with which an image forms pairs, in the order of images."""
 MAX_ERROR = 4.0
-"""Pixels that an observation which takes part may be off, or so many medians if that is more."""
+"""Largest error in pixels of an observation in use, or this many medians if that is more."""
 MEDIANS = 5.0
 LEAST_SINE = 0.02
-"""Of the angle of two rays that tell where they meet."""
+"""Smallest sine of the angle of two rays that are intersected."""
 _ROWS = 50_000
 
 
@@ -64,8 +66,9 @@ class CovisibilityEdges:
     Attributes:
         pairs: (m, 2) indices of images, ascending.
         num_shared: (m,) points that count.
-        information: (m, 7, 7) of the second image against the first, in the frame of the second:
-            rotation, translation, log scale; observations have a sigma of 1 px, or their own.
+        information: (m, 7, 7) information of the second image relative to the first, in the frame
+            of the second: rotation, translation, log scale; observations have a sigma of 1 px, or
+            their own.
     """
 
     pairs: NDArray[np.int64]
@@ -74,7 +77,7 @@ class CovisibilityEdges:
 
 
 def fitting_observations(problem: Problem) -> NDArray[np.bool_]:
-    """Return which observations (num_observations,) the model explains."""
+    """Return the mask (num_observations,) of observations that the model explains."""
     errors, unseen = reprojection_errors(problem)
     known = np.isfinite(errors) & ~unseen
     fits: NDArray[np.bool_] = known & (errors <= _limit(errors[known]))
@@ -85,7 +88,7 @@ def covisibility_edges(problem: Problem, fitting: NDArray[np.bool_]) -> Covisibi
     """Return the edges between images that share enough points; see the head of the file.
 
     Args:
-        problem: left untouched.
+        problem: the model; not modified.
         fitting: (num_observations,) observations that the model explains.
     """
     views = _views(problem, fitting)
@@ -107,17 +110,17 @@ def covisibility_edges(problem: Problem, fitting: NDArray[np.bool_]) -> Covisibi
 
 
 class _Views(NamedTuple):
-    """Observations sorted by point, then image: who sees what in which direction of the world."""
+    """Observations sorted by point, then image, with their directions in the world."""
 
     image: NDArray[np.int64]
     point: NDArray[np.int64]
     fits: NDArray[np.bool_]
     center: Array
     rotation: Array  # quaternions of cam_from_world
-    to_point: Array  # from the centre, as the model has it
-    ray: Array  # unit vector, as the pixel has it; nan where it is not known
+    to_point: Array  # vector from the centre to the model's point
+    ray: Array  # unit vector of the pixel; nan if unknown
     weight: Array  # focal length in sigmas
-    limit: Array  # of errors, as an angle
+    limit: Array  # largest error as an angle
 
 
 def _views(problem: Problem, fitting: NDArray[np.bool_]) -> _Views:
@@ -155,7 +158,7 @@ def _views(problem: Problem, fitting: NDArray[np.bool_]) -> _Views:
 def _information(
     views: _Views, i: NDArray[np.int64], j: NDArray[np.int64]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return what pairs of observations say (n, 7, 7), and which of them count."""
+    """Return information (n, 7, 7) of pairs of observations, and the mask of pairs that count."""
     both = views.fits[i] & views.fits[j]
     met, of_i, of_j = _meet(views, i, j)
     from_i = np.where(both[:, None], views.to_point[i], of_i)
@@ -182,7 +185,7 @@ def _information(
 def _meet(
     views: _Views, i: NDArray[np.int64], j: NDArray[np.int64]
 ) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Return whether pairs of rays meet before both cameras, and from the centres to there."""
+    """Return the mask of ray pairs that intersect before both cameras, and the distances."""
     u, v = views.ray[i], views.ray[j]
     b = views.center[j] - views.center[i]
     cosine, along_u, along_v = dot(u, v), dot(b, u), dot(b, v)
@@ -199,18 +202,18 @@ def _meet(
 
 
 class _Sums:
-    """Sums of blocks by pair of images, a chunk after the other."""
+    """Sums of blocks by pair of images, accumulated chunk by chunk."""
 
     def __init__(self) -> None:
         self._parts: list[tuple[NDArray[np.int64], Array, NDArray[np.int64]]] = []
 
     def add(self, code: NDArray[np.int64], block: Array, counts: NDArray[np.bool_]) -> None:
-        """Add blocks (n, 7, 7) and whether they count to the sums of their pairs."""
+        """Add blocks (n, 7, 7) and their mask to the sums of their pairs."""
         both = np.stack([counts, np.ones_like(counts)], axis=1).astype(np.int64)
         self._parts.append(_summed(code, block, both))
 
     def all(self) -> tuple[NDArray[np.int64], Array, NDArray[np.int64], NDArray[np.int64]]:
-        """Return pairs, ascending, their sums, how many counted, and how many there were."""
+        """Return pairs (ascending), their sums, and the numbers of valid and of all blocks."""
         if not self._parts:
             none = np.empty(0, np.int64)
             return none, np.empty((0, 7, 7)), none, none
@@ -231,12 +234,12 @@ def _summed(
 
 
 def _limit(errors: Array) -> float:
-    """Return the error in pixels beyond which a model does not explain a pixel."""
+    """Return the error in pixels above which the model does not explain an observation."""
     return max(MAX_ERROR, MEDIANS * float(np.median(errors))) if len(errors) else MAX_ERROR
 
 
 def _pairs_per_track(length: Array) -> Array:
-    """Return how many pairs of observations of tracks of these lengths are in use."""
+    """Return the number of observation pairs in use for tracks of these lengths."""
     lags = np.minimum(np.maximum(length - 1, 0), MOST_NEIGHBOURS)
     pairs: Array = lags * length - 0.5 * lags * (lags + 1)
     return pairs

@@ -1,7 +1,4 @@
-"""What closing loops gives back.
-
-Loop closures as edges between images, out of a pose graph whose ids are those of images.
-"""
+"""Loop closures: edges between images as input, and the result of closing loops."""
 
 from __future__ import annotations
 
@@ -28,20 +25,21 @@ __all__ = ["Closures", "LoopClosing", "LoopClosure", "as_closures", "images_of"]
 
 @dataclass(frozen=True, kw_only=True)
 class LoopClosure:
-    """What became of a closure.
+    """Result for one closure.
 
     Attributes:
-        image_ids: its two images.
-        line: of the file that it comes from; 0: none.
-        used: whether the graph was bent to it.
-        rotation_before: angle to the measured rotation in the model as it was, in degrees.
-        rotation_after: the same after the graph was solved.
-        translation_before: distance to the measured translation in the model as it was, in length
-            units of the model around the first image.
-        translation_after: the same after the graph was solved, in the same unit.
-        chi2_before: r^T Omega r in the model as it was.
-        chi2_after: the same after the graph was solved.
-        is_factor: whether bundle adjustment takes it as well, because its images share few points.
+        image_ids: ids of its two images.
+        line: line of its file; 0: none.
+        used: False if the closure was rejected.
+        rotation_before: angle to the measured rotation in the given model, in degrees.
+        rotation_after: the same after solving the graph.
+        translation_before: distance to the measured translation in the given model, in the model's
+            length unit around the first image.
+        translation_after: the same after solving the graph, in the same unit.
+        chi2_before: r^T Omega r in the given model.
+        chi2_after: the same after solving the graph.
+        is_factor: True if bundle adjustment also needs it as a factor, because its images share few
+            points.
     """
 
     image_ids: tuple[int, int]
@@ -58,24 +56,23 @@ class LoopClosure:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class LoopClosing(Displayed):
-    """A problem whose loops are closed, ready for bundle adjustment.
+    """Problem with closed loops, ready for bundle adjustment.
 
     Attributes:
-        problem: images moved as the graph says, points with them.
-        initial_problem: the input, untouched.
-        closures: in the order given.
-        factors: the used closures whose images share too few points to be held together by them,
-            for bundle adjustment: ``bundle.solve(closed.problem, factors=closed.factors)``.
-        num_nodes: images of the graph, frames of rigs counted once.
+        problem: images moved by the graph, points with them.
+        initial_problem: the given problem.
+        closures: results in the given order.
+        factors: used closures whose images share too few points to stay connected, for bundle
+            adjustment: ``bundle.solve(closed.problem, factors=closed.factors)``.
+        num_nodes: nodes of the graph: images, or frames of rigs.
         num_edges: pairs of images that share points.
-        num_components: pieces of the graph; each stays where its first image is.
-        has_free_scales: whether images changed their scale: in a model without rigs.
-        scale_range: least and largest scale of an image against the first of its piece.
-        variance_factor: by which the information of the model's own edges was divided.
-        cost_before: half the sum of chi2 over the graph, without rejected closures, of the model
-            as it was.
-        cost_after: the same after the graph was solved.
-        num_carried_points: points that moved with an image that sees them.
+        num_components: connected components; the first image of each stays.
+        has_free_scales: True if images could change their scale, which is so without rigs.
+        scale_range: smallest and largest scale of an image relative to the first of its component.
+        variance_factor: divisor of the information of the model's own edges.
+        cost_before: half the sum of chi2 in the given model, without rejected closures.
+        cost_after: the same after solving the graph.
+        num_carried_points: points that moved with an image.
     """
 
     problem: Problem
@@ -94,12 +91,12 @@ class LoopClosing(Displayed):
 
     @property
     def num_used(self) -> int:
-        """Closures that the graph was bent to."""
+        """Number of closures in use."""
         return sum(closure.used for closure in self.closures)
 
     @property
     def num_rejected(self) -> int:
-        """Closures that do not fit the others."""
+        """Number of rejected closures."""
         return len(self.closures) - self.num_used
 
     def asdict(self) -> dict[str, Any]:
@@ -127,14 +124,14 @@ class LoopClosing(Displayed):
 
 
 Closures = PoseGraph | str | os.PathLike[str]
-"""A pose graph whose edges are closures and whose ids are ids of images, or the path of one."""
+"""Pose graph, or its path: edges are closures, and ids are ids of images."""
 
 
 def as_closures(closures: Closures) -> PoseGraph:
-    """Return the pose graph, read where it is a path, and checked.
+    """Return the checked pose graph, read from a path if necessary.
 
     Raises:
-        InputError: it is of the plane, has no edges, or an information matrix is none.
+        InputError: it is planar, has no edges, or an information matrix is invalid.
         OSError: the path cannot be read.
     """
     graph = closures
@@ -145,9 +142,11 @@ def as_closures(closures: Closures) -> PoseGraph:
     assert isinstance(graph, PoseGraph)
     name = graph.path or "closures"
     if graph.dimension != 3:
-        raise InputError(f"{name}: expected relative poses in space, found poses in the plane")
+        raise InputError(
+            f"{name}: expected relative poses in space (SE(3)), found poses in the plane"
+        )
     if graph.num_edges == 0:
-        raise InputError(f"{name}: expected edges that close loops, found none")
+        raise InputError(f"{name}: expected edges that close loops, found 0")
     return checked_information(graph, "file")
 
 
@@ -157,8 +156,8 @@ def images_of(
     """Return the indices (m, 2) of the images of closures.
 
     Raises:
-        InputError: an id is that of no image, or both images are of one frame, whose relative
-            poses are the rig's; the message names the edge, and file and line where there are some.
+        InputError: an id is that of no image, or both images belong to one frame, whose relative
+            poses are those of the rig; the message names the edge, with file and line if known.
     """
     index = {image_id: at for at, image_id in enumerate(problem.image_ids.tolist())}
     ids = closures.ids[closures.edges]
@@ -167,10 +166,7 @@ def images_of(
     if unknown.any():
         edge = int(np.argmax(unknown))
         missing = int(ids[edge][np.argmax(found[edge] < 0)])
-        raise InputError(
-            f"{closures.edge_name(edge)}: expected ids of images of the model, found {missing}, "
-            "which is none"
-        )
+        raise InputError(f"{closures.edge_name(edge)}: image {missing} is not in the model")
     if problem.num_frames:
         frames = problem.image_frame[found]
         same = (frames[:, 0] == frames[:, 1]) & (frames[:, 0] >= 0)

@@ -1,29 +1,30 @@
-"""Loops of a drifted model closed by a graph of its images, its points carried along.
+"""Loop closing: a graph of a drifted model's images, solved with loop closures.
 
-The graph has a node per image, or per frame of a rig, an edge between images that share points
-(:mod:`.covisibility_edges`), at the relative pose that the model has, and the closures. Without
-rigs nodes may grow (:mod:`.similarity_graph`): a closure measures a translation in the unit that
-the model has around its first image, and no scale.
+The graph has a node per image, or per frame of a rig. Its edges are the closures, and one edge per
+pair of images that share points (:mod:`.covisibility_edges`), which measures the relative pose of
+the model. Without rigs, nodes may change their scale (:mod:`.similarity_graph`): a closure measures
+a translation in the model's unit around its first image, and no scale.
 
-What the model's edges know is divided by a variance factor: a model that has drifted is wrong by
-more than its reprojection errors say, as what bent it (outliers, calibration, a tracker that lost
-half its points) is in none of them, and a graph as stiff as these errors ask for would reject every
-closure. Factors of 1, 10, ... 10^6 are tried in turn.
+The information of the model's edges is divided by a variance factor. A drifted model is wrong by
+more than its reprojection errors indicate, because they do not contain the cause of the drift
+(outliers, calibration, a tracker that lost half its points). With the information of these errors,
+the graph would be so stiff that every closure is rejected. Factors of 1, 10, ... 10^6 are tried in
+turn.
 
-First the graph is solved with a robust loss of the closures, with the least factor with which at
-least half of them end within the error that 99.95 % of right ones have. Those outside are rejected.
-Then it is solved from the start without these and without a loss, with the least factor with which
-three in four of the others fit: the stiffest graph is nearest to the model. Closures that fit then
-are taken back, and it is solved once more. (Graduated
-non-convexity, the better one for pose graphs, begins at the solution without a loss, where a soft
-graph has bent to the wrong closures as well.)
+First the graph is solved with a robust loss on the closures, with the least factor for which at
+least half of them end within the 99.95 % quantile of correct ones. The others are rejected. Then it
+is solved from the start without them and without a loss, with the least factor for which three
+quarters of the remaining closures fit: the stiffest graph stays closest to the model. Rejected
+closures that now fit are used again, and the graph is solved once more. (Graduated non-convexity,
+which is better for pose graphs, starts at the solution without a loss. A soft graph has already
+been bent by the wrong closures there.)
 
-Then every image has a similarity from the old world to the new one, which carries the points
+Then every image has a similarity from the old world to the new one, which moves the points
 (:mod:`.carried_points`).
 
-Bundle adjustment starts there. Where the two images of a closure share points it needs no more than
-this start. Where they share fewer than ``MIN_SHARED``, nothing in the pixels would keep the loop
-closed, and the closure goes on as a factor.
+Bundle adjustment starts there. If the two images of a closure share points, this start is
+sufficient. If they share fewer than ``MIN_SHARED``, no observation would keep the loop closed, and
+the closure is passed on as a factor.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ Array = NDArray[np.float64]
 
 VARIANCE_FACTORS = tuple(10.0**power for power in range(7))
 MOST_FIT = 0.75
-"""Share of the right closures that have to fit in the end."""
+"""Share of the correct closures that must fit in the end."""
 ROUGH, FINE = 1e-6, 1e-10
 
 
@@ -74,31 +75,31 @@ def close_loops(
     loss: str = "cauchy",
     loss_scale: float = 1.0,
 ) -> LoopClosing:
-    """Bend a model so that its loops close, before bundle adjustment.
+    """Close the loops of a model before bundle adjustment.
 
-    Bundle adjustment of a model that has drifted round a loop ends in a wrong minimum: too far from
-    the right one. A graph of the images' poses with measured relative poses between images at the
-    ends of the loop gets near it. Images without rigs change their scale as well, as monocular
-    models drift in it; images of a rig move with their frame, and scales stay.
+    Bundle adjustment of a model with drift around a loop ends in a wrong local minimum, because it
+    starts too far from the right one. A graph of the images' poses with measured relative poses at
+    the ends of the loop gets close to it. Images without rigs also change their scale, because
+    monocular models drift in scale. Images of a rig move with their frame, and scales stay.
 
     Args:
-        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
-        closures: a :class:`bundle.PoseGraph`, or a g2o file, of which the edges count, all of them,
-            and its poses do not: its ids are ids of images, and edge i j measures the pose of
-            camera j in the frame of camera i (camera_i_from_camera_j: x right, y down, z forward;
-            translation in the length unit of the model around image i).
-        loss: robust loss by which right closures are told from wrong ones: "huber", "soft_l1" or
-            "cauchy"; at least half of them have to be right. "trivial" takes all. The model's own
-            edges have none.
-        loss_scale: sigmas at which it bends. A closure is right within 4.9 times as many (the
-            norm that 99.95 % of right ones have).
+        problem: Problem, path of one, or pycolmap.Reconstruction; not modified.
+        closures: a :class:`bundle.PoseGraph` or a g2o file. All its edges are used, and none of its
+            poses. Its ids are ids of images, and edge i j measures the pose of camera j in the
+            frame of camera i (camera_i_from_camera_j: x right, y down, z forward; translation in
+            the model's length unit around image i).
+        loss: robust loss that separates correct from wrong closures: "huber", "soft_l1" or
+            "cauchy"; at least half of them must be correct. "trivial" uses all. The model's own
+            edges have no loss.
+        loss_scale: sigmas beyond which the loss is robust. A closure is correct within 4.9 times as
+            many (the norm that 99.95 % of correct ones have).
 
     Returns:
-        The moved problem, and what became of each closure.
+        Moved problem, and the result for each closure.
 
     Raises:
-        InputError: an edge names no image, or two of one frame, with file and line; the graph is of
-            the plane or without edges; an information matrix is none; an option is wrong.
+        InputError: an edge names no image, or two of one frame, with file and line; the graph is
+            planar or without edges; an information matrix or an option is invalid.
         OSError: a path cannot be read.
 
     Example:
@@ -124,7 +125,7 @@ class _Closing:
         self.node_of, nodes = _nodes(problem, cameras)
         self.mounts = multiply_poses(inverse_poses(nodes[self.node_of]), cameras)
         pairs = model.pairs
-        if problem.num_frames:  # what a rig's frame sees is no edge
+        if problem.num_frames:  # images of one frame get no edge
             between = self.node_of[pairs[:, 0]] != self.node_of[pairs[:, 1]]
         else:
             between = np.ones(len(pairs), bool)
@@ -197,7 +198,7 @@ class _Closing:
         return right
 
     def _solved(self, right: NDArray[np.bool_]) -> tuple[float, Nodes]:
-        """Return the variance factor, and nodes with the right closures and no loss."""
+        """Return the variance factor, and the nodes with correct closures and no loss."""
         weights = np.where(self.closes, 0.0, 1.0)
         weights[self.closes] = right
         for factor in VARIANCE_FACTORS:
@@ -212,7 +213,7 @@ class _Closing:
         return fits
 
     def _weigh(self, chi2: Array) -> tuple[Array, Array]:
-        """Return rho and rho' of each edge under the loss of closures."""
+        """Return rho and rho' of each edge, with the loss on closures."""
         rho, weights = chi2.copy(), np.ones(len(chi2))
         bent = evaluate_loss(self.loss, self.scale, chi2[self.closes])
         rho[self.closes], weights[self.closes] = bent[:, 0], bent[:, 1]
@@ -223,7 +224,7 @@ class _Closing:
         return 0.5 * float((weights * chi2).sum())
 
     def _is_loose(self) -> NDArray[np.bool_]:
-        """Return which closures (m,) join images that share too few points."""
+        """Return the mask (m,) of closures whose images share too few points."""
         problem = self.problem
         code = problem.observation_image.astype(np.int64) * problem.num_points
         seen = np.unique(code + problem.observation_point)
@@ -267,7 +268,7 @@ class _Closing:
     def _factors(
         self, nodes: Nodes, records: tuple[LoopClosure, ...]
     ) -> tuple[RelativePoseFactor, ...]:
-        """Return the closures that stay, as cam_b_from_cam_a in the new unit of image a.
+        """Return the closures to pass on, as cam_b_from_cam_a in the new unit of image a.
 
         With B A^-1 = (Z E)^-1 the factor's error Log(Z B A^-1) is -Ad(Z) Log E, to first order.
         """
@@ -299,7 +300,7 @@ class _Closing:
 
 
 def _nodes(problem: Problem, cameras: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return the node of each image, and the poses of nodes: frames, and images without one."""
+    """Return the node of each image, and the poses of nodes: frames, or images without one."""
     if not problem.num_frames:
         return np.arange(problem.num_images), cameras
     own = problem.image_frame < 0

@@ -1,33 +1,33 @@
-"""A graph of similarities: poses that may also grow, and what is measured between pairs of them.
+"""Graph of similarities: poses with free scale, and measurements between pairs of them.
 
-A pose graph of a monocular model bends in scale as well: each image sees the world in a unit of its
-own, and a rigid edge cannot undo what the unit drifts (Strasdat, Montiel and Davison, "Scale
-drift-aware large scale monocular SLAM", RSS 2010). So a node is X = (R, c, s), a point x of its own
-frame goes to
+The pose graph of a monocular model must also correct scale: each image has its own unit of the
+world, and rigid edges cannot undo the drift of this unit (Strasdat, Montiel and Davison, "Scale
+drift-aware large scale monocular SLAM", RSS 2010). A node is therefore X = (R, c, s), which maps a
+point x of its own frame to
 
     X x = s R x + c,
 
-and an edge says that X_i M_i and X_j M_j, M the mounts of two cameras on their nodes, are apart by
-Z = (R_z, t_z, 1). With A = X_i M_i, B = X_j M_j, P = A^-1 B = (R_p, t_p, s_p) and
+and an edge states that X_i M_i and X_j M_j differ by Z = (R_z, t_z, 1), with M the mounts of two
+cameras on their nodes. With A = X_i M_i, B = X_j M_j, P = A^-1 B = (R_p, t_p, s_p) and
 
     E = Z^-1 P = (R_e, t_e, s_e),    t_e = R_z^T (t_p - t_z),    s_e = s_p,
 
 the residual is r = (Log R_e, t_e, log s_e), 7 numbers, and an edge costs 1/2 r^T W r. An edge
 without a scale has zeros in the last row and column of W. t_p is measured in the unit of A.
 
-Nodes move by X <- X (Exp(w), t, exp(l)), d = (w, t, l). What that does to r, to first order:
+Nodes move by X <- X (Exp(w), t, exp(l)), d = (w, t, l). To first order, r changes by
 
     of B:   dr = (J w,  s_e R_e t,  l),
     of A:   dr = (-J R_p^T w,  R_z^T ([t_p]x w - t - l t_p),  -l),
 
-J the inverse of the right Jacobian of SO(3) at Log R_e; the latter as (Exp(w), t, exp(l))^-1 P
-turns P by Exp(-w) on its left, shrinks it and moves it. A node moves its camera by
-M^-1 (w, t, l) M, which is linear in d: with M = (R_m, t_m, 1)
+with J the inverse of the right Jacobian of SO(3) at Log R_e. For A, (Exp(w), t, exp(l))^-1 P
+rotates P by Exp(-w) on its left, scales it down and shifts it. A node moves its camera by M^-1 (w,
+t, l) M, which is linear in d: with M = (R_m, t_m, 1)
 
     w' = R_m^T w,    t' = R_m^T (t + w x t_m + l t_m),    l' = l.
 
-Minimised by Levenberg and Marquardt, each step one block-sparse Cholesky factorisation
-(core/linear/edge_system.h). Where scales are known, l has no column.
+The minimiser is Levenberg-Marquardt, with one block-sparse Cholesky factorisation per step
+(core/linear/edge_system.h). If scales are known, l has no column.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Nodes:
 
     Attributes:
         poses: (n, 7) qx qy qz qw and the origin in the world.
-        scales: (n,) units of the world per unit of the node.
+        scales: (n,) world units per node unit.
     """
 
     poses: Array
@@ -97,9 +97,10 @@ class SimilarityGraph:
         edges: (m, 2) nodes i and j.
         mounts: (m, 2, 7) node_from_camera of both cameras.
         measurements: (m, 7) camera_i_from_camera_j.
-        information: (m, 7, 7) of rotation, translation and log scale, symmetric, not indefinite.
-        held: (n,) nodes that stay.
-        has_free_scales: whether nodes may grow.
+        information: (m, 7, 7) of rotation, translation and log scale, symmetric positive
+            semidefinite.
+        held: (n,) constant nodes.
+        has_free_scales: True if nodes may change their scale.
     """
 
     edges: NDArray[np.int64]
@@ -110,7 +111,7 @@ class SimilarityGraph:
     has_free_scales: bool
 
     def residuals(self, nodes: Nodes) -> Array:
-        """Return (m, 7) rotation vectors, translations and logarithms of scales."""
+        """Return (m, 7): rotation vectors, translations and logarithms of scales."""
         return self._relative(nodes)[0]
 
     def chi2(self, nodes: Nodes) -> Array:
@@ -120,12 +121,12 @@ class SimilarityGraph:
         return np.maximum(squared, 0.0)
 
     def solve(self, nodes: Nodes, weigh: Weigh, tolerance: float) -> Nodes:
-        """Return nodes that minimise 1/2 sum rho of the edges' chi2.
+        """Return the nodes that minimise 1/2 sum rho of the edges' chi2.
 
         Args:
-            nodes: where to start.
-            weigh: of chi2 (m,) to rho and its derivative, both (m,).
-            tolerance: relative change of the cost at which it stops.
+            nodes: start.
+            weigh: function from chi2 (m,) to rho and its derivative, both (m,).
+            tolerance: relative change of the cost at which to stop.
         """
         free = np.flatnonzero(~self.held)
         active: NDArray[np.bool_] = ~np.all(self.held[self.edges], axis=1)
@@ -169,7 +170,7 @@ class SimilarityGraph:
         return nodes
 
     def _relative(self, nodes: Nodes) -> tuple[Array, Array, Array, Array]:
-        """Return residuals, and the turns (q), shifts and scales of P."""
+        """Return residuals, and the rotations (q), translations and scales of P."""
         a = nodes.of(self.edges[:, 0], self.mounts[:, 0])
         b = nodes.of(self.edges[:, 1], self.mounts[:, 1])
         back = quaternion_inverse(a.poses[:, :4])
@@ -185,7 +186,7 @@ class SimilarityGraph:
     def _normal(
         self, nodes: Nodes, weights: Array, free: NDArray[np.int64]
     ) -> tuple[Array, Array, Array]:
-        """Return diagonal blocks of the free nodes, blocks of the edges, and the gradient."""
+        """Return the diagonal blocks of free nodes, the blocks of edges, and the gradient."""
         r, turn, shift, scale = self._relative(nodes)
         m, d = len(r), 7 if self.has_free_scales else 6
         z_turned = np.swapaxes(rotation_matrices(self.measurements[:, :4]), 1, 2)
@@ -236,7 +237,7 @@ class SimilarityGraph:
 
 
 def _within(weigh: Weigh, active: NDArray[np.bool_], chi2: Array) -> tuple[Array, Array]:
-    """Weigh some of the edges, the others as if they were without error."""
+    """Weigh some of the edges; the other edges count as exact."""
     whole = np.zeros(len(active))
     whole[active] = chi2
     rho, weights = weigh(whole)
@@ -252,7 +253,7 @@ def _inverse_right_jacobian(vectors: Array) -> Array:
 
 
 def _moves_of_cameras(mounts: Array) -> Array:
-    """Return (m, 7, 7): what a step of a node does to a camera with this mount on it."""
+    """Return (m, 7, 7): motion of a camera with this mount for a step of its node."""
     back = np.swapaxes(rotation_matrices(mounts[:, :4]), 1, 2)
     matrix = np.zeros((len(mounts), 7, 7))
     matrix[:, :3, :3] = back

@@ -1,34 +1,35 @@
-"""Closures that agree with each other along the odometry: the largest pairwise consistent set.
+"""Largest set of closures that are pairwise consistent along the odometry.
 
 After Mangelson, Dominic, Eustice and Vasudevan, "Pairwise consistent measurement set maximization
-for robust multi-robot map merging" (ICRA 2018). Two closures a: i -> j and b: k -> l make a loop
-with the odometry O between their ends, i -a-> j, odometry to l, back along b to k, odometry to i.
-Seen from the frame of the chain (the inverse of the loop, conjugated by O_j) it is
+for robust multi-robot map merging" (ICRA 2018). Two closures a: i -> j and b: k -> l form a loop
+with the odometry O between their ends: i -a-> j, odometry to l, back along b to k, odometry to i.
+In the frame of the chain (the inverse of the loop, conjugated by O_j) it is
 
     D = A^-1 B,     A = O_i Z_a O_j^-1,     B = O_k Z_b O_l^-1,
 
-one motion A for each closure: by how much it says that odometry is wrong. Closures agree where
-D = I but for noise. To first order at D = I, with errors on the right of the measurements and
+with one motion A per closure: the correction of the odometry that it measures. Consistent closures
+have D = I up to noise. To first order at D = I, with errors on the right of the measurements and
 w_t of ``odometry_chain``, Log(D) is the sum of
 
     Ad(O_l) e_b - Ad(O_j) e_a                               of the closures,
     (([t <= k] - [t <= i]) P + ([t <= j] - [t <= l])) w_t,  P = Ad(B^-1), of odometry step t.
 
-where A may stand for B in P: at D = I they are equal, and of the two covariances the one with
-the larger chi2 counts, so that a wrong closure far away does not excuse itself by its own lever.
-The first bracket is s on the steps between i and k, the second r on those between l and j, with
-signs s, r = +1, -1 by direction. Where these stretches overlap, the same step counts in both, and
-the sum is s P + r I, almost nothing where B is near I. With W from ``odometry_chain``
+where A may replace B in P, because they are equal at D = I. Of the two covariances, the one with
+the larger chi2 counts, so that a wrong closure far away is not excused by its own lever. The first
+bracket is s on the steps between i and k, the second r on those between l and j, with signs s, r =
++1, -1 by direction. Where these stretches overlap, a step counts in both, and the sum is s P + r I,
+nearly zero where B is near I. With W from ``odometry_chain``
 
     Cov = S_a + S_b + P W_first P^T + W_second + (P + s r I) W_both (P + s r I)^T,
 
 S_b = Ad(O_l) Sigma_b Ad(O_l)^T, W_first of the steps of the first stretch alone, and so on. The
-pair is consistent where Log(D)^T Cov^-1 Log(D) is below the quantile of chi2 that one right pair in
-a million exceeds: of 2000 right closures, two million pairs, a stricter one would lose many.
+pair is consistent if Log(D)^T Cov^-1 Log(D) is below the quantile of chi2 that one correct pair in
+a million exceeds: among 2000 correct closures, two million pairs, a stricter quantile would reject
+many.
 
-Closures of one odometry form one set: right closures at different places agree with each other
-within the noise between them, so the largest set holds all places. A file of several trajectories
-has gaps in its odometry and is refused.
+Closures of one odometry form one set: correct closures at different places agree within the noise
+between them, so the largest set covers all places. A file of several trajectories has gaps in its
+odometry and is refused.
 """
 
 from __future__ import annotations
@@ -62,12 +63,12 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOutEdge:
-    """A closure outside the largest consistent set.
+    """Closure outside the largest consistent set.
 
     Attributes:
-        edge: its position in the graph.
-        chi2: its largest one of a pair with a closure of the set; chi2 with 3 or 6 degrees of
-            freedom where both are right.
+        edge: position in the graph.
+        chi2: largest chi2 of a pair with a closure of the set; 3 or 6 degrees of freedom if both
+            are correct.
         num_contradicted: closures of the set with which it is inconsistent.
     """
 
@@ -78,12 +79,12 @@ class LeftOutEdge:
 
 @dataclass(frozen=True, kw_only=True)
 class ClosureConsistency:
-    """What the pairwise check found.
+    """Result of the pairwise check.
 
     Attributes:
-        left_out: closures outside the set, the largest chi2 first.
-        num_closures: in all.
-        proven: False where a larger set may exist, as time ran out.
+        left_out: closures outside the set, by descending chi2.
+        num_closures: number of all closures.
+        proven: False if the time limit was reached and a larger set may exist.
     """
 
     left_out: tuple[LeftOutEdge, ...]
@@ -92,15 +93,16 @@ class ClosureConsistency:
 
 
 def closure_consistency(graph: PoseGraph, num_threads: int = 1) -> ClosureConsistency:
-    """Find the largest set of closures that are consistent with each other, pair by pair.
+    """Find the largest set of pairwise consistent closures.
 
     Args:
-        graph: its odometry (edges between consecutive ids) without gaps; closures are all others.
-        num_threads: for composing the odometry.
+        graph: graph whose odometry (edges between consecutive ids) has no gaps; all other edges are
+            closures.
+        num_threads: threads that compose the odometry.
 
     Raises:
-        InputError: odometry has a gap; the information of an edge is singular; there are more than
-            10,000 closures; SciPy is missing.
+        InputError: odometry has a gap, the information of an edge is singular, there are more than
+            10,000 closures, or SciPy is missing.
     """
     closures = np.flatnonzero(graph.is_closure)
     if len(closures) > MOST_CLOSURES:
@@ -108,7 +110,8 @@ def closure_consistency(graph: PoseGraph, num_threads: int = 1) -> ClosureConsis
             f"consistency: expected at most {MOST_CLOSURES} closures, found {len(closures)}"
         )
     chi2 = pair_chi2(graph, closures, odometry_chain(graph, num_threads))
-    conflicts = ~(chi2 <= ONE_IN_A_MILLION[graph.tangent_size])  # what is not finite contradicts
+    # values that are not finite are in conflict
+    conflicts = ~(chi2 <= ONE_IN_A_MILLION[graph.tangent_size])
     kept, proven = largest_set(conflicts)
     out = np.flatnonzero(~kept)
     worst = chi2[np.ix_(out, kept)].max(axis=1, initial=0.0)
@@ -148,8 +151,8 @@ def pair_chi2(graph: PoseGraph, closures: NDArray[np.intp], chain: OdometryChain
                 solved = np.linalg.solve(covariance, apart[:, :, None])[:, :, 0]
             except np.linalg.LinAlgError:
                 raise InputError(
-                    "consistency: expected information whose covariances along the odometry "
-                    "can be inverted, found a singular one"
+                    "consistency: expected information with invertible covariances along the "
+                    "odometry, found a singular one"
                 ) from None
             chi2[a, b] = np.maximum(chi2[a, b], np.einsum("nc,nc->n", apart, solved))
         chi2[b, a] = chi2[a, b]
@@ -162,11 +165,11 @@ def _odometry_noise(
     to_start: tuple[NDArray[np.intp], NDArray[np.intp]],
     to_end: tuple[NDArray[np.intp], NDArray[np.intp]],
 ) -> Floats:
-    """Return the part of Cov that is odometry's, of stretches from place to place."""
+    """Return the part of Cov that is odometry's, over stretches from place to place."""
     low, high = np.minimum(*to_start), np.maximum(*to_start)
     low_end, high_end = np.minimum(*to_end), np.maximum(*to_end)
     below = np.maximum(low, low_end)
-    above = np.maximum(np.minimum(high, high_end), below)  # empty where they do not overlap
+    above = np.maximum(np.minimum(high, high_end), below)  # empty if they do not overlap
     both = accumulated[above] - accumulated[below]
     start_alone = accumulated[high] - accumulated[low] - both
     end_alone = accumulated[high_end] - accumulated[low_end] - both

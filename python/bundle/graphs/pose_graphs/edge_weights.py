@@ -1,4 +1,4 @@
-"""What a loss leaves of the information of edges, for what is computed at given poses."""
+"""Pose graphs whose information includes the weights of a loss, for analyses at given poses."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ __all__ = ["WeightedGraph", "is_graph", "refuse_for_graphs", "weighted_graph"]
 
 @dataclasses.dataclass(frozen=True)
 class WeightedGraph:
-    """A graph with its weights multiplied into the information.
+    """Graph with the weights of the loss multiplied into the information.
 
     Attributes:
-        given: as it came.
-        graph: without the edges of weight 0.
+        given: the given graph.
+        graph: the weighted graph, without edges of weight 0.
         edges: (k,) positions in ``given`` of the edges of ``graph``.
         weights: (m,) of the edges of ``given``.
-        options: as used.
+        options: options as used.
     """
 
     given: PoseGraph
@@ -43,35 +43,35 @@ class WeightedGraph:
 
 
 def is_graph(source: object) -> bool:
-    """Tell whether something is a pose graph, the result of a solve of one, or the path of one."""
+    """Return True for a pose graph, the result of its solve, or the path of one."""
     return isinstance(source, PoseGraph | PoseGraphResult) or is_pose_graph_file(source)
 
 
 def refuse_for_graphs(**given: Any) -> None:
-    """Refuse arguments that only reconstructions have, where they are not empty.
+    """Refuse arguments that only reconstructions support, unless they are empty.
 
     Raises:
-        InputError: one is not; the message names it.
+        InputError: an argument is not empty; the message names it.
     """
     for name, value in given.items():
         if value is not None and not (isinstance(value, tuple | list | dict) and not value):
-            raise InputError(f"{name}: expected with a reconstruction only, found a pose graph")
+            raise InputError(f"{name}: expected only with a reconstruction, found a pose graph")
 
 
 def weighted_graph(
     source: Any, options: PoseGraphOptions | None, changes: dict[str, Any], caller: str
 ) -> WeightedGraph:
-    """Return a graph at its poses with the weights that a loss gives its edges there.
+    """Return a graph at its poses, with the edge weights of a loss.
 
     Args:
-        source: a graph, the path of one, or the result of a solve, which brings its weights and
-            its options unless others are given.
-        options: error, information and loss count.
-        changes: options by name, in place of those in ``options``.
-        caller: for messages.
+        source: graph, path of one, or result of a solve, which has its own weights and options
+            unless others are given.
+        options: options, of which error, information and loss count.
+        changes: options by name, which replace those in ``options``.
+        caller: name of the caller for messages.
 
     Raises:
-        InputError: an option is wrong, or the information of an edge is none.
+        InputError: an option is wrong, or the information of an edge is invalid.
         OSError: the path cannot be read.
     """
     weights = None
@@ -91,7 +91,8 @@ def weighted_graph(
     options = options.replace(num_threads=min(options.num_threads or cores, cores))
     if options.loss == "auto" and weights is None:
         raise InputError(
-            "loss: expected the name of one, found auto; the result of a solve has what it took"
+            "loss: expected a named loss, found auto; the result of a solve has the loss "
+            "that was chosen"
         )
     weighed = checked_information(graph, options.information)
     if options.consistency and weights is None:

@@ -1,20 +1,20 @@
-"""Graduated non-convexity for truncated least squares: edges that are in, or out.
+"""Graduated non-convexity (GNC) for truncated least squares: edges are inliers or outliers.
 
-The truncated loss min(x, c^2), x = ||r||^2, is x for an inlier and a constant for an outlier; it
-has so many local minima that a solve from any start stays where it is. Yang, Antonante, Tzoumas and
-Carlone ("Graduated non-convexity for robust spatial perception", 2020) minimise
+The truncated loss min(x, c^2), x = ||r||^2, is x for an inlier and a constant for an outlier. It
+has so many local minima that a solve hardly leaves its start. Yang, Antonante, Tzoumas and Carlone
+("Graduated non-convexity for robust spatial perception", 2020) minimise
 
     sum_e  w_e x_e + mu (1 - w_e) / (mu + w_e) c^2
 
 over poses and weights in turn, from mu near 0, where it is convex, to mu -> infinity, where it is
-the truncated loss. For given residuals the best weights are
+the truncated loss. For given residuals the optimal weights are
 
     w = 1                              where x <= mu / (mu + 1) c^2,
     w = 0                              where x >= (mu + 1) / mu c^2,
     w = c sqrt(mu (mu + 1) / x) - mu   in between.
 
-c^2 is the 99.95 % quantile of chi2 with the degrees of freedom of an edge, times the square of the
-scale that was asked for: one right edge in 2000 is lost.
+c^2 is the 99.95 % quantile of chi2 with the degrees of freedom of an edge, multiplied by the square
+of the requested scale: one correct edge in 2000 is lost.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from numpy.typing import NDArray
 __all__ = ["graduate", "tls_weights"]
 
 GROWTH = 1.4
-"""Of mu from one solve to the next, as its authors have it."""
+"""Factor of mu from one solve to the next, as in the paper."""
 
 MOST_SOLVES = 100
 NEARLY = 1e-3
-"""Of 0 or 1: a weight that counts as either."""
+"""Weights this close to 0 or 1 count as 0 or 1."""
 
 
 def tls_weights(chi2: NDArray[np.float64], mu: float, c_squared: float) -> NDArray[np.float64]:
-    """Return the best weights for squared errors."""
+    """Return the optimal weights for squared errors."""
     between = np.sqrt(c_squared * mu * (mu + 1) / np.maximum(chi2, 1e-300)) - mu
     weights: NDArray[np.float64] = np.clip(between, 0, 1)
     return weights
@@ -48,18 +48,18 @@ def graduate(
     solve: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     largest: float | None = None,
 ) -> tuple[NDArray[np.float64], int]:
-    """Find the weights of edges by solves with weights in between.
+    """Find edge weights by a sequence of weighted solves.
 
     Args:
-        chi2: (m,) that the first weights come from.
-        doubted: (m,) True where an edge may be wrong.
-        c_squared: chi2 beyond which an edge is out.
-        solve: of weights (m,) to chi2 (m,) at the poses that a solve with them finds, where the
-            next one starts.
-        largest: for which the loss is convex at first; that of ``chi2`` if not given.
+        chi2: (m,) squared errors that give the first weights.
+        doubted: (m,) True for edges that may be outliers.
+        c_squared: chi2 above which an edge is an outlier.
+        solve: function from weights (m,) to chi2 (m,) at the poses of a solve with these weights,
+            from which the next one starts.
+        largest: largest chi2 for which the loss is convex at first; by default that of ``chi2``.
 
     Returns:
-        Weights (m,), 0 or 1 but where the limit of solves came first, and the number of solves.
+        Weights (m,), all 0 or 1 unless the limit of solves was reached, and the number of solves.
     """
     weights = np.ones(len(chi2))
     worst = max(largest or 0.0, float(chi2[doubted].max(initial=0.0)))

@@ -1,15 +1,15 @@
-"""Truncated least squares over poses: graduated from several starts, the least cost taken.
+"""Truncated least squares over poses: GNC from several starts, of which the least cost counts.
 
-Graduated non-convexity (``gnc``) begins where the truncated loss is convex for the largest error
-that it knows of. Errors after a solve with all edges are no measure of that: where odometry is
-weak, wrong closures have bent it, and their own errors are small. It is the largest error that
-closures have before they pull, where the trusted edges alone put the poses (if these join all of
-them; else at the start). From there the weights graduate twice: with first weights by the errors
-there, and by those of a solve with all edges.
+Graduated non-convexity (``gnc``) starts where the truncated loss is convex for the largest error.
+Errors after a solve with all edges do not show this error: where odometry is weak, wrong closures
+have bent it and their own errors are small. The largest errors are those of closures at the poses
+of the trusted edges alone (if these connect all poses; otherwise at the start). From there the
+weights are graduated twice: with first weights from these errors, and with first weights from a
+solve with all edges.
 
-Where the solve with all edges leaves nothing to be doubted, all are in. Otherwise there is a third
-set, which starts with the trusted edges alone, and there may be sets that the caller proposes. All
-are improved by single edges (``truncated_search``); the one of the least truncated cost is taken.
+If the solve with all edges gives no reason for doubt, all edges are inliers. Otherwise a third set
+starts with the trusted edges alone, and the caller may propose more sets. All are improved by
+single edges (``truncated_search``), and the one with the least truncated cost is used.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ __all__ = ["Proposal", "solve_gnc"]
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Proposal = tuple[Flags, Floats]
-"""Edges that are in, and poses."""
+"""Mask of inliers, and poses."""
 
 HOPELESS = 2.0
-"""A set whose cost is so many times the least is not improved."""
+"""A set with more than this multiple of the least cost is not improved."""
 
 
 class _Interrupted(Exception):  # noqa: N818  (a way out, no error)
-    """The user has stopped a solve."""
+    """Solve interrupted by the user."""
 
 
 class _Solves:
-    """Solves of one graph with weights of its edges, and what the last one returned."""
+    """Solves of one graph with edge weights, and the output of the last one."""
 
     def __init__(
         self,
@@ -89,18 +89,18 @@ def solve_gnc(
     progress: Progress | None,
     proposals: Iterable[Proposal] = (),
 ) -> dict[str, Any]:
-    """Solve with weights in between, then once more with edges in or out.
+    """Solve with graduated weights, then once more with edges in or out.
 
     Args:
-        graph: its information as a solve takes it, its poses where the solve starts.
-        held: (n,) poses that stay.
-        doubted: (m,) edges that may be out.
-        options: with loss "gnc_tls".
+        graph: graph with the information for the solve, at the poses of the start.
+        held: (n,) constant poses.
+        doubted: (m,) edges that may be outliers.
+        options: options with loss "gnc_tls".
         progress: called after each iteration of each solve.
-        proposals: more sets to look at.
+        proposals: additional sets to try.
 
     Returns:
-        What the last solve returned, with chi2, weights and costs of the truncated loss.
+        Output of the last solve, with chi2, weights and costs of the truncated loss.
     """
     c_squared = options.loss_scale**2 * ONE_IN_2000[graph.tangent_size]
     before = _core.edge_chi2(graph, options.error)
@@ -153,7 +153,7 @@ def _best_set(
 def _graduated(
     search: TruncatedSearch, solves: _Solves, poses: Floats, chi2: Floats, largest: float
 ) -> Settled:
-    """Return the set that weights end at which start with these errors at these poses."""
+    """Return the set at which graduated weights end, from these errors at these poses."""
 
     def solve(weights: Floats) -> Floats:
         nonlocal poses, chi2
@@ -165,6 +165,6 @@ def _graduated(
 
 
 def _joins_all(graph: PoseGraph, held: Flags, trusted: Flags) -> bool:
-    """Tell whether trusted edges alone join every pose to one that is held."""
+    """Return True if trusted edges alone connect every pose to a constant one."""
     root = np.asarray(_core.pose_components(graph.num_poses, graph.edges[trusted]))
     return bool(np.isin(root, root[held]).all())

@@ -1,4 +1,4 @@
-"""Information matrices that are none, by edge, and isotropic ones in place of all."""
+"""Checks of information matrices of edges, and isotropic replacements."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ORDERS = {
     "g2o": ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)),
     "toro": ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2)),
 }
-"""Order of the information of an edge in the plane, in files."""
+"""Order of an edge's information in planar files."""
 
 NAMES = {"g2o": "g2o", "toro": "TORO"}
 
@@ -26,10 +26,10 @@ def bad_information(graph: PoseGraph) -> list[int]:
 
 
 def describe_information(graph: PoseGraph, edge: int) -> str:
-    """Return what is wrong with the information of an edge: "expected ..., found ..."."""
+    """Return the error of an edge's information: "expected ..., found ..."."""
     matrix = graph.information[edge]
     if not np.isfinite(matrix).all():
-        return "expected finite numbers, found some that are not"
+        return "expected finite numbers, found nan or infinity"
     scale = np.sqrt(np.abs(np.outer(np.diag(matrix), np.diag(matrix))))
     apart = np.abs(matrix - matrix.T) / np.maximum(np.maximum(scale, np.abs(matrix)), 1e-300)
     if apart.max() > 1e-9:
@@ -47,18 +47,18 @@ def describe_information(graph: PoseGraph, edge: int) -> str:
 
 
 def checked_information(graph: PoseGraph, information: str) -> PoseGraph:
-    """Return the graph with the information that a solve is to take.
+    """Return the graph with the information that a solve uses.
 
     Raises:
-        InputError: the information of an edge is none; the message names the edge.
+        InputError: the information of an edge is invalid; the message names the edge.
     """
     if information == "isotropic":
         return isotropic(graph)
     bad = bad_information(graph)
     if not bad:
         return graph
-    hint = _hint_of_order(graph) or "information=isotropic takes the means of the diagonals"
-    more = f"; so are those of {plural(len(bad) - 1, 'more edge')}" if len(bad) > 1 else ""
+    hint = _hint_of_order(graph) or "information=isotropic uses the means of the diagonals"
+    more = f"; likewise {plural(len(bad) - 1, 'more edge')}" if len(bad) > 1 else ""
     raise InputError(
         f"{graph.edge_name(bad[0])}: information: {describe_information(graph, bad[0])}{more} "
         f"({hint})"
@@ -66,9 +66,9 @@ def checked_information(graph: PoseGraph, information: str) -> PoseGraph:
 
 
 def _hint_of_order(graph: PoseGraph) -> str:
-    """Return what to do where the numbers of the file are in the order of the other format.
+    """Return a hint if the numbers of the file are in the order of the other format.
 
-    In the plane g2o writes I11 I12 I13 I22 I23 I33, TORO I11 I12 I22 I33 I13 I23.
+    In the plane, g2o writes I11 I12 I13 I22 I23 I33 and TORO writes I11 I12 I22 I33 I13 I23.
     """
     other = {"toro": "g2o", "g2o": "toro"}.get(graph.format, "")
     if graph.dimension != 2 or not other:
@@ -80,17 +80,20 @@ def _hint_of_order(graph: PoseGraph) -> str:
     if bad_information(graph.replace(information=moved)):
         return ""
     edge, vertex = ("EDGE_SE2", "VERTEX_SE2") if other == "g2o" else ("EDGE2", "VERTEX2")
-    return f"all fit in the order of {NAMES[other]}: call the edges {edge} and vertices {vertex}"
+    return (
+        f"all are valid in the order of {NAMES[other]}: name the edges {edge} and the "
+        f"vertices {vertex}"
+    )
 
 
 def isotropic(graph: PoseGraph) -> PoseGraph:
-    """Return the graph with information that has no direction.
+    """Return the graph with isotropic information.
 
-    That of an edge becomes diagonal: one number for its rotation and one for its translation, the
-    means of the diagonals over each.
+    The information of an edge becomes diagonal: one number for its rotation and one for its
+    translation, the means of their diagonals.
 
     Raises:
-        InputError: such a mean is not finite, or not above 0; the message names the edge.
+        InputError: a mean is not finite, or not above 0; the message names the edge.
     """
     diagonal = np.diagonal(graph.information, axis1=1, axis2=2)
     parts = (slice(0, 2), slice(2, 3)) if graph.dimension == 2 else (slice(0, 3), slice(3, 6))

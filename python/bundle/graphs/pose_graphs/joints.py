@@ -1,22 +1,22 @@
-"""What the edges of a pose graph leave open, exactly, however long the graph is.
+"""Directions that the edges of a pose graph leave undetermined, exact for graphs of any length.
 
-The normal equations of a long chain have eigenvalues near 1e-16 that are sound: their spectrum does
-not tell what is undetermined. The information of the edges does. Edges of full rank fix their two
-poses to each other. Poses that such edges join, and fixed ones, are one rigid cluster; mostly that
-leaves one cluster a component, and nothing is open. Weak joints are found alike, with clusters of
-edges whose information has eigenvalues of at least ``WEAK`` in units of typical sigmas (the medians
-over the edges, one for rotations and one for translations).
+The normal equations of a long chain have valid eigenvalues near 1e-16, so their spectrum does not
+reveal what is undetermined. The information of the edges does. An edge of full rank fixes its two
+poses relative to each other. Poses connected by such edges, and fixed poses, form one rigid
+cluster. Usually a component is one cluster and everything is determined. Weak joints are found in
+the same way, with clusters of edges whose information has eigenvalues of at least ``WEAK`` in units
+of typical sigmas (medians over the edges, one for rotations and one for translations).
 
-Else clusters move by d_c, the right perturbation of one of their poses, X_c. A pose X of the
-cluster moves by Ad(X^-1 X_c) d_c, and an edge between clusters a and b sees
+Otherwise clusters move by d_c, the right perturbation of one of their poses, X_c. A pose X of the
+cluster moves by Ad(X^-1 X_c) d_c, and an edge between clusters a and b measures
 
     r + sqrt(Omega) E (Ad(X_j^-1 X_b) d_b - Ad(X_j^-1 X_a) d_a),    E as in ``relative_pose.h``,
 
-as both ends are moved as one by what their cluster does. The rows of these edges alone make a small
-problem per component. Its null directions, with the cluster that the gauge or a fixed pose holds
-left out, are all that the edges leave open. To name them, a cluster with one neighbour is compared
-with it and then taken as part of it, again and again, as leaves of a tree; in what is left, each
-cluster is compared with all others held.
+because a cluster moves as a rigid body. The rows of these edges form a small problem per component.
+With the cluster of the gauge or of a fixed pose left out, its null space is all that the edges
+leave undetermined. To name its directions, a cluster with one neighbour is compared with this
+neighbour and then merged into it, repeatedly, like leaves of a tree. In the remaining graph, each
+cluster is compared with all others held constant.
 """
 
 from __future__ import annotations
@@ -33,16 +33,18 @@ from bundle.model.pose_graph_arrays import PoseGraph
 __all__ = ["Joint", "Joints", "find_joints", "typical_sigmas"]
 
 WEAK = 1e-4
-"""Of the information of a typical edge: sigmas a hundred times as large."""
+"""Relative to the information of a typical edge: sigmas a hundred times as large."""
 
 OPEN = 1e-13
-"""Of the largest eigenvalue: what counts as zero."""
+"""Relative to the largest eigenvalue: smaller values count as zero."""
 
 MOST_CLUSTERS = 100
-"""Of a component whose clusters are looked at together; of more, each by itself."""
+"""Clusters of a component that are analysed together; larger components are analysed cluster by
+cluster.
+"""
 
 MOST_CARRIED = 1000
-"""Clusters that a joint names as moving; more are not listed."""
+"""Most clusters that a joint lists as moving."""
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -50,14 +52,14 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Joint:
-    """Poses that move as one, and the edges between them and others that leave something open.
+    """Poses that move as a rigid body, with edges to other poses that do not fix it.
 
     Attributes:
-        poses: positions, the reference pose first.
-        edges: positions of the edges that join them with others.
-        eigenvalues: (d,) ascending, of what these edges say of the cluster with the others held, in
-            units of typical sigmas; a typical edge has about 1.
-        vectors: (d, d), a column each, in the frame of the reference pose, in typical sigmas.
+        poses: positions of the poses, the reference pose first.
+        edges: positions of the edges to other poses.
+        eigenvalues: (d,) ascending, of the information of these edges on the cluster with the
+            others held constant, in units of typical sigmas; a typical edge has about 1.
+        vectors: (d, d), one column each, in the frame of the reference pose, in typical sigmas.
     """
 
     poses: Ints
@@ -67,27 +69,27 @@ class Joint:
 
     @property
     def num_open(self) -> int:
-        """Directions of which the edges say nothing."""
+        """Number of directions that the edges leave undetermined."""
         return int((self.eigenvalues <= OPEN * self.eigenvalues[-1]).sum())
 
     @property
     def num_weak(self) -> int:
-        """Directions that they hold weakly."""
+        """Number of directions that the edges determine weakly."""
         return int((self.eigenvalues < WEAK).sum()) - self.num_open
 
 
 @dataclass(frozen=True)
 class Joints:
-    """What the edges leave open.
+    """Undetermined and weak directions of a graph.
 
     Attributes:
-        opened: where edges leave something open.
-        weak: where they hold something weakly.
+        opened: joints with undetermined directions.
+        weak: joints with weakly determined directions.
         directions: (n d, k) right perturbations of all poses that change no error, beside the
-            gauge; zero at poses that are held.
-        is_exact: False where a component has more clusters than are looked at together; then
-            ``num_open`` counts those of single clusters, and ``directions`` has none of them.
-        num_open: null directions beside those of the gauge.
+            gauge; zero at constant poses.
+        is_exact: False if a component has more clusters than are analysed together; ``num_open``
+            then counts those of single clusters, and ``directions`` has none of them.
+        num_open: dimension of the null space beside the gauge.
     """
 
     opened: tuple[Joint, ...]
@@ -99,7 +101,7 @@ class Joints:
 
 @dataclass(frozen=True)
 class _Rows:
-    """What an edge says of the clusters at its ends, in typical sigmas."""
+    """Rows of an edge for the clusters at its ends, in typical sigmas."""
 
     edge: int
     clusters: tuple[int, int]
@@ -107,7 +109,7 @@ class _Rows:
 
 
 class _Clusters:
-    """Poses that some edges fix to each other, by component, and the edges between them."""
+    """Rigid clusters of poses, by component, and the edges between them."""
 
     def __init__(
         self, graph: PoseGraph, tight: NDArray[np.bool_], sigmas: Floats, error: str
@@ -159,11 +161,11 @@ def typical_sigmas(graph: PoseGraph) -> Floats:
 
 
 def find_joints(graph: PoseGraph, held: NDArray[np.bool_], error: str) -> Joints:
-    """Find what the edges leave open or hold weakly.
+    """Find directions that the edges leave undetermined or weak.
 
     Args:
-        graph: with valid information, weights of a loss multiplied in.
-        held: (n,) poses that a solve holds.
+        graph: graph with valid information that includes the weights of a loss.
+        held: (n,) poses that a solve holds constant.
         error: "log", "g2o" or "ceres".
     """
     sigmas = typical_sigmas(graph)

@@ -1,15 +1,15 @@
-"""The largest set of vertices without an edge between them: the largest clique of the complement.
+"""Largest independent set of vertices (largest clique of the complement).
 
-The integer programme max sum x, x_u + x_v <= 1 for each edge, x in {0, 1}, has a relaxation to
-0 <= x <= 1 whose corners are in {0, 1/2, 1}, and some largest set holds every vertex of value 1 and
+The integer programme max sum x, x_u + x_v <= 1 for each edge, x in {0, 1}, has a relaxation to 0 <=
+x <= 1 whose corners are in {0, 1/2, 1}, and some largest set contains every vertex of value 1 and
 none of value 0 (Nemhauser and Trotter, "Vertex packings: structural properties and algorithms",
 1975). The relaxation is a matching in the graph that has each vertex twice, u on the left and on
-the right, and edges u-v' and v-u': a smallest cover of it by Koenig's theorem counts the copies of
-u, and x_u is 1 - half of that count. Vertices of value 1/2, most often none, are left to HiGHS.
+the right, with edges u-v' and v-u'. A smallest vertex cover of it by Koenig's theorem counts the
+copies of u, and x_u is 1 - half of that count. Vertices of value 1/2, usually none, are left to
+HiGHS.
 
-Sets of right closures have few edges inside and many to the wrong ones: the relaxation then leaves
-nothing open, however many thousands there are. A search for cliques in the dense complement would
-enumerate.
+Sets of correct closures have few edges inside and many to the wrong ones, so the relaxation usually
+decides all of thousands of vertices. A search for cliques in the dense complement would enumerate.
 """
 
 from __future__ import annotations
@@ -24,19 +24,20 @@ from bundle.errors import InputError
 __all__ = ["largest_set"]
 
 TIME_LIMIT = 30.0
-"""Seconds for what the relaxation leaves open."""
+"""Time limit in seconds for the vertices that the relaxation leaves undecided."""
 
 Flags = NDArray[np.bool_]
 
 
 def largest_set(conflicts: Flags) -> tuple[Flags, bool]:
-    """Return the largest set of vertices without a conflict, and whether it is proven to be.
+    """Return the largest set of vertices without a conflict, and whether this is proven.
 
     Args:
         conflicts: (n, n) symmetric, its diagonal False.
 
     Returns:
-        (n,) True in the set; and False where HiGHS ran out of time, so that a larger set may exist.
+        Mask (n,) of the set; and False if HiGHS reached the time limit, so that a larger set may
+        exist.
 
     Raises:
         InputError: SciPy is not installed.
@@ -57,10 +58,10 @@ def largest_set(conflicts: Flags) -> tuple[Flags, bool]:
 
 
 def _smallest_cover(pattern: Any) -> tuple[Flags, Flags]:
-    """Return the copies on the left and on the right that cover every edge, fewest in all.
+    """Return the copies on the left and on the right of a smallest vertex cover.
 
-    Koenig: from unmatched vertices on the left follow any edge to the right and matched ones back;
-    what is not reached on the left and what is reached on the right is a cover.
+    Koenig: from unmatched vertices on the left follow any edge to the right and matched edges back.
+    The cover consists of unreached vertices on the left and reached ones on the right.
     """
     from scipy.sparse.csgraph import maximum_bipartite_matching
 
@@ -81,7 +82,10 @@ def _smallest_cover(pattern: Any) -> tuple[Flags, Flags]:
 
 
 def _by_integers(conflicts: Flags) -> tuple[Flags, bool]:
-    """Solve the integer programme; where time runs out, the better of its best and a greedy set."""
+    """Solve the integer programme.
+
+    At the time limit, return the better of its best and a greedy set.
+    """
     from scipy.optimize import Bounds, LinearConstraint, milp
     from scipy.sparse import csr_array
 
@@ -106,7 +110,7 @@ def _by_integers(conflicts: Flags) -> tuple[Flags, bool]:
 
 
 def _greedy(conflicts: Flags) -> Flags:
-    """Take the vertex with the fewest conflicts and drop those in conflict with it, repeatedly."""
+    """Take the vertex with the fewest conflicts and drop its neighbours, repeatedly."""
     chosen, left = np.zeros(len(conflicts), bool), np.ones(len(conflicts), bool)
     count = conflicts.sum(axis=1)
     while left.any():
@@ -123,6 +127,6 @@ def _import_scipy() -> Any:
         from scipy import sparse
     except ImportError:
         raise InputError(
-            "consistency: expected SciPy, found none; install it with pip install scipy"
+            "consistency: expected the package scipy, which is not installed: pip install scipy"
         ) from None
     return sparse

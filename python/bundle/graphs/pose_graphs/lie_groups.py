@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 
 def adjoints(poses: Floats) -> Floats:
-    """Return Ad of poses (n, 3) or (n, 7): (n, 3, 3) or (n, 6, 6) by tangent coordinates."""
+    """Return Ad of poses (n, 3) or (n, 7): (n, 3, 3) or (n, 6, 6) in tangent coordinates."""
     rotation, translation = _parts(poses)
     return _assemble(rotation, translation)
 
@@ -30,7 +30,7 @@ def adjoints(poses: Floats) -> Floats:
 def adjoint_between(poses: Floats, reference: Floats) -> Floats:
     """Return Ad(X^-1 X_ref) of poses (n, ...) and one reference pose: (n, d, d).
 
-    Translations are subtracted before they are turned: nothing is lost far from the origin.
+    Translations are subtracted before they are rotated, so no digits are lost far from the origin.
     """
     rotation, translation = _parts(poses)
     base, origin = _parts(reference[None])

@@ -1,17 +1,16 @@
-"""Which loss a pose graph needs: ``auto`` tries what finds wrong closures and compares.
+"""Choice of a pose graph's loss: ``auto`` tries losses for wrong closures and compares them.
 
-No loss finds every set of wrong closures: dynamic covariance scaling stays in local minima where
-graduated non-convexity does not, and the other way round. Both aim at the same, poses that most
-closures agree with, which the truncated cost measures whatever the loss was:
+No loss finds every set of wrong closures: dynamic covariance scaling (DCS) ends in local minima
+where graduated non-convexity (GNC) does not, and vice versa. Both search for poses that most
+closures agree with. The truncated cost measures this independently of the loss:
 
     1/2 sum over trusted edges x + 1/2 sum over doubted edges min(x, c^2),    x = r^T Omega r,
 
-with c^2 the 99.95 % quantile of chi2 times the square of the scale. A solve without a loss comes
-first, and stands where it leaves nothing to be doubted: every closure below c^2, no more chi2 than
-its degrees of freedom allow, and no closure whose error other edges have taken over
-(``truncated_search``). Else the solution of the least truncated cost is taken. Graduated
-non-convexity also looks at the closures that dynamic covariance scaling leaves in, and at the
-largest set of closures that agree with each other (``consistency``).
+with c^2 the 99.95 % quantile of chi2 multiplied by the square of the scale. A solve without a loss
+comes first. It is kept if it gives no reason for doubt: every closure is below c^2, chi2 does not
+exceed its degrees of freedom, and no closure has shifted its error to other edges
+(``truncated_search``). Otherwise the solution of the least truncated cost is used. GNC also tries
+the closures that DCS keeps, and the largest set of consistent closures (``consistency``).
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ Solve = Callable[[PoseGraphOptions], dict[str, Any]]
 def truncated_cost(
     chi2: NDArray[np.float64], doubted: NDArray[np.bool_], c_squared: float
 ) -> float:
-    """Return 1/2 sum of chi2, of doubted edges at most c^2."""
+    """Return 1/2 sum of chi2, limited to c^2 for doubted edges."""
     return 0.5 * float(np.where(doubted, np.minimum(chi2, c_squared), chi2).sum())
 
 
@@ -65,26 +64,27 @@ def choose_loss(
     c_squared: float,
     doubts: Callable[[dict[str, Any]], str],
 ) -> tuple[PoseGraphOptions, dict[str, Any], str]:
-    """Solve without a loss, then with those that are tried, as far as that is needed.
+    """Solve without a loss, then with the losses to try if necessary.
 
     Args:
-        solve: with some options, from one start; what it returns has "chi2_after" and "summary".
-        doubted: (m,) edges that the loss may take weight from.
-        options: with loss "auto".
-        c_squared: of the truncated cost.
-        doubts: what is to be doubted of what the solve without a loss returned, as words that
-            follow "without a loss"; "" for nothing.
+        solve: function from options to a solve from a common start; its output has "chi2_after" and
+            "summary".
+        doubted: (m,) edges to which the loss applies.
+        options: options with loss "auto".
+        c_squared: limit of the truncated cost.
+        doubts: function from the output of the solve without a loss to the reason for doubt, as
+            words that follow "without a loss"; "" without one.
 
     Returns:
-        Options with the loss that was taken, what its solve returned, and why, in a sentence.
+        Options with the chosen loss, the output of its solve, and the reason in a sentence.
     """
     plain = options.replace(loss="trivial", loss_scale=1.0, loss_on="closures")
     output = solve(plain)
     if output["summary"]["interrupted"]:
-        return plain, output, "No loss: stopped before one was tried."
+        return plain, output, "No loss: stopped before another was tried."
     doubt = doubts(output)
     if not doubt:
-        reason = f"No loss: without one all closures have a chi2 of at most {number(c_squared)}."
+        reason = f"No loss: without one, all closures have a chi2 of at most {number(c_squared)}."
         return plain, output, reason
     tried = [(plain, output)]
     for loss in TRIED:
@@ -99,8 +99,8 @@ def choose_loss(
         for cost, (options, _) in zip(costs, tried, strict=True)
     )
     reason = (
-        f"{_name(tried[best][0])}: without a loss {doubt}, and its truncated cost is "
-        f"the least ({words})."
+        f"{_name(tried[best][0])}: without a loss, {doubt}; its truncated cost is the "
+        f"least ({words})."
     )
     return (*tried[best], reason)
 

@@ -1,7 +1,7 @@
-"""The chain of odometry: poses along it, and how uncertain one of them is as seen from another.
+"""Odometry chain: composed poses, and their uncertainty relative to each other.
 
 Pose q of the chain is O_q = O_{q-1} Z_q, with an error on the right of each measurement, Z_t
-Exp(e_t) with e_t ~ N(0, Sigma_t), Sigma_t the inverse of its information. As X Exp(d) =
+Exp(e_t) with e_t ~ N(0, Sigma_t), Sigma_t the inverse of its information. Because X Exp(d) =
 Exp(Ad_X d) X, an error of step t moves every later pose as one rigid body, by w_t in the frame of
 the chain:
 
@@ -11,7 +11,7 @@ Steps are independent, so covariances of w add up, and those of the steps betwee
 
     sum_{p < t <= q} Cov(w_t) = W_q - W_p,     W_q = sum_{t <= q} Ad(O_t) Sigma_t Ad(O_t)^T,
 
-a difference of two prefix sums: no chain is walked twice. An edge that is written against the
+a difference of two prefix sums that needs no second pass over the chain. An edge against the
 direction of the chain measures the inverse: Z^-1 Exp(e) with e of covariance Ad(Z) Sigma Ad(Z)^T.
 """
 
@@ -32,17 +32,17 @@ __all__ = ["OdometryChain", "edge_covariance", "odometry_chain"]
 Floats = NDArray[np.float64]
 
 SINGULAR = 1e-14
-"""Least eigenvalue of information with a diagonal of ones that can still be inverted."""
+"""Least eigenvalue of invertible information with a unit diagonal."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class OdometryChain:
-    """A graph's odometry, around the centre of its poses.
+    """Odometry of a graph, relative to the centre of its poses.
 
     Attributes:
         poses: (n, 3) or (n, 7) in the order of the graph's poses.
-        place: (n,) of each pose along the chain, 0 first.
-        accumulated: (n, d, d) W by place: zero at the first.
+        place: (n,) place of each pose along the chain, from 0.
+        accumulated: (n, d, d) W by place; zero at the first.
     """
 
     poses: Floats
@@ -54,8 +54,8 @@ def odometry_chain(graph: PoseGraph, num_threads: int) -> OdometryChain:
     """Compose the first edges between consecutive ids.
 
     Raises:
-        InputError: ids are missing, two consecutive ids have no edge, or the information of such
-            an edge is singular.
+        InputError: ids are missing, two consecutive ids have no edge, or the information of such an
+            edge is singular.
     """
     order = np.argsort(graph.ids, kind="stable")
     ids = graph.ids[order]
@@ -75,17 +75,17 @@ def odometry_chain(graph: PoseGraph, num_threads: int) -> OdometryChain:
     held[order[0]] = True
     poses = np.array(_core.initial_poses(graph, held, "odometry", num_threads))
     position = slice(0, 2) if graph.dimension == 2 else slice(4, 7)
-    poses[:, position] -= poses[:, position].mean(axis=0)  # short levers, fewer digits lost
+    poses[:, position] -= poses[:, position].mean(axis=0)  # short levers lose fewer digits
     place = np.empty(graph.num_poses, np.intp)
     place[order] = np.arange(graph.num_poses)
 
     ends = place[graph.edges]
     steps = np.flatnonzero(~graph.is_closure)
-    later, which = np.unique(ends[steps].max(axis=1), return_index=True)  # the first of each
+    later, which = np.unique(ends[steps].max(axis=1), return_index=True)  # first edge of each step
     steps = steps[which]
     covariance = edge_covariance(graph, steps)
     back = ends[steps, 0] > ends[steps, 1]
-    # Seen from the end of the edge that is later along the chain, then from the chain's frame.
+    # Relative to the later end of the edge, then in the chain's frame.
     turned = adjoints(graph.measurements[steps[back]])
     covariance[back] = turned @ covariance[back] @ turned.transpose(0, 2, 1)
     moved = adjoints(poses[order[later]])
@@ -96,7 +96,7 @@ def odometry_chain(graph: PoseGraph, num_threads: int) -> OdometryChain:
 
 
 def edge_covariance(graph: PoseGraph, edges: NDArray[np.intp]) -> Floats:
-    """Return the covariances (k, d, d) of some edges, by tangent coordinates.
+    """Return the covariances (k, d, d) of some edges in tangent coordinates.
 
     Raises:
         InputError: information is singular; the message names the edge.
@@ -109,7 +109,7 @@ def edge_covariance(graph: PoseGraph, edges: NDArray[np.intp]) -> Floats:
     if singular.any():
         name = graph.edge_name(int(edges[np.argmax(singular)]))
         raise InputError(
-            f"consistency: {name}: expected information that has an inverse, found a singular one"
+            f"consistency: {name}: expected invertible information, found a singular matrix"
         )
     inverse: Floats = scale[:, :, None] * np.linalg.inv(scaled) * scale[:, None, :]
     return inverse

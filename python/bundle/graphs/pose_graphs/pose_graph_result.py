@@ -1,4 +1,4 @@
-"""What the solve of a pose graph gives back."""
+"""Result of the solve of a pose graph."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ __all__ = ["PoseGraphResult", "PoseGraphSummary"]
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class PoseGraphSummary(Summary):
-    """A :class:`bundle.Summary`, its costs 1/2 sum rho(||r||^2) over the edges, and chi2.
+    """Summary (:class:`bundle.Summary`) with chi2; costs are 1/2 sum rho(||r||^2) over the edges.
 
     Attributes:
-        chi2_initial: sum r^T Omega r at the start, no 1/2, no loss, without edges left out.
-        chi2_final: likewise at the end.
-        init: where the solve started: "file", "odometry", "spanning_tree" or "chordal".
-        init_choice: why there; "" where it was asked for.
-        loss: that the solve ended with: of loss "auto" the one taken, else the one asked for.
-        loss_choice: why that one; "" where it was asked for.
+        chi2_initial: sum r^T Omega r at the start, without 1/2, loss and left-out edges.
+        chi2_final: the same at the end.
+        init: start of the solve: "file", "odometry", "spanning_tree" or "chordal".
+        init_choice: reason for that start; "" if it was requested.
+        loss: loss of the final solve: for "auto" the chosen one.
+        loss_choice: reason for that loss; "" if it was requested.
         num_components: connected components of the graph.
-        num_gauge_freedoms: degrees of freedom that were taken away, by holding poses that no FIX
-            holds: 3 or 6 for each component without one.
-        held_pose_ids: those poses.
-        num_rejected_edges: edges that the loss has put out of action.
+        num_gauge_freedoms: gauge degrees of freedom removed by holding poses constant that no FIX
+            fixes: 3 or 6 per component without one.
+        held_pose_ids: ids of these poses.
+        num_rejected_edges: edges that the loss has rejected.
         num_left_out_edges: closures that ``consistency`` has left out of the solve.
     """
 
@@ -52,23 +52,23 @@ class PoseGraphSummary(Summary):
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class PoseGraphResult(SolveRecord):
-    """The poses that a solve found and how it came about.
+    """Poses that a solve found, with its summary.
 
     Attributes:
-        problem: the graph with the poses found.
-        initial_problem: the graph as it was given.
-        options: every option as used.
-        summary: what the solver says.
-        iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
-        chi2_before: (m,) r^T Omega r of each edge at the start, no loss.
-        chi2_after: likewise at the end.
-        weights: (m,) what the loss leaves of the information of each edge at the end: rho', 0 or 1
-            for gnc_tls, 0 for edges left out.
-        rejected: edges that the loss has put out of action, by position, worst first: with a weight
-            below a half and a chi2 that one right edge in a million has (gnc_tls: a weight of 0).
-        left_out: closures that ``consistency`` has left out, the largest chi2 of a pair first.
-        build_time_in_seconds: outside the solver.
-        solve_time_in_seconds: inside the solver.
+        problem: graph with the final poses.
+        initial_problem: the given graph.
+        options: all options as used.
+        summary: the solver's summary.
+        iterations: one array per field of Ceres' IterationSummary, one entry per iteration.
+        chi2_before: (m,) r^T Omega r of each edge at the start, without loss.
+        chi2_after: the same at the end.
+        weights: (m,) final factor of the loss on the information of each edge: rho'; 0 or 1 for
+            gnc_tls; 0 for edges left out.
+        rejected: edges that the loss has rejected, by position, worst first: weight below 1/2 and a
+            chi2 that one correct edge in a million has (gnc_tls: weight 0).
+        left_out: closures that ``consistency`` has left out, by descending chi2 of a pair.
+        build_time_in_seconds: time outside the solver.
+        solve_time_in_seconds: time inside the solver.
     """
 
     problem: PoseGraph

@@ -1,7 +1,4 @@
-"""A pose graph and options in, a refined graph and its story out.
-
-A solve without the closures that do not agree with the others.
-"""
+"""Solve of a pose graph: start, loss, consistency of closures, and result."""
 
 from __future__ import annotations
 
@@ -42,15 +39,16 @@ Solve = Callable[[PoseGraph, PoseGraphOptions], tuple[PoseGraphResult, Floats]]
 
 
 def solve_consistent(graph: PoseGraph, options: PoseGraphOptions, solve: Solve) -> PoseGraphResult:
-    """Solve without the closures outside the largest consistent set; the result is of all edges.
+    """Solve without the closures outside the largest consistent set; report on all edges.
 
     Args:
-        graph: left untouched.
-        options: with ``consistency``.
-        solve: a graph, with options without it; returns the result and the poses at the start.
+        graph: graph to solve; not modified.
+        options: options with ``consistency``.
+        solve: function from a graph and options without ``consistency`` to the result and the poses
+            at the start.
 
     Raises:
-        InputError: as :func:`closure_consistency`; what ``solve`` raises.
+        InputError: as by :func:`closure_consistency`; errors of ``solve``.
     """
     begun = perf_counter()
     weighed = checked_information(graph, options.information)
@@ -98,13 +96,14 @@ def _warnings(found: ClosureConsistency) -> dict[str, str]:
     said = {}
     if not found.proven:
         said[UNPROVEN_SET] = (
-            "The search for the largest consistent set of closures ran out of time: the best set "
-            "found is taken, and a larger one may exist."
+            "The search for the largest consistent set of closures reached its time limit: "
+            "the best set found is used, and a larger one may exist."
         )
     if 2 * len(found.left_out) >= found.num_closures > 1:
         said[MOST_LEFT_OUT] = (
-            f"{plural(len(found.left_out), 'closure')} of {found.num_closures} contradict the "
-            "largest consistent set and are left out: no majority says which are right."
+            f"{plural(len(found.left_out), 'closure')} of {found.num_closures} contradict "
+            "the largest consistent set and are left out: no majority shows which are "
+            "correct."
         )
     return said
 
@@ -115,7 +114,7 @@ LOCAL_MINIMUM = "local_minimum"
 BETTER_START = "better_start"
 
 MOST_CHECKED = 2500
-"""Closures whose consistency ``auto`` looks at: three million pairs, some seconds."""
+"""Most closures for which ``auto`` checks consistency: three million pairs, some seconds."""
 
 
 def solve_pose_graph(
@@ -127,19 +126,19 @@ def solve_pose_graph(
 ) -> PoseGraphResult:
     """Refine a pose graph: minimise 1/2 sum rho(r^T Omega r) over its edges.
 
-    Fixed poses stay. A connected component without one would float: its first pose is held, which
-    takes 3 degrees of freedom away in the plane and 6 in space, and no more; the summary counts
-    them and says which. The GIL is released; Ctrl-C keeps the best state.
+    Fixed poses stay. A connected component without one would float, so its first pose is held
+    constant, which removes exactly 3 degrees of freedom in the plane and 6 in space. The summary
+    counts these poses and lists them. The GIL is released; Ctrl-C keeps the best state.
 
     Args:
-        graph: left untouched.
-        options: how to solve; the defaults of :class:`PoseGraphOptions` if not given.
+        graph: graph to solve; not modified.
+        options: solve options; by default those of :class:`PoseGraphOptions`.
         progress: called after each iteration, as by :func:`bundle.solve`.
-        **changes: options by name, in place of those in ``options``.
+        **changes: options by name, which replace those in ``options``.
 
     Raises:
-        InputError: an information matrix is asymmetric or indefinite, the message names the edge;
-            odometry was asked for, or ``consistency``, but its chain has gaps; an option is wrong.
+        InputError: an information matrix is asymmetric or indefinite (the message names the edge),
+            odometry or ``consistency`` was requested but the chain has gaps, or an option is wrong.
         KeyboardInterrupt: Ctrl-C before the start was evaluated.
     """
     check_type("graph", graph, PoseGraph)
@@ -155,7 +154,7 @@ def solve_pose_graph(
 def _refined(
     graph: PoseGraph, options: PoseGraphOptions, progress: Progress | None
 ) -> tuple[PoseGraphResult, NDArray[np.float64]]:
-    """Return the result of a solve with all edges, and the poses it started from."""
+    """Return the result of a solve with all edges, and the poses at its start."""
     weighed = checked_information(graph, options.information)
     held, num_components, for_gauge = _core.hold_poses(weighed)
     doubted = _robust_edges(graph, options)
@@ -193,7 +192,7 @@ def _refined(
 
     record = record_fields(output)
     rejected = _rejected(graph, output, doubted, used)
-    advice = "the edges' Jacobians are bundle's own: please report it"
+    advice = "the Jacobians of edges are part of bundle: please report this"
     warnings = {
         SUSPICIOUS_STEPS: _core.watch_convergence(output["iterations"], advice),
         SEVERAL_COMPONENTS: _about_components(num_components),
@@ -232,14 +231,14 @@ def _refined(
 
 
 def initial_poses(graph: PoseGraph, init: str = "chordal") -> NDArray[np.float64]:
-    """Return poses from the edges alone, around the fixed poses or the first of each component.
+    """Return poses from edges alone, relative to fixed poses or the first of each component.
 
     Args:
-        graph: left untouched.
+        graph: pose graph; not modified.
         init: "odometry", "spanning_tree" or "chordal".
 
     Raises:
-        InputError: as :func:`solve_pose_graph`.
+        InputError: as by :func:`solve_pose_graph`.
     """
     check_type("graph", graph, PoseGraph)
     init = choice("init", init, ("odometry", "spanning_tree", "chordal"))
@@ -251,7 +250,7 @@ def pose_graph_chi2(graph: PoseGraph, error: str = "log") -> NDArray[np.float64]
     """Return r^T Omega r of each edge at the graph's poses: (m,).
 
     Args:
-        graph: left untouched.
+        graph: pose graph; not modified.
         error: "log", "g2o" or "ceres", as in :class:`PoseGraphOptions`.
 
     Raises:
@@ -263,7 +262,7 @@ def pose_graph_chi2(graph: PoseGraph, error: str = "log") -> NDArray[np.float64]
 
 
 def _consistent_set(graph: PoseGraph, num_threads: int) -> NDArray[np.bool_] | None:
-    """Return the edges without closures that contradict the others; None where none can be told."""
+    """Return the edges without contradicting closures; None if that cannot be determined."""
     if int(graph.is_closure.sum()) > MOST_CHECKED:
         return None
     try:
@@ -281,9 +280,9 @@ def _rejected(
     doubted: NDArray[np.bool_],
     options: PoseGraphOptions,
 ) -> tuple[int, ...]:
-    """Return the edges that the loss has put out of action: weight below 1/2, error beyond doubt.
+    """Return the edges that the loss rejects: weight below 1/2 and error beyond doubt.
 
-    A weight alone does not tell: some losses take weight from every edge.
+    The weight alone is not sufficient: some losses reduce the weight of every edge.
     """
     if options.loss == "trivial":
         return ()
@@ -307,6 +306,7 @@ def _about_components(num_components: int) -> str:
         return ""
     held = plural(num_components, "component")
     return (
-        f"The graph has {held} that no edge joins: each floats by itself, about its fixed poses "
-        "or its first one; where they are to each other is not known."
+        f"The graph has {held} without a connecting edge: each floats by itself, "
+        "relative to its fixed poses or its first one; their relative placement is "
+        "undetermined."
     )

@@ -1,20 +1,20 @@
-"""Sets of closures of low truncated cost: solve, sort, and try what a single edge would gain.
+"""Search for edge sets of low truncated cost: solve, classify, and test single edges.
 
-With S the doubted edges that are in, the truncated cost of ``loss_choice`` is the least, over sets
-S and poses, of the sum of chi2 over trusted edges and S, plus c^2 for each edge outside.
+Let S be the doubted edges that are in. The truncated cost of ``loss_choice`` is the minimum, over
+sets S and poses, of the sum of chi2 over trusted edges and S, plus c^2 for each edge outside.
 
 *Settling* a set solves with it, puts each edge in or out by its chi2, and repeats: the cost never
-rises. A settled set may still hold a wrong closure whose error weak edges have taken over: its own
-chi2 is small, and that of the edges around it large. Covariances say what the sum would fall by
-without it. With A the whitened Jacobian of an edge by the relative pose that it measures, C_ij the
-covariance of that pose and r the whitened error, to first order
+rises. A settled set may still contain a wrong closure whose error has shifted to weak edges: its
+own chi2 is small, and that of the edges around it is large. Covariances predict the decrease of the
+sum without it. With A the whitened Jacobian of an edge with respect to the relative pose that it
+measures, C_ij the covariance of that pose and r the whitened error, to first order
 
     an edge that is in   lowers the sum by  r^T K^+ r,   K = I - A C_ij A^T,   if it is taken out;
     an edge that is out  raises the sum by  r^T P^-1 r,  P = I + A C_ij A^T,   if it is put in
 
-(the first is Baarda's test, ``graph_covariance.cpp``). So an edge with a test above c^2 is better
-out, and one whose price is below c^2 better in. *Improving* tries such edges, the largest gain
-first, settles each, and keeps what the truncated cost itself says is lower.
+(the first is Baarda's test, ``graph_covariance.cpp``). An edge with a test above c^2 should be out,
+and one whose price is below c^2 in. *Improving* tries such edges, the largest gain first, settles
+each resulting set, and keeps it if its truncated cost is lower.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ __all__ = ["Settled", "TruncatedSearch", "find_doubt", "flip_gains"]
 MOST_SETTLES = 10
 MOST_FLIPS = 20
 MOST_TRIES = 4
-"""Edges that are tried before a set counts as improved."""
+"""Number of edges to try before a set counts as improved."""
 
 LOWER = 1e-6
-"""Relative decrease of the truncated cost below which nothing has improved."""
+"""Relative decrease of the truncated cost below which a set has not improved."""
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -46,12 +46,12 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class Settled:
-    """A set of edges, and the poses of a solve with them.
+    """Set of edges, and the poses of a solve with them.
 
     Attributes:
-        cost: sum of chi2, of doubted edges at most c^2 (twice the truncated cost).
-        poses: as those of a graph.
-        chi2: (m,) of all edges there.
+        cost: sum of chi2, limited to c^2 for doubted edges (twice the truncated cost).
+        poses: poses in the format of a graph.
+        chi2: (m,) of all edges at these poses.
         used: (m,) True where an edge is in.
     """
 
@@ -62,15 +62,15 @@ class Settled:
 
 
 class TruncatedSearch:
-    """A search for sets of low truncated cost.
+    """Search for sets of low truncated cost.
 
     Args:
-        graph: its information as a solve takes it.
-        error: of its edges.
-        doubted: (m,) True where an edge may be out.
+        graph: graph with the information for a solve.
+        error: error of its edges.
+        doubted: (m,) True for edges that may be out.
         c_squared: price of an edge that is out.
-        solve: of weights (m,) and poses to poses and chi2 (m,) of all edges.
-        num_threads: of covariances.
+        solve: function from weights (m,) and poses to poses and chi2 (m,) of all edges.
+        num_threads: threads for covariances.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class TruncatedSearch:
         self.c_squared, self._solve, self._threads = c_squared, solve, num_threads
 
     def cost(self, chi2: Floats) -> float:
-        """Return the sum of chi2, of doubted edges at most c^2."""
+        """Return the sum of chi2, limited to c^2 for doubted edges."""
         return float(np.where(self.doubted, np.minimum(chi2, self.c_squared), chi2).sum())
 
     def doubt(self, poses: Floats, chi2: Floats) -> str:
@@ -95,7 +95,7 @@ class TruncatedSearch:
         return find_doubt(there, self.error, self.doubted, chi2, self.c_squared, self._threads)
 
     def settle(self, used: Flags, poses: Floats) -> Settled:
-        """Solve and sort in turn until the set stays, or its cost does not fall any more."""
+        """Solve and classify in turn until the set or its cost does not change any more."""
         best: Settled | None = None
         for _ in range(MOST_SETTLES):
             poses, chi2 = self._solve(used.astype(float), poses)
@@ -111,7 +111,7 @@ class TruncatedSearch:
         return best
 
     def improve(self, state: Settled) -> Settled:
-        """Put edges in or out one after the other as long as the cost falls."""
+        """Put edges in or out one by one while the cost decreases."""
         for _ in range(MOST_FLIPS):
             better = self._flipped(state)
             if better is None:
@@ -147,15 +147,15 @@ def find_doubt(
     c_squared: float,
     num_threads: int = 1,
 ) -> str:
-    """Return what shows, after a solve with all edges, that some are wrong; "" if nothing does.
+    """Return evidence of wrong edges after a solve with all edges; "" without any.
 
     Args:
-        graph: at the poses of that solve.
-        error: of its edges.
-        doubted: (m,) True where an edge may be wrong.
-        chi2: (m,) there.
-        c_squared: chi2 that a right edge does not exceed.
-        num_threads: of covariances.
+        graph: graph at the poses of that solve.
+        error: error of its edges.
+        doubted: (m,) True for edges that may be wrong.
+        chi2: (m,) at these poses.
+        c_squared: largest chi2 of a correct edge.
+        num_threads: threads for covariances.
 
     Returns:
         Words that follow "without a loss".
@@ -183,15 +183,15 @@ def flip_gains(
     c_squared: float,
     num_threads: int = 1,
 ) -> Floats:
-    """Return by how much the sum falls, to first order, where a doubted edge goes in or out.
+    """Return the first-order decrease of the sum if a doubted edge changes sides.
 
     Args:
-        graph: at a minimum of the edges that are used.
-        error: of its edges.
-        doubted: (m,) others have -inf.
+        graph: graph at a minimum of the used edges.
+        error: error of its edges.
+        doubted: (m,) edges to test; others get -inf.
         used: (m,) True where an edge is in.
         c_squared: price of an edge that is out.
-        num_threads: of covariances.
+        num_threads: threads for covariances.
     """
     gains = np.full(graph.num_edges, -np.inf)
     inside, outside = np.flatnonzero(used), np.flatnonzero(doubted & ~used)
