@@ -115,7 +115,7 @@ def test_updates_say_what_they_cost(smoother):
 
 
 def test_what_isam2_does_not_have_is_refused(smoother):
-    with pytest.raises(bundle.InputError, match="variables"):
+    with pytest.raises(bundle.InputError, match="variable"):
         smoother.update()
     smoother.add_variable("a", [0.0, 0, 0], "se2")
     for factor, word in (

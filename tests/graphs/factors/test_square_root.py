@@ -162,7 +162,7 @@ def test_misuse_of_square_roots_is_refused():
     for root, vector in (([[1.0, 2]], [1.0]), ([[np.nan]], [1.0]), ([[1.0]], [1.0, 2]), ([1], [1])):
         with pytest.raises(bundle.InputError, match="SquareRootPrior"):
             bundle.SquareRootPrior(root, vector, {"x": [0.0]}, ["x"])
-    with pytest.raises(bundle.InputError, match="none"):
+    with pytest.raises(bundle.InputError, match="found 0"):
         bundle.SquareRootPrior([[0.0]], [0.0], {"x": [0.0]}, ["x"])
 
 

@@ -165,7 +165,7 @@ def test_misuse(street, tmp_path):
         edges=np.zeros((0, 2), np.int32), measurements=np.zeros((0, 7)),
         information=np.zeros((0, 6, 6)), edge_lines=None,
     )  # fmt: skip
-    with pytest.raises(bundle.InputError, match="found none"):
+    with pytest.raises(bundle.InputError, match="found 0"):
         bundle.close_loops(model, none)
     with pytest.raises(bundle.InputError, match="loss"):
         bundle.close_loops(model, closures, loss="tukey")

@@ -229,8 +229,8 @@ def singular(graph, edge):
     [
         (gap, "found no edge between 4 and 5"),
         (lambda g: g.replace(ids=[*range(6), *range(7, 13)]), "found id 5 followed by 7"),
-        (lambda g: singular(g, 3), "edge 3 4: expected information that has an inverse"),
-        (lambda g: singular(g, 12), r"edge \d+ \d+: expected information that has an inverse"),
+        (lambda g: singular(g, 3), "edge 3 4: expected invertible information"),
+        (lambda g: singular(g, 12), r"edge \d+ \d+: expected invertible information"),
     ],
 )
 def test_graphs_that_cannot_be_checked_are_refused(change, message):
@@ -260,7 +260,7 @@ def test_extreme_information_is_refused_or_solved(scale):
 
 def test_scipy_is_an_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "scipy", None)
-    with pytest.raises(bundle.InputError, match=r"^consistency: expected SciPy"):
+    with pytest.raises(bundle.InputError, match=r"^consistency: expected the package scipy"):
         bundle.solve(graphs.loop(2), consistency=True)
 
 

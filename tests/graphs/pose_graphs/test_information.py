@@ -38,7 +38,7 @@ def test_bad_information_is_refused_by_its_edge(matrix, found):
 
 def test_several_are_counted():
     information = np.tile(INDEFINITE, (17, 1, 1)).astype(float)
-    with pytest.raises(bundle.InputError, match="those of 16 more edges"):
+    with pytest.raises(bundle.InputError, match="likewise 16 more edges"):
         bundle.solve(graphs.loop(2).replace(information=information))
 
 
