@@ -58,8 +58,7 @@ if TYPE_CHECKING:
     from bundle.inertial.filters.track_linearization import TrackRows, track_rows
     from bundle.inertial.preintegration.imu_factors import BiasWalkFactor, ImuFactor
     from bundle.inertial.preintegration.motion_excitation import Excitation, excitation
-    from bundle.inertial.preintegration.preintegration import Preintegration
-    from bundle.inertial.preintegration.propagation import propagate
+    from bundle.inertial.preintegration.preintegration import Preintegration, propagate
     from bundle.inertial.preintegration.repropagation import Repropagation
     from bundle.inertial.two_loops.closure_loop import ClosureLoop
     from bundle.inertial.two_loops.pose_publisher import PosePublisher
@@ -288,8 +287,7 @@ _DEFERRED = {
     "inertial.filters.track_linearization": ("TrackRows", "track_rows"),
     "inertial.preintegration.imu_factors": ("BiasWalkFactor", "ImuFactor"),
     "inertial.preintegration.motion_excitation": ("Excitation", "excitation"),
-    "inertial.preintegration.preintegration": ("Preintegration",),
-    "inertial.preintegration.propagation": ("propagate",),
+    "inertial.preintegration.preintegration": ("Preintegration", "propagate"),
     "inertial.preintegration.repropagation": ("Repropagation",),
     "inertial.two_loops.closure_loop": ("ClosureLoop",),
     "inertial.two_loops.pose_publisher": ("PosePublisher",),

@@ -57,7 +57,7 @@ FORMER = {
     "inertial.imu_samples": "model.sequence.imu_samples",
     "inertial.motion_excitation": "inertial.preintegration.motion_excitation",
     "inertial.preintegration": "inertial.preintegration.preintegration",
-    "inertial.propagation": "inertial.preintegration.propagation",
+    "inertial.propagation": "inertial.preintegration.preintegration",
     "inertial.repropagation": "inertial.preintegration.repropagation",
     "inspection.elimination": "planning.inspection.elimination",
     "inspection.graph_inspection": "planning.inspection.graph_inspection",

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from bundle.cli.main import main
-from bundle.inertial.vio.imu_slices import ImuSlices
 from bundle.inertial.vio.odometry import run_odometry
+from bundle.inertial.vio.sequence_images import ImuSlices
 from bundle.inertial.vio.trajectory_comparison import compare_trajectories
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.model.sequence.imu_noise import ImuNoise

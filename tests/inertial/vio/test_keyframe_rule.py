@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bundle.inertial.vio.keyframe_rule import keyframe_reason
+from bundle.inertial.vio.keyframe_record import keyframe_reason
 from bundle.inertial.vio.landmark_table import FrameTracks
 from bundle.interface.window_options import WindowOptions
 

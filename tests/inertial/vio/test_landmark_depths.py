@@ -7,9 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bundle.inertial.vio.landmark_depths import LandmarkDepths
+from bundle.inertial.vio.landmark_depths import (
+    LandmarkDepths,
+    Triangulation,
+    camera_poses,
+    reanchored,
+)
 from bundle.inertial.vio.landmark_table import FrameTracks, landmark_table
-from bundle.inertial.vio.triangulation import Triangulation, camera_poses, reanchored
 from bundle.inertial.vio.window_frame import WindowFrame
 from tests.inertial.vio.window_scenes import CAMERA, FOCAL, Flight, seen_from
 

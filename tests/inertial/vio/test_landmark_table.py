@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from bundle.inertial.vio.initialize import initialize_vio
-from bundle.inertial.vio.landmark_table import FrameTracks
+from bundle.inertial.vio.landmark_table import FrameTracks, TrackNumbers
 from bundle.inertial.vio.odometry import run_odometry
 from bundle.inertial.vio.sequence_images import SequenceImages
-from bundle.inertial.vio.track_numbers import TrackNumbers
 from bundle.model.sequence.sequence import Sequence
 from bundle.synthetic.flight.synthetic_flight import synthesize_flight
 

@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 from bundle import _core
 from bundle.cli.main import main
 from bundle.errors import InputError
-from bundle.inertial.vio.imu_slices import ImuSlices
 from bundle.inertial.vio.odometry import run_odometry
-from bundle.inertial.vio.sequence_images import SequenceImages
+from bundle.inertial.vio.sequence_images import ImuSlices, SequenceImages
 from bundle.inertial.vio.static_start import find_static_start
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.io.sequences.track_csv import read_track_csv

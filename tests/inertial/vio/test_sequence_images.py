@@ -7,8 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from bundle.inertial.vio.imu_slices import ImuSlices
-from bundle.inertial.vio.sequence_images import SequenceImages
+from bundle.inertial.vio.sequence_images import ImuSlices, SequenceImages
 from bundle.inertial.vio.sliding_window import SlidingWindow
 from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.synthetic.flight.synthetic_flight import synthesize_flight

@@ -9,8 +9,8 @@ import pytest
 
 from bundle import _core
 from bundle.errors import InputError
+from bundle.inertial.vio.landmark_depths import Triangulation, camera_poses
 from bundle.inertial.vio.landmark_table import landmark_table
-from bundle.inertial.vio.triangulation import Triangulation, camera_poses
 from tests.inertial.vio.window_scenes import (
     CAMERA,
     FOCAL,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bundle.inertial.vio.trajectory_sanity import PathSanity
+from bundle.inertial.vio.window_run import PathSanity
 from bundle.io.sequences.trajectory_files import Trajectory
 
 TENTH = 10**8

@@ -1,4 +1,7 @@
-"""IMU samples between two states as one relative motion."""
+"""IMU samples between two states as one relative motion.
+
+States ahead of the last one that is known, from IMU samples alone.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,8 @@ from bundle.inertial.preintegration.repropagation import Repropagation
 from bundle.interface.option_fields import choice, number
 from bundle.model.sequence.imu_noise import ImuNoise
 
-__all__ = ["RULES", "Preintegration", "as_vector"]
+__all__ = ["RULES", "Preintegration", "as_vector", "propagate"]
+
 
 Array = NDArray[np.float64]
 
@@ -292,3 +296,38 @@ def _restored(
     motion = Preintegration(noise, gyro_bias, accel_bias, rule=rule)
     motion._motion.append_samples(samples)
     return motion
+
+
+def propagate(
+    state: ArrayLike,
+    gyro: ArrayLike,
+    accel: ArrayLike,
+    dt: ArrayLike,
+    *,
+    gravity: ArrayLike = (0.0, 0.0, -9.81),
+    rule: str = "zero_order_hold",
+) -> NDArray[np.float64]:
+    """Return the states after each of n intervals, (n, 16).
+
+    A state is qx qy qz qw of world_from_imu, position (m) and velocity (m/s) in the world, the
+    gyroscope's bias (rad/s) and the accelerometer's (m/s^2), which stay.
+
+    Args:
+        state: (16,) at the first sample.
+        gyro: (n, 3) rad/s; by midpoint (n + 1, 3), a sample at each end of an interval.
+        accel: m/s^2, specific force, likewise.
+        dt: (n,) seconds, each above 0.
+        gravity: (3,) m/s^2 in the world.
+        rule: as of :class:`bundle.Preintegration`.
+
+    Raises:
+        InputError: shapes do not fit, numbers are not finite, or a time is not above 0.
+    """
+    return _core.propagate(
+        as_vector("state", state, 16),
+        as_vector("gravity", gravity),
+        choice("rule", rule, RULES),
+        as_array("gyro", gyro),
+        as_array("accel", accel),
+        as_array("dt", dt),
+    )

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bundle import _core
+from bundle.model.rotations import rotation_matrices
 
 __all__ = ["MarginalPrior", "start_prior"]
 
@@ -187,6 +188,4 @@ def start_prior(
 
 
 def _rotation(state: Array) -> Array:
-    from bundle.model.rotations import rotation_matrices
-
     return np.asarray(rotation_matrices(np.asarray(state)[None, :4])[0])

@@ -1,6 +1,13 @@
 """The images of a sequence: their stamps on the IMU's clock, their tracks, and the samples between.
 
 Coordinates are normalised once.
+
+IMU samples between two instants that need not be samples.
+
+Over a gap, 2.5 periods and more without a sample, nothing was measured: rate and force are taken to
+change evenly from one end to the other, and what they may have done besides is doubt. With s the
+larger of their change and of their standard deviation about the gap, twice its length to each side,
+a gap of T leaves a rotation uncertain by s T and a velocity by s T.
 """
 
 from __future__ import annotations
@@ -10,15 +17,91 @@ from typing import Any
 
 import numpy as np
 
-from bundle.inertial.vio.imu_slices import ImuSlices
-from bundle.inertial.vio.landmark_table import FrameTracks
-from bundle.inertial.vio.track_numbers import sight_numbers
+from bundle.errors import InputError
+from bundle.inertial.vio.landmark_table import FrameTracks, sight_numbers
 from bundle.inertial.vio.window_frame import ImuInterval
 from bundle.model.sequence.sequence import Sequence
+from bundle.model.sequence.sequence_findings import GAP
 
-__all__ = ["SequenceImages"]
+__all__ = ["ImuSlices", "SequenceImages"]
+
 
 Array = np.ndarray[Any, Any]
+
+AROUND = 2  # lengths of a gap to each side of it
+
+
+class ImuSlices:
+    """Cuts intervals out of a recording.
+
+    Zero-order hold: a sample holds until the next one, so that the first piece has the sample at or
+    before the interval's begin. Midpoint: samples at both ends of the interval, interpolated.
+
+    Args:
+        stamps: ns, ascending (n,).
+        gyro, accel: (n, 3).
+        rule: zero_order_hold or midpoint.
+    """
+
+    def __init__(self, stamps: Array, gyro: Array, accel: Array, rule: str) -> None:
+        self.stamps, self.gyro, self.accel, self.rule = stamps, gyro, accel, rule
+        steps = np.diff(stamps)
+        self._gaps = np.flatnonzero(steps > GAP * np.median(steps)) if len(steps) else steps
+
+    def between(self, begin: int, end: int) -> ImuInterval:
+        """Return the samples from one stamp to a later one.
+
+        Raises:
+            InputError: the recording does not cover the interval.
+        """
+        if not (self.stamps[0] <= begin < end <= self.stamps[-1]):
+            raise InputError(
+                f"IMU: expected samples from {begin} to {end} ns, found {self.stamps[0]} to "
+                f"{self.stamps[-1]}"
+            )
+        first = int(np.searchsorted(self.stamps, begin, "right")) - 1  # at or before the begin
+        last = int(np.searchsorted(self.stamps, end, "left"))  # at or after the end
+        edges = self.stamps[first : last + 1].copy()
+        edges[0], edges[-1] = begin, end
+        dt = 1e-9 * np.diff(edges)
+        gaps = self._gaps[(self._gaps >= first) & (self._gaps < last)]
+        doubt = self._doubt(gaps, dt[gaps - first])
+        if self.rule == "zero_order_hold":
+            gyro, accel = self.gyro[first:last], self.accel[first:last]
+            if len(gaps):
+                gyro, accel = gyro.copy(), accel.copy()
+            for gap in gaps.tolist():
+                middle = int(edges[gap - first] + edges[gap - first + 1]) // 2
+                gyro[gap - first] = self._at(self.gyro, middle, gap)
+                accel[gap - first] = self._at(self.accel, middle, gap)
+            return ImuInterval(gyro, accel, dt, doubt)
+        gyro, accel = self.gyro[first : last + 1].copy(), self.accel[first : last + 1].copy()
+        for values, source in ((gyro, self.gyro), (accel, self.accel)):
+            values[0] = self._at(source, begin, first)
+            values[-1] = self._at(source, end, last - 1)
+        return ImuInterval(gyro, accel, dt, doubt)
+
+    def _doubt(self, gaps: Array, seconds: Array) -> tuple[float, float]:
+        """Return the variances that gaps leave, of so many seconds each within an interval."""
+        variances = np.zeros(2)
+        for gap, part in zip(gaps.tolist(), seconds.tolist(), strict=True):
+            length = AROUND * (self.stamps[gap + 1] - self.stamps[gap])
+            near = slice(
+                int(np.searchsorted(self.stamps, self.stamps[gap] - length)),
+                int(np.searchsorted(self.stamps, self.stamps[gap + 1] + length, "right")),
+            )
+            for k, values in enumerate((self.gyro, self.accel)):
+                change = values[gap + 1] - values[gap]
+                spread = max(float(change @ change), float(values[near].var(axis=0).sum()))
+                variances[k] += spread / 3 * part**2
+        return float(variances[0]), float(variances[1])
+
+    def _at(self, values: Array, stamp: int, before: int) -> Array:
+        """Interpolate between a sample and the next one."""
+        a, b = self.stamps[before], self.stamps[before + 1]
+        share = float(stamp - a) / float(b - a)
+        between: Array = (1 - share) * values[before] + share * values[before + 1]
+        return between
 
 
 class SequenceImages:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.inertial.preintegration.motion_excitation import excitation
-from bundle.inertial.vio.rest_at_start import rest_at_start
 from bundle.inertial.vio.sequence_images import SequenceImages
+from bundle.inertial.vio.static_start import rest_at_start
 from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.sequence_findings import GAP
 

@@ -20,14 +20,17 @@ import numpy as np
 from bundle import _core
 from bundle.errors import InputError
 from bundle.inertial.preintegration.preintegration import as_vector
-from bundle.inertial.vio.keyframe_record import KeyframeRecord
-from bundle.inertial.vio.keyframe_rule import keyframe_reason
+from bundle.inertial.vio.keyframe_record import KeyframeRecord, keyframe_reason
 from bundle.inertial.vio.landmark_depths import LandmarkDepths
-from bundle.inertial.vio.landmark_table import FrameTracks, LandmarkTable, landmark_table
+from bundle.inertial.vio.landmark_table import (
+    FrameTracks,
+    LandmarkTable,
+    TrackNumbers,
+    landmark_table,
+)
 from bundle.inertial.vio.marginal_prior import MarginalPrior, start_prior
 from bundle.inertial.vio.steady_speed import steady_speed
-from bundle.inertial.vio.track_numbers import TrackNumbers
-from bundle.inertial.vio.window_arrays import window_arrays
+from bundle.inertial.vio.window_contents import window_arrays
 from bundle.inertial.vio.window_frame import ImuInterval, WindowFrame
 from bundle.inertial.vio.window_telemetry import WindowTelemetry
 from bundle.interface.window_options import WindowOptions
