@@ -179,7 +179,7 @@ def _nullity(frames: _Keyframes) -> LineFigure:
             frames.line("nullity", lambda r: r.nullity),
             frames.line("expected", lambda r: r.expected_nullity, is_limit=True),
         ),
-        note="Fewer than expected: the window takes as known what no sensor measures."
+        note="Fewer than expected: the window gained information that no sensor measures."
         if counted
         else "Counted with --nullity.",
     )  # fmt: skip

@@ -188,7 +188,7 @@ def test_misuse():
     refused(lambda: bundle.msckf_update(np.full((36, 36), np.nan), [rows]), "covariance")
     refused(lambda: bundle.msckf_update(np.eye(36), [1]), "tracks[0]", "TrackRows")
     refused(lambda: bundle.msckf_update(np.eye(36), [rows], max_nis=0), "max_nis")
-    refused(lambda: rows_of(poses, tracks[0][:3]), "as many rows")
+    refused(lambda: rows_of(poses, tracks[0][:3]), "the same number of rows")
     refused(lambda: rows_of(poses[:, :6], tracks[0]), "poses", "(k, 7)")
     refused(lambda: rows_of(poses, tracks[0] * np.nan), "xy", "finite")
     refused(lambda: rows_of(poses, tracks[0], sigma=0), "sigma")

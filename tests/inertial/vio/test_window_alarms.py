@@ -62,7 +62,7 @@ def test_the_cost_of_a_prior_is_a_chi_square(
     found = kinds(alarms, 2, prior_cost=(cost, 60))
     assert [len(each) for each in found] == expected
     if sum(expected):
-        word = "less than nothing" if cost < 0 else "contradicted"
+        word = "cost negative" if cost < 0 else "contradicted"
         assert word in found[-1][0]
 
 

@@ -1,19 +1,19 @@
-"""The update of a multi-state constraint Kalman filter by tracks whose landmarks are not states.
+"""Update of a multi-state constraint Kalman filter (MSCKF) by tracks without landmark states.
 
 Mourikis and Roumeliotis, "A Multi-State Constraint Kalman Filter for Vision-aided Inertial
-Navigation", ICRA 2007. A track's innovation is r = H d + F f + n with the state's error d, the
-landmark's f, and white noise n of variance 1. The columns of N, orthonormal with N^T F = 0, are the
-left null space of F:
+Navigation", ICRA 2007. A track's innovation is r = H d + F f + n with the error d of the state, the
+error f of the landmark, and white noise n of variance 1. The orthonormal columns of N, with N^T F =
+0, span the left null space of F:
 
     N^T r = (N^T H) d + N^T n,
 
-of 2 M - 3 rows for M views, and N^T n is white as n is. The landmark is gone, exactly as by a Schur
-complement: with the projection N N^T = I - F (F^T F)^-1 F^T,
+with 2 M - 3 rows for M views; N^T n is white like n. This eliminates the landmark exactly as a
+Schur complement does: with the projection N N^T = I - F (F^T F)^-1 F^T,
 
     (N^T H)^T (N^T H) = H^T H - H^T F (F^T F)^-1 F^T H.
 
-The rows of all tracks together, more than the state has coordinates, are compressed by a QR
-factorisation A = Q T: T replaces A, Q^T r the innovation. The update is Kalman's in Joseph's form,
+The rows of all tracks together outnumber the coordinates of the state. A QR factorisation A = Q T
+compresses them: T replaces A, and Q^T r the innovation. The update is Kalman's in Joseph's form,
 with S = T P T^T + I and K = P T^T S^-1:
 
     d = K r,        P <- (I - K T) P (I - K T)^T + K K^T.
@@ -37,21 +37,21 @@ __all__ = ["MsckfUpdate", "msckf_update"]
 
 Array = NDArray[np.float64]
 
-_NO_PARALLAX = 1e-7  # least singular value of F, its columns scaled to 1
+_NO_PARALLAX = 1e-7  # smallest singular value of F with columns scaled to 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MsckfUpdate(Displayed):
-    """What tracks tell of a state.
+    """Update of a state by tracks.
 
     Attributes:
-        step: (n,) of the state's tangent coordinates.
+        step: (n,) step of the state's tangent coordinates.
         covariance: (n, n) after the update.
-        rejected: place of a track and the reason why it is left out.
-        nis: (number of tracks,) squared Mahalanobis distance per row of the null space, nan where
-            there is none: about 1 of a healthy track.
-        num_rows: rows of all tracks that are used, without their landmarks.
-        num_compressed_rows: of these after the compression.
+        rejected: position of each left-out track, and the reason.
+        nis: (number of tracks,) normalised innovation squared per row of the null space; about 1
+            for a healthy track, nan without a null space.
+        num_rows: rows of all used tracks, without their landmarks.
+        num_compressed_rows: rows after the compression.
     """
 
     step: Array
@@ -75,13 +75,13 @@ class MsckfUpdate(Displayed):
 def msckf_update(
     covariance: ArrayLike, tracks: Sequence[TrackRows], *, max_nis: float | None = None
 ) -> MsckfUpdate:
-    """Return the update of a state by tracks, their landmarks projected away.
+    """Return the update of a state by tracks, with their landmarks projected out.
 
     Args:
-        covariance: (n, n) of the state's tangent coordinates, symmetric positive semidefinite.
-        tracks: of :func:`bundle.track_rows`, at one estimate.
-        max_nis: tracks whose squared Mahalanobis distance per row exceeds it are left out; None:
-            none. 2 leaves out 3 % of healthy tracks of 6 views.
+        covariance: (n, n) in the state's tangent coordinates, symmetric positive semidefinite.
+        tracks: tracks from :func:`bundle.track_rows`, at one estimate.
+        max_nis: tracks with a larger NIS per row are left out; None: no limit. 2 leaves out 3 % of
+            healthy tracks of 6 views.
 
     Raises:
         InputError: shapes do not fit, or numbers are not finite.
@@ -92,19 +92,19 @@ def msckf_update(
         raise InputError(f"covariance: expected finite numbers (n, n), found shape {before.shape}")
     scale = np.abs(before).max()
     if np.abs(before - before.T).max() > 1e-9 * scale:
-        raise InputError("covariance: expected a symmetric matrix, found another")
+        raise InputError("covariance: expected a symmetric matrix, found an asymmetric one")
     limit = np.inf if max_nis is None else number("max_nis", max_nis, above=0)
     rejected, nis, rows, innovations = [], np.full(len(tracks), np.nan), [], []
     for place, track in enumerate(tracks):
         check_type(f"tracks[{place}]", track, TrackRows)
         if track.by_state.shape[1] != size:
             raise InputError(
-                f"tracks[{place}]: expected {size} coordinates as the covariance has, found "
+                f"tracks[{place}]: expected {size} coordinates, as in the covariance, found "
                 f"{track.by_state.shape[1]}"
             )
         null_space = _left_null_space(track.by_point)
         if null_space is None:
-            rejected.append((place, "no parallax: its views do not determine a landmark"))
+            rejected.append((place, "no parallax: the views do not determine a landmark"))
             continue
         by_state, innovation = null_space.T @ track.by_state, null_space.T @ track.innovation
         spread = by_state @ before @ by_state.T + np.eye(len(by_state))
@@ -138,7 +138,7 @@ def msckf_update(
 
 
 def _left_null_space(by_point: Array) -> Array | None:
-    """Return N (m, m - 3), or None where fewer than 3 directions of the landmark are seen."""
+    """Return N (m, m - 3), or None if the views determine fewer than 3 landmark directions."""
     if len(by_point) < 4:
         return None
     scaled = by_point / np.maximum(np.linalg.norm(by_point, axis=0), np.finfo(float).tiny)

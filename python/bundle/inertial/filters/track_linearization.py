@@ -1,8 +1,8 @@
-"""The rows of one track: its innovations and their Jacobians by poses and landmark.
+"""Rows of one track: its innovations, and their Jacobians by poses and landmark.
 
 A landmark X is at c = R_c R^T (X - p) + t_c in the camera of a state with rotation R and position p
-(world_from_imu), (R_c, t_c) camera_from_imu, and its image is (c_x, c_y) / c_z. With
-y = R^T (X - p), turning R to R Exp(d) moves y by [y]x d, so that
+(world_from_imu), (R_c, t_c) camera_from_imu, and its image is (c_x, c_y) / c_z. With y = R^T (X -
+p), rotating R to R Exp(d) moves y by [y]x d, so that
 
     dc/dd = R_c [y]x,        dc/dp = -R_c R^T,        dc/dX = R_c R^T.
 """
@@ -25,18 +25,19 @@ __all__ = ["TrackRows", "track_rows"]
 
 Array = NDArray[np.float64]
 
-_STEPS = 10  # of Gauss-Newton for the landmark
-_SMALL = 1e-12  # a step that ends it
+_STEPS = 10  # Gauss-Newton steps for the landmark
+_SMALL = 1e-12  # step size at which it stops
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrackRows(Displayed):
-    """One track of a landmark, linearised.
+    """Linearised track of a landmark.
 
     Attributes:
         innovation: (m,) observation - prediction, in sigmas.
-        by_state: (m, n) derivative of the prediction by the state's tangent coordinates.
-        by_point: (m, 3) by the landmark.
+        by_state: (m, n) derivative of the prediction with respect to the state's tangent
+            coordinates.
+        by_point: (m, 3) derivative with respect to the landmark.
     """
 
     innovation: Array
@@ -47,7 +48,9 @@ class TrackRows(Displayed):
         for name in ("innovation", "by_state", "by_point"):
             array = as_array(f"TrackRows: {name}", getattr(self, name))
             if not np.isfinite(array).all():
-                raise InputError(f"TrackRows: {name}: expected finite numbers, found others")
+                raise InputError(
+                    f"TrackRows: {name}: expected finite numbers, found nan or infinity"
+                )
             object.__setattr__(self, name, array)
         rows = len(self.innovation) if self.innovation.ndim == 1 else -1
         if self.by_state.ndim != 2 or len(self.by_state) != rows:
@@ -78,22 +81,23 @@ def track_rows(
     sigma: float,
     point: ArrayLike | None = None,
 ) -> TrackRows:
-    """Return the rows of a track that k poses see.
+    """Return the rows of a track observed from k poses.
 
     Args:
         poses: (k, 7) world_from_imu, qx qy qz qw tx ty tz, one per observation.
         xy: (k, 2) normalised image coordinates.
-        columns: (k,) where the pose's 6 tangent coordinates begin in the state: rotation
-            (R Exp(d)), position (world).
-        size: n, tangent coordinates of the state.
+        columns: (k,) first of the 6 tangent coordinates of each pose in the state: rotation (R
+            Exp(d)), position (world).
+        size: number n of tangent coordinates of the state.
         camera_from_imu: (7,).
-        sigma: of the observations, in normalised coordinates: pixels / focal length.
-        point: (3,) landmark in the world; None: triangulated from the track, by least squares of
-            its image coordinates.
+        sigma: standard deviation of the observations in normalised coordinates: pixels / focal
+            length.
+        point: (3,) landmark in the world; None: triangulated by least squares of the image
+            coordinates.
 
     Raises:
-        InputError: shapes do not fit, numbers are not finite, or the landmark is behind a camera:
-            if it was triangulated, the track has too little parallax and tells nothing.
+        InputError: shapes do not fit, numbers are not finite, or the landmark is behind a camera;
+            if it was triangulated, the track has too little parallax.
     """
     given = _finite("poses", poses, 7)
     image = _finite("xy", xy, 2)
@@ -103,8 +107,8 @@ def track_rows(
     extrinsics = _finite("camera_from_imu", [camera_from_imu], 7)
     if not len(given) == len(image) == first.size or first.ndim != 1 or not len(given):
         raise InputError(
-            f"poses, xy, columns: expected as many rows, 1 or more, found {len(given)}, "
-            f"{len(image)} and {first.size}"
+            "poses, xy, columns: expected the same number of rows, at least 1, found "
+            f"{len(given)}, {len(image)} and {first.size}"
         )
     if (first < 0).any() or (first + 6 > size).any():
         raise InputError(f"columns: expected from 0 to {size - 6}, found {first.tolist()}")
@@ -120,7 +124,7 @@ def track_rows(
     if not (in_camera[:, 2] > 0).all():
         if point is None:
             raise InputError(
-                "xy: expected a track with parallax, found one whose landmark of least squares is "
+                "xy: expected a track with parallax, found one with its least-squares landmark "
                 "behind its cameras"
             )
         depth = in_camera[:, 2].min()
@@ -138,14 +142,15 @@ def track_rows(
 
 
 def _triangulate(rotations: Array, offsets: Array, image: Array) -> Array:
-    """Return the landmark of least squares; behind the first camera, or at infinity: nan.
+    """Return the landmark of least squares; nan if it is behind the first camera or at infinity.
 
-    Gauss-Newton on (a, b, 1 / z) in the first camera, from infinity on: c ~ R (a, b, 1) + t / z.
+    Gauss-Newton on (a, b, 1 / z) in the first camera, starting at infinity: c ~ R (a, b, 1) + t /
+    z.
     """
     turns = rotations @ rotations[0].T
     shifts = offsets - turns @ offsets[0]
     landmark = np.array([image[0, 0], image[0, 1], 0.0])
-    with np.errstate(divide="ignore", invalid="ignore"):  # on a camera's plane: ends as nan
+    with np.errstate(divide="ignore", invalid="ignore"):  # a point on a camera's plane becomes nan
         for _ in range(_STEPS):
             in_camera = turns @ np.append(landmark[:2], 1.0) + landmark[2] * shifts
             by_camera = _project_jacobian(in_camera)
@@ -165,7 +170,7 @@ def _triangulate(rotations: Array, offsets: Array, image: Array) -> Array:
 
 
 def _project_jacobian(in_camera: Array) -> Array:
-    """Return (k, 2, 3): the derivative of (x, y) / z."""
+    """Return the derivative (k, 2, 3) of (x, y) / z."""
     jacobian = np.zeros((len(in_camera), 2, 3))
     jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1 / in_camera[:, 2]
     jacobian[:, :, 2] = -in_camera[:, :2] / in_camera[:, 2:] ** 2
@@ -177,5 +182,5 @@ def _finite(name: str, value: Any, width: int) -> Array:
     if array.ndim != 2 or array.shape[1] != width:
         raise InputError(f"{name}: expected shape (k, {width}), found {array.shape}")
     if not np.isfinite(array).all():
-        raise InputError(f"{name}: expected finite numbers, found others")
+        raise InputError(f"{name}: expected finite numbers, found nan or infinity")
     return array

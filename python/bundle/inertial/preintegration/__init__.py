@@ -1,4 +1,4 @@
-"""IMU samples between two states as one factor."""
+"""Preintegration of IMU samples between two states, as one factor."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Any:
-    """Serve former pickles, to which this package was the module of its main class."""
+    """Serve old pickles, which name this package as the module of its main class."""
     if name in ("Preintegration", "_restored"):
         from bundle.inertial.preintegration import preintegration
 

@@ -1,4 +1,4 @@
-"""Factors of an IMU: the motion between two states, and biases that walk."""
+"""IMU factors: motion between two states, and random walks of biases."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["BiasWalkFactor", "ImuFactor"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ImuFactor(Factor):
-    """What an IMU measured between two states i and j.
+    """IMU measurement between two states i and j.
 
     With R, p, v of i (world_from_imu) and R', p', v' of j, T seconds apart, g gravity, and dR, dp,
     dv the preintegrated motion corrected to the biases of i, the error is, in this order,
@@ -36,18 +36,18 @@ class ImuFactor(Factor):
         bias_i: key of its biases, Euclidean (6,): gyroscope (rad/s), accelerometer (m/s^2).
         pose_j: key of the pose of j.
         velocity_j: key of the velocity of j.
-        motion: a :class:`bundle.Preintegration`; the factor keeps a copy.
+        motion: a :class:`bundle.Preintegration`; the factor stores a copy.
         gravity: (3,) m/s^2 in the world.
-        gravity_key: key of a variable for gravity: its vector on a Euclidean (3,) variable, or on
-            so3 a rotation Q of ``gravity``, Q g, of which two coordinates count where ``gravity``
-            stands along an axis: hold the third. None: gravity is known.
+        gravity_key: key of a gravity variable: its vector on a Euclidean (3,) variable, or a
+            rotation Q of ``gravity``, Q g, on so3. If ``gravity`` is along an axis, only two
+            coordinates of so3 are observable: hold the third constant. None: gravity is known.
         scale_key: key of a Euclidean (1,) variable s: positions of the poses are s p in metres, for
-            poses of cameras that know no unit. Velocities stay m/s. None: they are metres.
+            camera poses without a unit. Velocities stay in m/s. None: positions are in metres.
 
     Raises:
-        InputError: a key is there twice, or gravity is not three finite numbers; what does not fit
-            the variables is refused by :meth:`bundle.FactorGraph.add_factor`, and so is a motion
-            whose covariance is not positive definite.
+        InputError: a key occurs twice, or gravity is not three finite numbers.
+            :meth:`bundle.FactorGraph.add_factor` refuses what does not fit the variables, and a
+            motion without a positive definite covariance.
     """
 
     pose_i: Key
@@ -65,14 +65,14 @@ class ImuFactor(Factor):
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(set(self.keys)) < len(self.keys):
-            raise InputError(f"{self.name}: expected different variables, found one twice")
+            raise InputError(f"{self.name}: expected different variables, found the same twice")
         check_type(f"{self.name}: motion", self.motion, Preintegration)
         self._set("motion", copy.copy(self.motion))
         self._set("gravity", freeze(as_vector(f"{self.name}: gravity", self.gravity).copy()))
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        """The variables, in the order of the Jacobians."""
+        """Variables in the order of the Jacobians."""
         optional = (key for key in (self.gravity_key, self.scale_key) if key is not None)
         return (
             self.pose_i,
@@ -95,16 +95,16 @@ class ImuFactor(Factor):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BiasWalkFactor(Factor):
-    """Biases of two states: e = bias_j - bias_i, a random walk with sigma = density sqrt(T).
+    """Random walk of biases between two states: e = bias_j - bias_i, sigma = density sqrt(T).
 
     Attributes:
         bias_i: key of the biases of i, Euclidean (6,): gyroscope (rad/s), accelerometer (m/s^2).
-        bias_j: key of those of j.
-        noise: a :class:`bundle.ImuNoise`, whose random walks are above 0.
+        bias_j: key of the biases of j.
+        noise: a :class:`bundle.ImuNoise` with random walks above 0.
         duration: T, seconds from i to j, above 0.
 
     Raises:
-        InputError: a number is out of its range, or both keys are the same.
+        InputError: a number is out of range, or both keys are the same.
     """
 
     bias_i: Key
@@ -117,7 +117,7 @@ class BiasWalkFactor(Factor):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.bias_i == self.bias_j:
-            raise InputError(f"{self.name}: expected two different variables, found one twice")
+            raise InputError(f"{self.name}: expected two different variables, found the same twice")
         check_type(f"{self.name}: noise", self.noise, ImuNoise)
         self._set("duration", number(f"{self.name}: duration", self.duration, above=0))
         for walk in ("gyro_bias_random_walk", "accel_bias_random_walk"):
@@ -125,7 +125,7 @@ class BiasWalkFactor(Factor):
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        """The variables, in the order of the Jacobians."""
+        """Variables in the order of the Jacobians."""
         return self.bias_i, self.bias_j
 
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002

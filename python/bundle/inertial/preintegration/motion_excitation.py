@@ -1,8 +1,8 @@
-"""Whether a motion shows what gravity hides: the scale of what a camera sees.
+"""Excitation of the accelerometer, on which the observability of scale depends.
 
-An accelerometer measures metres only where the acceleration changes. The spread of |a| - |g| says
-how much it does: at rest, on a straight road or in a hover it is noise, and scale and accelerometer
-bias cannot be told apart.
+An accelerometer measures metres only if the acceleration changes. The standard deviation of |a| -
+|g| shows how much it changes: at rest, on a straight road or in a hover it is noise, and scale
+cannot be separated from accelerometer bias.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ HEALTHY, UNOBSERVABLE = 0.5, 0.05  # m/s^2
 
 @dataclass(frozen=True, repr=False)
 class Excitation(Displayed):
-    """How much the acceleration of some samples changes.
+    """Change of the acceleration over some samples.
 
     Attributes:
         spread: standard deviation of |a| - |g|, in m/s^2.
-        verdict: "healthy" above 0.5 m/s^2, "unobservable" below 0.05: the samples do not determine
-            the scale, which should be held; "marginal" between.
-        num_samples: how many there are.
+        verdict: "healthy" above 0.5 m/s^2; "unobservable" below 0.05: the samples do not determine
+            the scale, so hold it constant; "marginal" between.
+        num_samples: number of samples.
     """
 
     spread: float
@@ -47,13 +47,13 @@ class Excitation(Displayed):
 
 
 def excitation(accel: ArrayLike) -> Excitation:
-    """Return how much samples of an accelerometer change, and whether scale is observable.
+    """Return the excitation of accelerometer samples, and whether scale is observable.
 
     Args:
         accel: (n, 3) m/s^2, specific force, all samples of a window; at least 2.
 
     Raises:
-        InputError: another shape, numbers that are not finite, or fewer than 2 samples.
+        InputError: the shape is wrong, numbers are not finite, or there are fewer than 2 samples.
     """
     samples = as_array("accel", accel)
     if samples.ndim != 2 or samples.shape[1] != 3 or len(samples) < 2:

@@ -1,7 +1,4 @@
-"""IMU samples between two states as one relative motion.
-
-States ahead of the last one that is known, from IMU samples alone.
-"""
+"""Preintegration of IMU samples between two states, and propagation of a state by samples."""
 
 from __future__ import annotations
 
@@ -30,7 +27,7 @@ def as_vector(name: str, value: ArrayLike, size: int = 3) -> Array:
     """Return finite numbers as an array (size,).
 
     Raises:
-        InputError: these are none, or not as many.
+        InputError: the values are no finite numbers, or their number is wrong.
     """
     vector = as_array(name, value)
     if vector.shape != (size,):
@@ -41,17 +38,17 @@ def as_vector(name: str, value: ArrayLike, size: int = 3) -> Array:
 
 
 class Preintegration(Displayed):
-    """The motion between two states as the IMU knows it, in the IMU's frame at the first.
+    """Motion between two states by IMU samples, in the IMU frame of the first state.
 
-    With f and w a sample of accelerometer and gyroscope without its bias, an interval dt takes the
-    motion (R, v, p), which starts at (I, 0, 0), first to p + v dt + 1/2 R f dt^2, then to
-    v + R f dt, then to R Exp(w dt). Gravity is left to the states (:class:`ImuFactor`). Forster,
-    Carlone, Dellaert and Scaramuzza, "On-Manifold Preintegration for Real-Time Visual-Inertial
-    Odometry", TRO 2017; ``cpp/core/inertial/preintegration.cpp`` has the derivation.
+    With f and w a sample of accelerometer and gyroscope minus its bias, an interval dt moves (R, v,
+    p), which starts at (I, 0, 0), first to p + v dt + 1/2 R f dt^2, then to v + R f dt, then to R
+    Exp(w dt). Gravity is added by the states (:class:`ImuFactor`). Forster, Carlone, Dellaert and
+    Scaramuzza, "On-Manifold Preintegration for Real-Time Visual-Inertial Odometry", TRO 2017;
+    ``cpp/core/inertial/preintegration.cpp`` has the derivation.
 
-    The samples are kept: :meth:`corrected` follows new biases to first order,
-    :meth:`needs_repropagation` says when that is too little, :meth:`repropagated` integrates again.
-    Example::
+    The samples are stored: :meth:`corrected` adapts to new biases to first order,
+    :meth:`needs_repropagation` tells if that is not accurate enough, :meth:`repropagated`
+    integrates again. Example::
 
         motion = bundle.Preintegration(noise, gyro_bias, accel_bias)
         motion.integrate(gyro, accel, dt)
@@ -59,13 +56,13 @@ class Preintegration(Displayed):
 
     Args:
         noise: a :class:`bundle.ImuNoise`.
-        gyro_bias: (3,) rad/s, taken from each sample.
+        gyro_bias: (3,) rad/s, subtracted from each sample.
         accel_bias: (3,) m/s^2.
-        rule: "zero_order_hold", a sample holds for the interval that follows it, or "midpoint", the
-            mean of the samples at both ends of an interval.
+        rule: "zero_order_hold": a sample holds for the next interval; "midpoint": the mean of the
+            samples at both ends of an interval.
 
     Raises:
-        InputError: a bias is not three finite numbers, or there is no such rule.
+        InputError: a bias is not three finite numbers, or the rule is unknown.
     """
 
     def __init__(
@@ -92,12 +89,12 @@ class Preintegration(Displayed):
         return _restored, state
 
     def integrate(self, gyro: ArrayLike, accel: ArrayLike, dt: ArrayLike) -> None:
-        """Integrate the samples that follow those before.
+        """Integrate the next samples.
 
         Args:
-            gyro: (n, 3) rad/s. By midpoint (n + 1, 3), a sample at each end of an interval: the
-                first row of a call is the last one of the call before.
-            accel: m/s^2, likewise: specific force, about +9.81 upwards at rest.
+            gyro: (n, 3) rad/s. With midpoint (n + 1, 3), a sample at each end of an interval: the
+                first row of a call is the last one of the previous call.
+            accel: specific force in m/s^2, likewise; about +9.81 upwards at rest.
             dt: (n,) seconds, each above 0.
 
         Raises:
@@ -107,7 +104,7 @@ class Preintegration(Displayed):
         self._motion.integrate(as_array("gyro", gyro), as_array("accel", accel), as_array("dt", dt))
 
     def append(self, following: Preintegration) -> None:
-        """Integrate the samples of the interval that follows, at the biases of this one.
+        """Integrate the samples of the next interval, at the biases of this one.
 
         Raises:
             InputError: it was integrated by another rule.
@@ -128,7 +125,7 @@ class Preintegration(Displayed):
     def corrected(self, gyro_bias: ArrayLike, accel_bias: ArrayLike) -> tuple[Array, Array, Array]:
         """Return rotation (3, 3), velocity (3,) and position (3,) at new biases, to first order.
 
-        Exact in the accelerometer's bias.
+        The result is exact in the accelerometer bias.
 
         Raises:
             InputError: a bias is not three finite numbers.
@@ -140,14 +137,14 @@ class Preintegration(Displayed):
     def needs_repropagation(
         self, gyro_bias: ArrayLike, *, accel_bias_sigma: float = 0.01
     ) -> Repropagation:
-        """Tell whether a new gyroscope bias is too far for :meth:`corrected`.
+        """Tell if a new gyroscope bias is too far for :meth:`corrected`.
 
-        It is where the error of the first order tilts gravity by more than the accelerometer's bias
-        leaves open (``bundle.inertial.preintegration.repropagation`` has the closed form).
+        It is too far if the first-order error tilts gravity by more than the uncertainty of the
+        accelerometer bias (``bundle.inertial.preintegration.repropagation`` has the closed form).
 
         Args:
             gyro_bias: (3,) rad/s.
-            accel_bias_sigma: what is open of the accelerometer's bias, in m/s^2.
+            accel_bias_sigma: uncertainty of the accelerometer bias, in m/s^2.
 
         Returns:
             True or false as a condition, with its ``reason``.
@@ -160,7 +157,7 @@ class Preintegration(Displayed):
         return Repropagation.of(change, self.duration, self._motion.turned, sigma)
 
     def predict(self, state: ArrayLike, gravity: ArrayLike = (0.0, 0.0, -9.81)) -> Array:
-        """Return the state (16,) at the end of the motion that starts at another.
+        """Return the state (16,) at the end of the motion from a given state.
 
         Args:
             state: (16,) qx qy qz qw, position, velocity, gyroscope bias, accelerometer bias:
@@ -168,58 +165,61 @@ class Preintegration(Displayed):
             gravity: (3,) m/s^2 in the world.
 
         Raises:
-            InputError: these are not as many finite numbers.
+            InputError: a shape is wrong, or numbers are not finite.
         """
         return self._motion.predict(as_vector("state", state, 16), as_vector("gravity", gravity))
 
     @property
     def noise(self) -> ImuNoise:
-        """Of the IMU."""
+        """Noise of the IMU."""
         return self._noise
 
     @property
     def rule(self) -> str:
-        """How the motion between two samples is taken: one of RULES."""
+        """Interpolation between samples, one of RULES."""
         return self._rule
 
     @property
     def gyro_bias(self) -> Array:
-        """(3,) rad/s, that of the integration."""
+        """Gyroscope bias of the integration, (3,) rad/s."""
         return self._gyro_bias
 
     @property
     def accel_bias(self) -> Array:
-        """(3,) m/s^2, that of the integration."""
+        """Accelerometer bias of the integration, (3,) m/s^2."""
         return self._accel_bias
 
     @property
     def samples(self) -> Array:
-        """(n, 10): dt, gyro, accel, and accel at the interval's end; by midpoint gyro is a mean."""
+        """Samples (n, 10): dt, gyro, accel, and accel at the interval's end.
+
+        With midpoint, gyro is a mean.
+        """
         return self._motion.samples
 
     @property
     def duration(self) -> float:
-        """Seconds."""
+        """Duration in seconds."""
         return self._motion.duration
 
     @property
     def delta_rotation(self) -> Array:
-        """(3, 3), the frame at the end as seen from that at the start."""
+        """Rotation (3, 3), the frame at the end relative to the frame at the start."""
         return self._motion.delta_rotation
 
     @property
     def delta_velocity(self) -> Array:
-        """(3,) m/s, without gravity."""
+        """Change of velocity (3,) in m/s, without gravity."""
         return self._motion.delta_velocity
 
     @property
     def delta_position(self) -> Array:
-        """(3,) m, without gravity and the velocity at the start."""
+        """Change of position (3,) in m, without gravity and the velocity at the start."""
         return self._motion.delta_position
 
     @property
     def covariance(self) -> Array:
-        """(9, 9) of rotation (R Exp(d), radians), position (m) and velocity (m/s)."""
+        """Covariance (9, 9) of rotation (R Exp(d), radians), position (m) and velocity (m/s)."""
         return self._motion.covariance
 
     @property

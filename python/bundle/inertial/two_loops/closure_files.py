@@ -1,7 +1,7 @@
-"""Closures in files: a csv of stamps and relative poses, or the edges of a g2o file.
+"""Files of loop closures: a csv of stamps and relative poses, or the edges of a g2o file.
 
 A line of the csv is ``first_timestamp_ns, second_timestamp_ns, tx, ty, tz, qx, qy, qz, qw,
-sigma_position, sigma_rotation``: the pose of the IMU at the second stamp in its frame at the first,
+sigma_position, sigma_rotation``: the IMU pose at the second stamp in its frame at the first, and
 standard deviations in metres and degrees. In a g2o file the ids of the vertices are the stamps.
 """
 
@@ -25,17 +25,17 @@ _NUMBERS = ("tx", "ty", "tz", "qx", "qy", "qz", "qw", "sigma_position", "sigma_r
 
 
 def load_closures(path: str | os.PathLike[str]) -> tuple[Closure, ...]:
-    """Read the closures of a file, by the time at which they can be known: that of their later end.
+    """Read the closures of a file, sorted by the stamp of their later end.
 
     Raises:
-        InputError: a line is none of the format, a sigma is not above 0, a quaternion has not norm
-            1, or an edge is one of the plane; one line with file, line, expected and found.
+        InputError: a line has a wrong format, a sigma is not above 0, a quaternion does not have
+            norm 1, or an edge is planar; one line with file, line, expected and found.
         OSError: the file cannot be read.
     """
     path = as_path(path)
     found = _of_g2o(path) if is_pose_graph_file(path) else _of_csv(path)
     if not found:
-        raise InputError(f"{shown(path)}: expected closures, found none")
+        raise InputError(f"{shown(path)}: expected closures, found 0")
     return tuple(sorted(found, key=lambda closure: max(closure.first_ns, closure.second_ns)))
 
 
@@ -55,7 +55,9 @@ def _of_csv(path: os.PathLike[str]) -> list[Closure]:
             )
         sigmas = np.repeat([np.radians(numbers[8]), numbers[7]], 3)
         if stamps[0] == stamps[1]:
-            raise InputError(f"{table.place(row)}: expected two different stamps, found one twice")
+            raise InputError(
+                f"{table.place(row)}: expected two different stamps, found the same twice"
+            )
         pose = np.concatenate([numbers[3:7], numbers[:3]])
         information = np.diag(sigmas**-2.0)
         closures.append(Closure(int(stamps[0]), int(stamps[1]), pose, information))
@@ -65,7 +67,7 @@ def _of_csv(path: os.PathLike[str]) -> list[Closure]:
 def _of_g2o(path: os.PathLike[str]) -> list[Closure]:
     graph = load_g2o(path)
     if graph.dimension != 3:
-        raise InputError(f"{shown(path)}: expected edges EDGE_SE3:QUAT, found those of the plane")
+        raise InputError(f"{shown(path)}: expected edges EDGE_SE3:QUAT, found planar edges")
     stamps = graph.ids[graph.edges].tolist()
     rows = zip(stamps, graph.measurements, graph.information, strict=True)
     return [Closure(first, second, pose, matrix) for (first, second), pose, matrix in rows]

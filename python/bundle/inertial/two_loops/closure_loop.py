@@ -1,9 +1,10 @@
-"""The loop of closures: a pose graph of keyframes that grows, solved on a thread of its own.
+"""Closure loop: a growing pose graph of keyframes, solved on its own thread.
 
-Consecutive keyframes are joined by their relative motion in the window's world, which stays what it
-was when they came; a keyframe that the ring has lost is bridged by that of its neighbours. A solve
-holds the first keyframe and gives the newest one, X, of which the window says O. The correction is
-the motion about the vertical that takes O to X, dated at that keyframe.
+Consecutive keyframes are connected by their relative motion in the window's world at the time of
+their arrival. If the ring has lost a keyframe, the motion between its neighbours connects them. A
+solve holds the first keyframe constant and gives the pose X of the newest one, which the window has
+at O. The correction is the motion about the vertical that moves O to X, with the stamp of that
+keyframe.
 """
 
 from __future__ import annotations
@@ -34,16 +35,16 @@ _FIRST_ROWS = 64
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """A keyframe of a window.
+    """Keyframe of a window.
 
     Attributes:
-        timestamp_ns: after that of the keyframe before.
+        timestamp_ns: later than that of the previous keyframe.
         pose: (7,) world_from_imu in the window's world, qx qy qz qw tx ty tz.
-        information: (6, 6) of the motion since the keyframe before, rotation first, or a number:
-            times the identity.
+        information: (6, 6) of the motion since the previous keyframe, rotation first, or a number
+            that multiplies the identity.
 
     Raises:
-        InputError: these are no finite numbers.
+        InputError: a number is not finite.
     """
 
     timestamp_ns: int
@@ -59,16 +60,16 @@ class Keyframe:
 
 @dataclass(frozen=True, eq=False)
 class Closure:
-    """A place that was recognised: the relative pose of two keyframes.
+    """Loop closure: measured relative pose of two keyframes.
 
     Attributes:
         first_ns: time of a keyframe.
-        second_ns: time of another.
-        measurement: (7,) of the second in the frame of the first.
+        second_ns: time of another keyframe.
+        measurement: (7,) pose of the second in the frame of the first.
         information: (6, 6), rotation first, or a number.
 
     Raises:
-        InputError: these are no finite numbers, or both times are the same.
+        InputError: a number is not finite, or both times are the same.
     """
 
     first_ns: int
@@ -78,7 +79,7 @@ class Closure:
 
     def __post_init__(self) -> None:
         if self.first_ns == self.second_ns:
-            raise InputError("Closure: expected two different keyframes, found one twice")
+            raise InputError("Closure: expected two different keyframes, found the same twice")
         measurement = _as_pose("Closure: measurement", self.measurement)
         object.__setattr__(self, "measurement", measurement)
         matrix = _as_information("Closure: information", self.information)
@@ -86,19 +87,19 @@ class Closure:
 
 
 class ClosureLoop(SolveLoop):
-    """Solves a pose graph whenever a closure arrives, and corrects a publisher.
+    """Solver of a pose graph when a closure arrives; it corrects a publisher.
 
-    The solve releases the interpreter, and the loop's own work per solve are copies of arrays:
-    however long it takes, it delays no pose.
+    The solve releases the interpreter, and the loop itself only copies arrays, so it delays no
+    pose, however long it takes.
 
     Args:
-        corrections: the ring of a :class:`PosePublisher`.
-        solver: takes a :class:`bundle.PoseGraph`, the first pose fixed, and returns its refined
+        corrections: ring of a :class:`PosePublisher`.
+        solver: function from a :class:`bundle.PoseGraph` with a fixed first pose to its refined
             poses (n, 7); None: :func:`bundle.solve` on one thread.
-        capacity: keyframes, and closures, that wait during a solve.
+        capacity: keyframes, and closures, that can wait during a solve.
 
     Raises:
-        InputError: an argument is none of these.
+        InputError: an argument has the wrong type or range.
     """
 
     def __init__(
@@ -127,24 +128,24 @@ class ClosureLoop(SolveLoop):
 
     @property
     def num_lost(self) -> int:
-        """Keyframes and closures that the rings have forgotten during a solve."""
+        """Number of keyframes and closures that the rings lost during a solve."""
         return self._keyframes.num_lost + self._closures.num_lost
 
     @property
     def num_closures(self) -> int:
-        """Closures that the graph has."""
+        """Number of closures in the graph."""
         return self._num_closures
 
     @property
     def num_unknown(self) -> int:
-        """Closures between keyframes that are not known, or were lost."""
+        """Number of closures whose keyframes are unknown or lost."""
         return self._num_unknown
 
     def put_keyframe(self, keyframe: Keyframe) -> None:
-        """Hand over a keyframe; returns at once.
+        """Queue a keyframe; return at once.
 
         Raises:
-            InputError: its time is not after that of the keyframe before.
+            InputError: its time is not after that of the previous keyframe.
         """
         check_type("ClosureLoop.put_keyframe", keyframe, Keyframe)
         if self._last_put_ns is not None and keyframe.timestamp_ns <= self._last_put_ns:
@@ -157,13 +158,13 @@ class ClosureLoop(SolveLoop):
         self._worker.notify()
 
     def put_closure(self, closure: Closure) -> None:
-        """Hand over a closure, after its keyframes; returns at once."""
+        """Queue a closure, after its keyframes; return at once."""
         check_type("ClosureLoop.put_closure", closure, Closure)
         self._closures.put(closure)
         self._worker.notify()
 
     def _work(self) -> None:
-        closures = self._closures.take_all()  # before the keyframes, which were put earlier
+        closures = self._closures.take_all()  # before the keyframes, which were queued earlier
         for keyframe in self._keyframes.take_all():
             self._add_keyframe(keyframe)
         known = [self._add_closure(closure) for closure in closures]
@@ -222,7 +223,7 @@ class ClosureLoop(SolveLoop):
 
 
 class _Rows:
-    """Rows of an array that grows, without a copy of all at each."""
+    """Growing array of rows that is not copied for every new row."""
 
     def __init__(self, width: int) -> None:
         self._all = np.empty((_FIRST_ROWS, width))
@@ -247,7 +248,7 @@ def solved_on_one_thread(graph: PoseGraph) -> Array:
 def _as_pose(name: str, value: ArrayLike) -> Array:
     pose = as_vector(name, value, 7)
     if not pose[:4].any():
-        raise InputError(f"{name}: expected a quaternion qx qy qz qw, found one of norm 0")
+        raise InputError(f"{name}: expected a quaternion qx qy qz qw, found norm 0")
     unit: Array = unit_poses(pose[None])[0]
     return unit
 
@@ -257,5 +258,7 @@ def _as_information(name: str, value: ArrayLike) -> Array:
     if matrix.ndim == 0:
         matrix = float(matrix) * np.eye(6)
     if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
-        raise InputError(f"{name}: expected finite numbers (6, 6) or one, found {matrix.shape}")
+        raise InputError(
+            f"{name}: expected finite numbers (6, 6) or one number, found {matrix.shape}"
+        )
     return matrix

@@ -1,12 +1,12 @@
-"""A thread with deadlines before all others, where the system allows it.
+"""Real-time priority of a thread with deadlines, if the system allows it.
 
-Linux gives a thread of SCHED_FIFO the processor as soon as it wakes up; other threads take turns of
-several milliseconds where there are more of them than processors. It takes the right CAP_SYS_NICE,
-or a limit RLIMIT_RTPRIO above 0.
+Linux runs a thread of SCHED_FIFO as soon as it wakes up. Other threads get time slices of several
+milliseconds if there are more threads than processors. SCHED_FIFO requires the capability
+CAP_SYS_NICE, or a limit RLIMIT_RTPRIO above 0.
 
-Threads of one interpreter wait for each other besides: what works for long belongs into another
-process. A collection of garbage over all objects of a program takes 20 ms and more; objects that
-are there before are left out of it.
+Threads of one interpreter also wait for each other: long work belongs into another process. Garbage
+collection over all objects of a program takes 20 ms and more, so existing objects are excluded from
+it.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from contextlib import contextmanager
 
 __all__ = ["deadline_priority"]
 
-PRIORITY = 5  # 1 is the least
-SWITCH_INTERVAL = 1e-3  # s; Python's own is 5 ms
+PRIORITY = 5  # 1 is the lowest
+SWITCH_INTERVAL = 1e-3  # s; Python's default is 5 ms
 
 
 @contextmanager
 def deadline_priority() -> Iterator[bool]:
-    """Let the calling thread come first, and threads of the interpreter take turns every 1 ms.
+    """Give the calling thread priority, and switch threads of the interpreter every 1 ms.
 
-    Threads and processes that it starts meanwhile are as usual.
+    Threads and processes that it starts meanwhile have normal priority.
 
     Yields:
-        Whether the system allowed the first.
+        True if the system allowed the priority.
     """
     interval = sys.getswitchinterval()
     sys.setswitchinterval(min(interval, SWITCH_INTERVAL))
@@ -50,7 +50,7 @@ def deadline_priority() -> Iterator[bool]:
 if sys.platform == "linux":
 
     def _scheduled_first() -> tuple[int, os.sched_param] | None:
-        """Return the schedule of the thread before, None where it stays as it is."""
+        """Return the previous schedule of the thread, None if it was not changed."""
         thread = threading.get_native_id()
         before = os.sched_getscheduler(thread), os.sched_getparam(thread)
         policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK

@@ -1,4 +1,4 @@
-"""A thread that does what its rings hold, and says what went wrong."""
+"""Thread that processes the content of its rings and passes its exceptions on."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ __all__ = ["LoopThread", "SolveLoop"]
 
 
 class LoopThread:
-    """A thread that calls a function whenever something is new.
+    """Thread that calls a function whenever there is new work.
 
     Args:
-        name: of the thread.
-        work: called on the thread; what it raises ends the thread and comes out of :meth:`close`.
+        name: name of the thread.
+        work: function to call on the thread; its exception ends the thread and is raised by
+            :meth:`close`.
     """
 
     def __init__(self, name: str, work: Callable[[], None]) -> None:
@@ -29,14 +30,14 @@ class LoopThread:
         self._thread.start()
 
     def notify(self) -> None:
-        """Say that there is something to do; returns at once."""
+        """Announce new work; return at once."""
         self._news.set()
 
     def settle(self, timeout: float | None = None) -> bool:
-        """Wait until all that was there before is done; return whether it was in time.
+        """Wait until all earlier work is done; return False after a time-out.
 
         Raises:
-            Exception: what the work raised.
+            Exception: exception of the work.
         """
         done = threading.Event()
         self._waiting.append(done)
@@ -48,13 +49,13 @@ class LoopThread:
         return in_time
 
     def close(self, timeout: float | None = None) -> bool:
-        """Let the thread finish what there is to do; return whether it has ended in time.
+        """Let the thread finish pending work; return False after a time-out.
 
         Args:
-            timeout: seconds to wait for it; None: as long as it takes.
+            timeout: seconds to wait for it; None: without limit.
 
         Raises:
-            Exception: what the work raised.
+            Exception: exception of the work.
         """
         self._stopping = True
         self._news.set()
@@ -79,7 +80,7 @@ class LoopThread:
                     self._waiting.popleft().set()
                 if last:
                     return
-        except BaseException as error:  # for whoever closes: a thread's traceback helps nobody
+        except BaseException as error:  # raised by close(): nobody reads a thread's traceback
             self.error = error
         finally:
             while self._waiting:
@@ -87,47 +88,47 @@ class LoopThread:
 
 
 class SolveLoop(Displayed):
-    """What loops that solve have in common: a thread of their own, a count, an end."""
+    """Base class of solving loops: a thread, a count of solves, and an end."""
 
     _worker: LoopThread
     _num_solves = 0
 
     def _start(self, name: str) -> None:
-        """Start the thread, once there is all that its work needs."""
+        """Start the thread once its work can run."""
         self._worker = LoopThread(name, self._work)
 
     def _work(self) -> None:
-        """Do what there is to do, on the thread."""
+        """Do the pending work, on the thread."""
         raise NotImplementedError
 
     @property
     def error(self) -> BaseException | None:
-        """What ended the thread, if anything did."""
+        """Exception that ended the thread, if any."""
         return self._worker.error
 
     @property
     def num_solves(self) -> int:
-        """Solves that have ended."""
+        """Number of finished solves."""
         return self._num_solves
 
     def settle(self, timeout: float | None = None) -> bool:
-        """Wait until all that was put before is solved; return whether it was in time.
+        """Wait until everything queued before is solved; return False after a time-out.
 
         Args:
-            timeout: seconds to wait for it; None: as long as it takes.
+            timeout: seconds to wait for it; None: without limit.
 
         Raises:
-            Exception: what the solve raised.
+            Exception: exception of the solve.
         """
         return self._worker.settle(timeout)
 
     def close(self, timeout: float | None = None) -> bool:
-        """Solve what waits and end the thread; return whether it has ended in time.
+        """Solve what is queued and end the thread; return False after a time-out.
 
         Args:
-            timeout: seconds to wait for it; None: as long as it takes.
+            timeout: seconds to wait for it; None: without limit.
 
         Raises:
-            Exception: what the solve raised.
+            Exception: exception of the solve.
         """
         return self._worker.close(timeout)

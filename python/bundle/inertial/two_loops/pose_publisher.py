@@ -1,17 +1,17 @@
-"""Poses at the rate of the IMU: the last solution, propagated; corrections, composed.
+"""Poses at the IMU rate: the latest solution, propagated, and composed corrections.
 
-A solution of a window is dated: it is the state at a frame that is past. It is rewound to and the
-samples since then are replayed, by the steps of :func:`bundle.propagate`. A sample holds until the
+A window's solution is the state at an earlier frame. The publisher goes back to this frame and
+replays the samples since then, by the steps of :func:`bundle.propagate`. A sample holds until the
 next one (zero-order hold).
 
-A correction C of a graph says where the window's world is in the graph's. It is composed into the
-anchor A, never assigned: with the correction before it, C', the anchor becomes
+A correction C of a graph is the pose of the window's world in the graph's world. It is composed
+into the anchor A, never assigned: with the previous correction C', the anchor becomes
 
     A <- C C'^-1 A,
 
-so that what anybody else has moved the anchor by (:meth:`PosePublisher.move`) stays. The published
-pose goes there in equal shares over a number of poses: each moves heading and place by what is left
-divided by the number of poses that are left.
+so that other motions of the anchor (:meth:`PosePublisher.move`) are kept. The published pose
+approaches it in equal shares over a number of poses: each step moves heading and position by the
+remainder divided by the number of remaining poses.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ class _Sample(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A solved state.
+    """State that a window has solved.
 
     Attributes:
-        timestamp_ns: of the frame.
+        timestamp_ns: stamp of the frame.
         state: (16,) qx qy qz qw of world_from_imu, position, velocity, gyroscope bias,
             accelerometer bias, in the window's world.
 
     Raises:
-        InputError: these are not 16 finite numbers.
+        InputError: the state is not 16 finite numbers.
     """
 
     timestamp_ns: int
@@ -69,15 +69,15 @@ class Solution:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PublishedPose(Displayed):
-    """What is published for an IMU sample.
+    """Published pose of an IMU sample.
 
     Attributes:
-        timestamp_ns: of the sample.
+        timestamp_ns: stamp of the sample.
         state: (16,) in the world of the graph: pose, velocity, biases.
-        solution_timestamp_ns: of the solution that it is propagated from.
-        shift: m by which a correction's share moved this pose.
-        turn: radians, likewise.
-        replayed: samples that were replayed for a new solution; 0 where there is none.
+        solution_timestamp_ns: stamp of the solution from which it is propagated.
+        shift: metres by which the share of a correction moved this pose.
+        turn: the same in radians.
+        replayed: samples replayed for a new solution; 0 without one.
     """
 
     timestamp_ns: int
@@ -97,21 +97,21 @@ class PublishedPose(Displayed):
 
 
 class PosePublisher(Displayed):
-    """Answers each IMU sample with a pose, and waits for nobody.
+    """Publisher of a pose for each IMU sample, without waiting.
 
-    :meth:`publish` belongs to one thread. ``solutions`` and ``corrections`` are rings that other
-    threads put into; the newest of each counts.
+    :meth:`publish` belongs to one thread. Other threads put into the rings ``solutions`` and
+    ``corrections``, of which the newest entry counts.
 
     Args:
-        timestamp_ns: of the start.
-        state: (16,) there: qx qy qz qw of world_from_imu, position (m), velocity (m/s), biases of
-            gyroscope (rad/s) and accelerometer (m/s^2).
+        timestamp_ns: stamp of the start.
+        state: (16,) at the start: qx qy qz qw of world_from_imu, position (m), velocity (m/s),
+            biases of gyroscope (rad/s) and accelerometer (m/s^2).
         gravity: (3,) m/s^2 in the world.
-        num_shares: poses over which a correction is spread; 1: all at once.
-        memory: seconds of samples that are kept for solutions of the past.
+        num_shares: poses over which a correction is spread; 1: at once.
+        memory: seconds of samples that are kept for earlier solutions.
 
     Raises:
-        InputError: a number is out of its range, or the state or gravity is none.
+        InputError: a number is out of range, or state or gravity is invalid.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class PosePublisher(Displayed):
         self.corrections: Ring[Correction] = Ring()
         self._moves: Ring[YawMotion] = Ring()
         self._solution = Solution(timestamp_ns, state)
-        self._early: Solution | None = None  # of a frame after the newest sample
+        self._early: Solution | None = None  # for a frame after the newest sample
         self._state = np.asarray(self._solution.state)  # at that sample, in the window's world
         self._samples: deque[_Sample] = deque()
         self._anchor = self._target = self._last_correction = YawMotion()
@@ -139,43 +139,46 @@ class PosePublisher(Displayed):
 
     @property
     def anchor(self) -> YawMotion:
-        """Where the window's world is in the published one, now."""
+        """Current pose of the window's world in the published world."""
         return self._anchor
 
     @property
     def target(self) -> YawMotion:
-        """Where the anchor goes."""
+        """Pose that the anchor approaches."""
         return self._target
 
     @property
     def num_refused(self) -> int:
-        """Solutions that were older than the samples that are kept, or than one before."""
+        """Number of solutions older than the kept samples, or than an earlier solution."""
         return self._num_refused
 
     @property
     def num_corrections(self) -> int:
-        """Corrections that were composed into the anchor."""
+        """Number of corrections composed into the anchor."""
         return self._num_corrections
 
     def move(self, motion: YawMotion) -> None:
-        """Move the published world, as of a map that was recognised; from any one thread."""
+        """Move the published world, for example after relocalisation.
+
+        Call it from one thread only.
+        """
         check_type("PosePublisher.move: motion", motion, YawMotion)
         self._moves.put(motion)
 
     def publish(self, timestamp_ns: int, gyro: ArrayLike, accel: ArrayLike) -> PublishedPose:
-        """Take a sample and return the pose at its time.
+        """Accept a sample and return the pose at its time.
 
         Args:
-            timestamp_ns: of the sample, after that of the sample before.
+            timestamp_ns: stamp of the sample, after that of the previous sample.
             gyro: (3,) rad/s.
             accel: (3,) m/s^2, specific force.
 
         Raises:
-            InputError: time goes back, or a number is not finite; the sample is not taken then.
+            InputError: time goes back, or a number is not finite; the sample is then ignored.
         """
         sample = self._checked(timestamp_ns, gyro, accel)
         if not self._samples and sample.timestamp_ns > self._solution.timestamp_ns:
-            # The first sample holds from the start on.
+            # The first sample also holds from the start to its stamp.
             self._samples.append(sample._replace(timestamp_ns=self._solution.timestamp_ns))
         self._samples.append(sample)
         solution = self._usable_solution()
@@ -213,13 +216,13 @@ class PosePublisher(Displayed):
             )
         if stamp < self._solution.timestamp_ns:
             raise InputError(
-                f"timestamp_ns: expected from the start at {self._solution.timestamp_ns} on, "
-                f"found {stamp}"
+                "timestamp_ns: expected at least that of the start, "
+                f"{self._solution.timestamp_ns}, found {stamp}"
             )
         return _Sample(stamp, rate.copy(), force.copy())
 
     def _usable_solution(self) -> Solution | None:
-        """Return the newest solution that samples reach back to, if there is a new one."""
+        """Return the newest solution within the kept samples, if there is a new one."""
         newest = self.solutions.take_newest() or self._early
         self._early = None
         if newest is None:
@@ -251,14 +254,14 @@ class PosePublisher(Displayed):
         return last
 
     def _forget_samples(self) -> None:
-        """Keep what a later solution can need: back to the one that is used, but not too far."""
+        """Discard samples before the solution in use, and those that are too old."""
         newest = self._samples[-1].timestamp_ns
         begin = max(self._solution.timestamp_ns, newest - self._memory_ns)
         while len(self._samples) > 2 and self._samples[1].timestamp_ns <= begin:
             self._samples.popleft()
 
     def _follow_target(self) -> tuple[float, float]:
-        """Compose what arrived into the target, take a share of the way; return m and radians."""
+        """Compose new corrections into the target and move one share; return metres and radians."""
         for motion in self._moves.take_all():
             self._target = motion @ self._target
             self._shares_left = self._num_shares
@@ -276,7 +279,7 @@ class PosePublisher(Displayed):
         self._anchor = before.towards(self._target, position, 1 / self._shares_left)
         self._shares_left -= 1
         if not self._shares_left:
-            self._anchor = self._target  # without the rounding of the way
+            self._anchor = self._target  # without accumulated rounding errors
         shift = self._anchor.place(position) - before.place(position)
         turn = math.remainder(self._anchor.yaw - before.yaw, 2 * math.pi)
         return float(np.linalg.norm(shift)), abs(turn)

@@ -1,9 +1,9 @@
-"""Pose graphs solved in a process of their own, at a lower priority.
+"""Solver of pose graphs in a separate process, at a lower priority.
 
-A solve on a thread shares the interpreter with whoever publishes poses: each of its calls into
-Python, and each copy of an array that holds the interpreter, can delay a pose by the time that the
-system leaves the thread without a processor. A process shares nothing. It is sent the arrays of a
-graph and returns the refined poses, each as a pickle through a pipe.
+A solve on a thread shares the interpreter with the thread that publishes poses. Each of its calls
+into Python, and each copy of an array that holds the interpreter, can delay a pose by the time for
+which the system suspends the thread. A process shares nothing. It receives the arrays of a graph
+and returns the refined poses, each as a pickle through a pipe.
 """
 
 from __future__ import annotations
@@ -31,13 +31,12 @@ _NICE = 10
 
 
 class ProcessSolver:
-    """A solver of a :class:`ClosureLoop`: calls return the refined poses of a graph.
+    """Solver for a :class:`ClosureLoop`; calls return the refined poses of a graph.
 
-    It is created once the process can solve. ``close`` ends the process; so does the end of the
-    program.
+    The constructor returns once the process is ready. ``close`` or the end of the program ends it.
 
     Raises:
-        RuntimeError: the process ended, or its solve failed; the message says how.
+        RuntimeError: the process ended, or its solve failed; the message has the reason.
     """
 
     command = "from bundle.inertial.two_loops.process_solver import serve; serve()"
@@ -49,7 +48,7 @@ class ProcessSolver:
         self._receive()
 
     def __call__(self, graph: PoseGraph) -> Array:
-        """Return the refined poses (n, 7), after a solve on one thread."""
+        """Return the refined poses (n, 7) of a solve on one thread."""
         check_type("ProcessSolver: graph", graph, PoseGraph)
         assert self._process.stdin is not None
         try:
@@ -64,14 +63,14 @@ class ProcessSolver:
         return poses
 
     def close(self) -> None:
-        """End the process, a solve with it."""
+        """End the process and any solve in it."""
         self._process.kill()
         self._process.wait()
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None and not pipe.closed:
                 try:
                     pipe.close()
-                except OSError:  # what was not yet sent to it
+                except OSError:  # data not yet sent to it
                     continue
 
     def _receive(self) -> Any:
@@ -86,12 +85,12 @@ class ProcessSolver:
 
 
 def serve(solver: Callable[[PoseGraph], Array] | None = None) -> None:
-    """Solve what arrives at standard input until it ends; for :class:`ProcessSolver`."""
+    """Solve graphs from standard input until it ends; for :class:`ProcessSolver`."""
     solver = solver or solved_on_one_thread
     if hasattr(os, "nice"):
         os.nice(_NICE)
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what anybody prints is no answer
+    os.dup2(2, 1)  # libraries' prints must not mix with answers
     given = sys.stdin.buffer
     answer: Any = None
     while True:
@@ -105,5 +104,5 @@ def serve(solver: Callable[[PoseGraph], Array] | None = None) -> None:
             answer = np.array(solver(PoseGraph(**fields)))
         except KeyboardInterrupt:
             return
-        except Exception as error:  # for whoever waits: told in its process
+        except Exception as error:  # the caller reports it in its own process
             answer = f"{type(error).__name__}: {error}"

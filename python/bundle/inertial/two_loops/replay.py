@@ -1,9 +1,9 @@
-"""A sequence through two loops: a pose per IMU sample, a window and a graph of closures behind it.
+"""Replay of a sequence through two loops: a pose per IMU sample, a window, a closure graph.
 
-Samples come in their order, an image once the samples have reached it. In real time they come when
-they would from the sensors, each loop takes the time that it takes, and a pose is late by the time
-between its sample and its return. Otherwise the next sample waits until both loops have nothing to
-do: the poses are then the same in each run, as those of sensors that wait for the solver.
+Samples are replayed in order, and an image follows the last sample before it. In real time, samples
+come at the sensors' rate, each loop takes its time, and the latency of a pose is the time from its
+sample to its return. Otherwise the next sample waits until both loops are idle: results are then
+reproducible, as if the sensors waited for the solver.
 """
 
 from __future__ import annotations
@@ -39,31 +39,32 @@ __all__ = ["LATE", "LoopStatistics", "TwoLoopsResult", "run_two_loops"]
 Array = NDArray[np.float64]
 
 LATE = 5e-3
-"""Seconds after its sample from which on a pose counts as late."""
+"""Seconds after its sample from which a pose counts as late."""
 
 
 @dataclass(frozen=True)
 class LoopStatistics:
-    """What the loops of a replay did.
+    """Statistics of a replay.
 
     Attributes:
-        real_time: samples came at the sensors' rate.
-        first_in_line: the system let the publishing thread come before others; None if not asked.
-        num_poses: published.
-        lateness: seconds: p50, p95, max; None unless in real time.
-        num_late: poses that were late by more than 5 ms; None unless in real time.
-        num_corrections: of the graph, that were composed into the anchor.
-        largest_shift: m by which a correction's share moved a pose, at most.
-        largest_turn: radians, likewise.
-        num_closures: that the graph has.
-        num_closures_unknown: without keyframes near both ends, or lost by a ring.
-        num_graph_solves: of the graph of closures.
-        num_window_solves: of the window.
+        real_time: True if samples came at the sensors' rate.
+        first_in_line: True if the system gave the publishing thread priority; None if not
+            requested.
+        num_poses: number of published poses.
+        lateness: latency in seconds: p50, p95, max; None unless in real time.
+        num_late: poses late by more than 5 ms; None unless in real time.
+        num_corrections: corrections of the graph that were composed into the anchor.
+        largest_shift: largest motion of a pose by a share of a correction, in metres.
+        largest_turn: the same in radians.
+        num_closures: closures in the graph.
+        num_closures_unknown: closures without keyframes near both ends, or lost by a ring.
+        num_graph_solves: solves of the graph of closures.
+        num_window_solves: solves of the window.
         num_window_late: solves of the window that took longer than an image's interval.
         longest_window_solve: seconds; None unless in real time.
-        num_images_left_out: by a window that drained to the newest image.
-        num_solutions_refused: older than the samples that are kept.
-        num_lost: records that a full ring has forgotten.
+        num_images_left_out: images that the window skipped to reach the newest one.
+        num_solutions_refused: solutions older than the kept samples.
+        num_lost: records that a full ring discarded.
     """
 
     real_time: bool
@@ -85,19 +86,19 @@ class LoopStatistics:
     num_lost: int
 
     def asdict(self) -> dict[str, Any]:
-        """Return it for JSON."""
+        """Return the statistics for JSON."""
         return asdict(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TwoLoopsResult(Displayed):
-    """What a replay published.
+    """Published poses of a replay.
 
     Attributes:
-        published: a state per IMU sample, corrected by closures.
-        odometry: of the window, which closures do not touch.
-        correction: from the window's world to the published one, at the end.
-        statistics: of the loops.
+        published: one state per IMU sample, corrected by closures.
+        odometry: states of the window, without closures.
+        correction: motion from the window's world to the published one, at the end.
+        statistics: statistics of the loops.
     """
 
     published: Trajectory
@@ -133,16 +134,16 @@ def run_two_loops(
 
     Args:
         sequence: IMU samples, tracks and calibration.
-        options: of the window, or some of its fields by name.
-        closures: places that were recognised, at any times of the sequence; each is known once a
-            keyframe is not before its later end.
-        real_time: samples come at the sensors' rate, else as fast as the loops take them.
+        options: options of the window, or some of its fields by name.
+        closures: loop closures at any times of the sequence; each becomes known with the first
+            keyframe at or after its later end.
+        real_time: samples come at the sensors' rate, otherwise as fast as the loops permit.
         num_shares: poses over which a correction is spread.
-        solver: of the pose graph, as :class:`ClosureLoop` takes it; None: :func:`bundle.solve`, in
-            real time by a process of its own.
-        progress: called about 10 times a second of the sequence with (samples done, in all); False
-            ends the replay there.
-        **changes: fields of the options.
+        solver: pose graph solver for the :class:`ClosureLoop`; None: :func:`bundle.solve`, in real
+            time in a separate process.
+        progress: called about 10 times per second of the sequence with (finished samples, all
+            samples); returning False ends the replay.
+        **changes: fields of the options by name.
 
     Raises:
         InputError: no start is found, no sample follows it, or an argument is wrong.
@@ -174,7 +175,7 @@ class _Replay:
         stamps = sequence.imu_timestamps_ns
         self.first = int(np.searchsorted(stamps, newest.stamp, "right"))
         if self.first == len(stamps):
-            raise InputError("sequence: expected IMU samples after the start, found none")
+            raise InputError("sequence: expected IMU samples after the start, found 0")
         self.stamps: list[int] = []
         self.states: list[Array] = []
         self.late: list[float] = []
@@ -201,7 +202,7 @@ class _Replay:
                     self._publish_all(rate, progress)
             else:
                 self._publish_all(rate, progress)
-        except KeyboardInterrupt:  # what is published stays
+        except KeyboardInterrupt:  # keep the published poses
             self.message, self.interrupted = "interrupted", True
         finally:
             try:
@@ -243,7 +244,7 @@ class _Replay:
         self.largest_turn = max(self.largest_turn, pose.turn)
 
     def result(self, seconds: float) -> TwoLoopsResult:
-        """Return what was published, once the loops have ended."""
+        """Return the published poses, once the loops have ended."""
         run = self.driver.run
         trajectory, failure = run.trajectory(), run.failure()
         odometry = OdometryResult(

@@ -1,4 +1,4 @@
-"""A bounded queue between two threads that never blocks either."""
+"""Bounded queue between two threads that never blocks either."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ Record = TypeVar("Record")
 
 
 class Ring(Generic[Record]):
-    """The newest records of a thread for another: a full ring forgets its oldest.
+    """Queue of the newest records of one thread for another.
+
+    A full ring discards its oldest record.
 
     One thread puts, one takes. Both use single operations of ``collections.deque``, which the
-    interpreter does not interrupt: there is no lock that one could hold while the other is due.
+    interpreter does not interrupt. No lock can therefore delay a thread with a deadline.
 
     Args:
         capacity: largest number of records.
 
     Raises:
-        InputError: it is no whole number above 0.
+        InputError: capacity is no whole number above 0.
     """
 
     def __init__(self, capacity: int = 64) -> None:
@@ -37,7 +39,7 @@ class Ring(Generic[Record]):
 
     @property
     def num_lost(self) -> int:
-        """Records that were forgotten before anybody took them, as far as takes have shown."""
+        """Number of records discarded before they were taken, as known at the last take."""
         return self._lost
 
     def put(self, record: Record) -> None:
@@ -58,6 +60,6 @@ class Ring(Generic[Record]):
             taken.append(record)
 
     def take_newest(self) -> Record | None:
-        """Return the newest record and forget the others; None where there is none."""
+        """Return the newest record and discard the others; None if there is none."""
         taken = self.take_all()
         return taken[-1] if taken else None

@@ -1,19 +1,20 @@
-"""A sliding window as the solve of a window loop, which hands its keyframes to a closure loop.
+"""Driver of a sliding window in a window loop; it passes keyframes to a closure loop.
 
-A slow solve meets several images at its next call: the newest is solved for, the others are left
-out, and the samples between go on in its interval.
+After a slow solve, several images are waiting at the next call: the newest is solved, the others
+are skipped, and their samples join its interval.
 
-Closures come at any two times between images that were solved for. With the window's poses A and B
-of the keyframes that are nearest to them, and a and b at the times themselves, interpolated, the
-closure M of b in the frame of a becomes
+Closures connect any two times between solved images. Let A and B be the window's poses of the
+nearest keyframes, and a and b the interpolated poses at the times themselves. The closure M of b in
+the frame of a becomes
 
     (A^-1 a) M (B^-1 b)^-1,
 
-of keyframe B in the frame of keyframe A: the window is right over fractions of a second, whatever
-it has drifted by since. Its information stays as it is.
+of keyframe B in the frame of keyframe A: over fractions of a second the window is accurate, however
+much it has drifted. The information of the closure is kept.
 
-The motion from keyframe to keyframe gets the sigmas EDGE_TURN and EDGE_SHIFT + EDGE_SHARE of its
-length. They weigh the odometry beside closures with sigmas of their own.
+The motion between keyframes has the sigmas EDGE_TURN for rotation, and EDGE_SHIFT plus EDGE_SHARE
+of its length for translation. They weigh the odometry against closures, which have their own
+sigmas.
 """
 
 from __future__ import annotations
@@ -29,34 +30,34 @@ from bundle.model.rigid_motions import inverse_poses, multiply_poses
 __all__ = ["WindowDriver"]
 
 EDGE_TURN = np.radians(0.1)
-EDGE_SHIFT, EDGE_SHARE = 2e-3, 0.01  # m; of the length
+EDGE_SHIFT, EDGE_SHARE = 2e-3, 0.01  # m; share of the length
 
 
 class WindowDriver:
-    """Solves images of a sequence on the thread of a :class:`WindowLoop`.
+    """Solver of a sequence's images on the thread of a :class:`WindowLoop`.
 
     Args:
-        run: a window that has started.
-        closures: by the time of their later end.
+        run: window that has started.
+        closures: closures sorted by the time of their later end.
     """
 
     def __init__(self, run: WindowRun, closures: tuple[Closure, ...]) -> None:
         self.run = run
         self.num_left_out = 0
         self.num_outside = 0
-        self._keyframes: list[int] = []  # in the run's stamps
+        self._keyframes: list[int] = []  # in the stamps of the run
         self._closures = list(closures)
         self._graph: ClosureLoop | None = None
 
     def join(self, graph: ClosureLoop) -> None:
-        """Hand keyframes and closures to a loop from now on."""
+        """Pass keyframes and closures to a loop from now on."""
         self._graph = graph
         for place in range(len(self.run.stamps)):
             self._put_keyframe(place)
 
     def solve(self, frames: list[int], deadline: float) -> Solution | None:
-        """Solve for the newest of some images; None where the motion is lost."""
-        del deadline  # the window has its own budget, within that of the loop
+        """Solve the newest of some images; return None if tracking is lost."""
+        del deadline  # the window's own budget is within that of the loop
         run = self.run
         if run.lost:
             return None
@@ -71,7 +72,7 @@ class WindowDriver:
 
     @property
     def num_closures_left(self) -> int:
-        """Closures whose later end no keyframe has reached."""
+        """Number of closures whose later end is after the newest keyframe."""
         return len(self._closures)
 
     def _put_keyframe(self, place: int) -> None:
@@ -86,7 +87,7 @@ class WindowDriver:
         self._keyframes.append(place)
 
     def _put_closures(self, now: int) -> None:
-        """Hand over the closures whose later end is not after the newest keyframe."""
+        """Queue the closures whose later end is not after the newest keyframe."""
         assert self._graph is not None
         while self._closures and max(self._ends(self._closures[0])) <= now:
             closure = self._closures.pop(0)
@@ -97,7 +98,10 @@ class WindowDriver:
                 self._graph.put_closure(moved)
 
     def _between_keyframes(self, closure: Closure) -> Closure | None:
-        """Return the closure between its nearest keyframes, None where it is outside or of one."""
+        """Return the closure between its nearest keyframes.
+
+        None if outside or if they are the same.
+        """
         ends = np.array(self._ends(closure), np.int64)
         if ends.min() < self.run.stamps[0]:
             return None

@@ -1,4 +1,4 @@
-"""The loop of a window: bounded work on a thread of its own, with a deadline."""
+"""Window loop: bounded work on its own thread, with a deadline."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ __all__ = ["WindowLoop"]
 
 
 class WindowLoop(SolveLoop):
-    """Solves a window for the frames that arrive, on a thread of its own.
+    """Solver of a window for arriving frames, on its own thread.
 
-    Of any window: ``solve(frames, deadline)`` gets the frames since its last call, oldest first,
-    and a time of ``time.monotonic()`` by which it should be back with its best state so far. What
-    it returns, a :class:`Solution` or None, goes to the ring of a publisher, late or not: the
-    publisher has gone on by the IMU alone meanwhile. A slow solve meets several frames at its next
-    call, and loses the oldest where they are more than the ring holds.
+    It drives any window: ``solve(frames, deadline)`` gets the frames since its last call, oldest
+    first, and a time of ``time.monotonic()`` by which it should return its best state. The result,
+    a :class:`Solution` or None, goes to the ring of a publisher even if it is late; meanwhile the
+    publisher has used the IMU alone. After a slow solve, several frames are waiting at the next
+    call, and the oldest are lost if there are more than the ring holds.
 
     Args:
-        solve: the window.
-        solutions: the ring of a :class:`PosePublisher`.
+        solve: function that solves the window.
+        solutions: ring of a :class:`PosePublisher`.
         budget: seconds from a call to its deadline.
-        capacity: frames that wait.
+        capacity: frames that can wait.
 
     Raises:
-        InputError: an argument is none of these.
+        InputError: an argument has the wrong type or range.
     """
 
     def __init__(
@@ -55,21 +55,21 @@ class WindowLoop(SolveLoop):
 
     @property
     def num_late(self) -> int:
-        """Calls that came back after their deadline."""
+        """Number of calls that returned after their deadline."""
         return self._num_late
 
     @property
     def num_lost_frames(self) -> int:
-        """Frames that no call has seen."""
+        """Number of frames that no call has processed."""
         return self._frames.num_lost
 
     @property
     def longest(self) -> float:
-        """Seconds that the slowest call took."""
+        """Duration of the slowest call in seconds."""
         return self._longest
 
     def put(self, frame: Any) -> None:
-        """Hand over a frame; returns at once."""
+        """Queue a frame; return at once."""
         self._frames.put(frame)
         self._worker.notify()
 

@@ -1,8 +1,8 @@
-"""Motions of a world about its vertical: what an IMU leaves open, and what closures correct.
+"""Motions about the vertical: the directions that an IMU leaves free and closures correct.
 
-Gravity fixes roll and pitch; heading and place drift. A motion turns by an angle about z and
-shifts: x -> Rz(yaw) x + t. The part of a rigid motion that it can be is its twist about z: of the
-quaternion (x, y, z, w) the angle 2 atan2(z, w).
+Gravity determines roll and pitch; heading and position drift. A motion rotates about z and
+translates: x -> Rz(yaw) x + t. The yaw of a rigid motion is its twist about z: the angle 2 atan2(z,
+w) of the quaternion (x, y, z, w).
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ def twist_about_z(quaternion: Array) -> float:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class YawMotion(Displayed):
-    """x -> Rz(yaw) x + translation.
+    """Motion x -> Rz(yaw) x + translation.
 
     Attributes:
-        yaw: radians.
+        yaw: angle in radians.
         translation: (3,) m.
 
     Raises:
-        InputError: these are no finite numbers.
+        InputError: a number is not finite.
     """
 
     yaw: float = 0.0
@@ -54,15 +54,15 @@ class YawMotion(Displayed):
 
     @property
     def shift(self) -> Array:
-        """The translation as an array."""
+        """Translation as an array."""
         return np.asarray(self.translation, np.float64)
 
     @staticmethod
     def between(start: Array, end: Array) -> YawMotion:
-        """Return the motion that takes a pose's place and heading to another's.
+        """Return the motion from a pose's position and heading to another's.
 
         Args:
-            start: qx qy qz qw tx ty tz, any numbers after them.
+            start: qx qy qz qw tx ty tz, followed by any numbers.
             end: likewise.
         """
         back = np.array([-start[0], -start[1], -start[2], start[3]])
@@ -70,16 +70,16 @@ class YawMotion(Displayed):
         return YawMotion(yaw, end[4:7] - _turned(yaw, start[4:7]))
 
     def __matmul__(self, other: YawMotion) -> YawMotion:
-        """Return the motion ``other``, then this one."""
+        """Return the composition: ``other`` first, then this motion."""
         shift = _turned(self.yaw, other.shift) + self.shift
         return YawMotion(math.remainder(self.yaw + other.yaw, 2 * math.pi), shift)
 
     def inverse(self) -> YawMotion:
-        """Return the motion back."""
+        """Return the inverse motion."""
         return YawMotion(-self.yaw, -_turned(-self.yaw, self.shift))
 
     def moved(self, state: Array) -> Array:
-        """Return a state (16,), or a pose (7,) or more of one, moved with the world."""
+        """Return a state (16,), or one or more poses (7,), moved with the world."""
         out = state.copy()
         x, y, z, w = state[:4].tolist()
         sine, cosine = math.sin(self.yaw / 2), math.cos(self.yaw / 2)
@@ -99,10 +99,10 @@ class YawMotion(Displayed):
         return _turned(self.yaw, position) + self.shift
 
     def towards(self, target: YawMotion, position: Array, share: float) -> YawMotion:
-        """Return the motion that has gone a share of the way to another, as seen at a place.
+        """Interpolate between two yaw motions as observed at `position`.
 
-        Heading and the place of ``position`` under the motion change by that share of what the
-        target would change, so that far from the origin a turn about it does not swing.
+        Heading and the image of ``position`` change by this share of the target's change. A
+        rotation about a distant origin therefore causes no swing.
         """
         here, there = self.place(position), target.place(position)
         yaw = self.yaw + share * math.remainder(target.yaw - self.yaw, 2 * math.pi)
@@ -118,13 +118,13 @@ class YawMotion(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Correction(Displayed):
-    """Where the world of a window is in the world of a graph, as known at a time.
+    """Pose of the window's world in the graph's world, as known at a time.
 
     Attributes:
-        timestamp_ns: of the newest keyframe that the graph knew.
+        timestamp_ns: stamp of the newest keyframe in the graph.
         world_from_window: the motion.
-        num_keyframes: of the graph.
-        num_closures: likewise.
+        num_keyframes: number of keyframes in the graph.
+        num_closures: number of closures in the graph.
     """
 
     timestamp_ns: int

@@ -1,6 +1,6 @@
-"""The first states of a sequence: from rest, or from motion by tracks and IMU samples together.
+"""Initial states of a sequence: from rest, or from motion by tracks and IMU samples.
 
-A sequence that begins at rest has its tilt and gyroscope bias from the samples
+If a sequence begins at rest, samples give its tilt and gyroscope bias
 (:mod:`bundle.inertial.vio.static_start`). Otherwise spans of two seconds are tried, one after the
 other, until the linear start of one (:mod:`bundle.inertial.vio.linear_start`) passes every test:
 
@@ -12,7 +12,7 @@ other, until the linear start of one (:mod:`bundle.inertial.vio.linear_start`) p
 * certain: the way is known to a tenth of its length. It is not where nothing accelerates.
 
 The world of a start has z up and its origin at the first image; its yaw is that of the shortest
-rotation which levels the IMU.
+rotation that levels the IMU.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ __all__ = ["VioStart", "find_start", "initialize_vio"]
 
 Array = np.ndarray[Any, Any]
 
-SPAN, STRIDE, LATEST = 2.0, 0.5, 30.0  # s: of a try, between tries, until none is made any more
+# s: length of a span, step between spans, start of the last span
+SPAN, STRIDE, LATEST = 2.0, 0.5, 30.0
 IMAGES = 12
 LEAST_TRACKS, LEAST_VIEWS = 10, 3
 LEAST_PARALLAX = 8.0  # sigmas
@@ -52,21 +53,22 @@ MOST_SCALE_SIGMA = 0.1
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VioStart(Displayed):
-    """The first states of a sequence, or why there are none.
+    """Initial states of a sequence, or the reason why there are none.
 
     Attributes:
         kind: "static", "moving", or "none".
-        reason: why "none" (the last span's): "too few tracks", "no parallax", "points behind the
-            camera", "biases too large", "no excitation"; empty otherwise.
-        images: (k,) indices of the images, as :meth:`Sequence.frames` counts them.
-        timestamps_ns: (k,) on the clock of the IMU.
+        reason: reason for "none" (of the last span): "too few tracks", "no parallax", "points
+            behind the camera", "biases too large", "no excitation"; empty otherwise.
+        images: (k,) indices of the images in :meth:`Sequence.frames`.
+        timestamps_ns: (k,) on the IMU's clock.
         states: (k, 16) rows qx qy qz qw, position [m], velocity [m/s], gyroscope and accelerometer
             bias; world_from_imu, the world's z axis up.
-        track_ids: (m,) of the points; none from rest.
+        track_ids: (m,) ids of the points; empty for a start at rest.
         points: (m, 3) in the world [m].
-        gravity_sigma: standard deviation of the tilt [rad]; nan from rest.
-        scale_sigma: of the way between first and last image, relative; nan from rest.
-        median_error: of reprojection, in sigmas; nan from rest.
+        gravity_sigma: standard deviation of the tilt [rad]; nan for a start at rest.
+        scale_sigma: relative standard deviation of the distance between first and last image; nan
+            for a start at rest.
+        median_error: median reprojection error in sigmas; nan for a start at rest.
     """
 
     kind: str
@@ -109,19 +111,19 @@ def initialize_vio(
     integration: str = "zero_order_hold",
     try_rest: bool = True,
 ) -> VioStart:
-    """Find the first states of a sequence, without any knowledge of where it is.
+    """Find the initial states of a sequence without prior knowledge of its pose.
 
     Args:
         sequence: IMU samples, tracks and calibration.
-        gravity: its length [m/s^2].
-        integration: rule of preintegration, as of :class:`bundle.Preintegration`.
-        try_rest: look for rest at the start first.
+        gravity: magnitude of gravity [m/s^2].
+        integration: rule of :class:`bundle.Preintegration`.
+        try_rest: test first if the sequence starts at rest.
 
     Returns:
-        A start, true as a condition if there is one.
+        Start, true as a condition if one was found.
 
     Raises:
-        InputError: an argument has another type or range.
+        InputError: an argument has a wrong type or range.
     """
     check_type("sequence", sequence, Sequence)
     gravity = number("gravity", gravity, above=0)
@@ -131,7 +133,7 @@ def initialize_vio(
 def find_start(
     images: SequenceImages, gravity: float, integration: str, try_rest: bool = True
 ) -> VioStart:
-    """Find the first states of a sequence's images, as :func:`initialize_vio`."""
+    """Find the initial states of a sequence's images; see :func:`initialize_vio`."""
     stamps = images.stamps
     rest = find_static_start(images, gravity) if try_rest else None
     if rest is not None:
@@ -173,7 +175,7 @@ def find_start(
 
 
 def _span(images: SequenceImages, first: int, end: int) -> _Span | None:
-    """Return images over two seconds and the points that three of them see, if there are enough."""
+    """Return images over two seconds and the points in at least three of them, if sufficient."""
     stamps = images.stamps
     last = int(np.searchsorted(stamps, stamps[first] + round(1e9 * SPAN), "right")) - 1
     last = min(last, end)
@@ -195,7 +197,7 @@ def _span(images: SequenceImages, first: int, end: int) -> _Span | None:
 
 
 def _objection(found: LinearStart, span: _Span, calibration: Calibration) -> str:
-    """Return which test a solution fails, or nothing."""
+    """Return the test that a solution fails, or ""."""
     seen = span.seen
     turn = rotation_matrices(np.array(calibration.camera_from_imu)[None, :4])[0]
     rays = np.column_stack([seen.xy, np.ones(len(seen.xy))]) @ turn

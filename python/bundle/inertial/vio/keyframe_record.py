@@ -1,11 +1,8 @@
-"""What a window reports of each keyframe.
+"""Keyframes of a window: the rule that selects them, and the telemetry of each.
 
-When a frame becomes a keyframe, and why.
-
-Depth is known to sigma_z / z = sigma_d / d for a parallax d: at f = 460 px and sigma_d = 0.5 px,
-10 px are 5 %. A frame that adds less only costs time, unless tracks run out or the IMU is
-integrated for too long. Without translation there is no parallax, whatever the image does: nothing
-is added.
+Depth has the relative error sigma_z / z = sigma_d / d for a parallax d: at f = 460 px and sigma_d =
+0.5 px, 10 px give 5 %. A frame that adds less parallax only costs time, unless tracks become few or
+the IMU interval becomes long. Without translation there is no parallax, and no frame is added.
 """
 
 from __future__ import annotations
@@ -24,45 +21,49 @@ __all__ = ["KeyframeRecord", "alarms_by_kind", "keyframe_reason"]
 
 @dataclass(frozen=True)
 class KeyframeRecord:
-    """Telemetry of a keyframe; costs are 1/2 sum rho, times seconds, None where not measured.
+    """Telemetry of a keyframe.
+
+    Costs are 1/2 sum rho, times are seconds, None means not measured.
 
     Attributes:
-        timestamp_ns: of the image.
-        reason: why it became a keyframe: start, parallax, tracks or time.
-        parallax: median motion of the tracks since the keyframe before, pixels.
-        window_size: frames in the solve.
-        num_landmarks, num_observations: in the solve, observations beyond the anchor's.
-        num_rows: residuals, those of the prior among them.
-        num_columns: unknowns, landmarks among them.
-        fill_ratio: nonzeros of the factor beside those of the reduced matrix (1 where dense).
+        timestamp_ns: stamp of the image.
+        reason: reason for the keyframe: start, parallax, tracks or time.
+        parallax: median motion of the tracks since the previous keyframe, in pixels.
+        window_size: number of frames in the solve.
+        num_landmarks, num_observations: counts of the solve; observations exclude those of anchors.
+        num_rows: number of residuals, including those of the prior.
+        num_columns: number of unknowns, including landmarks.
+        fill_ratio: fill-in: nonzeros of the factor relative to the reduced matrix (1 if dense).
         times: seconds per phase: preintegration, assembly, solve, marginalization, total.
-        num_iterations, num_rejected: steps tried and those rejected.
-        out_of_time: the budget ended the solve.
-        costs: by family after the solve: visual, imu, bias_walk, prior. The prior's is 0 at its own
-            minimum, and about 0.1 a coordinate in healthy windows.
-        mean_visual_chi2: visual cost per residual, 0.5 where sigma is right.
-        imu_excess: cost of the IMU beside what its noise explains, of a solve every ten images or
-            so; below 1 where the noise is taken large enough, several times that where camera and
-            IMU contradict each other. None before the first.
-        nullity, expected_nullity: directions that nothing sees; 4 without priors on the start.
-        prior_min_eigenvalue: smallest of the prior's information; rounding about 0 where it says
-            nothing along some direction, as along position and yaw.
-        prior_max_eigenvalue: largest.
-        prior_ratio: smallest beside largest eigenvalue of the information on the oldest frame given
-            all others, its diagonal scaled to 1; healthy above 1e-6 without a trend.
-        prior_definiteness: the same of the whole prior: rounding about 0, negative where too few
-            digits left it indefinite.
-        prior_asymmetry: relative, before the prior is made symmetric.
+        num_iterations, num_rejected: attempted steps and rejected steps.
+        out_of_time: True if the time budget ended the solve.
+        costs: costs by family after the solve: visual, imu, bias_walk, prior. That of the prior is
+            0 at its own minimum, and about 0.1 per coordinate in healthy windows.
+        mean_visual_chi2: visual cost per residual; 0.5 if sigma is correct.
+        imu_excess: cost of the IMU relative to its expectation from the noise, evaluated every ten
+            images or so. Below 1 if the noise is set large enough, several times that if camera and
+            IMU are inconsistent. None before the first evaluation.
+        nullity, expected_nullity: dimension of the null space; 4 is expected without priors on the
+            start.
+        prior_min_eigenvalue: smallest eigenvalue of the prior's information; a rounding error near
+            0 if the prior has a null space, such as position and yaw.
+        prior_max_eigenvalue: largest eigenvalue.
+        prior_ratio: ratio of smallest and largest eigenvalue of the information on the oldest frame
+            given all others, with unit diagonal; healthy above 1e-6 without a trend.
+        prior_definiteness: the same for the whole prior: near 0 up to rounding; negative if lost
+            digits made it indefinite.
+        prior_asymmetry: relative asymmetry before the prior is symmetrised.
         excitation, excitation_verdict: standard deviation of |a| - g over the window, m/s^2.
-        gyro_bias, accel_bias: of the newest state, with their sigmas where asked for.
-        yaw_sigma: of the newest state, rad; None without covariance or with a free yaw.
-        accumulated_rotation: rad, of all turns from keyframe to keyframe since the start.
-        marginalized: stamp of the keyframe that left, or None, and how.
-        num_absorbed: landmarks that went into the prior.
-        num_carried: landmarks of the keyframe that left that go on from their next image.
-        num_rejected_tracks: outliers.
-        num_repropagated: intervals that were integrated anew at new biases.
-        alarms: sentences; none on healthy windows.
+        gyro_bias, accel_bias: biases of the newest state, with their sigmas if requested.
+        yaw_sigma: standard deviation of the newest yaw, rad; None without covariance or with a free
+            yaw.
+        accumulated_rotation: sum of rotation angles between keyframes since the start, rad.
+        marginalized: stamp of the keyframe that left the window, or None, and the method.
+        num_absorbed: landmarks that were marginalised into the prior.
+        num_carried: landmarks of the removed keyframe that continue from their next image.
+        num_rejected_tracks: number of outliers.
+        num_repropagated: intervals that were integrated again at new biases.
+        alarms: sentences; empty for healthy windows.
     """
 
     timestamp_ns: int
@@ -104,12 +105,12 @@ class KeyframeRecord:
     alarms: tuple[str, ...] = field(default=())
 
     def asdict(self) -> dict[str, Any]:
-        """Return it for JSON."""
+        """Return the record for JSON."""
         return asdict(self)
 
 
 def alarms_by_kind(records: Iterable[KeyframeRecord]) -> dict[str, list[tuple[int, str]]]:
-    """Return the alarms with the stamps of their keyframes, by what they say before the colon."""
+    """Return alarms with the stamps of their keyframes, grouped by the text before the colon."""
     found: dict[str, list[tuple[int, str]]] = {}
     for record in records:
         for alarm in record.alarms:
@@ -128,15 +129,15 @@ def keyframe_reason(
     seconds: float,
     options: WindowOptions,
 ) -> tuple[str, float]:
-    """Return why the new frame is a keyframe, "" if it is none, and the median parallax in pixels.
+    """Return why the new frame is a keyframe ("" if it is none), and the median parallax [px].
 
     Args:
         last: tracks of the last keyframe.
-        new: tracks of the frame.
+        new: tracks of the new frame.
         focal: pixels per unit of normalised coordinates.
-        translation: distance between both, metres.
-        seconds: time between both.
-        options: the bounds.
+        translation: distance between both frames, metres.
+        seconds: time between both frames.
+        options: limits.
     """
     _, a, b = np.intersect1d(last.ids, new.ids, assume_unique=True, return_indices=True)
     parallax = 0.0

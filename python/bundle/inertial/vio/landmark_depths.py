@@ -1,15 +1,15 @@
-"""Landmarks of a window, between its solves: x, y and 1 / z in the image that anchors them.
+"""Landmarks of a window between its solves: x, y and 1 / z in the image that anchors them.
 
-Inverse depths of landmarks from known poses, all of them at once.
+Inverse depths follow from known poses by linear triangulation of all landmarks at once.
 
-Of a landmark with the anchor ray m = (x, y, 1), camera j sees y = A m + l t with l = 1 / z, where
-A = R_j R_a^T and t is the anchor's camera in camera j. Its observation (u, v) says
-y_x - u y_z = 0 and y_y - v y_z = 0: two equations linear in l,
+A landmark with the anchor ray m = (x, y, 1) is at y = A m + l t in camera j with l = 1 / z, where A
+= R_j R_a^T and t is the position of the anchor's camera in camera j. Its observation (u, v) gives
+y_x - u y_z = 0 and y_y - v y_z = 0, two equations linear in l:
 
     l (t_x - u t_z) = u (A m)_z - (A m)_x,        the same with v and y.
 
-Least squares over all observations of the landmark, which weighs near and far ones alike since
-y_z is about 1 for small motions.
+Least squares over all observations of the landmark weighs near and far landmarks alike, because y_z
+is about 1 for small motions.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ def camera_poses(states: Array, camera_from_imu: Array) -> tuple[Array, Array]:
     """Return rotations (n, 3, 3) camera_from_world and camera centres (n, 3) in the world."""
     world_from_imu = rotation_matrices(states[:, :4])
     rotation = rotation_matrices(camera_from_imu[None, :4])[0]
-    offset = -rotation.T @ camera_from_imu[4:]  # the camera in the IMU's frame
+    offset = -rotation.T @ camera_from_imu[4:]  # position of the camera in the IMU frame
     return rotation @ world_from_imu.transpose(0, 2, 1), states[:, 4:7] + world_from_imu @ offset
 
 
 def _motion(rotations: Array, centres: Array, table: LandmarkTable) -> tuple[Array, Array]:
-    """Return A m and t of each observation, (k, 3) both."""
+    """Return A m and t of each observation, both (k, 3)."""
     anchors = table.anchors[table.landmarks]
     rays = np.c_[table.anchor_xy, np.ones(len(table.ids))][table.landmarks]
     in_world = np.einsum("kji,kj->ki", rotations[anchors], rays)
@@ -48,13 +48,13 @@ def _motion(rotations: Array, centres: Array, table: LandmarkTable) -> tuple[Arr
 
 
 class Triangulation:
-    """Inverse depths of the landmarks of a table, from known poses.
+    """Inverse depths of the landmarks of a table from known poses.
 
     Args:
         rotations: camera_from_world (n, 3, 3).
-        centres: of the cameras in the world (n, 3).
+        centres: projection centres in the world (n, 3).
         table: landmarks and observations.
-        sigma: of an observation.
+        sigma: standard deviation of an observation.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Triangulation:
         self.turned, self.shift = _motion(rotations, centres, table)
 
     def least_squares(self) -> Array:
-        """Return the inverse depth of each landmark; 0, infinitely far, without parallax."""
+        """Return the inverse depth of each landmark; 0 (at infinity) without parallax."""
         turned, shift, table = self.turned, self.shift, self.table
         a = shift[:, :2] - table.xy * shift[:, 2:]
         b = table.xy * turned[:, 2:] - turned[:, :2]
@@ -74,14 +74,14 @@ class Triangulation:
         return np.where(bottom > 1e-12, top / np.maximum(bottom, 1e-12), 0.0)
 
     def costs(self, depths: Array) -> Array:
-        """Return a robust cost of each landmark; infinite where a camera has it behind it."""
+        """Return a robust cost of each landmark; infinite if it is behind a camera."""
         table = self.table
         point = self.turned + depths[table.landmarks][:, None] * self.shift
         z = point[:, 2]
         front = z > 1e-3
         error = point[:, :2] / np.where(front, z, 1.0)[:, None] - table.xy
         each = np.log1p(np.sum(error**2, 1) / self.sigma**2)
-        # Of no observation at all, bincount counts whole numbers.
+        # Without any observation, bincount returns integers.
         cost = np.bincount(table.landmarks, each, len(table.ids)).astype(np.float64)
         cost[table.landmarks[~front]] = np.inf
         return cost
@@ -90,19 +90,20 @@ class Triangulation:
 def reanchored(
     rotations: Array, centres: Array, old: Array, xy: Array, depths: Array, new: Array
 ) -> Array:
-    """Return inverse depths in other frames, of landmarks at xy in their old ones.
+    """Return inverse depths in other frames for landmarks at xy in their old frames.
 
-    Not positive where a landmark is behind the new camera; 0 stays 0.
+    Not positive if a landmark is behind the new camera; 0 stays 0.
     """
     rays = np.c_[xy, np.ones(len(xy))]
     in_world = np.einsum("kji,kj->ki", rotations[old], rays)
-    point = in_world + depths[:, None] * (centres[old] - centres[new])  # times the inverse depth
+    # multiplied by the inverse depth
+    point = in_world + depths[:, None] * (centres[old] - centres[new])
     z = np.einsum("ki,ki->k", rotations[new][:, 2], point)
     return np.where(np.abs(z) > 1e-9, depths / np.where(z == 0, 1.0, z), -1.0)
 
 
 class LandmarkDepths:
-    """By track: the frame that anchors it, by its stamp, and x, y, 1 / z there."""
+    """Landmarks by track: stamp of the anchoring frame, and x, y, 1 / z there."""
 
     def __init__(self) -> None:
         self.ids = np.empty(0, np.int64)
@@ -116,10 +117,11 @@ class LandmarkDepths:
         camera_from_imu: Array,
         sigma: float,
     ) -> tuple[LandmarkTable, Array]:
-        """Return the landmarks that all cameras have before them, with x, y, 1 / z of each.
+        """Return the landmarks in front of all cameras, with x, y, 1 / z of each.
 
-        Each is the better of the last solve's and of a triangulation with the poses as they are: a
-        landmark that had no parallax before would else be taken for an outlier when it gets some.
+        Each is the better of the last solve's estimate and a triangulation from the current poses.
+        Otherwise a landmark without parallax so far would be rejected as an outlier when it gets
+        some.
         """
         rotations, centres = camera_poses(np.array([f.state for f in frames]), camera_from_imu)
         stamps = np.array([f.stamp for f in frames], np.int64)
@@ -139,7 +141,7 @@ class LandmarkDepths:
         return table.only(valid), points[valid]
 
     def put(self, table: LandmarkTable, frames: Sequence[WindowFrame], points: Array) -> None:
-        """Keep what a solve found."""
+        """Store the result of a solve."""
         stamps = np.array([f.stamp for f in frames], np.int64)
         self.ids, self.stamps, self.values = table.ids, stamps[table.anchors], points
 
@@ -150,7 +152,7 @@ class LandmarkDepths:
     def leave(
         self, frame: WindowFrame, rest: Sequence[WindowFrame], camera_from_imu: Array
     ) -> None:
-        """Move landmarks that a frame anchors to the next one that sees them."""
+        """Move the landmarks of an anchoring frame to the next frame that observes them."""
         mine = np.flatnonzero(self.stamps == frame.stamp)
         if not len(mine):
             return

@@ -1,13 +1,13 @@
-"""Observations of the frames of a window, by landmark.
+"""Observations of the frames of a window, by landmark, and consecutive numbers of tracks.
 
-A frame's observations are three arrays with a row per track: ids (ascending), normalised image
-coordinates, and their velocities. Stacked and sorted by track and frame they become landmarks, each
-anchored in the first frame that saw it.
+The observations of a frame are three arrays with one row per track: ids (ascending), normalised
+image coordinates, and their velocities. Stacked and sorted by track and frame they become
+landmarks, each anchored in the first frame that observed it.
 
-Numbers of tracks that do not depend on their ids: by where and when they were first seen.
+Tracks get numbers by time and position of their first observation, independent of their ids.
 
-Sums run over landmarks in the order of their numbers, and rounding follows that order: by ids, the
-same tracks under other ids would end elsewhere.
+Sums run over landmarks in the order of their numbers, and rounding depends on this order. With ids,
+the same tracks under other ids would give other results.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ Array = np.ndarray[Any, Any]
 
 
 class FrameTracks(NamedTuple):
-    """What one image saw: ids (n,) ascending, xy (n, 2), velocity (n, 2) per second."""
+    """Tracks of one image: ids (n,) ascending, xy (n, 2), velocity (n, 2) per second."""
 
     ids: Array
     xy: Array
     velocity: Array
 
     def check(self, where: str) -> None:
-        """Refuse shapes that do not fit, ids that are not ascending, and numbers not finite.
+        """Refuse wrong shapes, ids that are not ascending, and numbers that are not finite.
 
         Raises:
             InputError: the message begins with ``where``.
@@ -47,13 +47,13 @@ class FrameTracks(NamedTuple):
         if not np.all(ids[1:] > ids[:-1]):
             row = int(np.argmin(ids[1:] > ids[:-1])) + 1
             raise InputError(
-                f"{where}: expected ids that ascend, found {ids[row]} after {ids[row - 1]}"
+                f"{where}: expected ascending ids, found {ids[row]} after {ids[row - 1]}"
             )
         if not (np.isfinite(xy).all() and np.isfinite(velocity).all()):
             raise InputError(f"{where}: expected finite coordinates")
 
     def without(self, ids: Array) -> FrameTracks:
-        """Return the rest of the tracks; `ids` are ascending."""
+        """Return the remaining tracks; `ids` are ascending."""
         if not len(ids):
             return self
         at = np.minimum(np.searchsorted(ids, self.ids), len(ids) - 1)
@@ -62,14 +62,14 @@ class FrameTracks(NamedTuple):
 
 
 class LandmarkTable(NamedTuple):
-    """Landmarks (m) and their observations (k) beyond the anchor, sorted by landmark and frame."""
+    """Landmarks (m) and their observations (k) except anchors, sorted by landmark and frame."""
 
     ids: Array
-    anchors: Array  # frame of each
+    anchors: Array  # frame of each landmark
     anchor_xy: Array
     anchor_velocity: Array
-    landmarks: Array  # of each observation
-    observers: Array  # frame of each
+    landmarks: Array  # landmark of each observation
+    observers: Array  # frame of each observation
     xy: Array
     velocity: Array
 
@@ -79,7 +79,7 @@ class LandmarkTable(NamedTuple):
         return np.searchsorted(self.landmarks, np.arange(len(self.ids)))
 
     def only(self, kept: Array) -> LandmarkTable:
-        """Return the landmarks that are flagged, with their observations."""
+        """Return the flagged landmarks with their observations."""
         rows = kept[self.landmarks]
         renumbered = np.cumsum(kept) - 1
         return LandmarkTable(
@@ -94,7 +94,7 @@ class LandmarkTable(NamedTuple):
         )
 
     def without_observations(self, dropped: Array) -> LandmarkTable:
-        """Return the table without some observations; landmarks without any stay."""
+        """Return the table without some observations; landmarks without observations are kept."""
         rows = ~dropped
         return self._replace(
             landmarks=self.landmarks[rows],
@@ -104,9 +104,9 @@ class LandmarkTable(NamedTuple):
         )
 
     def parallax(self) -> Array:
-        """Return the largest distance of an observation from its landmark's anchor, per landmark.
+        """Return the largest distance of an observation from the anchor, per landmark.
 
-        Zero where a landmark has no observation.
+        It is zero for a landmark without observations.
         """
         distance = np.linalg.norm(self.xy - self.anchor_xy[self.landmarks], axis=1)
         largest = np.zeros(len(self.ids))
@@ -115,12 +115,12 @@ class LandmarkTable(NamedTuple):
 
 
 def landmark_table(frames: Sequence[FrameTracks]) -> LandmarkTable:
-    """Return the tracks that at least two frames see."""
+    """Return the tracks that at least two frames observe."""
     ids = np.concatenate([f.ids for f in frames]) if frames else np.empty(0, np.int64)
     at = np.repeat(np.arange(len(frames), dtype=np.int32), [len(f.ids) for f in frames])
     xy = np.concatenate([f.xy for f in frames]) if frames else np.empty((0, 2))
     velocity = np.concatenate([f.velocity for f in frames]) if frames else np.empty((0, 2))
-    order = np.argsort(ids, kind="stable")  # frames stay in order
+    order = np.argsort(ids, kind="stable")  # keeps the order of frames
     ids, at, xy, velocity = ids[order], at[order], xy[order], velocity[order]
     is_first = np.empty(len(ids), bool)
     is_first[:1] = True
@@ -128,7 +128,7 @@ def landmark_table(frames: Sequence[FrameTracks]) -> LandmarkTable:
     track = np.cumsum(is_first) - 1
     is_seen_again = np.bincount(track, minlength=1)[track] > 1 if len(ids) else is_first
     first, later = is_first & is_seen_again, ~is_first
-    renumbered = np.cumsum(first) - 1  # a track's rows follow its first
+    renumbered = np.cumsum(first) - 1  # rows of a track follow its first
     return LandmarkTable(
         ids[first],
         at[first],
@@ -155,14 +155,14 @@ def sight_numbers(image: Array, ids: Array, xy: Array) -> Array:
 
 
 class TrackNumbers:
-    """Tracks of one frame after another, renumbered as they appear."""
+    """Renumbering of tracks in the order of their appearance."""
 
     def __init__(self) -> None:
         self._number_of: dict[int, int] = {}
         self._next = 0
 
     def of(self, tracks: FrameTracks) -> FrameTracks:
-        """Return a frame's tracks under their numbers, ascending."""
+        """Return the tracks of a frame under their numbers, ascending."""
         known = self._number_of
         for row in np.lexsort((tracks.xy[:, 1], tracks.xy[:, 0])).tolist():
             if known.setdefault(int(tracks.ids[row]), self._next) == self._next:
@@ -172,6 +172,6 @@ class TrackNumbers:
         return FrameTracks(numbers[order], tracks.xy[order], tracks.velocity[order])
 
     def keep(self, numbers: Array) -> None:
-        """Forget all others: a track that comes back begins anew."""
+        """Discard all other tracks; a discarded track gets a new number if it returns."""
         kept = set(numbers.tolist())
         self._number_of = {track: n for track, n in self._number_of.items() if n in kept}

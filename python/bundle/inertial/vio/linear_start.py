@@ -1,14 +1,14 @@
-"""Velocity, gravity and depths of a sequence that begins in motion, by linear least squares.
+"""Linear start in motion: velocity, gravity and depths by linear least squares.
 
-Seen from the IMU at the first image, the motion after t seconds is, with the preintegrated dR, dp
-of the gyroscope bias b (rotations need nothing else) and J = d dp / d accelerometer bias a,
+In the IMU frame of the first image, the motion after t seconds is, with the preintegrated dR, dp
+for the gyroscope bias b (on which rotations depend alone) and J = d dp / d accelerometer bias a,
 
     R = dR(b),    p = v t + 1/2 g t^2 + dp(b) + J a.
 
-A point X is seen by the camera (R_c, t_c of camera_from_imu) at y = R_c R^T (X - p) + t_c, and its
-observation (u, w) says y_x - u y_z = 0 and y_y - w y_z = 0: linear in X, v, g and a. So everything
-but b follows from one linear system, in metres, without a vision-only reconstruction whose scale
-would be fitted afterwards (Dong-Si and Mourikis, IROS 2012; Martinelli, IJCV 2014).
+A camera (R_c, t_c of camera_from_imu) observes a point X at y = R_c R^T (X - p) + t_c, and its
+observation (u, w) gives y_x - u y_z = 0 and y_y - w y_z = 0: linear in X, v, g and a. One linear
+system thus determines everything but b, in metres, without a vision-only reconstruction whose scale
+must be fitted afterwards (Dong-Si and Mourikis, IROS 2012; Martinelli, IJCV 2014).
 
 * Points are eliminated (Schur complement); gravity has its known length and moves on its sphere by
   two coordinates, a few times over; a prior holds a, which a second of motion hardly determines.
@@ -36,16 +36,16 @@ __all__ = ["LinearStart", "Observations", "solve_linear_start"]
 Array = np.ndarray[Any, Any]
 
 PLAIN_ROUNDS, ROUNDS, SPHERE_STEPS, COPLANAR_STEPS = 4, 12, 3, 6
-PAIR_GAPS = (2, 4)  # images apart
-LEAST_COMMON = 8  # rays of a pair, for five unknowns
-STEP = 1e-5  # rad/s, of numerical derivatives
+PAIR_GAPS = (2, 4)  # number of images between a pair
+LEAST_COMMON = 8  # common rays of a pair, for five unknowns
+STEP = 1e-5  # rad/s, for numerical derivatives
 ACCEL_BIAS_SIGMA = 0.1  # m/s^2
-FAR = 1e-12  # of a point's information, so that one without parallax stays finite
-NEAREST = 0.1  # m: depth below which rows gain no more weight
+FAR = 1e-12  # added to a point's information, so that a point without parallax stays finite
+NEAREST = 0.1  # m: depth below which the weight of rows stops growing
 
 
 class Observations(NamedTuple):
-    """Rows sorted by point: index of the point, of the image, and normalised coordinates (n, 2)."""
+    """Observations sorted by point: point, image, and normalised coordinates (n, 2)."""
 
     point: Array
     image: Array
@@ -53,18 +53,18 @@ class Observations(NamedTuple):
 
 
 class LinearStart(NamedTuple):
-    """What was found, in the IMU's frame at the first image.
+    """Result in the IMU frame of the first image.
 
     Attributes:
         gyro_bias, accel_bias: (3,) rad/s, m/s^2.
         velocity, gravity: (3,) m/s, m/s^2.
-        rotations, positions, velocities: of the images, (k, 3, 3), (k, 3), (k, 3).
+        rotations, positions, velocities: motion of the images, (k, 3, 3), (k, 3), (k, 3).
         points: (m, 3).
-        depths: (n,) of each observation [m].
+        depths: (n,) depth of each observation [m].
         predicted: (n, 2) normalised coordinates.
-        residuals: (n, 2) in sigmas, of the last linearisation, with its weights.
-        gravity_sigma: standard deviation of its direction [rad].
-        scale_sigma: of the way from the first image to the last, relative to its length.
+        residuals: (n, 2) in sigmas, of the last linearisation, weighted.
+        gravity_sigma: standard deviation of the direction of gravity [rad].
+        scale_sigma: relative standard deviation of the distance from the first image to the last.
     """
 
     gyro_bias: Array
@@ -83,7 +83,7 @@ class LinearStart(NamedTuple):
 
 
 class _Motion(NamedTuple):
-    """Preintegrated from the first image to each: (k, ...)."""
+    """Preintegrated motion from the first image to each image: (k, ...)."""
 
     time: Array
     rotation: Array
@@ -106,14 +106,14 @@ def solve_linear_start(
     """Find the start of k images.
 
     Args:
-        intervals: IMU samples between neighbouring images, k - 1.
-        seen: by two images at least, each point.
+        intervals: IMU samples between consecutive images, k - 1.
+        seen: observations; each point in at least two images.
         camera_from_imu: (7,).
-        noise: of the IMU.
-        sigma: of normalised coordinates.
-        gyro_bias: (3,) to begin with.
-        gravity: its length [m/s^2].
-        rule: of preintegration.
+        noise: noise of the IMU.
+        sigma: standard deviation of normalised coordinates.
+        gyro_bias: (3,) initial value.
+        gravity: magnitude of gravity [m/s^2].
+        rule: rule of preintegration.
     """
     system = _System(intervals, seen, camera_from_imu, noise, sigma, gravity, rule)
     bias = system.coplanar_bias(np.array(gyro_bias, dtype=np.float64))
@@ -133,7 +133,7 @@ def solve_linear_start(
 
 
 class _System:
-    """The linear system and its weights."""
+    """Linear system and its weights."""
 
     def __init__(
         self,
@@ -151,11 +151,11 @@ class _System:
         self.sigma, self.length = sigma, gravity
         self.begin = np.flatnonzero(np.diff(seen.point, prepend=-1))
         self.depth = np.ones(len(seen.point))
-        self.line = seen.xy  # coordinates that the rows are built with
+        self.line = seen.xy  # coordinates from which the rows are built
         self.robust = np.ones(len(seen.point))
 
     def weigh(self, found: LinearStart, is_robust: bool) -> None:
-        """Linearise reprojection errors at a solution; with Cauchy's weights or without."""
+        """Linearise reprojection errors at a solution, with or without Cauchy weights."""
         before = found.depths > NEAREST
         self.depth = np.where(before, found.depths, NEAREST)
         self.line = np.where(before[:, None], found.predicted, self.seen.xy)
@@ -164,16 +164,17 @@ class _System:
             self.robust = 1 / (1 + np.sum(errors**2, axis=1))
 
     def solve(self, gyro_bias: Array) -> LinearStart:
-        """Return the best of everything else for a bias."""
+        """Return the optimum of all other unknowns for a given bias."""
         motion = self._motion(gyro_bias)
         seen, t = self.seen, motion.time
-        back = self.turn @ motion.rotation.transpose(0, 2, 1)  # camera at each image from the first
+        # from the first image to the camera of each image
+        back = self.turn @ motion.rotation.transpose(0, 2, 1)
         rows = back[seen.image, :2] - self.line[:, :, None] * back[seen.image, 2:]
         offset = self.shift[:2] - self.line * self.shift[2]
         offset -= self.depth[:, None] * (seen.xy - self.line)
         weight = (np.sqrt(self.robust) / (self.depth * self.sigma))[:, None]
         a = rows * weight[..., None]
-        # The mean of the specific force is -g but for the change of velocity.
+        # The mean specific force is -g up to the change of velocity.
         direction = -motion.velocity[-1] / np.linalg.norm(motion.velocity[-1])
         for _ in range(SPHERE_STEPS):
             tangent = np.linalg.svd(direction[None])[2][1:].T  # (3, 2)
@@ -219,9 +220,9 @@ class _System:
         )
 
     def coplanar_bias(self, bias: Array) -> Array:
-        """Return the bias whose rotations let the rays of each pair of images meet in planes."""
+        """Return the bias whose rotations make the rays of each image pair coplanar."""
         seen, count = self.seen, len(self.intervals) + 1
-        rays = np.column_stack([seen.xy, np.ones(len(seen.xy))]) @ self.turn  # in the IMU's frame
+        rays = np.column_stack([seen.xy, np.ones(len(seen.xy))]) @ self.turn  # in the IMU frame
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         row = np.full((seen.point[-1] + 1, count), -1)
         row[seen.point, seen.image] = np.arange(len(seen.point))

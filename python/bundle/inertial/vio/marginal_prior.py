@@ -1,6 +1,6 @@
-"""The prior of a window, by the times of its frames.
+"""Prior of a window from marginalisation, indexed by the stamps of its frames.
 
-The core numbers blocks by a frame's place in the window, which changes as the window slides.
+The core numbers blocks by a frame's position in the window, which changes as the window slides.
 """
 
 from __future__ import annotations
@@ -22,19 +22,21 @@ POSE, MOTION = 0, 1
 CAMERA, TIME = "camera", "time offset"
 SIZES = (6, 9)
 REST_SPEED, REST_DISTANCE = 0.01, 0.005  # sigmas of a platform at rest: m/s, m
-CAMERA_TURN, CAMERA_SHIFT = 0.05, 0.05  # sigmas of a camera_from_imu that is refined: rad, m
+CAMERA_TURN, CAMERA_SHIFT = 0.05, 0.05  # sigmas of a refined camera_from_imu: rad, m
 
 
 @dataclass(frozen=True, eq=False)
 class MarginalPrior:
-    """A quadratic form of d = (state about points): 1/2 |M d + v|^2, or c - v^T d + 1/2 d^T M d.
+    """Quadratic form of d = (state - points).
+
+    Its cost is 1/2 |M d + v|^2, or c - v^T d + 1/2 d^T M d.
 
     Attributes:
-        keys: (timestamp of a frame in ns, POSE or MOTION), or (CAMERA, 0), (TIME, 0).
-        points: (len(keys), 16), where d is 0.
-        square_root: which of the two forms.
+        keys: (stamp of a frame in ns, POSE or MOTION), or (CAMERA, 0), (TIME, 0).
+        points: (len(keys), 16), the linearization points, where d is 0.
+        square_root: True for the first form.
         matrix, vector, constant: M, v, c.
-        asymmetry: of the information matrix as marginalisation computed it, relative; None for the
+        asymmetry: relative asymmetry of the information matrix from marginalisation; None for the
             prior of a start.
     """
 
@@ -47,11 +49,11 @@ class MarginalPrior:
     asymmetry: float | None = None
 
     def frames(self) -> set[int]:
-        """Timestamps of the frames that it touches."""
+        """Stamps of the frames in the prior."""
         return {key for key, _ in self.keys if isinstance(key, int)}
 
     def at(self, places: dict[int, int]) -> dict[str, Any]:
-        """Return it as the core takes it, for frames at some places of the window."""
+        """Return the prior in the core's format, for frames at given positions of the window."""
         count = len(places)
         special = {CAMERA: 2 * count, TIME: 2 * count + 1}
         blocks = [
@@ -69,9 +71,9 @@ class MarginalPrior:
 
     @classmethod
     def of(cls, found: dict[str, Any], stamps: list[int]) -> MarginalPrior:
-        """Return what the core's marginalize_window found, for the frames of these stamps.
+        """Return the prior from the core's marginalize_window, for the frames of these stamps.
 
-        It costs nothing at its own minimum.
+        Its cost is zero at its own minimum.
         """
         prior = found["prior"]
         keys: list[tuple[int | str, int]] = []
@@ -91,15 +93,18 @@ class MarginalPrior:
         )
 
     def spectrum(self, scaled: bool = False) -> Array:
-        """Eigenvalues of the information matrix, ascending; of a unit diagonal if scaled."""
+        """Return the eigenvalues of the information matrix, ascending.
+
+        With a unit diagonal if scaled.
+        """
         return np.asarray(_core.prior_spectrum(self.matrix, self.square_root, scaled))
 
     def oldest_ratio(self) -> float:
-        """Smallest eigenvalue beside the largest of what it says of the first frame alone.
+        """Ratio of smallest and largest eigenvalue of the information on the first frame.
 
-        Of the information on that frame with all others given, its diagonal scaled to 1: the IMU
-        and the landmarks that went see all of its 15 coordinates then, so that nothing is 0 but by
-        a loss of digits.
+        This is the information on that frame given all others, with a unit diagonal. The IMU and
+        the marginalised landmarks then determine all of its 15 coordinates, so an eigenvalue of 0
+        is a loss of digits.
         """
         first = self.keys[0][0]
         count = sum(SIZES[kind] for key, kind in self.keys if key == first)
@@ -111,7 +116,10 @@ class MarginalPrior:
         return float(values[0] / values[-1])
 
     def relinearized(self, states: dict[int, Array]) -> MarginalPrior:
-        """Return the same minimum about the current states: v <- v +- M d, M stays."""
+        """Return the prior about the current states with the same minimum.
+
+        V <- v +- M d, M is kept.
+        """
         points, steps = self.points.copy(), []
         for row, (key, kind) in enumerate(self.keys):
             if not isinstance(key, int):
@@ -140,12 +148,12 @@ def start_prior(
     square_root: bool,
     camera: Array | None = None,
 ) -> MarginalPrior:
-    """Return the prior of the first frames, by sigmas of the first: m, rad, rad/s, m/s^2.
+    """Return the prior of the first frames from sigmas of the first: m, rad, rad/s, m/s^2.
 
-    Zero sigmas of position and yaw mean none. Yaw turns about the world's z: a rotation d of the
-    body turns it by (R^T e_z)^T d. At rest all velocities are zero and all positions the first
-    one's, to 1 cm/s and 5 mm. A camera_from_imu (7,), where it is refined, is what was given to 3
-    degrees and 5 cm: until the platform has turned nothing else tells its place.
+    Zero sigmas of position and yaw mean no prior on them. Yaw is a rotation about the world's z: a
+    rotation d of the body changes it by (R^T e_z)^T d. At rest all velocities are zero and all
+    positions equal the first, to 1 cm/s and 5 mm. A refined camera_from_imu (7,) equals the given
+    one to 3 degrees and 5 cm: until the platform has turned, nothing else determines it.
     """
     frames = len(stamps) if at_rest else 1
     columns = 15 * frames + (0 if camera is None else 6)

@@ -21,19 +21,19 @@ __all__ = ["OdometryResult", "run_odometry"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OdometryResult(Displayed):
-    """What an odometry found.
+    """Result of an odometry.
 
     Attributes:
-        trajectory: states when their images were solved for, as a robot has them in time; with
-            ``marginalize="keep"`` those of the last solve, a batch.
-        keyframes: telemetry.
-        start: "static" or "moving": how the first states were found.
-        is_usable: False where the window lost the motion; ``message`` says when.
-        interrupted: Ctrl-C ended it; the trajectory goes as far as it came.
+        trajectory: states at the time of their images' solves, as a robot has them in real time;
+            with ``marginalize="keep"`` those of the last solve, a batch.
+        keyframes: telemetry of keyframes.
+        start: "static" or "moving": method of initialisation.
+        is_usable: False if the window lost track; ``message`` tells when.
+        interrupted: True if Ctrl-C ended it; the trajectory ends there.
         message: one sentence.
-        num_images: solved for.
+        num_images: number of solved images.
         solve_time: seconds, without reading.
-        options: as used.
+        options: options as used.
     """
 
     trajectory: Trajectory
@@ -71,10 +71,10 @@ def run_odometry(
 
     Args:
         sequence: IMU samples, tracks and calibration.
-        options: of the window, or some of its fields by name.
-        progress: called after each image with (images done, images in all, record of a keyframe or
-            None); False ends the odometry there.
-        **changes: fields of the options.
+        options: options of the window, or some of its fields by name.
+        progress: called after each image with (finished images, all images, record of a keyframe or
+            None); returning False ends the odometry.
+        **changes: fields of the options by name.
 
     Raises:
         InputError: no start is found, or the options are wrong.
@@ -94,7 +94,7 @@ def run_odometry(
             if progress is not None and not progress(image + 1, len(images), record):
                 message = "stopped by the caller"
                 break
-    except KeyboardInterrupt:  # what is solved stays
+    except KeyboardInterrupt:  # keep what is solved
         message, interrupted = "interrupted", True
     trajectory = run.trajectory()
     if options.marginalize == "keep":

@@ -1,13 +1,11 @@
-"""The images of a sequence: their stamps on the IMU's clock, their tracks, and the samples between.
+"""Images of a sequence: stamps on the IMU's clock, tracks, and samples between them.
 
-Coordinates are normalised once.
+Coordinates are normalised once. IMU samples are interpolated at the stamps of images.
 
-IMU samples between two instants that need not be samples.
-
-Over a gap, 2.5 periods and more without a sample, nothing was measured: rate and force are taken to
-change evenly from one end to the other, and what they may have done besides is doubt. With s the
-larger of their change and of their standard deviation about the gap, twice its length to each side,
-a gap of T leaves a rotation uncertain by s T and a velocity by s T.
+In a gap, 2.5 periods and more without a sample, nothing was measured. Rate and force are
+interpolated linearly, and their deviation is an additional uncertainty. With s the larger of their
+change and of their standard deviation around the gap (twice its length on each side), a gap of T
+adds an uncertainty of s T to a rotation and of s T to a velocity.
 """
 
 from __future__ import annotations
@@ -28,14 +26,15 @@ __all__ = ["ImuSlices", "SequenceImages"]
 
 Array = np.ndarray[Any, Any]
 
-AROUND = 2  # lengths of a gap to each side of it
+AROUND = 2  # lengths of a gap on each side of it
 
 
 class ImuSlices:
-    """Cuts intervals out of a recording.
+    """Intervals of a recording.
 
-    Zero-order hold: a sample holds until the next one, so that the first piece has the sample at or
-    before the interval's begin. Midpoint: samples at both ends of the interval, interpolated.
+    Zero-order hold: a sample holds until the next one, so the first piece uses the sample at or
+    before the begin of the interval. Midpoint: samples are interpolated at both ends of the
+    interval.
 
     Args:
         stamps: ns, ascending (n,).
@@ -82,7 +81,7 @@ class ImuSlices:
         return ImuInterval(gyro, accel, dt, doubt)
 
     def _doubt(self, gaps: Array, seconds: Array) -> tuple[float, float]:
-        """Return the variances that gaps leave, of so many seconds each within an interval."""
+        """Return the variances due to gaps, of these durations within an interval."""
         variances = np.zeros(2)
         for gap, part in zip(gaps.tolist(), seconds.tolist(), strict=True):
             length = AROUND * (self.stamps[gap + 1] - self.stamps[gap])
@@ -105,19 +104,19 @@ class ImuSlices:
 
 
 class SequenceImages:
-    """Images by their index, as :meth:`Sequence.frames` counts them.
+    """Images by their index in :meth:`Sequence.frames`.
 
     Args:
         sequence: IMU samples, tracks and calibration.
-        rule: of preintegration, zero_order_hold or midpoint.
+        rule: rule of preintegration, zero_order_hold or midpoint.
 
     Attributes:
         stamps: (n,) int64 ns on the IMU's clock.
-        covered: (n,) whether samples reach the image.
+        covered: (n,) True for images within the samples.
         begin: (n + 1,) first observation of each.
-        ids, xy: of all observations, xy normalised; ids are numbers in the order of first sight,
-            ascending within an image.
-        track_ids: the same tracks as the sequence names them.
+        ids, xy: track numbers and normalised coordinates of all observations; numbers follow the
+            order of first appearance and ascend within an image.
+        track_ids: ids of the same tracks in the sequence.
     """
 
     def __init__(self, sequence: Sequence, rule: str = "zero_order_hold") -> None:
@@ -145,7 +144,7 @@ class SequenceImages:
         return slice(self.begin[image], self.begin[image + 1])
 
     def tracks(self, image: int, velocities: bool = False) -> FrameTracks:
-        """Return what an image saw; velocities, since the image before, only if they are wanted."""
+        """Return the tracks of an image; velocities since the previous image if requested."""
         rows = self.rows(image)
         ids, xy = self.ids[rows], self.xy[rows]
         velocity = np.zeros_like(xy)
@@ -161,14 +160,14 @@ class SequenceImages:
         return self._slices.between(since, self.stamp(image))
 
     def intervals(self, images: list[int]) -> list[ImuInterval]:
-        """Return the samples between each two neighbours of some images."""
+        """Return the samples between consecutive images of a selection."""
         return [self.interval(self.stamp(first), second) for first, second in pairwise(images)]
 
     def after(self, image: int, rate: float) -> list[int]:
-        """Return the images beyond one, not closer in time than a rate in Hz allows."""
+        """Return the images after one, not closer in time than a rate in Hz allows."""
         chosen, last = [], self.stamps[image]
         for k in range(image + 1, len(self)):
-            # Half a millisecond for cameras whose stamps jitter.
+            # Half a millisecond of tolerance for cameras with jittering stamps.
             if self.covered[k] and self.stamps[k] - last >= 1e9 / rate - 5e5:
                 chosen.append(k)
                 last = self.stamps[k]

@@ -1,7 +1,7 @@
-"""Figures of a sequence: rates, overlap, noise while it stands still, excitation.
+"""Statistics of a sequence: rates, overlap, noise at rest, excitation.
 
-White noise of density s, sampled at f Hz, has a standard deviation of s sqrt(f) per sample;
-differences of neighbouring samples, divided by sqrt(2), give it without what changes slowly.
+White noise of density s, sampled at f Hz, has a standard deviation of s sqrt(f) per sample.
+Differences of consecutive samples, divided by sqrt(2), measure it without slow changes.
 """
 
 from __future__ import annotations
@@ -24,16 +24,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SequenceStatistics:
-    """Figures of a sequence.
+    """Statistics of a sequence.
 
     Attributes:
-        imu_rate, camera_rate: of the median step [Hz].
+        imu_rate, camera_rate: rates from the median step [Hz].
         num_imu_gaps, num_image_gaps: steps of more than 2.5 periods.
-        overlap: seconds that both sensors cover.
-        static_start: seconds of rest at the start, 0 if it moves at once.
-        gyro_noise_density, accel_noise_density: measured over the rest at the start; nan without.
-        excitation: standard deviation of the specific force's length over the sequence [m/s^2].
-        verdict: "healthy", "marginal" or "unobservable" (the scale).
+        overlap: seconds covered by both sensors.
+        static_start: seconds of rest at the start; 0 if it starts in motion.
+        gyro_noise_density, accel_noise_density: measured over the rest at the start; nan without
+            rest.
+        excitation: standard deviation of the magnitude of the specific force [m/s^2].
+        verdict: observability of the scale: "healthy", "marginal" or "unobservable".
         tracks_per_image, track_length: min, median, mean, max.
     """
 
@@ -52,7 +53,7 @@ class SequenceStatistics:
 
 
 def sequence_statistics(sequence: Sequence) -> SequenceStatistics:
-    """Return the figures of a sequence."""
+    """Return the statistics of a sequence."""
     stamps, images = sequence.imu_timestamps_ns, sequence.image_timestamps_ns
     frames, begin = sequence.frames()
     steps, image_steps = np.diff(stamps), np.diff(frames)

@@ -1,12 +1,12 @@
-"""A sliding window of a visual-inertial odometry: bounded in size and time, and explained.
+"""Sliding window of visual-inertial odometry (a fixed-lag smoother with telemetry).
 
-Each image is solved for together with the keyframes before it, their landmarks and the inertia
-between them. If it is a keyframe it stays; the oldest keyframe then goes, with the landmarks
-anchored in it and its inertia, into a prior on what they touched. If it is none, the next image
-takes its place, and its samples go on in the next one's: nothing of them is lost.
+Each new image is solved together with the previous keyframes, their landmarks and the IMU factors
+between them. If it becomes a keyframe, it stays, and the oldest keyframe is marginalised with its
+anchored landmarks and its IMU factor into a prior on the remaining states. Otherwise the next image
+replaces it, and its IMU samples join the next interval, so that no sample is lost.
 
-Every observation counts once. Tracks of landmarks that went into the prior begin anew with the
-images to come.
+Every observation counts once. Tracks of landmarks that were marginalised start anew with the next
+images.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ __all__ = ["SlidingWindow"]
 
 Array = np.ndarray[Any, Any]
 
-# Sigmas beyond which a whole track is taken for wrong.
+# Sigmas beyond which a whole track is an outlier.
 OUTLIER = 6.0
-NEGLIGIBLE_ANGLE = 0.02  # rad: 6e-5 rad of error in the first-order correction
+NEGLIGIBLE_ANGLE = 0.02  # rad: the first-order correction is accurate to 6e-5 rad
 
 
 class SlidingWindow:
@@ -50,14 +50,14 @@ class SlidingWindow:
 
     Args:
         camera_from_imu: (7,) qx qy qz qw tx ty tz.
-        noise: of the IMU, as its data sheet has it; ``imu_noise_scale`` of the options multiplies
-            the two white noises.
-        focal: pixels per unit of normalised image coordinates, for sigmas and bounds in pixels.
+        noise: IMU noise of the data sheet; ``imu_noise_scale`` of the options multiplies the two
+            white noises.
+        focal: pixels per unit of normalised image coordinates, for sigmas and limits in pixels.
         gravity: m/s^2 in the world, z up.
         options: a :class:`bundle.WindowOptions`, or some of its fields by name.
 
     Raises:
-        InputError: an argument has another shape or value.
+        InputError: an argument has a wrong shape or value.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class SlidingWindow:
         self.options = WindowOptions.of(options, changes, "SlidingWindow")
         self.camera_from_imu = as_vector("camera_from_imu", camera_from_imu, 7)
         if not abs(np.linalg.norm(self.camera_from_imu[:4]) - 1) < 1e-3:
-            raise InputError("camera_from_imu: expected a unit quaternion first, x y z w")
+            raise InputError("camera_from_imu: expected a unit quaternion x y z w first")
         self.gravity = as_vector("gravity", gravity)
         self.noise = noise.scaled(self.options.imu_noise_scale, walks=False)
         self.focal = float(focal)
@@ -92,7 +92,7 @@ class SlidingWindow:
 
     @property
     def stamps(self) -> Array:
-        """Times of the frames, ns (n,)."""
+        """Stamps of the frames, ns (n,)."""
         return np.array([frame.stamp for frame in self.frames], np.int64)
 
     @property
@@ -102,10 +102,11 @@ class SlidingWindow:
 
     @property
     def covariance(self) -> Array | None:
-        """(15, 15) of the newest state after the last solve, with ``covariance=True``.
+        """Covariance (15, 15) of the newest state after the last solve, with ``covariance=True``.
 
-        Rotation (R Exp(d), rad), position, velocity, biases. Where the start has no prior on
-        position and yaw, relative to those of the oldest frame; None where it does not exist.
+        Rotation (R Exp(d), rad), position, velocity, biases. If the start has no prior on position
+        and yaw, they are relative to those of the oldest frame. None if the covariance does not
+        exist.
         """
         return self._telemetry.covariance
 
@@ -118,27 +119,27 @@ class SlidingWindow:
         *,
         at_rest: bool = False,
     ) -> KeyframeRecord:
-        """Begin with keyframes whose states are known about: an initialisation's.
+        """Start with keyframes of known states, from an initialisation.
 
         Args:
             stamps: ns, ascending (n,).
-            states: (n, 16).
-            tracks: what each image saw.
-            intervals: n - 1 of samples, from each image to the next.
+            states: (n, 16) states.
+            tracks: tracks of each image.
+            intervals: IMU samples of n - 1 intervals, from each image to the next.
             at_rest: the platform does not move in these images.
 
         Raises:
-            InputError: fewer than two keyframes, or sizes that do not fit.
+            InputError: there are fewer than two keyframes, or sizes do not fit.
         """
         rows = np.asarray(states, float)
         if rows.ndim != 2 or rows.shape[1] != 16 or len(rows) < 2:
-            raise InputError(f"states: expected two rows of 16 at least, found {rows.shape}")
+            raise InputError(f"states: expected at least two rows of 16, found {rows.shape}")
         norms = np.linalg.norm(rows[:, :4], axis=1)
         if not np.all(norms > 0):
             row = int(np.argmin(norms > 0))
-            raise InputError(f"states[{row}]: expected a quaternion x y z w, found one of norm 0")
+            raise InputError(f"states[{row}]: expected a quaternion x y z w, found norm 0")
         if not (len(rows) == len(stamps) == len(tracks) == len(intervals) + 1):
-            raise InputError("start: expected a stamp, a state and tracks per image")
+            raise InputError("start: expected one stamp, state and set of tracks per image")
         for k, seen in enumerate(tracks):
             seen.check(f"tracks[{k}]")
             if k and not int(stamps[k]) > int(stamps[k - 1]):
@@ -171,16 +172,16 @@ class SlidingWindow:
     def add_frame(
         self, stamp: int, interval: ImuInterval, tracks: FrameTracks
     ) -> KeyframeRecord | None:
-        """Take in an image and the samples since the one before; solve.
+        """Add an image and the samples since the previous one; solve.
 
         Returns:
-            A record if the image became a keyframe.
+            Record if the image became a keyframe, otherwise None.
 
         Raises:
-            InputError: no start, a stamp that is not later, or samples that are none.
+            InputError: there is no start, the stamp is not later, or the samples are invalid.
         """
         if not self.frames:
-            raise InputError("add_frame: expected a start before")
+            raise InputError("add_frame: expected a call of start() before")
         self._telemetry.begin()
         newest = self.frames[-1]
         if stamp <= newest.stamp:
@@ -220,21 +221,21 @@ class SlidingWindow:
         frame.inertia = interval.integrated(self.noise, state, self.options.integration)
 
     def _drop_newest(self) -> ImuInterval:
-        """Forget a frame that is no keyframe; its samples go on."""
+        """Remove the newest frame, which is no keyframe; its samples join the next interval."""
         frame = self.frames.pop()
         assert frame.interval is not None
         self._depths.leave(frame, self.frames, self.camera_from_imu)
         return frame.interval
 
     def _anchor(self, prior: MarginalPrior | None) -> None:
-        """Keep the first estimates of frames that a prior touches."""
+        """Fix the first estimates of frames in a prior (first-estimate Jacobians, FEJ)."""
         touched = prior.frames() if prior is not None else set()
         for frame in self.frames:
             if frame.stamp in touched and frame.anchor is None:
                 frame.anchor = frame.state.copy()
 
     def _priors(self, steady: list[WindowFrame]) -> list[dict[str, Any]]:
-        """Return the prior and, if asked for, that the speed of some frames is steady."""
+        """Return the prior and, if requested, the prior on steady speed of some frames."""
         priors, sigma = [self.prior], self.options.steady_speed_sigma
         if sigma > 0 and self._telemetry.excitation()[1] == "unobservable":
             priors.append(steady_speed(steady, sigma, self.options.prior_form == "square_root"))
@@ -279,7 +280,7 @@ class SlidingWindow:
         self._telemetry.lap("solve")
 
     def _reject(self, table: LandmarkTable, norms: Array) -> None:
-        """Forget tracks far from where they should be in most of their images, or behind one."""
+        """Discard tracks far from their prediction in most of their images, or behind one."""
         count = np.maximum(np.bincount(table.landmarks, minlength=len(table.ids)), 1)
         far = np.bincount(table.landmarks, norms > OUTLIER, len(table.ids))
         behind = np.bincount(table.landmarks, ~np.isfinite(norms), len(table.ids)) > 0
@@ -294,11 +295,11 @@ class SlidingWindow:
         self._depths.forget(ids)
 
     def _repropagate(self) -> None:
-        """Integrate intervals anew whose biases have moved too far for a first-order correction."""
+        """Repropagate intervals whose biases have moved too far for a first-order correction."""
         for before, frame in zip(self.frames, self.frames[1:], strict=False):
             assert frame.inertia is not None
             motion, change = frame.inertia, before.state[10:13] - frame.inertia.gyro_bias
-            # A sixth of the squared angle at most, which the closed form need not tell us.
+            # The error is at most a sixth of the squared angle; skip the closed form below that.
             if motion.duration**2 * float(change @ change) < NEGLIGIBLE_ANGLE**2:
                 continue
             if motion.needs_repropagation(before.state[10:13]):
@@ -346,7 +347,7 @@ class SlidingWindow:
         self._telemetry.lap("marginalization")
 
     def _cut_inertia(self) -> None:
-        """The first frame has none before it."""
+        """Remove the IMU factor of the first frame."""
         self._numbers.keep(np.unique(np.concatenate([frame.tracks.ids for frame in self.frames])))
         self.frames[0].interval = self.frames[0].inertia = None
 

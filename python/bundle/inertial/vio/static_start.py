@@ -1,16 +1,14 @@
-"""A start at rest: gravity from the accelerometer, the gyroscope's bias from its mean.
+"""Start at rest: gravity from the accelerometer, gyroscope bias from the mean rate.
 
-At rest the specific force is -g in the IMU's frame, so its mean f gives the tilt: the shortest
-rotation that takes f to the world's z axis; yaw stays as it is. What |f| differs from |g| by is the
-accelerometer's bias along gravity, and is left to the window.
+At rest the specific force is -g in the IMU frame, so its mean f gives the tilt: the shortest
+rotation that takes f to the world's z axis; yaw is arbitrary. The difference of |f| and |g| is the
+accelerometer bias along gravity, which the window estimates.
 
-How long a sequence rests at its begin, as its tracks and its samples say.
+A vehicle is at rest as long as its tracks stay at their first positions to within their noise and
+the mean rate does not change. Samples alone are not sufficient: rotors that spin on the ground
+shake an accelerometer by more than slow flight does.
 
-A vehicle is at rest as long as its tracks stay where they were first seen, to within their noise,
-and the mean rate stays what it was. Samples alone do not tell: rotors that spin on the ground shake
-an accelerometer by more than slow flight moves it.
-
-Two positions of a track, each with noise s in both coordinates, are 1.7 s apart in the median.
+Two positions of a track, each with noise s in both coordinates, have a median distance of 1.7 s.
 """
 
 from __future__ import annotations
@@ -27,14 +25,13 @@ __all__ = ["StaticStart", "find_static_start", "level_quaternion", "rest_at_star
 REST_SIGMAS = 3.0  # median displacement of the tracks; noise alone gives 1.7
 FEWEST_TRACKS = 4
 REST_RATE = 0.03  # rad/s: change of the mean rate
-REST_WINDOW = 0.5  # s, of that mean
+REST_WINDOW = 0.5  # s, for that mean
 
 
 def rest_at_start(images: SequenceImages) -> tuple[int, int]:
-    """Return the last image at rest and how many samples at the begin are at rest.
+    """Return the last image at rest and the number of samples at rest at the start.
 
-    The image is the first one that samples cover, and there are no samples, where the sequence
-    begins in motion.
+    If the sequence begins in motion, this is the first covered image, and no samples.
     """
     sequence = images.sequence
     first = int(np.argmax(images.covered))
@@ -76,14 +73,14 @@ def _last_still_image(images: SequenceImages, first: int) -> int:
 
 Array = np.ndarray[Any, Any]
 
-LONGEST = 10.0  # s, of the time at rest that is looked at
+LONGEST = 10.0  # s, longest time at rest that is used
 SHORTEST = 0.5
-GYRO_SCATTER = 0.06  # rad/s: motors shake, but nothing turns
+GYRO_SCATTER = 0.06  # rad/s: motors shake, but the platform does not turn
 ACCEL_SCATTER = 0.8  # m/s^2
 
 
 class StaticStart(NamedTuple):
-    """A state (16,) at rest at its origin, and the first and last image at rest."""
+    """State (16,) at rest at its origin, and the first and last image at rest."""
 
     state: Array
     first_image: int
@@ -91,18 +88,18 @@ class StaticStart(NamedTuple):
 
 
 def find_static_start(images: SequenceImages, gravity: float = 9.81) -> StaticStart | None:
-    """Return the rest at the begin of a sequence, or None if it begins in motion.
+    """Return the rest at the start of a sequence, or None if it begins in motion.
 
-    At rest as :func:`rest_at_start` finds it, for half a second at least, the gyroscope within 0.06
-    rad/s and the accelerometer within 0.8 m/s^2 (standard deviations), and its mean within 1 m/s^2
-    of gravity.
+    Rest is as in :func:`rest_at_start`, for at least half a second, with standard deviations of at
+    most 0.06 rad/s (gyroscope) and 0.8 m/s^2 (accelerometer), and a mean force within 1 m/s^2 of
+    gravity.
     """
     sequence, stamps = images.sequence, images.stamps
     first = int(np.argmax(images.covered))
     last, _ = rest_at_start(images)
     limit = stamps[first] + round(1e9 * LONGEST)
     last = min(last, int(np.searchsorted(stamps, limit, "right")) - 1)
-    # Tracks begin to move a little after the platform does.
+    # Tracks show motion slightly later than the platform moves.
     until = stamps[first] + int(0.8 * (stamps[last] - stamps[first]))
     last = int(np.searchsorted(stamps, until, "right")) - 1
     if stamps[last] - stamps[first] < 1e9 * SHORTEST:

@@ -1,18 +1,19 @@
-"""The speed that a platform keeps while nothing excites its accelerometer.
+"""Prior on steady speed while the accelerometer has no excitation.
 
-At constant velocity nothing measures the scale: a wrong pitch with a wrong accelerometer bias, or a
-drift of the monocular scale, changes the speed as a true acceleration would. What remains is an
-assumption: where |a| does not vary, the platform keeps its speed,
+At constant velocity nothing measures the scale: a wrong pitch with a wrong accelerometer bias, or
+drift of the monocular scale, changes the speed like a true acceleration. An assumption remains:
+where |a| does not vary, the platform keeps its speed,
 
     r = (|v_j| - |v_i|) / (sigma T)
 
-between frames T seconds apart. Its Jacobian is the direction of each velocity. Turned about gravity
-a velocity moves by g x v, which is perpendicular to it: yaw stays free if the direction is taken
-where the other Jacobians are. That place is known before a solve for frames with a first estimate
-alone, those that the window's prior touches; the others, the newest, wait until it does.
+between frames T seconds apart. The Jacobian is the direction of each velocity. A rotation about
+gravity moves a velocity by g x v, which is perpendicular to it: yaw stays free if the direction is
+evaluated at the same linearization point as the other Jacobians. Before a solve, this point is
+known only for frames with a first estimate, those in the window's prior. The newest frames follow
+when they get one.
 
-The assumption is wrong for a platform that brakes gently and evenly: 0.3 m/s^2 changes |a| by 0.005
-m/s^2 alone. It is therefore asked for, and sigma says how far to trust it.
+The assumption is wrong for a platform that brakes gently and evenly: 0.3 m/s^2 changes |a| by only
+0.005 m/s^2. It is therefore optional, and sigma sets its weight.
 """
 
 from __future__ import annotations
@@ -30,22 +31,22 @@ __all__ = ["steady_speed"]
 
 Array = np.ndarray[Any, Any]
 
-SLOWEST = 0.5  # m/s: below it a velocity has no direction to speak of
+SLOWEST = 0.5  # m/s: a slower velocity has no reliable direction
 COLUMNS = 9  # velocity and two biases
 
 
 def steady_speed(
     frames: Sequence[WindowFrame], sigma: float, square_root: bool
 ) -> MarginalPrior | None:
-    """Return a prior on the changes of speed between successive frames.
+    """Return a prior on the changes of speed between consecutive frames.
 
     Args:
-        frames: ascending in time.
-        sigma: of the mean acceleration along the path between two frames, m/s^2.
-        square_root: the form of the prior.
+        frames: frames in ascending time.
+        sigma: standard deviation of the mean acceleration along the path between two frames, m/s^2.
+        square_root: form of the prior.
 
     Returns:
-        None where no two successive frames have first estimates faster than 0.5 m/s.
+        None if no two consecutive frames have first estimates faster than 0.5 m/s.
     """
     rows, residuals = [], []
     for k, (before, after) in enumerate(pairwise(frames)):
@@ -70,7 +71,7 @@ def steady_speed(
 
 
 def _direction(frame: WindowFrame) -> Array | None:
-    """Of a frame's velocity at its first estimate; None if it has none or is too slow."""
+    """Return the direction of a frame's first velocity estimate; None if missing or too slow."""
     if frame.anchor is None:
         return None
     velocity = frame.anchor[7:10]

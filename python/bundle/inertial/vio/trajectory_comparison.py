@@ -1,7 +1,9 @@
-"""How far an estimated trajectory is from the truth, by evo (https://github.com/MichaelGrupp/evo).
+"""Errors of an estimated trajectory relative to ground truth, by evo.
 
-The truth is interpolated at the stamps of the estimate: positions linearly, rotations along the
-shortest arc. Two alignments are made before errors are taken:
+https://github.com/MichaelGrupp/evo
+
+Ground truth is interpolated at the stamps of the estimate: positions linearly, rotations along the
+shortest arc. Errors are computed after two alignments:
 
 * all six degrees (Umeyama, by evo): its absolute trajectory error is what papers report, and its
   variant with a free scale says by how much the estimate is too small;
@@ -47,12 +49,12 @@ class TrajectoryError(Displayed):
     """Errors over all poses that both trajectories cover.
 
     Attributes:
-        num_poses: compared.
-        ate: rms of position errors [m] after an alignment of all six degrees.
+        num_poses: number of compared poses.
+        ate: rms of position errors [m] after an alignment of all six degrees of freedom.
         ate_yaw: the same after an alignment of yaw and position alone [m].
-        scale: by which the estimate has to be multiplied to fit best; nan without motion.
+        scale: factor of the estimate that gives the best fit; nan without motion.
         rotation_rms: rms of rotation errors [degrees] after the alignment of yaw and position.
-        path_length: of the truth [m].
+        path_length: length of the true path [m].
     """
 
     num_poses: int
@@ -74,7 +76,7 @@ class TrajectoryError(Displayed):
 
 
 def compare_trajectories(estimate: Trajectory, truth: Trajectory) -> TrajectoryError:
-    """Compare an estimate with the truth wherever both are.
+    """Compare an estimate with ground truth where both exist.
 
     Raises:
         InputError: fewer than three poses of the estimate lie between stamps of the truth, or evo
@@ -84,7 +86,10 @@ def compare_trajectories(estimate: Trajectory, truth: Trajectory) -> TrajectoryE
         from evo.core import metrics
         from evo.core.trajectory import PosePath3D
     except ImportError:
-        raise InputError("comparing trajectories needs evo: pip install evo") from None
+        raise InputError(
+            "compare_trajectories: expected the package evo, which is not installed: pip "
+            "install evo"
+        ) from None
     inside = covered_by(truth, estimate.timestamps_ns)
     found = estimate.states[inside, :7]
     wanted = states_at(truth, estimate.timestamps_ns[inside])[:, :7]
@@ -104,7 +109,7 @@ def compare_trajectories(estimate: Trajectory, truth: Trajectory) -> TrajectoryE
     if all(np.linalg.matrix_rank(points, tol=1e-9) >= 2 for points in centred):
         rigid.align(path(wanted))
         scale = float(path(found).align(path(wanted), correct_scale=True)[2])
-    else:  # a line or a point: the rotation about it is not known from positions
+    else:  # collinear: positions do not determine the rotation about the line
         rigid = level
     return TrajectoryError(
         num_poses=int(inside.sum()),
@@ -119,9 +124,9 @@ def compare_trajectories(estimate: Trajectory, truth: Trajectory) -> TrajectoryE
 def aligned_in_yaw(
     estimate: Trajectory, truth: Trajectory
 ) -> tuple[NDArray[np.int64], Array, Array]:
-    """Return stamps (n,), poses of the estimate (n, 7) and of the truth (n, 7) wherever both are.
+    """Return stamps (n,), poses of the estimate and of the truth, (n, 7), where both exist.
 
-    The estimate is turned about the vertical and shifted to fit the truth best.
+    The estimate is rotated about the vertical and translated to fit the truth best.
 
     Raises:
         InputError: fewer than three poses of the estimate lie between stamps of the truth.
@@ -133,7 +138,7 @@ def aligned_in_yaw(
 
 
 def states_at(trajectory: Trajectory, stamps: NDArray[np.int64]) -> Array:
-    """Return states (n, 16) at stamps within the trajectory, interpolated."""
+    """Return interpolated states (n, 16) at stamps within the trajectory."""
     times, states = trajectory.timestamps_ns, trajectory.states
     after = np.clip(np.searchsorted(times, stamps), 1, max(len(times) - 1, 1))
     after = np.minimum(after, len(times) - 1)
@@ -147,10 +152,10 @@ def states_at(trajectory: Trajectory, stamps: NDArray[np.int64]) -> Array:
 
 
 def covered_by(truth: Trajectory, stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which stamps of an estimate lie between those of the truth.
+    """Return the mask of an estimate's stamps that lie between those of the truth.
 
     Raises:
-        InputError: fewer than three do.
+        InputError: fewer than three lie between them.
     """
     inside: NDArray[np.bool_] = stamps >= truth.timestamps_ns[0]
     inside = inside & (stamps <= truth.timestamps_ns[-1])

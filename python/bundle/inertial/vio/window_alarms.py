@@ -1,15 +1,14 @@
 """Alarms of a window's telemetry.
 
-Some signs are wrong whenever they appear. Others, which a healthy window shows for a moment, count
+Some indicators are wrong whenever they occur. Others, which a healthy window shows briefly, count
 once they persist: two keyframes, five without excitation, a trend over fifty.
 
-The cost of a prior is at least 0, and half a chi-square of as many degrees as the window has
-coordinates in it: about 0.1 a coordinate in healthy windows, beyond 1 where wrong tracks or a wrong
-calibration have become part of what is taken for known.
+The cost of a prior is at least 0, and half a chi-square with as many degrees of freedom as the
+window has coordinates in it: about 0.1 per coordinate in healthy windows, and above 1 if wrong
+tracks or a wrong calibration were marginalised into it.
 
-Nothing tells the heading. Its sigma, once a prior gave it one, does not fall: not while the
-platform turns, and not otherwise, but for what single images add to it. Medians of five keyframes
-are free of that.
+No sensor measures the heading. Its sigma, once a prior set it, must not fall, whether the platform
+turns or not, except by fluctuations between images. Medians of five keyframes remove these.
 """
 
 from __future__ import annotations
@@ -26,19 +25,19 @@ Array = np.ndarray[Any, Any]
 
 LARGEST_ASYMMETRY = 1e-9
 SMALLEST_RATIO = 1e-8
-INDEFINITE = -1e-9  # of a unit diagonal: beyond the rounding of double precision
-LARGEST_IMU_EXCESS = 3.0  # up to 1.6 in flights of the noise that the window takes
-LARGEST_GYRO_BIAS, LARGEST_ACCEL_BIAS = 1.0, 2.5  # rad/s, m/s^2: VINS-Mono's signs of failure
-LARGEST_PRIOR_COST = 1.0  # a coordinate
-LEAST_PRIOR_COST = -0.1  # a coordinate: rounding leaves 1e-6
+INDEFINITE = -1e-9  # with a unit diagonal: beyond the rounding of double precision
+LARGEST_IMU_EXCESS = 3.0  # up to 1.6 in flights with correct noise
+LARGEST_GYRO_BIAS, LARGEST_ACCEL_BIAS = 1.0, 2.5  # rad/s, m/s^2: failure limits of VINS-Mono
+LARGEST_PRIOR_COST = 1.0  # per coordinate
+LEAST_PRIOR_COST = -0.1  # per coordinate: rounding errors are 1e-6
 BIAS_SIGMAS = 4.0
-KEYFRAMES, QUIET_KEYFRAMES = 2, 5  # in a row
-BLOCK, BLOCKS, DECADES = 10, 5, 1.0  # of a ratio's walk
-YAW_MEDIAN, YAW_FALL, YAW_TURN = 5, 0.98, 0.3  # keyframes, share, rad
+KEYFRAMES, QUIET_KEYFRAMES = 2, 5  # consecutive
+BLOCK, BLOCKS, DECADES = 10, 5, 1.0  # of a decreasing ratio
+YAW_MEDIAN, YAW_FALL, YAW_TURN = 5, 0.98, 0.3  # keyframes, ratio, rad
 
 
 def walks_down(ratios: list[float]) -> bool:
-    """Tell whether ratios fall without turning: the medians of five tens, by a decade in all."""
+    """Return True if ratios fall steadily: the medians of five tens, by a decade in all."""
     if len(ratios) < BLOCK * BLOCKS:
         return False
     last = np.log10(np.maximum(ratios[-BLOCK * BLOCKS :], 1e-300)).reshape(BLOCKS, BLOCK)
@@ -47,11 +46,11 @@ def walks_down(ratios: list[float]) -> bool:
 
 
 def yaw_falls(sigmas: list[float], turned: list[float]) -> tuple[float, float] | None:
-    """Return a sigma of yaw and the smaller one it fell to while the platform turned, or None.
+    """Return a sigma of yaw and the smaller one to which it fell during rotation, or None.
 
     Args:
-        sigmas: of the keyframes.
-        turned: angle so far, at each.
+        sigmas: sigmas of yaw at the keyframes.
+        turned: accumulated rotation at each.
     """
     if len(sigmas) < 2 * YAW_MEDIAN:
         return None
@@ -65,10 +64,10 @@ def yaw_falls(sigmas: list[float], turned: list[float]) -> tuple[float, float] |
 
 
 class WindowAlarms:
-    """Sentences on one keyframe after another.
+    """Alarms of consecutive keyframes.
 
     Args:
-        options: of the window.
+        options: options of the window.
         walks: densities of the random walks of both biases.
     """
 
@@ -94,13 +93,13 @@ class WindowAlarms:
         """Return the alarms of a keyframe.
 
         Args:
-            stamp: ns.
-            state: (16,), the newest.
-            nullity: found, and expected.
-            prior: figures of a record.
-            prior_cost: the prior's cost, and its coordinates.
-            verdict: on the excitation.
-            yaw: sigma, and the angle turned so far.
+            stamp: stamp in ns.
+            state: newest state (16,).
+            nullity: nullity and expected nullity.
+            prior: values of a record.
+            prior_cost: the prior's cost, and its number of coordinates.
+            verdict: verdict on the excitation.
+            yaw: sigma of yaw, and accumulated rotation.
         """
         if self._start is None:
             self._start = stamp, state
@@ -115,12 +114,12 @@ class WindowAlarms:
                 before, now = np.degrees(fall)
                 alarms.append(
                     f"sigma of yaw falls: from {before:.3g} to {now:.3g} degrees while the "
-                    "platform turned; no sensor measures yaw: Jacobians disagree"
+                    "platform turned, but no sensor measures yaw: Jacobians are inconsistent"
                 )
         return tuple(alarms)
 
     def of_imu(self, excess: float | None, is_new: bool) -> tuple[str, ...]:
-        """Return the alarm of what the IMU costs, once two checks in a row find too much."""
+        """Return the alarm of an excessive IMU cost, after two checks in a row."""
         if excess is None:
             return ()
         if is_new:
@@ -146,8 +145,8 @@ class WindowAlarms:
         alarms = []
         if nullity[0] is not None and nullity[0] < nullity[1]:
             alarms.append(
-                f"nullity {nullity[0]} instead of {nullity[1]}: the window takes as known "
-                "what no sensor measures (position or yaw)"
+                f"nullity {nullity[0]} instead of {nullity[1]}: the window gained information "
+                "on position or yaw that no sensor measures"
             )
         asymmetry, ratio = prior["prior_asymmetry"], prior["prior_ratio"]
         if asymmetry is not None and asymmetry > LARGEST_ASYMMETRY:
@@ -162,25 +161,25 @@ class WindowAlarms:
             if walks_down(self._ratios):
                 alarms.append(
                     f"prior loses digits: its eigenvalue ratio fell from {self._ratios[0]:.1e} to "
-                    f"{ratio:.1e} in {len(self._ratios)} keyframes, without turning"
+                    f"{ratio:.1e} in {len(self._ratios)} keyframes, without recovering"
                 )
         cost, size = prior_cost
         if cost < LEAST_PRIOR_COST * size:
-            alarms.append(f"prior costs less than nothing: {cost:.3g}; it has lost its digits")
+            alarms.append(f"prior cost negative: {cost:.3g}; the prior has lost its digits")
         if self._persists("cost", cost > LARGEST_PRIOR_COST * size):
             alarms.append(
-                f"prior contradicted: it costs {cost:.3g}, with {size} coordinates; wrong tracks "
-                "or a wrong calibration became part of it (a --loss that rejects more, cauchy, "
-                "helps against tracks)"
+                f"prior contradicted: it costs {cost:.3g} with {size} coordinates; wrong tracks "
+                "or a wrong calibration were marginalised into it (against wrong tracks use a "
+                "more robust --loss, such as cauchy)"
             )
         return alarms
 
     def _of_biases(self, stamp: int, state: Array) -> list[str]:
         alarms = []
         if np.linalg.norm(state[10:13]) > LARGEST_GYRO_BIAS:
-            alarms.append("gyroscope bias above 1 rad/s: the window has lost the motion")
+            alarms.append("gyroscope bias above 1 rad/s: the window lost track")
         if np.linalg.norm(state[13:16]) > LARGEST_ACCEL_BIAS:
-            alarms.append("accelerometer bias above 2.5 m/s^2: the window has lost the motion")
+            alarms.append("accelerometer bias above 2.5 m/s^2: the window lost track")
         assert self._start is not None
         seconds = 1e-9 * (stamp - self._start[0])
         for name, unit, flag, part, sigma, walk in (
@@ -193,10 +192,10 @@ class WindowAlarms:
             bound = float(np.hypot(sigma, walk * np.sqrt(seconds)))
             if self._persists(name, change > BIAS_SIGMAS * bound):
                 alarms.append(
-                    f"{name} bias beyond what its start allows: {change:.3g} {unit} from there, "
-                    f"{change / bound:.1f} sigmas ({flag}, and its random walk since)"
+                    f"{name} bias beyond the uncertainty of its start: {change:.3g} {unit} from "
+                    f"there, {change / bound:.1f} sigmas ({flag}, and its random walk since)"
                 )
         return alarms
 
 
-NO_EXCITATION = "no excitation: the accelerometer does not tell the scale, which may drift"
+NO_EXCITATION = "no excitation: the accelerometer does not determine the scale, which may drift"

@@ -1,7 +1,4 @@
-"""What the parts of a sliding window see of it.
-
-A sliding window as the arrays that the core takes.
-"""
+"""Contents of a sliding window, and their arrays for the core."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ Array = np.ndarray[Any, Any]
 
 
 class WindowContents(Protocol):
-    """A :class:`bundle.SlidingWindow`, whose attributes these are."""
+    """Protocol of the attributes of a :class:`bundle.SlidingWindow` that its parts use."""
 
     options: WindowOptions
     frames: list[WindowFrame]
@@ -35,11 +32,11 @@ class WindowContents(Protocol):
 
     @property
     def states(self) -> Array:
-        """Of the frames (n, 16)."""
+        """States of the frames (n, 16)."""
 
 
 def window_arrays(window: WindowContents, table: LandmarkTable, points: Array) -> dict[str, Any]:
-    """Return the window as the core takes it, without priors."""
+    """Return the window in the core's format, without priors."""
     states = window.states
     first_estimates = window.options.jacobians == "first_estimate"
     anchored = [first_estimates and frame.anchor is not None for frame in window.frames]

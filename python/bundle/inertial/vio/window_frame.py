@@ -1,4 +1,4 @@
-"""One image of a window: when, where, what it saw, and the inertia since the image before."""
+"""Frame of a window: stamp, state, tracks, and the IMU interval since the previous frame."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ Array = np.ndarray[Any, Any]
 
 @dataclass(frozen=True, eq=False)
 class ImuInterval:
-    """Samples between two images: rates (n, 3) rad/s, forces (n, 3) m/s^2, durations (n,) s.
+    """IMU samples between two images.
 
-    By midpoint there are n + 1 rows of rates and forces: a sample at each end of a duration.
+    Rates (n, 3) rad/s, forces (n, 3) m/s^2, durations (n,) s.
+
+    With midpoint there are n + 1 rows of rates and forces: a sample at each end of a duration.
 
     Attributes:
-        doubt: variances of a rotation (rad^2) and of a velocity (m^2/s^2), per axis, by what gaps
-            in the recording may hide.
+        doubt: additional variances of a rotation (rad^2) and of a velocity (m^2/s^2), per axis, due
+            to gaps in the recording.
     """
 
     gyro: Array
@@ -33,7 +35,7 @@ class ImuInterval:
     doubt: tuple[float, float] = (0.0, 0.0)
 
     def then(self, later: ImuInterval) -> ImuInterval:
-        """Return both, one after the other; by midpoint they share the sample between them."""
+        """Return the concatenation of both; with midpoint they share the sample between them."""
         shared = len(self.gyro) - len(self.dt)
         return ImuInterval(
             np.concatenate([self.gyro, later.gyro[shared:]]),
@@ -43,7 +45,7 @@ class ImuInterval:
         )
 
     def integrated(self, noise: ImuNoise, state: Array, rule: str) -> Preintegration:
-        """Return them preintegrated at the biases of a state; doubt spreads over their noise."""
+        """Return the samples preintegrated at a state's biases, ``doubt`` added to the noise."""
         if self.doubt != (0.0, 0.0):
             seconds = float(self.dt.sum())
             gyro, accel = (
@@ -58,16 +60,16 @@ class ImuInterval:
 
 @dataclass(eq=False)
 class WindowFrame:
-    """A frame.
+    """Frame of a window.
 
     Attributes:
-        stamp: ns.
-        state: (16,).
-        tracks: what its image saw, without what a prior has absorbed.
-        interval: samples since the frame before; None for the first.
-        inertia: the same, preintegrated.
-        anchor: the first estimate, once a prior touches the frame.
-        is_keyframe: False for the newest frame until it is one.
+        stamp: stamp in ns.
+        state: state (16,).
+        tracks: tracks of its image, without those marginalised into a prior.
+        interval: samples since the previous frame; None for the first.
+        inertia: the same samples, preintegrated.
+        anchor: first estimate, once the frame is in a prior (first-estimate Jacobians, FEJ).
+        is_keyframe: False for the newest frame until it becomes one.
     """
 
     stamp: int

@@ -1,12 +1,11 @@
-"""A sliding window over the images of a sequence, from its start on.
+"""Run of a sliding window over the images of a sequence, with sanity checks of its path.
 
-Sanity of a path: its positions against its velocities, and the time between.
+Positions must agree with velocities.
 
-From image to image a window moves its newest position by what its velocity says, and by what it
-has learned since: centimetres, some hundredths of a metre for each second of its span at speed.
-What is left over, m = (p_j - p_i) - 1/2 (v_i + v_j) T, is a jump where it is more than a metre and
-half a second's way; over the whole flight the m add up to a drift where they exceed two metres and
-a tenth of the way.
+From image to image a window moves its newest position by its velocity, and by new estimates: some
+centimetres per second of its span at speed. The remainder m = (p_j - p_i) - 1/2 (v_i + v_j) T is a
+jump if it is more than a metre plus half a second's distance. Over the whole flight the sum of m is
+a drift if it exceeds two metres plus a tenth of the path.
 """
 
 from __future__ import annotations
@@ -31,18 +30,18 @@ __all__ = ["PathSanity", "WindowRun"]
 
 Array = np.ndarray[Any, Any]
 
-FASTEST = 340.0  # m/s: slower than sound
+FASTEST = 340.0  # m/s: about the speed of sound
 MOST_GYRO_BIAS, MOST_ACCEL_BIAS = 1.0, 5.0  # rad/s, m/s^2
 JUMP, JUMP_TIME = 1.0, 0.5  # m, s
-DRIFT, DRIFT_SHARE = 2.0, 0.1  # m, of the way
+DRIFT, DRIFT_SHARE = 2.0, 0.1  # m, share of the path
 
 
 class PathSanity:
-    """Judges one state (16,) after another.
+    """Checker of consecutive states (16,).
 
     Args:
-        stamp: of the first, ns.
-        state: the first.
+        stamp: stamp of the first state, ns.
+        state: first state.
     """
 
     def __init__(self, stamp: int, state: Array) -> None:
@@ -50,7 +49,7 @@ class PathSanity:
         self._drift, self._way = np.zeros(3), 0.0
 
     def objection(self, stamp: int, state: Array) -> str:
-        """Return what is wrong with the next state, "" if nothing is."""
+        """Return the error of the next state, "" without one."""
         if not np.all(np.isfinite(state)):
             return "a state is not finite"
         speeds = [float(np.linalg.norm(each[7:10])) for each in (self._state, state)]
@@ -73,28 +72,30 @@ class PathSanity:
         if jump > JUMP + JUMP_TIME * max(speeds):
             return f"a jump of {jump:.3g} m in {seconds:.2g} s at {max(speeds):.3g} m/s"
         if drift > DRIFT + DRIFT_SHARE * self._way:
-            return f"positions {drift:.3g} m off what velocities say, along {self._way:.3g} m"
+            return (
+                f"positions {drift:.3g} m from the integral of velocities, along {self._way:.3g} m"
+            )
         return ""
 
 
 START_KEYFRAMES = 4
-MOST_CONTRADICTED = 0.4  # of the keyframes
+MOST_CONTRADICTED = 0.4  # share of the keyframes
 
 
 class WindowRun:
-    """The window, and the states of its images when they were solved for.
+    """Window, and the states of its images at the time of their solves.
 
     Args:
         sequence: IMU samples, tracks and calibration.
-        options: of the window.
+        options: options of the window.
 
     Attributes:
-        images: of the sequence.
-        window: which has started.
-        start: "static" or "moving": how its first states were found.
-        next_image: the image that the start ends with.
-        stamps, states: of the start's keyframes, then of each image.
-        lost: a sentence once a state is none; "" before.
+        images: images of the sequence.
+        window: window that has started.
+        start: "static" or "moving": method of initialisation.
+        next_image: first image after the start.
+        stamps, states: stamps and states of the start's keyframes, then of each image.
+        lost: reason once tracking is lost; "" before.
 
     Raises:
         InputError: the sequence has no start; the message has the reason.
@@ -113,7 +114,7 @@ class WindowRun:
         self._sanity = PathSanity(self.stamps[-1], self.states[-1])
 
     def add(self, image: int) -> KeyframeRecord | None:
-        """Solve for an image; return the record of a keyframe."""
+        """Solve an image; return the record if it is a keyframe."""
         window, images = self.window, self.images
         record = window.add_frame(
             images.stamp(image),
@@ -126,7 +127,7 @@ class WindowRun:
         objection = self._sanity.objection(newest.stamp, newest.state)
         if objection:
             seconds = 1e-9 * (newest.stamp - self.stamps[0])
-            self.lost = f"the motion was lost {seconds:.2f} s after the start: {objection}"
+            self.lost = f"tracking was lost {seconds:.2f} s after the start: {objection}"
         return record
 
     def trajectory(self) -> Trajectory:
@@ -134,11 +135,11 @@ class WindowRun:
         return Trajectory(np.array(self.stamps, np.int64), np.array(self.states))
 
     def failure(self) -> str:
-        """Return why this is no estimate of the motion, "" where it is one."""
+        """Return why this is no valid estimate of the motion, "" if it is valid."""
         return self.lost or _lost_reason(self.window.records)
 
     def records(self) -> tuple[KeyframeRecord, ...]:
-        """Return the telemetry; a run too short for persistence, and quiet throughout, says so."""
+        """Return the telemetry; a short run without excitation gets its alarm here."""
         found = list(self.window.records)
         is_quiet = all(record.excitation_verdict == "unobservable" for record in found)
         if 0 < len(found) < QUIET_KEYFRAMES and is_quiet:
@@ -150,8 +151,8 @@ class WindowRun:
         found = find_start(images, float(np.linalg.norm(window.gravity)), options.integration)
         if not found:
             raise InputError(
-                "sequence: expected rest for half a second at its begin, or motion that shows "
-                f"scale and gravity, found neither ({found.reason})"
+                "sequence: expected rest for half a second at its start, or motion that "
+                f"determines scale and gravity; start failed: {found.reason}"
             )
         chosen, states = found.images.tolist(), found.states
         if found.kind == "static":
@@ -169,7 +170,7 @@ class WindowRun:
 
 
 def _lost_reason(records: list[KeyframeRecord]) -> str:
-    """Return what was wrong at most keyframes of a window that is no estimate; "" otherwise."""
+    """Return the error of most keyframes if the window is no valid estimate; "" otherwise."""
     without_step = sum(record.out_of_time and record.num_iterations == 0 for record in records)
     indefinite = sum((record.prior_definiteness or 0.0) < INDEFINITE for record in records)
     if 2 * without_step > len(records):
@@ -179,8 +180,8 @@ def _lost_reason(records: list[KeyframeRecord]) -> str:
     if 2 * indefinite > len(records):
         return f"the prior was not positive at {indefinite} of {len(records)} keyframes"
     by_kind = alarms_by_kind(records)
-    if "prior costs less than nothing" in by_kind:
-        return f"{by_kind['prior costs less than nothing'][0][1]}"
+    if "prior cost negative" in by_kind:
+        return f"{by_kind['prior cost negative'][0][1]}"
     contradicted = len(by_kind.get("prior contradicted", []))
     if contradicted > MOST_CONTRADICTED * len(records):
         return f"the prior was contradicted at {contradicted} of {len(records)} keyframes"

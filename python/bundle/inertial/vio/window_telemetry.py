@@ -1,4 +1,4 @@
-"""What a window measures of itself between two keyframes: times, counts, spectra, alarms."""
+"""Telemetry of a window between two keyframes: times, counts, spectra, alarms."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ __all__ = ["WindowTelemetry"]
 
 Array = np.ndarray[Any, Any]
 
-FREE_DEGREES = 4  # position and yaw: no camera and no IMU sees them
+FREE_DEGREES = 4  # position and yaw: neither camera nor IMU measures them
 IMAGES_PER_CHECK = 10
 
 
 class WindowTelemetry:
-    """Gathers what :class:`KeyframeRecord` reports."""
+    """Collector of the values of a :class:`KeyframeRecord`."""
 
     def __init__(self, window: WindowContents) -> None:
         self.window = window
@@ -52,23 +52,23 @@ class WindowTelemetry:
         self.begin()
 
     def begin(self) -> None:
-        """A new image."""
+        """Start a new image."""
         self._times: dict[str, float] = {}
         self._start = self._lap = time.perf_counter()
 
     def lap(self, phase: str) -> None:
-        """Seconds since the last call were this phase."""
+        """Assign the seconds since the last call to a phase."""
         now = time.perf_counter()
         self._times[phase] = self._times.get(phase, 0.0) + now - self._lap
         self._lap = now
 
     def wants_expected_cost(self) -> bool:
-        """Tell whether the next solve shall say what its IMU factors should cost."""
+        """Return True if the next solve must compute the expected cost of its IMU factors."""
         self._num_solves += 1
         return self._num_solves % IMAGES_PER_CHECK == 0
 
     def solved(self, table: LandmarkTable, window: dict[str, Any], solved: dict[str, Any]) -> None:
-        """Keep what the last solve said."""
+        """Store the output of the last solve."""
         self._last = solved
         if solved["expected_imu_cost"] > 0:
             self._imu_excess = solved["costs_after"]["imu"] / solved["expected_imu_cost"]
@@ -89,12 +89,12 @@ class WindowTelemetry:
 
     @property
     def covariance(self) -> Array | None:
-        """Of the newest state after the last solve."""
+        """Covariance of the newest state after the last solve."""
         found: Array | None = self._last.get("covariance")
         return found
 
     def left(self, frame: WindowFrame, how: str, absorbed: int, carried: int) -> None:
-        """The oldest keyframe went."""
+        """Record that the oldest keyframe left the window."""
         self._exit = {"timestamp_ns": frame.stamp, "how": how}
         self.num_absorbed, self.num_carried = absorbed, carried
 
@@ -107,7 +107,7 @@ class WindowTelemetry:
         return found.spread, found.verdict
 
     def record(self, reason: str, parallax: float, now: float) -> KeyframeRecord:
-        """Return the record of the keyframe that was just settled."""
+        """Return the record of the newest keyframe."""
         window, solved, sizes = self.window, self._last, self._sizes
         newest = window.frames[-1]
         times = {**self._times, "total": now - self._start}
@@ -168,7 +168,7 @@ class WindowTelemetry:
         return record
 
     def _rotation_so_far(self) -> float:
-        """Return the sum of the angles (rad) between keyframes, the newest among them."""
+        """Return the sum of the angles (rad) between keyframes, including the newest."""
         attitudes = self.window.states[:, :4]
         if self._attitudes is not None:
             attitudes = np.vstack([self._attitudes, attitudes[-1:]])
@@ -208,7 +208,7 @@ class WindowTelemetry:
 
 
 def _nullity(spectrum: Any) -> int:
-    """Eigenvalues, of a unit diagonal, that are rounding."""
+    """Return the number of eigenvalues, with a unit diagonal, that are rounding errors."""
     values = np.asarray(spectrum)
     return int(np.sum(values < len(values) * np.finfo(float).eps * values[-1]))
 
