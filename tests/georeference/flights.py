@@ -6,8 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bundle import GroundControlPoint, Problem
-from bundle.georeference.similar_problem import moved
-from bundle.georeference.similarity import Similarity
+from bundle.georeference.similarity import Similarity, moved
 from tests.scenes import project
 
 MODEL = "SIMPLE_RADIAL"

@@ -17,8 +17,7 @@ from bundle.georeference.gcp_list import read_gcp_list
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame
-from bundle.georeference.similar_problem import moved
-from bundle.georeference.similarity import Similarity
+from bundle.georeference.similarity import Similarity, moved
 from bundle.georeference.similarity_fit import fit_similarity
 from bundle.georeference.triangulated_targets import direction_of, triangulate
 from bundle.model.reprojection import reprojection_errors

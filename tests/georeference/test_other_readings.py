@@ -16,8 +16,7 @@ from bundle.georeference.gps_priors import gps_priors
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.other_readings import check_readings, uprightness
 from bundle.georeference.reference_system import ReferenceSystem
-from bundle.georeference.similar_problem import moved
-from bundle.georeference.similarity import Similarity
+from bundle.georeference.similarity import Similarity, moved
 from tests.georeference.flights import flight
 
 TARGETS = [

@@ -7,8 +7,7 @@ from scipy.spatial.transform import Rotation
 import bundle
 from bundle import InputError, PositionPrior
 from bundle.georeference.prior_alignment import ProblemPriors
-from bundle.georeference.similar_problem import moved
-from bundle.georeference.similarity import Similarity, umeyama
+from bundle.georeference.similarity import Similarity, moved, umeyama
 from tests import scenes
 
 PLACE = Similarity(

@@ -18,10 +18,17 @@ from bundle.io.sequences.sequence_folder import load_sequence
 from bundle.io.sequences.trajectory_files import load_trajectory
 from bundle.model.rigid_motions import inverse_poses, multiply_poses
 from bundle.model.rotations import quaternion_rotate
-from bundle.synthetic.flight.body_motion import GRAVITY, imu_samples, motion_at
-from bundle.synthetic.flight.motions import control_points, surroundings
+from bundle.synthetic.flight.motions import (
+    DEGREE,
+    GRAVITY,
+    control_points,
+    control_times,
+    imu_samples,
+    motion_at,
+    spline_at,
+    surroundings,
+)
 from bundle.synthetic.flight.synthetic_flight import DENSITIES
-from bundle.synthetic.flight.uniform_spline import DEGREE, control_times, spline_at
 
 QUIET = {"imu_noise_scale": 0.0, "gyro_bias": 0.0, "accel_bias": 0.0, "pixel_noise": 0.0}
 

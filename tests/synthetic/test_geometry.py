@@ -14,7 +14,7 @@ from bundle.model.rotations import (
     rotate,
 )
 from bundle.synthetic.body import Body, random_directions
-from bundle.synthetic.route import drive_laps, drive_one_way, waypoints
+from bundle.synthetic.street import drive_laps, drive_one_way, waypoints
 
 
 def rotations():

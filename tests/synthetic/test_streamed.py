@@ -10,8 +10,7 @@ from bundle.base.components import component_roots
 from bundle.model.reprojection import reprojection_error
 from bundle.synthetic import blocks
 from bundle.synthetic.blocks import SceneInBlocks
-from bundle.synthetic.scene_tally import ErrorTally, SceneTally
-from bundle.synthetic.streamed import write_bal_scene
+from bundle.synthetic.streamed import ErrorTally, SceneTally, write_bal_scene
 from tests.scenes import make_problem
 
 ARRAYS = (

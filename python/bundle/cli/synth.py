@@ -18,8 +18,7 @@ from bundle.io.open import check_target, output_format, save
 from bundle.model.reprojection import reprojection_error
 from bundle.reports.terminal.synth import synthesized
 from bundle.synthetic.blocks import SceneInBlocks
-from bundle.synthetic.scene_tally import SceneTally
-from bundle.synthetic.streamed import write_bal_scene
+from bundle.synthetic.streamed import SceneTally, write_bal_scene
 from bundle.synthetic.synthesis import assemble
 
 if TYPE_CHECKING:

@@ -15,10 +15,9 @@ from bundle.errors import InputError
 from bundle.georeference.control_point import GCP_PIXEL_SIGMA, GCP_SIGMA, parse_sigma
 from bundle.georeference.georeferenced import Georeference, PositionError, Solved, origin_text
 from bundle.georeference.given_positions import given_gps
-from bundle.georeference.gps_positions import GpsPositions
+from bundle.georeference.gps_positions import GpsPositions, matched, too_few, unmatched_notes
 from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame
-from bundle.georeference.matched_positions import matched, too_few, unmatched_notes
 from bundle.georeference.other_readings import check_readings
 from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
 from bundle.georeference.prior_alignment import ProblemPriors, robust_similarity

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from bundle.errors import InputError
 from bundle.interface.option_fields import number
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # start-up: pyproj loads slowly
     from pyproj import Transformer
 
 __all__ = ["LocalFrame"]

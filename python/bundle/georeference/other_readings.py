@@ -34,7 +34,7 @@ from bundle.georeference.similarity import Similarity
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # survey calls check_readings
     from bundle.georeference.survey import Survey
 
 __all__ = ["check_readings", "uprightness"]

@@ -20,8 +20,7 @@ from bundle.errors import InputError, brief, nearest
 from bundle.georeference.consensus import agreeing
 from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
-from bundle.georeference.similar_problem import moved
-from bundle.georeference.similarity import Similarity
+from bundle.georeference.similarity import Similarity, moved
 from bundle.georeference.similarity_fit import fit_similarity
 from bundle.graphs.factors.factors import PositionFactor
 from bundle.graphs.factors.variables import as_list

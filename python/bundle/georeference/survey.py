@@ -14,10 +14,9 @@ from bundle.georeference.alignment_result import ControlPointError, as_triple
 from bundle.georeference.control_point import GroundControlPoint, Sigma
 from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.given_positions import Frame
-from bundle.georeference.gps_positions import GpsPositions
+from bundle.georeference.gps_positions import GpsPositions, case_notes, matched, too_few
 from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.leave_one_out import leave_one_out
-from bundle.georeference.matched_positions import case_notes, matched, too_few
 from bundle.georeference.triangulated_targets import Triangulated, triangulate
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices

@@ -78,7 +78,7 @@ def place_at_priors(
             raise InputError("align: expected priors to align the problem to, found none")
         return PlacedProblem(problem, factors)
     from bundle.georeference.prior_alignment import ProblemPriors
-    from bundle.georeference.similar_problem import moved
+    from bundle.georeference.similarity import moved
     from bundle.georeference.target_priors import TargetPriors
 
     positions, points = _sorted(priors)

@@ -4,6 +4,8 @@ A scene of at most a million points is one block. A larger one has blocks of abo
 with random numbers of its own: whatever images share, they share in each block. So blocks are
 made side by side, and no more of them are in memory than are being made. The scene does not depend
 on the number of threads.
+
+Measurements: what is wrong with them, as asked for.
 """
 
 from __future__ import annotations
@@ -22,7 +24,6 @@ from bundle.interface.scene_options import SceneOptions
 from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_from_matrix, rotate
 from bundle.synthetic.intrinsics import draw_intrinsics
-from bundle.synthetic.noise import measure
 from bundle.synthetic.orbit import Orbit
 from bundle.synthetic.photo_collection import PhotoCollection
 from bundle.synthetic.scene import Pairs, Points, Scene
@@ -30,9 +31,34 @@ from bundle.synthetic.street import Street
 from bundle.synthetic.tracks import select_observations, wanted_lengths
 from bundle.synthetic.visibility import Visibility
 
-__all__ = ["Block", "SceneInBlocks"]
+__all__ = ["Block", "SceneInBlocks", "measure"]
+
 
 Array = NDArray[np.float64]
+
+
+def measure(
+    rng: np.random.Generator, xy: Array, sizes: NDArray[np.int64], options: SceneOptions
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return measured positions (M, 2) in pixels, and which of them are outliers (M,).
+
+    Noise that would lead out of the image is taken the other way, which keeps its magnitude.
+
+    Args:
+        rng: source of noise and outliers.
+        xy: (M, 2) exact positions.
+        sizes: (M, 2) width and height of the image of each observation.
+        options: how much of it.
+    """
+    noise = options.pixel_noise * rng.standard_normal(xy.shape)
+    measured = xy + noise
+    measured = np.where((measured < 0) | (measured > sizes), xy - noise, measured)
+    outliers = rng.permutation(len(xy))[: round(options.outlier_share * len(xy))]
+    measured[outliers] = rng.random((len(outliers), 2)) * sizes[outliers]
+    is_outlier = np.zeros(len(xy), dtype=np.bool_)
+    is_outlier[outliers] = True
+    return measured, is_outlier
+
 
 LARGEST_SINGLE = 1 << 20
 """Points of the largest scene that is one block."""

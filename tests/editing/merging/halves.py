@@ -7,8 +7,7 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 import bundle
-from bundle.georeference.similar_problem import moved
-from bundle.georeference.similarity import Similarity
+from bundle.georeference.similarity import Similarity, moved
 from tests.scenes import make_problem
 
 TO_B = Similarity(

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.georeference.similar_problem import moved
-from bundle.georeference.similarity import Similarity
+from bundle.georeference.similarity import Similarity, moved
 from bundle.model.rotations import rotation_matrices
 from bundle.solving.rounds.local_part import LocalPart
 from bundle.solving.rounds.rest_prior import marginalize_rest

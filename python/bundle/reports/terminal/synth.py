@@ -11,7 +11,7 @@ from bundle.interface.scene_options import SceneOptions
 from bundle.model.sequence.sequence import Sequence
 from bundle.reports.sections import Column, Report, Section, Table
 from bundle.reports.terminal.inputs import about_sequence, contents_of_sequence, written
-from bundle.synthetic.scene_tally import SceneTally
+from bundle.synthetic.streamed import SceneTally
 
 __all__ = ["made_flight", "synthesized"]
 

@@ -3,6 +3,32 @@
 The body's x axis points ahead, y to the left, z up; its rotation is R = Rz(yaw) Ry(pitch) Rx(roll),
 with pitch positive nose down. A motion stands still at first, and speeds up over some seconds, so
 that no spline has to jump.
+
+Uniform B-splines of degree five: four continuous derivatives, all of them exact.
+
+The basis function of degree n lives on [0, n + 1] and is a polynomial q_k^n(u) on each [k, k + 1],
+u = t - k. Cox and de Boor give it from degree n - 1:
+
+    n q_k^n(u) = (u + k) q_k^{n-1}(u) + (n + 1 - k - u) q_{k-1}^{n-1}(u),   q_0^0 = 1.
+
+Between knots j and j + 1 the spline is sum_i q_{n-i}^n(u) c_{j+i} over the n + 1 control points
+that reach there. A control point has most influence, and is said to stand, (n + 1) / 2 intervals
+after its support begins.
+
+States along a spline of position and angles, and what an IMU measures there.
+
+With R = Rz(yaw) Ry(pitch) Rx(roll) the angular rate in the body's frame is
+
+    w = (roll' - yaw' sin pitch,
+         pitch' cos roll + yaw' sin roll cos pitch,
+         yaw' cos roll cos pitch - pitch' sin roll)
+
+and the specific force f = R^T (p'' - g). These are the samples "instant". A sensor that integrates
+over the interval h up to its next sample measures instead
+
+    w_k = Log(R_k^T R_{k+1}) / h,    f_k = R_k^T ((v_{k+1} - v_k) / h - g)
+
+so that R_{k+1} = R_k Exp(w_k h) and v_{k+1} = v_k + (R_k f_k + g) h are exact.
 """
 
 from __future__ import annotations
@@ -10,13 +36,83 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from bundle.synthetic.flight.uniform_spline import control_times
+from bundle.model.rotations import (
+    quaternion_inverse,
+    quaternion_multiply,
+    quaternion_rotate,
+    vector_from_quaternion,
+)
 
-__all__ = ["SPACING", "Surroundings", "control_points", "surroundings"]
+__all__ = [
+    "DEGREE",
+    "GRAVITY",
+    "SPACING",
+    "Surroundings",
+    "control_points",
+    "control_times",
+    "imu_samples",
+    "motion_at",
+    "spline_at",
+    "surroundings",
+]
+
 
 Array = NDArray[np.float64]
+
+DEGREE = 5
+CHUNK = 100_000
+
+
+def control_times(duration: float, spacing: float) -> Array:
+    """Return where the control points of a spline over [0, duration] stand."""
+    count = int(duration / spacing) + 1 + DEGREE
+    times: Array = spacing * (np.arange(count, dtype=np.float64) - (DEGREE - 1) / 2)
+    return times
+
+
+def spline_at(control: Array, spacing: float, times: Array, derivative: int = 0) -> Array:
+    """Return the spline, or a derivative by time, at times within its duration.
+
+    Args:
+        control: (m, d) control points, at :func:`control_times`.
+        spacing: seconds between knots.
+        times: (n,) seconds.
+        derivative: how often to differentiate.
+
+    Returns:
+        (n, d).
+    """
+    weights = _basis(DEGREE)[::-1]  # of the control points in their order
+    coefficients = np.array(
+        [polynomial.polyder(row, derivative) / spacing**derivative for row in weights]
+    )
+    result = np.empty((len(times), control.shape[1]))
+    for begin in range(0, len(times), CHUNK):
+        part = slice(begin, begin + CHUNK)
+        place = times[part] / spacing
+        knot = np.clip(np.floor(place), 0, len(control) - DEGREE - 1).astype(np.int64)
+        shares = polynomial.polyval(place - knot, coefficients.T)  # (DEGREE + 1, chunk)
+        total = np.zeros((len(place), control.shape[1]))
+        for i in range(DEGREE + 1):
+            total += shares[i][:, None] * control[knot + i]
+        result[part] = total
+    return result
+
+
+def _basis(degree: int) -> Array:
+    """Return (degree + 1, degree + 1): row k the coefficients of q_k, the constant first."""
+    pieces = np.ones((1, 1))
+    for n in range(1, degree + 1):
+        raised = np.zeros((n + 1, n + 1))
+        for k in range(n):
+            raised[k] += polynomial.polymul(pieces[k], [k, 1.0]) / n
+            raised[k + 1] += polynomial.polymul(pieces[k], [n - k, -1.0]) / n
+        pieces = raised
+    return pieces
+
 
 SPACING = 0.1  # s between knots
 RAMP = 2.0  # s from rest to full motion
@@ -110,3 +206,55 @@ def _wander(
     waves = np.sin(2 * np.pi * frequency * time[:, None, None] + phase)
     result: Array = size * waves.sum(axis=1) / np.sqrt(3)
     return result
+
+
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+def motion_at(control: Array, times: Array) -> Array:
+    """Return (n, 10) rows qx qy qz qw px py pz vx vy vz at times (n,) in seconds."""
+    place = spline_at(control, SPACING, times)
+    velocity = spline_at(control[:, :3], SPACING, times, 1)
+    return np.hstack([_quaternions(place[:, 3:]), place[:, :3], velocity])
+
+
+def imu_samples(control: Array, times: Array, kind: str) -> tuple[Array, Array]:
+    """Return angular rates and specific forces (n, 3) without noise and biases.
+
+    Args:
+        control: (m, 6) control points of the motion.
+        times: (n,) seconds; the last sample of the kind "interval" repeats the one before.
+        kind: "instant" or "interval".
+    """
+    if kind == "instant":
+        angles = spline_at(control[:, 3:], SPACING, times)
+        rates = spline_at(control[:, 3:], SPACING, times, 1)
+        acceleration = spline_at(control[:, :3], SPACING, times, 2)
+        back = quaternion_inverse(_quaternions(angles))
+        return _body_rates(angles, rates), quaternion_rotate(back, acceleration - GRAVITY)
+    states = motion_at(control, times)
+    back = quaternion_inverse(states[:-1, :4])
+    step = np.diff(times)[:, None]
+    gyro = vector_from_quaternion(quaternion_multiply(back, states[1:, :4])) / step
+    accel = quaternion_rotate(back, np.diff(states[:, 7:], axis=0) / step - GRAVITY)
+    return np.vstack([gyro, gyro[-1:]]), np.vstack([accel, accel[-1:]])
+
+
+def _body_rates(angles: Array, rates: Array) -> Array:
+    (_, pitch, roll), (d_yaw, d_pitch, d_roll) = angles.T, rates.T
+    return np.column_stack(
+        [
+            d_roll - d_yaw * np.sin(pitch),
+            d_pitch * np.cos(roll) + d_yaw * np.sin(roll) * np.cos(pitch),
+            d_yaw * np.cos(roll) * np.cos(pitch) - d_pitch * np.sin(roll),
+        ]
+    )
+
+
+def _quaternions(angles: Array) -> Array:
+    """Return unit quaternions (n, 4) of yaw, pitch, roll (n, 3)."""
+    sine, cosine = np.sin(angles / 2), np.cos(angles / 2)
+    axes = [np.zeros((len(angles), 4)) for _ in range(3)]
+    for index, axis in enumerate((2, 1, 0)):
+        axes[index][:, axis], axes[index][:, 3] = sine[:, index], cosine[:, index]
+    return quaternion_multiply(quaternion_multiply(axes[0], axes[1]), axes[2])

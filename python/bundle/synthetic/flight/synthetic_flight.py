@@ -21,9 +21,8 @@ from bundle.model.rotations import quaternion_from_matrix
 from bundle.model.sequence.calibration import Calibration
 from bundle.model.sequence.imu_noise import ImuNoise
 from bundle.model.sequence.sequence import Sequence
-from bundle.synthetic.flight.body_motion import imu_samples, motion_at
 from bundle.synthetic.flight.flight_tracks import Pinhole, Tracked, follow
-from bundle.synthetic.flight.motions import control_points, surroundings
+from bundle.synthetic.flight.motions import control_points, imu_samples, motion_at, surroundings
 
 __all__ = ["SyntheticFlight", "save_flight", "synthesize_flight"]
 
