@@ -233,7 +233,7 @@ def test_measured_positions_place_a_model_with_their_lever_arm():
     # In its own local frame the model is where the positions are.
     back = aligned.origin.to_geodetic(aligned.problem.projection_centers)
     np.testing.assert_allclose(frame.to_enu(back), flight.cameras, atol=1e-6)
-    assert any("model does not have" in note for note in aligned.notes)
+    assert any("are not in the model" in note for note in aligned.notes)
 
     # Beside control points the weights decide: t0 with two centimetres against two metres.
     point = dataclasses.replace(

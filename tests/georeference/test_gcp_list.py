@@ -118,7 +118,7 @@ def test_an_unknown_system_is_refused(tmp_path, header):
 def test_no_list_at_all(tmp_path):
     with pytest.raises(InputError, match=r"gcp_list\.txt"):
         read(tmp_path, "")
-    with pytest.raises(InputError, match="found none"):
+    with pytest.raises(InputError, match="found 0"):
         read(tmp_path, HEAD)
     (tmp_path / "gcp_list.txt").write_bytes(b"\xff\xfe\x00\xd8junk\xff")
     with pytest.raises(InputError, match=r"gcp_list\.txt"):

@@ -80,7 +80,7 @@ def test_numbers_that_belong_to_nothing_are_told(tmp_path, count):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", ["a line with the coordinate reference system, found none"]),
+        (b"", ["a line with the coordinate reference system, found 0"]),
         (b"\n# only a comment\n", ["a line with the coordinate reference system"]),
         (b"EPSG:4326\n", ["expected images after the first line"]),
         (b"a.jpg 9 48 420\n", ["line 1", "coordinate reference system", "a.jpg"]),

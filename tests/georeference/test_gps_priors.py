@@ -54,7 +54,7 @@ def test_the_frame():
     assert fewer.origin == LocalFrame.about(given.geodetic[:7])
     assert [prior.image for prior in fewer.priors] == list(range(1, 8))
     assert any("1 image of the model without" in note for note in fewer.notes)
-    assert any("1 position of images that the model" in note for note in fewer.notes)
+    assert any("1 position of images that are not in the model" in note for note in fewer.notes)
 
 
 def test_images_by_the_last_part_of_their_names():

@@ -208,7 +208,7 @@ def test_lines_whose_widths_are_noise_are_refused():
     rng = np.random.default_rng(1)
     source, target = on_a_line(rng, 100, 0.05, 0.05)
     covariance = np.tile(0.05**2 * np.eye(3), (100, 1, 1))
-    with pytest.raises(InputError, match=r"open by .* one line"):
+    with pytest.raises(InputError, match=r"only to .* one line"):
         fit_similarity(Correspondences(source, target, covariance))
     source, target = on_a_line(rng, 100, 0.5, 0.5, same=True)
     fit_similarity(Correspondences(source, target + 0.05 * rng.normal(size=(100, 3)), covariance))
@@ -218,7 +218,7 @@ def test_widths_far_below_the_sigmas_are_refused_however_well_they_fit():
     rng = np.random.default_rng(2)
     covariance = np.tile(np.diag([4.0, 4, 25]), (18, 1, 1))
     source, target = on_a_line(rng, 18, 1e-3, 1e-3, same=True)
-    with pytest.raises(InputError, match=r"open by .* one line"):
+    with pytest.raises(InputError, match=r"only to .* one line"):
         fit_similarity(Correspondences(source, target, covariance))
     # Residuals of two centimetres tell that the sigmas of a strip are too large.
     source, target = on_a_line(rng, 18, 1.5, 1.5, same=True)

@@ -29,7 +29,7 @@ def test_sigmas_that_are_too_small_are_told(sigma, notes):
     scene = flight(TARGETS, num_images=9)
     found = bundle.align(scene.problem, gcps=scene.gcps, gcp_sigma=sigma, gcp_pixel_sigma=0.02)
     assert (found.sigma0 > 3) == bool(notes)
-    assert len([note for note in found.notes if "sigmas allow" in note]) == notes
+    assert len([note for note in found.notes if "expected from their sigmas" in note]) == notes
 
 
 def test_a_position_without_weight_is_not_used():

@@ -1,4 +1,4 @@
-"""Where a reconstruction is on the earth: coordinates, measured positions, alignment to them."""
+"""Georeferencing: coordinates on the earth, measured positions, and alignment to them."""
 
 from bundle.georeference.alignment import align
 from bundle.georeference.alignment_result import Alignment, ControlPointError, ImageError

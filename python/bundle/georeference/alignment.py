@@ -1,8 +1,9 @@
-"""A reconstruction put where control points, GPS or another model say that it is.
+"""Alignment of a reconstruction to control points, GPS or another model.
 
 Nothing is adjusted: one similarity moves all poses and points together, so all reprojection errors
-stay as they are. Control points are triangulated with the cameras as they stand and weighed with
-the covariances of the survey and of the triangulation; measured positions of images with theirs.
+stay the same. Control points are triangulated with the cameras of the model and weighted by the
+covariances of the survey and of the triangulation; measured positions of images are weighted by
+their own.
 """
 
 from __future__ import annotations
@@ -46,9 +47,9 @@ __all__ = ["align"]
 
 FEWEST = 3
 LARGEST_SIGMA0 = 3.0
-"""Beyond, the sigmas are too small or something is wrong: a note says so."""
+"""Above this, the sigmas are too small or something is wrong, and a note says so."""
 NO_WEIGHT = 1e-6
-"""rho' below which a robust loss has taken a measurement away."""
+"""Factor rho' below which a robust loss has removed a measurement."""
 
 
 def align(
@@ -66,33 +67,32 @@ def align(
     prior_loss: str = "trivial",
     prior_loss_scale: float = ROBUST_SCALE,
 ) -> Alignment:
-    """Put a reconstruction where control points, GPS or another model say that it is.
+    """Align a reconstruction to control points, GPS or another model.
 
-    The new frame is east, north, up in metres about an origin in the middle of the control points,
-    or of the positions where there are none; that of the other model with ``to``.
+    The new frame is east, north, up in metres. Its origin is in the middle of the control points,
+    or of the positions if there are none. With ``to`` it is the frame of the other model.
 
     Args:
-        problem: a Problem, the path of one, or a pycolmap.Reconstruction; left untouched.
-        gcps: control points, or the path of ODM's gcp_list.txt. Those that two images of the model
-            see count.
-        gps: positions of images: the path of ODM's geo.txt, "exif", or what
-            ``bundle.georeference`` read. Alone or beside control points.
-        to: another model of the same scene: the positions of images of the same name decide, with
-            equal weights.
-        images: the folder of the images, for "exif".
-        gcp_sigma: metres, a number or (horizontal, vertical), of targets without their own.
-        gcp_pixel_sigma: pixels, of measurements without their own.
-        check_points: names of targets that must not influence the result, besides those that are
-            marked so.
-        gps_sigma: metres, a number or (horizontal, vertical), of positions without their own.
-        antenna: x, y, z of the antenna in the frame of the camera (right, down, forward), metres.
-        prior_loss: robust loss of the residuals in sigmas, a name out of SolveOptions.
-        prior_loss_scale: where it bends, in sigmas; by default 2.795, which 5 % of good points
-            exceed.
+        problem: a Problem, the path of one, or a pycolmap.Reconstruction; not modified.
+        gcps: control points, or the path of ODM's gcp_list.txt. Only those in at least two images
+            of the model are used.
+        gps: positions of images: the path of ODM's geo.txt, "exif", or a result of
+            ``bundle.georeference`` readers. They may be used with or without control points.
+        to: another model of the same scene; positions of images with the same name determine the
+            alignment, with equal weights.
+        images: folder of the images, for "exif".
+        gcp_sigma: metres, a number or (horizontal, vertical), for targets without their own.
+        gcp_pixel_sigma: pixels, for measurements without their own.
+        check_points: names of additional check points, which must not influence the result.
+        gps_sigma: metres, a number or (horizontal, vertical), for positions without their own.
+        antenna: x, y, z of the antenna in the camera frame (right, down, forward), metres.
+        prior_loss: robust loss of the residuals in sigmas, a loss of SolveOptions.
+        prior_loss_scale: sigmas beyond which the loss is robust; by default 2.795, which 5 % of
+            good points exceed.
 
     Raises:
-        InputError: a file or an argument is wrong, or the points do not determine the place, the
-            size and the attitude of the model.
+        InputError: a file or an argument is wrong, or the points do not determine position, scale
+            and attitude of the model.
         OSError: a path cannot be read.
 
     Example:
@@ -111,7 +111,7 @@ def align(
         raise InputError(f"antenna: expected x, y, z in metres, found {brief(antenna)}")
     if to is not None:
         if gcps is not None or gps is not None:
-            raise InputError("to: expected no control points or GPS beside another model")
+            raise InputError("to: expected no control points or GPS together with another model")
         return _aligned_to(given, as_problem(to, "to"))
     if gcps is None and gps is None:
         raise InputError("align: expected control points (gcps), positions (gps) or a model (to)")
@@ -167,8 +167,8 @@ def _sigma_notes(sigma0: float) -> tuple[str, ...]:
     if not sigma0 > LARGEST_SIGMA0:
         return ()
     return (
-        f"Residuals are {sigma0:.3g} times as large as their sigmas allow: the sigmas are too "
-        "small, or points have gross errors.",
+        f"Residuals are {sigma0:.3g} times as large as expected from their sigmas: the "
+        "sigmas are too small, or points have gross errors.",
     )
 
 
@@ -187,10 +187,11 @@ def _aligned_to(problem: Problem, other: Problem) -> Alignment:
     here, there = np.array(pairs).T
     if len(set(there.tolist())) < len(pairs):
         raise InputError(
-            "to: expected images with names of their own in both models, found several for one"
+            "to: expected unique image names in both models, found several images with one name"
         )
     target = other.projection_centers[there]
-    # Weights are equal, so their size is free; that of the scene is above all residuals.
+    # Weights are equal, so their size is arbitrary; the variance of the scene exceeds all
+    # residuals.
     variance = float(((target - target.mean(axis=0)) ** 2).sum(axis=1).mean()) or 1.0
     shared = Correspondences(
         problem.projection_centers[here], target, np.tile(variance * np.eye(3), (len(pairs), 1, 1))

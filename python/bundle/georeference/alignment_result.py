@@ -1,4 +1,4 @@
-"""What an alignment found: the moved problem, and how far it is from what was measured."""
+"""Result of an alignment: the moved problem, and its residuals."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class ControlPointError:
-    """A ground control point after an alignment.
+    """Ground control point after an alignment.
 
     Attributes:
-        name: of the target.
-        role: "control", "check", or "unused": not in two images of the model.
-        num_images: images of the model that see it.
-        residual: (3,) model minus survey, east, north, up [m]; nan where unknown.
+        name: name of the target.
+        role: "control", "check", or "unused" (in fewer than two images of the model).
+        num_images: images of the model that observe it.
+        residual: (3,) model minus survey, east, north, up [m]; nan if unknown.
         leave_one_out: (3,) the same with the model aligned without this point; for a check point
-            the residual itself; nan where the others do not determine the alignment.
-        sigma: (3,) of the survey [m]; nan for an unknown height.
-        pixels: root mean square of the reprojection errors of the triangulated target.
+            the residual itself; nan if the other points do not determine the alignment.
+        sigma: (3,) standard deviations of the survey [m]; nan for an unknown height.
+        pixels: root mean square reprojection error of the triangulated target.
         images: name, and error in x and y [pixels], of each measurement.
-        suspect: whether a gross error is likely; see ``bundle.georeference.leave_one_out``.
-        reason: why it is unused; "" where it is not.
+        suspect: True if a gross error is likely; see ``bundle.georeference.leave_one_out``.
+        reason: reason why it is unused; "" otherwise.
     """
 
     name: str
@@ -65,13 +65,13 @@ class ControlPointError:
 
 @dataclass(frozen=True)
 class ImageError:
-    """The position of an image after an alignment.
+    """Position of an image after an alignment.
 
     Attributes:
-        name: of the image.
+        name: name of the image.
         residual: (3,) model minus measurement, east, north, up [m], or in the frame and the length
             unit of the other model; nan for an unknown height.
-        used: whether it had an influence; a robust loss may take it away.
+        used: False if it had no influence, for example because of a robust loss.
     """
 
     name: str
@@ -81,19 +81,20 @@ class ImageError:
 
 @dataclass(frozen=True, repr=False)
 class Alignment(Displayed):
-    """A problem in its new place.
+    """Aligned problem.
 
     Attributes:
-        problem: poses and points moved; metres, or the length unit of the other model.
-        similarity: from the frame of the input to the new one.
-        reference_system: of the coordinates that decided; None without one.
-        origin: of the local frame east, north, up; None where the new frame is another one.
-        control_points: every target, in the order given.
-        positions: measured positions of images, in the order given.
-        shared_images: images of another model, where that decided.
-        notes: what else there is to know, a sentence each.
-        sigma0: size of the residuals in sigmas, over the degrees of freedom; nan for another model
-            and without degrees of freedom.
+        problem: problem with moved poses and points, in metres or the length unit of the other
+            model.
+        similarity: similarity from the frame of the input to the new one.
+        reference_system: reference system of the coordinates; None without one.
+        origin: origin of the local frame east, north, up; None if the new frame is another one.
+        control_points: every target in the given order.
+        positions: measured positions of images in the given order.
+        shared_images: images of the other model, if it determined the alignment.
+        notes: remarks, one sentence each.
+        sigma0: residuals in sigmas relative to their degrees of freedom; nan for another model and
+            without degrees of freedom.
     """
 
     problem: Problem
@@ -107,7 +108,7 @@ class Alignment(Displayed):
     sigma0: float = float("nan")
 
     def rms(self, kind: str = "control") -> Triple:
-        """Return the root mean square of residuals east, north, up; nan where there is none.
+        """Return the root mean square of residuals east, north, up; nan without residuals.
 
         Args:
             kind: "control", "check", "gps" or "shared_images".
@@ -119,16 +120,16 @@ class Alignment(Displayed):
 
     @property
     def suspects(self) -> tuple[str, ...]:
-        """Names of the control and check points that probably have a gross error."""
+        """Names of control and check points that probably have a gross error."""
         return tuple(point.name for point in self.control_points if point.suspect)
 
     def asdict(self) -> dict[str, Any]:
-        """Return what ``georeference.json`` holds.
+        """Return the content of ``georeference.json``.
 
         ``similarity`` maps a point x of the input to scale * rotation @ x + translation, metres
-        east, north, up of ``origin``; ``pipeline`` is PROJ's operation from longitude, latitude and
-        height to these. ``rms_enu`` is that of the control points, of the positions
-        where there are none, or of the shared images.
+        east, north, up of ``origin``. ``pipeline`` is PROJ's operation from longitude, latitude and
+        height to these. ``rms_enu`` belongs to the control points, to the positions if there are
+        none, or to the shared images.
         """
         kinds = ("control", "gps", "shared_images")
         counted = [kind for kind in kinds if not np.isnan(self.rms(kind)[0])]
@@ -174,18 +175,18 @@ class Alignment(Displayed):
 
 
 def metres(value: float) -> str:
-    """Return metres to the millimetre, with their sign; "-" where there are none."""
+    """Return metres to the millimetre, with their sign; "-" if unknown."""
     return "-" if np.isnan(value) else f"{value:+.3f}"
 
 
 def as_triple(values: NDArray[np.float64]) -> Triple:
-    """Return three numbers of an array."""
+    """Return the three numbers of an array."""
     east, north, up = values.tolist()
     return east, north, up
 
 
 def root_mean_square(residuals: Iterable[Triple]) -> Triple:
-    """Return the root mean square of each column over what is not nan; nan without any."""
+    """Return the root mean square of each column, ignoring nan; nan without numbers."""
     rows = np.array(list(residuals), dtype=float).reshape(-1, 3)
     known = ~np.isnan(rows)
     total = np.where(known, rows**2, 0.0).sum(axis=0)

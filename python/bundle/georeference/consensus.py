@@ -1,17 +1,17 @@
-"""Correspondences that agree on one similarity: the start of a fit, whatever the others say.
+"""Robust start of a fit: correspondences that agree on one similarity.
 
-Least median of squares (Rousseeuw 1984). Each of many triples of points gives a similarity; the one
-wins whose h-th smallest squared residual in sigmas is the smallest, h = floor(n / 2) + 2. So up to
-(n - h) points may be anywhere, a continent away, without any influence, which no reweighting that
-starts from all points achieves: one gross error turns the whole fit.
+Least median of squares (Rousseeuw 1984). Each of many triples of points gives a similarity. The
+winner has the smallest h-th smallest squared residual in sigmas, h = floor(n / 2) + 2. Up to (n -
+h) points may therefore be anywhere, even a continent away, without any influence. Reweighting that
+starts from all points does not achieve this, because a single gross error rotates the whole fit.
 
 The residuals of the winner give a scale of their own, by the median 1.538 of the length of three
 Gaussian coordinates, corrected for small n,
 
     s = (1 + 5 / (n - 3)) sqrt(r2_(h)) / 1.538,
 
-never less than one sigma. What is within 2.795 s (95 % of good points) agrees; two rounds of a fit
-to those and a new selection take the noise of the winning triple out.
+but at least one sigma. Points within 2.795 s (95 % of good points) agree. Two rounds of fitting
+them and selecting anew remove the noise of the winning triple.
 """
 
 from __future__ import annotations
@@ -30,29 +30,31 @@ __all__ = ["agreeing"]
 Array = NDArray[np.float64]
 
 MOST_TRIPLES = 1000
-"""Random ones beyond; half of the points wrong, all miss with probability (7/8)^1000 = 1e-58."""
+"""Beyond this number, triples are random. With half of the points wrong, all miss with probability
+(7/8)^1000 = 1e-58.
+"""
 MOST_SCORED = 1000
-"""Points that judge a triple."""
+"""Points that rate a triple."""
 MEDIAN_LENGTH = 1.538172
-"""Of a vector of three standard Gaussian coordinates."""
+"""Median length of a vector of three standard Gaussian coordinates."""
 
 
 def agreeing(source: Array, target: Array, sigmas: Array) -> NDArray[np.bool_]:
-    """Return which of n correspondences agree with the similarity that most agree with.
+    """Return the mask of the correspondences that agree with the similarity of the majority.
 
-    Seeded: equal input gives equal output.
+    The random generator is seeded: equal input gives equal output.
 
     Args:
         source: (n, 3) points of a model.
-        target: (n, 3) where they should be.
-        sigmas: (n, 3) standard deviations of the targets; huge where a coordinate does not count.
+        target: (n, 3) their surveyed positions.
+        sigmas: (n, 3) standard deviations of the targets; huge for coordinates without influence.
     """
     count = len(source)
     if count <= 3:
         return np.ones(count, dtype=bool)
     rng = np.random.default_rng(0)
     scored = np.arange(count) if count <= MOST_SCORED else rng.permutation(count)[:MOST_SCORED]
-    rank = len(scored) // 2 + 2 - 1  # of the h-th smallest, from 0
+    rank = len(scored) // 2 + 2 - 1  # rank of the h-th smallest, from 0
     triples = _triples(count, rng)
     squared = _squared_lengths(source, target, sigmas, triples, scored)
     score = np.partition(squared, rank, axis=1)[:, rank]
@@ -60,7 +62,7 @@ def agreeing(source: Array, target: Array, sigmas: Array) -> NDArray[np.bool_]:
     rows = triples[best]
     for _ in range(3):
         chosen = _within(_residual(source, target, sigmas, rows), count)
-        if chosen.sum() < 3:  # points on one place: the fit will say what is wrong
+        if chosen.sum() < 3:  # coincident points: the fit will report the error
             return np.ones(count, dtype=bool)
         rows = np.flatnonzero(chosen)
     return chosen
@@ -69,7 +71,7 @@ def agreeing(source: Array, target: Array, sigmas: Array) -> NDArray[np.bool_]:
 def _triples(count: int, rng: np.random.Generator) -> NDArray[np.int64]:
     if comb(count, 3) <= MOST_TRIPLES:
         return np.array(list(combinations(range(count), 3)))
-    # Three different indices each, without listing all: differences around the circle.
+    # Three different indices each, without listing all triples: differences around the circle.
     first = rng.integers(count, size=MOST_TRIPLES)
     gaps = np.sort(rng.integers(count - 2, size=(MOST_TRIPLES, 2)), axis=1)
     second, third = gaps[:, 0] + 1, gaps[:, 1] + 2
@@ -98,7 +100,7 @@ def _squared_lengths(
 
 def _residual(source: Array, target: Array, sigmas: Array, rows: NDArray[np.int64]) -> Array:
     """Return (n,) squared residuals in sigmas about the fit to some rows."""
-    with np.errstate(all="ignore"):  # rows that are one point
+    with np.errstate(all="ignore"):  # rows may be coincident points
         similarity = umeyama(source[rows], target[rows])
         squared: Array = (((similarity.apply(source) - target) / sigmas) ** 2).sum(axis=1)
     return squared

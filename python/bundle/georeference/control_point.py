@@ -1,4 +1,4 @@
-"""Ground control points: surveyed targets, and where images see them."""
+"""Ground control points: surveyed targets and their measurements in images."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ __all__ = [
 
 ROLES = ("control", "check")
 SMALLEST, LARGEST = 1e-9, 1e9
-"""Standard deviations: beyond, squares are lost in rounding."""
+"""Standard deviations outside these limits lose their squares in rounding."""
 FARTHEST = 1e12
-"""Coordinates, metres."""
+"""Largest coordinate in metres."""
 
 
 class Sigma(NamedTuple):
@@ -38,20 +38,21 @@ class Sigma(NamedTuple):
 
 
 GCP_SIGMA = Sigma(0.02, 0.02)
-"""Of points without their own. Equal: where sigmas are far too small, a smaller horizontal one
-would tilt the model to fit."""
+"""Default for points without their own. Both are equal: if sigmas are far too small, a smaller
+horizontal one would tilt the model to fit.
+"""
 GCP_PIXEL_SIGMA = 0.5
-"""Of measurements without their own."""
+"""Default for measurements without their own."""
 
 
 class Measurement(NamedTuple):
-    """A target in an image.
+    """Measurement of a target in an image.
 
     Attributes:
         image: name of the image.
-        x: pixels, from the left edge of the image: the centre of the first pixel is (0.5, 0.5).
-        y: pixels, from the upper edge.
-        sigma: standard deviation of x and of y, pixels; None: that of the alignment, 0.5 in a
+        x: pixels from the left edge of the image: the centre of the first pixel is (0.5, 0.5).
+        y: pixels from the upper edge.
+        sigma: standard deviation of x and of y in pixels; None: default of the alignment, 0.5 in a
             solve.
     """
 
@@ -63,25 +64,25 @@ class Measurement(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class GroundControlPoint:
-    """A surveyed target.
+    """Surveyed target.
 
     Attributes:
         name: unique among the targets.
         position: (3,) x, y, z in ``reference_system``: east or longitude, north or latitude,
-            height; nan for a height that is not known.
-        measurements: where images see it: (image, x, y) or (image, x, y, sigma) each, see
-            :class:`Measurement`. Images that are not in the model do not count.
-        sigma: of each coordinate in metres: one number, or horizontal and vertical; None: that of
-            the alignment, 0.02 m in a solve.
+            height; nan for an unknown height.
+        measurements: its measurements in images: (image, x, y) or (image, x, y, sigma) each, see
+            :class:`Measurement`. Images that are not in the model are ignored.
+        sigma: standard deviation of each coordinate in metres: one number, or horizontal and
+            vertical; None: default of the alignment, 0.02 m in a solve.
         role: "control", or "check": it is compared with the model and never moves it.
         reference_system: "EPSG:32632", a PROJ string or "WGS84 UTM 32N"; None: a Cartesian frame in
             metres, which becomes that of the model.
-        loss: a robust loss of the distance from ``position`` in a solve, out of
-            :class:`bundle.SolveOptions`; an alignment has a loss of its own.
-        loss_scale: the length of the residual in sigmas at which it bends.
+        loss: robust loss of the distance from ``position`` in a solve, a loss of
+            :class:`bundle.SolveOptions`; an alignment has its own loss.
+        loss_scale: length of the residual in sigmas beyond which the loss is robust.
 
     Raises:
-        InputError: a value is of the wrong type or out of range; the message names the target.
+        InputError: a value has a wrong type or range; the message names the target.
     """
 
     name: str
@@ -116,7 +117,7 @@ def parse_sigma(name: str, value: Any) -> Sigma:
     """Return standard deviations from a number, a pair, "0.02" or "0.02/0.05".
 
     Raises:
-        InputError: anything else, or a sigma that is not positive; the message begins with the
+        InputError: the format is another, or a sigma is not positive; the message begins with the
             name.
     """
     parts: Any = value

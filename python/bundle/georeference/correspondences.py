@@ -1,4 +1,4 @@
-"""Points of a model and where they were surveyed, each with its covariance."""
+"""Points of a model and their surveyed positions, each with its covariance."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Correspondences:
-    """Points of a model and where they were surveyed.
+    """Points of a model and their surveyed positions.
 
     Attributes:
         source: (n, 3) in the model.
-        target: (n, 3) east, north, up [m]; up is nan where unknown.
+        target: (n, 3) east, north, up [m]; up is nan if unknown.
         target_covariance: (n, 3, 3) [m^2].
         source_covariance: (n, 3, 3) in squared units of the model; zero by default.
-        offset: (n, 3) from the point of the model to what was surveyed, in metres along the axes
-            of the model; zero by default.
+        offset: (n, 3) vector from the point of the model to the surveyed point, in metres along the
+            axes of the model; zero by default.
     """
 
     source: Array
@@ -42,7 +42,7 @@ class Correspondences:
         return len(self.source)
 
     def rows(self, chosen: NDArray[Any]) -> Correspondences:
-        """Return some of them."""
+        """Return some of the rows."""
         return Correspondences(
             self.source[chosen],
             self.target[chosen],
@@ -53,7 +53,7 @@ class Correspondences:
 
     @staticmethod
     def joined(first: Correspondences, second: Correspondences) -> Correspondences:
-        """Return both, one after the other."""
+        """Return the concatenation of both."""
         return Correspondences(
             np.concatenate([first.source, second.source]),
             np.concatenate([first.target, second.target]),

@@ -1,11 +1,11 @@
-"""GPS positions that cameras write into their images (EXIF 2.32, section 4.6.6).
+"""GPS positions in the EXIF tags of images (EXIF 2.32, section 4.6.6).
 
 Latitude and longitude are three rationals, degrees, minutes and seconds, and a letter. The altitude
-is metres, its sign in a separate tag. EXIF leaves open whether it counts from sea level or from the
-ellipsoid, and receivers differ. It is taken as it stands (``bundle.georeference.reference_system``
-has the consequence).
+is in metres, with its sign in a separate tag. EXIF does not define whether it is above sea level or
+above the ellipsoid, and receivers differ. It is used unchanged
+(``bundle.georeference.reference_system`` has the consequence).
 
-Pillow reads the tags, without decoding pixels, in JPEG, TIFF, DNG, PNG and WebP. (ExifRead, which
+Pillow reads the tags of JPEG, TIFF, DNG, PNG and WebP without decoding pixels. (ExifRead, which
 does nothing else, misses those of WebP and the accuracy.)
 """
 
@@ -31,9 +31,9 @@ from bundle.georeference.reference_system import WGS84
 __all__ = ["read_exif_gps"]
 
 _GPS = 0x8825
-"""The tag of the directory of GPS tags."""
+"""Tag of the directory of GPS tags."""
 _LATITUDE, _LONGITUDE, _ALTITUDE_REFERENCE, _ALTITUDE, _POSITIONING_ERROR = 2, 4, 5, 6, 31
-"""The letters of latitude and longitude are one tag before."""
+"""The tags of the letters of latitude and longitude precede them."""
 _BELOW = (1, 3)
 """Altitude references of heights below zero: of sea level, and since EXIF 3.0 of the ellipsoid."""
 
@@ -41,14 +41,13 @@ _BELOW = (1, 3)
 def read_exif_gps(folder: str | os.PathLike[str], names: Iterable[str]) -> GpsPositions:
     """Read the positions of images from their EXIF tags.
 
-    An image without a position is no error: it is not in the result, and a note counts those. So
-    is one at latitude and longitude 0, which receivers write that have no fix.
+    An image without a position is no error: it is left out, and a note counts such images. Latitude
+    and longitude 0, which receivers write without a fix, count as no position.
 
     Args:
-        folder: of the images.
-        names: of the images, as in the reconstruction: paths from the folder on. Where there is no
-            such file, one of that name directly in the folder is taken, if one image alone could
-            be meant.
+        folder: folder of the images.
+        names: names of the images in the reconstruction: paths relative to the folder. If there is
+            no such file, one of that name directly in the folder is used if the choice is unique.
 
     Raises:
         InputError: there is no such folder, or no image in it.
@@ -56,7 +55,9 @@ def read_exif_gps(folder: str | os.PathLike[str], names: Iterable[str]) -> GpsPo
     """
     root = Path(folder)
     if not root.is_dir():
-        raise InputError(f"{shown(folder)}: expected the folder of the images, found none")
+        raise InputError(
+            f"{shown(folder)}: expected the folder of the images, which does not exist"
+        )
     wanted = [name for name in dict.fromkeys(names) if name]
     found: dict[str, tuple[float, ...]] = {}
     missing: list[str] = []
@@ -74,7 +75,7 @@ def read_exif_gps(folder: str | os.PathLike[str], names: Iterable[str]) -> GpsPo
     if len(missing) == len(wanted):
         example = f" such as {brief(wanted[0])}" if wanted else ", which have no names"
         raise InputError(
-            f"{shown(folder)}: expected the images of the reconstruction{example}, found none"
+            f"{shown(folder)}: expected the images of the reconstruction{example}, found 0 of them"
         )
     table = np.array(list(found.values()), dtype=np.float64).reshape(-1, 4)
     return GpsPositions(
@@ -94,7 +95,7 @@ def _position(path: Path) -> tuple[float, float, float, float] | None:
     """Return latitude, longitude [degrees], height, horizontal accuracy [m]; nan where unknown.
 
     Returns:
-        None where there is no position: tags are missing, no numbers, or out of range.
+        None without a position: tags are missing, not numeric, or out of range.
     """
     from PIL import Image
 
@@ -102,9 +103,9 @@ def _position(path: Path) -> tuple[float, float, float, float] | None:
         try:
             with Image.open(file) as image:
                 tags = image.getexif().get_ifd(_GPS)
-        except Exception as error:  # whatever broken files make of it: they have no position
+        except Exception as error:  # broken files may raise anything; they have no position
             if isinstance(error, OSError) and error.errno is not None:
-                raise  # the disk, not the format
+                raise  # a disk error, not the format
             return None
     latitude = _angle(tags, _LATITUDE, "NS", 90)
     longitude = _angle(tags, _LONGITUDE, "EW", 180)
@@ -136,7 +137,7 @@ def _angle(tags: Mapping[int, Any], tag: int, letters: str, largest: float) -> f
 
 
 def _numbers(tags: Mapping[int, Any], tag: int, count: int) -> tuple[float, ...] | None:
-    """Return a tag's numbers; None where it is missing, or one of them is x/0."""
+    """Return a tag's numbers; None if it is missing or a denominator is 0."""
     value = tags.get(tag)
     given = value if isinstance(value, tuple | bytes) else (value,)
     try:
@@ -157,7 +158,7 @@ def _counted(names: list[str], what: str) -> tuple[str, ...]:
 
 @contextmanager
 def _any_size() -> Iterator[None]:
-    """Let Pillow open images of any size, without remarks on their tags."""
+    """Let Pillow open images of any size, without warnings on their tags."""
     from PIL import Image
 
     limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None

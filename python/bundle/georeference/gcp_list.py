@@ -7,18 +7,17 @@
     481413.2 5783008.9 99.71  1511.0 904.0 "my image.jpg" gcp04 check
 
 The first line names the reference system: EPSG:CODE, a PROJ string, WGS84 UTM ZONE with N or S, or
-WGS84 for longitude and latitude.
-Fields are separated by blanks or tabs; a byte order mark, line ends of Windows, empty lines and
-lines that begin with "#" are allowed anywhere. Lines of equal coordinates are one target, as for
-ODM, labelled or not; "nan" is a height that is not known.
+WGS84 for longitude and latitude. Fields are separated by blanks or tabs; a byte order mark, Windows
+line ends, empty lines and lines that begin with "#" are allowed anywhere. Lines with equal
+coordinates are one target, as in ODM, labelled or not; "nan" is an unknown height.
 
-ODM takes the centre of the first pixel for (0, 0): OpenSfM, which reads the list for it, normalizes
-x by (x + 0.5 - width / 2) / max(width, height) (``opensfm.features.normalized_image_coordinates``).
+In ODM the centre of the first pixel is (0, 0): OpenSfM, which reads the list for it, normalizes x
+by (x + 0.5 - width / 2) / max(width, height) (``opensfm.features.normalized_image_coordinates``).
 Here, as in COLMAP, it is (0.5, 0.5): half a pixel is added to each coordinate.
 
-Beyond ODM, which ignores all that follows the image's name: ``sigma=H[/V]`` (metres) and ``check``
-on any line of a target hold for the target, ``pixel_sigma=PX`` for the measurement. The label is
-the first of the other words; what follows it is ignored.
+Extensions of ODM's format, which ignores everything after the image's name: ``sigma=H[/V]``
+(metres) and ``check`` on any line of a target apply to the target, ``pixel_sigma=PX`` to the
+measurement. The label is the first of the other words; words after it are ignored.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ from bundle.georeference.odm_lines import parse_number, read_lines
 __all__ = ["PIXEL_SHIFT", "read_gcp_list"]
 
 PIXEL_SHIFT = 0.5
-"""From pixels whose origin is the centre of the first pixel to COLMAP's."""
+"""Shift from pixels whose origin is the centre of the first pixel to COLMAP's."""
 
 CHECK = "check"
 _KEYS = ("sigma", "pixel_sigma")
@@ -53,7 +52,7 @@ _FIELDS = "x y z px py image [label]"
 
 @dataclass
 class _Target:
-    """What the lines of one target said so far."""
+    """Values of a target in the lines so far."""
 
     position: tuple[float, float, float]
     line: int
@@ -64,10 +63,10 @@ class _Target:
 
 
 def read_gcp_list(path: str | os.PathLike[str]) -> tuple[GroundControlPoint, ...]:
-    """Read the ground control points of a file; unnamed ones are called "target 1" and so on.
+    """Read the ground control points of a file; unnamed ones become "target 1" and so on.
 
     Raises:
-        InputError: the content is not what the format says; one line with file and line.
+        InputError: the content does not follow the format; one line with file and line.
         OSError: the file cannot be read.
     """
     path = as_path(path)
@@ -76,7 +75,7 @@ def read_gcp_list(path: str | os.PathLike[str]) -> tuple[GroundControlPoint, ...
     for line, words in rows:
         _read_line(f"{shown(path)}: line {line}", line, words, targets)
     if not targets:
-        raise InputError(f"{shown(path)}: expected lines of {_FIELDS}, found none")
+        raise InputError(f"{shown(path)}: expected lines of {_FIELDS}, found 0")
     _name_targets(path, targets)
     places = [f"{shown(path)}: line {target.line}" for target in targets.values()]
     system.to_geodetic(np.array([target.position for target in targets.values()]), places)
@@ -102,14 +101,14 @@ def _read_line(
         parse_number(place, name, word, unknown=name == "z")
         for name, word in zip(("x", "y", "z", "px", "py"), words[:5], strict=True)
     )
-    # Equal numbers, however written; nan is equal to nan.
+    # Equal numbers in any notation; nan is equal to nan.
     target = targets.setdefault(tuple(map(repr, (x, y, z))), _Target((x, y, z), line))
     label, settings, check = _extras(place, words[6:])
     if check:
         target.role = "check"
     if label and target.name not in ("", label):
         raise InputError(
-            f"{place}: expected label {target.name}, which the same coordinates have in line "
+            f"{place}: expected label {target.name}, as for the same coordinates in line "
             f"{target.line}, found {brief(label)}"
         )
     target.name = target.name or label
@@ -117,7 +116,7 @@ def _read_line(
         sigma = parse_sigma(f"{place}: sigma", settings["sigma"])
         if target.sigma not in (None, sigma):
             raise InputError(
-                f"{place}: sigma: expected the one of an earlier line of the same target, "
+                f"{place}: sigma: expected the value of an earlier line of the same target, "
                 f"found {settings['sigma']}"
             )
         target.sigma = sigma
@@ -128,14 +127,14 @@ def _read_line(
     image = words[5]
     if image in target.measurements:
         raise InputError(
-            f"{place}: expected one measurement of a target in each image, "
-            f"found another one in {brief(image)}"
+            f"{place}: expected one measurement of a target in each image, found a second "
+            f"one in {brief(image)}"
         )
     target.measurements[image] = Measurement(image, px + PIXEL_SHIFT, py + PIXEL_SHIFT, pixel_sigma)
 
 
 def _extras(place: str, words: list[str]) -> tuple[str, dict[str, str], bool]:
-    """Return the label, the settings, and whether the target is marked as a check point."""
+    """Return the label, the settings, and True if the target is marked as a check point."""
     settings: dict[str, str] = {}
     others: list[str] = []
     for word in words:
@@ -155,13 +154,13 @@ def _meant(key: str) -> str:
 
 
 def _name_targets(path: Path, targets: dict[tuple[str, ...], _Target]) -> None:
-    """Name those without a label, and refuse a label for two places."""
+    """Name the targets without a label, and refuse a label for two places."""
     lines: dict[str, int] = {}
     for index, target in enumerate(targets.values(), start=1):
         target.name = target.name or f"target {index}"
         if target.name in lines:
             raise InputError(
-                f"{shown(path)}: line {target.line}: expected the coordinates of {target.name} in "
-                f"line {lines[target.name]}, found others"
+                f"{shown(path)}: line {target.line}: label {target.name} has other coordinates "
+                f"in line {lines[target.name]}"
             )
         lines[target.name] = target.line

@@ -1,9 +1,9 @@
-"""Priors of a solve from ground control points, and GPS beside them.
+"""Priors of a solve from ground control points, and from GPS beside them.
 
-Gross errors are looked for twice, each time by what the others say of a point through a similarity
-(``leave_one_out``): in the model as it was given, which no control point has bent yet; and, where
-that finds none, in the adjusted one, where the bends that the model had itself are gone. A gross
-error bends the adjusted model, so that its neighbours would look bad there, too.
+Gross errors are searched twice, each time by the prediction of a point from the others through a
+similarity (``leave_one_out``). First in the model as given, which no control point has bent yet. If
+that finds none, then in the adjusted model, where its own distortions are removed. A gross error
+bends the adjusted model, so that neighbouring points would also look bad there.
 """
 
 from __future__ import annotations
@@ -50,8 +50,9 @@ __all__ = ["GcpPriors", "gcp_priors"]
 Array = NDArray[np.float64]
 
 LEVEL_AFTER = 1e-3
-"""Of the test of the adjusted model: that cameras err together, which bends a model between and
-beyond its control points, is not in the covariances."""
+"""Level of the test of the adjusted model. Covariances do not contain correlated errors of the
+cameras, which bend a model between and beyond its control points.
+"""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,16 +60,15 @@ class GcpPriors(Displayed):
     """Priors of a problem's control points, and of its images, in a local frame.
 
     Attributes:
-        priors: for ``bundle.solve(problem, priors=...)``: positions of images, then all control and
-            check points.
-        origin: of the frame east, north, up [m] in which they are; None where the coordinates were
-            Cartesian.
-        reference_system: the coordinates came in it; None where they were Cartesian.
-        left_out: by name, how far the problem as it was given is from the survey of each point if
-            all others place it, (3,) east, north, up [m]; nan where they cannot.
-        suspects: names of the points for which that is too far.
-        notes: sentences on what was ignored, is inexact or looks wrong.
-        gps: the positions of images; None without.
+        priors: priors for ``bundle.solve(problem, priors=...)``: positions of images, then all
+            control and check points.
+        origin: origin of their frame east, north, up [m]; None for Cartesian coordinates.
+        reference_system: reference system of the given coordinates; None if Cartesian.
+        left_out: by name, residual (3,) of each point in the given problem if all others place it,
+            east, north, up [m]; nan if they cannot.
+        suspects: names of points for which this residual is too large.
+        notes: sentences on ignored, inexact or suspicious data.
+        gps: positions of the images; None without.
     """
 
     priors: tuple[PositionPrior | GroundControlPoint, ...]
@@ -85,16 +85,16 @@ class GcpPriors(Displayed):
         return tuple(prior for prior in self.priors if isinstance(prior, GroundControlPoint))
 
     def georeference(self, result: Solved) -> Georeference:
-        """Return where a solve with these priors has put the model.
+        """Return the georeference of a model that was solved with these priors.
 
         Raises:
-            InputError: the result is of another problem, or of a solve without alignment.
+            InputError: the result belongs to another problem, or to a solve without alignment.
         """
         if result.similarity is None:
-            raise InputError("result: expected one of a solve that aligned the problem")
+            raise InputError("result: expected the result of a solve that aligned the problem")
         names = [point.name for point in self.control_points]
         if [point.name for point in result.control_points] != names:
-            raise InputError("result: expected one of a solve with these control points")
+            raise InputError("result: expected the result of a solve with these control points")
         images = () if self.gps is None else self.gps.georeference(result).images
         return Georeference(
             self.reference_system,
@@ -111,11 +111,11 @@ class GcpPriors(Displayed):
         )
 
     def _judged(self, point: ControlPointError, after: Array | None) -> ControlPointError:
-        """Return a point with what the others say of it.
+        """Return a point with its prediction from the others.
 
         Args:
-            point: after the solve.
-            after: where the others place it in the adjusted model, if that makes it a suspect.
+            point: point after the solve.
+            after: its prediction in the adjusted model, if that makes it a suspect.
         """
         if after is not None:
             return replace(point, leave_one_out=as_triple(after), suspect=True)
@@ -123,7 +123,7 @@ class GcpPriors(Displayed):
         return replace(point, leave_one_out=self.left_out[point.name], suspect=suspect)
 
     def _found_after(self, problem: Problem) -> list[Array | None]:
-        """Return for each suspect of the adjusted model where the others place it; else None."""
+        """Return each suspect's prediction by the others in the adjusted model, else None."""
         points = self.control_points
         if self.suspects:
             return [None] * len(points)
@@ -169,26 +169,25 @@ def gcp_priors(
 ) -> GcpPriors:
     """Make priors of ground control points, and of images' positions, in one local frame.
 
-    The frame is east, north, up in metres about the middle of the control points. Those that two
-    images of the problem see count; notes tell of the others.
+    The frame is east, north, up in metres, with its origin in the middle of the control points.
+    Only points in at least two images of the problem are used; notes list the others.
 
     Args:
-        problem: whose images see them.
+        problem: problem whose images observe them.
         gcps: control points, or the path of OpenDroneMap's gcp_list.txt.
         gps: as in :func:`gps_priors`; None: control points alone.
         images: folder of the images, for ``gps="exif"``.
-        gcp_sigma: metres, a number or (horizontal, vertical), of points without their own.
-        gcp_pixel_sigma: pixels, of measurements without their own.
-        check_points: names of points that must not influence the solve, besides those that are
-            marked so.
-        gps_sigma: metres, likewise, of positions without their own.
-        antenna: (3,) place of the receiver in the frame of the camera, metres.
-        prior_loss: a robust loss of each control point's and each position's residual.
-        prior_loss_scale: sigmas at which it bends.
+        gcp_sigma: metres, a number or (horizontal, vertical), for points without their own.
+        gcp_pixel_sigma: pixels, for measurements without their own.
+        check_points: names of additional check points, which must not influence the solve.
+        gps_sigma: metres, likewise, for positions without their own.
+        antenna: (3,) position of the receiver in the camera frame, metres.
+        prior_loss: robust loss of each control point's and each position's residual.
+        prior_loss_scale: sigmas beyond which the loss is robust.
 
     Raises:
-        InputError: a file or an argument is wrong, or the points do not determine the place, the
-            size and the attitude of the problem: fewer than three, or on one line.
+        InputError: a file or an argument is wrong, or the points do not determine position, scale
+            and attitude of the problem: fewer than three, or collinear.
         OSError: a path cannot be read.
 
     Example:
@@ -212,7 +211,8 @@ def gcp_priors(
         antenna=np.asarray(antenna, dtype=np.float64),
     )
     notes = check_readings(survey)
-    fit_similarity(survey.measured.rows(survey.decisive), what=survey.what)  # are they enough?
+    # fails if they are not sufficient
+    fit_similarity(survey.measured.rows(survey.decisive), what=survey.what)
     left_out, suspect = survey.leave_one_out()
     frame = survey.frame
     local = tuple(

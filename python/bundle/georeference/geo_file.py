@@ -1,17 +1,17 @@
 """OpenDroneMap's image geolocation file, ``geo.txt``.
 
-The first line is the coordinate reference system, every other one an image::
+The first line is the coordinate reference system, every other line an image::
 
     EPSG:4326
     # image         x            y          z       yaw pitch roll  h-acc v-acc
     DJI_0028.JPG    -91.9942096  46.8425213 198.609
     DJI_0032.JPG    -91.9938293  46.8424584 198.609 0   0     0     0.02  0.03
 
-Numbers go by their place, as in OpenDroneMap: accuracies come after the three angles, and what is
-incomplete at the end of a line is no number of this format. x is east or longitude, y north or
-latitude; 0 and 0 is a receiver without a fix. Names with blanks stand in quotes, or between tabs
-where all fields do. Angles are checked and not used: they have no effect on a position,
-and the images themselves know the attitude better.
+Numbers are identified by position, as in OpenDroneMap: accuracies follow the three angles, and an
+incomplete group at the end of a line does not belong to the format. x is east or longitude, y north
+or latitude; 0 and 0 is a receiver without a fix. Names with blanks are in quotes, or between tabs
+if all fields are. Angles are checked and not used: they have no effect on a position, and the
+images determine the attitude better.
 
 Source: https://docs.opendronemap.org/geo/ and ``opendm/geo.py`` of OpenDroneMap.
 """
@@ -37,9 +37,9 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
     """Read the positions of images from OpenDroneMap's geo.txt.
 
     Raises:
-        InputError: an unknown reference system, a line that lacks numbers or has words in their
-            place, an image that has two lines, a position out of the system's area; one line with
-            file, line, expected and found.
+        InputError: an unknown reference system, a line with missing or non-numeric values, an image
+            with two lines, or a position outside the system's area; one line with file, line,
+            expected and found.
         OSError: the file cannot be read.
     """
     system, lines = read_lines(path, name_at=0)
@@ -53,13 +53,13 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
         image = words[0]
         if image in seen:
             raise InputError(
-                f"{place}: expected one line for each image, found {brief(image)} again "
-                f"(line {seen[image]} has it too)"
+                f"{place}: expected one line for each image, found {brief(image)} again (first "
+                f"in line {seen[image]})"
             )
         seen[image] = number
         odd += len(words) in (5, 6, 8)
     if not rows:
-        raise InputError(f"{name}: expected images after the first line, found none")
+        raise InputError(f"{name}: expected images after the first line, found 0")
     table = np.array(rows)
     lines_of = np.array(list(seen.values()))
     fixed = ~system.is_no_fix(table[:, :3])
@@ -70,8 +70,8 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
     notes = [*system.notes, *system.area_notes(geodetic), *no_fix_notes(without, name)]
     if odd:
         notes.append(
-            f"{plural(odd, 'line')} of {name} have numbers after the height that are neither three "
-            "angles nor three angles and two accuracies; they are ignored."
+            f"{plural(odd, 'line')} of {name} have numbers after the height that are "
+            "neither three angles nor three angles and two accuracies; they are ignored."
         )
     return GpsPositions(
         names=images,
@@ -84,7 +84,7 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
 
 
 def _row(place: str, words: list[str]) -> list[float]:
-    """Return x, y, z and the two accuracies, nan where there are none."""
+    """Return x, y, z and the two accuracies; nan if missing."""
     if len(words) < 3:
         raise InputError(
             f"{place}: expected image x y [z] [yaw pitch roll] [h-acc v-acc], "
@@ -104,7 +104,6 @@ def _row(place: str, words: list[str]) -> list[float]:
         for name, accuracy in zip(_ACCURACIES, accuracies, strict=True):
             if accuracy <= 0:
                 raise InputError(
-                    f"{place}: {name}: expected metres above 0, or nan where it is unknown, "
-                    f"found {accuracy:g}"
+                    f"{place}: {name}: expected metres above 0, or nan, found {accuracy:g}"
                 )
     return [x, y, z, *accuracies]

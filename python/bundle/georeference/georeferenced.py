@@ -1,4 +1,4 @@
-"""Where a refined model is on the earth, and how well it fits what was measured."""
+"""Georeference of a refined model, and its residuals to the measurements."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from bundle.model.problem import Problem
 __all__ = ["Georeference", "PositionError", "Solved", "origin_text"]
 
 LARGE = 3.0
-"""Sigmas that three of a hundred good positions exceed."""
+"""Sigmas that 3 % of good positions exceed."""
 
 
 class Solved(Protocol):
-    """A result of :func:`bundle.solve`."""
+    """Protocol of a result of :func:`bundle.solve`."""
 
     @property
     def problem(self) -> Problem:
-        """The refined problem."""
+        """Refined problem."""
 
     @property
     def similarity(self) -> Similarity | None:
-        """The map that took the input to the start of the solve."""
+        """Similarity from the input to the start of the solve."""
 
     @property
     def control_points(self) -> tuple[ControlPointError, ...]:
-        """How far control and check points are from the survey."""
+        """Residuals of control and check points relative to the survey."""
 
 
 @dataclass(frozen=True)
 class PositionError:
-    """An image of the model and its measured position.
+    """Image of the model and its measured position.
 
     Attributes:
-        name: of the image.
-        residual: (3,) position in the model minus measured one, east, north, up [m]; nan where the
-            measurement has none.
+        name: name of the image.
+        residual: (3,) position in the model minus measured position, east, north, up [m]; nan where
+            there is no measurement.
         sigmas: length of the residual in standard deviations; nan for an image without a position.
-        used: whether it has a prior.
+        used: True if it has a prior.
     """
 
     name: str
@@ -54,15 +54,15 @@ class PositionError:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Georeference(Displayed):
-    """Where a refined model is on the earth, and how well the positions fit.
+    """Georeference of a refined model, and the residuals of its positions.
 
     Attributes:
-        reference_system: the coordinates came in it; None where they were Cartesian.
-        origin: of the frame east, north, up [m] in which the refined model is; None where it is
-            that of Cartesian control points.
-        similarity: moved the input there before the solve refined it.
-        images: every image of the model, where positions of images were given.
-        notes: sentences on what was ignored or is inexact.
+        reference_system: reference system of the given coordinates; None if Cartesian.
+        origin: origin of the frame east, north, up [m] of the refined model; None for Cartesian
+            control points.
+        similarity: similarity from the input to this frame, before the solve refined it.
+        images: every image of the model, if positions of images were given.
+        notes: sentences on ignored or inexact data.
         control_points: every control and check point.
     """
 
@@ -75,14 +75,14 @@ class Georeference(Displayed):
 
     @property
     def rms(self) -> tuple[float, float, float]:
-        """Root mean square of the residuals that count, east, north, up [m].
+        """Root mean square of the residuals in use, east, north, up [m].
 
-        Those of the control points, of positions of images that are used where there are none.
+        They belong to the control points, or to the used positions of images if there are none.
         """
         return self.rms_of("control" if self.control_points else "gps")
 
     def rms_of(self, kind: str) -> tuple[float, float, float]:
-        """Return the root mean square of residuals east, north, up [m]; nan where there is none.
+        """Return the root mean square of residuals east, north, up [m]; nan without residuals.
 
         Args:
             kind: "control", "check" or "gps".
@@ -93,7 +93,7 @@ class Georeference(Displayed):
 
     @property
     def suspect_points(self) -> tuple[str, ...]:
-        """Names of the control and check points that probably have a gross error."""
+        """Names of control and check points that probably have a gross error."""
         return tuple(point.name for point in self.control_points if point.suspect)
 
     @property
@@ -103,10 +103,10 @@ class Georeference(Displayed):
         return tuple(sorted(large, key=lambda image: -image.sigmas))
 
     def asdict(self) -> dict[str, Any]:
-        """Return what ``georeference.json`` holds.
+        """Return the content of ``georeference.json``.
 
         ``similarity`` maps a point x of the input to scale * rotation @ x + translation, metres
-        east, north, up of ``origin``; ``pipeline`` is PROJ's operation from longitude, latitude and
+        east, north, up of ``origin``. ``pipeline`` is PROJ's operation from longitude, latitude and
         height on WGS84 to these.
         """
         return {
@@ -153,5 +153,5 @@ class Georeference(Displayed):
 
 
 def origin_text(origin: LocalFrame) -> str:
-    """Return latitude, longitude and height as reports have them."""
+    """Return latitude, longitude and height in the format of reports."""
     return f"{origin.latitude:.7f}, {origin.longitude:.7f}, {origin.height:.3f} m"

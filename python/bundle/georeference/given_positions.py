@@ -1,4 +1,4 @@
-"""Control points and positions as users give them, brought into one local frame."""
+"""Control points and positions as given by users, transformed into one local frame."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ EXIF = "exif"
 
 
 class Frame:
-    """The frame into which a model goes.
+    """Frame of a georeferenced model.
 
     Attributes:
-        reference_system: of the coordinates, or None where they are Cartesian already.
-        origin: of east, north, up: in the middle of the control points, so that check points have
-            no influence, or of the positions where there are none.
-        control_points: (n, 3) positions of the targets; up is nan where unknown.
+        reference_system: reference system of the coordinates, or None if they are Cartesian.
+        origin: origin of east, north, up: in the middle of the control points (check points have no
+            influence), or of the positions if there are none.
+        control_points: (n, 3) positions of the targets; up is nan if unknown.
         positions: (m, 3) positions of images.
-        notes: what is inexact.
+        notes: inexact data.
 
     Raises:
-        InputError: some coordinates have a reference system and others have none.
+        InputError: some coordinates have a reference system and others do not.
     """
 
     def __init__(
@@ -54,8 +54,8 @@ class Frame:
         if None in systems:
             if len(systems) > 1 or positions is not None:
                 raise InputError(
-                    "gcps: expected a reference system of all control points, as others or GPS "
-                    "have one, found None"
+                    "gcps: expected a reference system for all control points, because others or "
+                    "GPS have one, found None"
                 )
             return
         geodetic = np.empty_like(self.control_points)
@@ -76,7 +76,7 @@ class Frame:
 
 
 def given_control_points(gcps: Any) -> tuple[GroundControlPoint, ...]:
-    """Return control points, those of a file, or none for None.
+    """Return control points, those of a file, or an empty list for None.
 
     Raises:
         InputError: these are no control points, or names repeat.
@@ -95,17 +95,17 @@ def given_control_points(gcps: Any) -> tuple[GroundControlPoint, ...]:
         if not isinstance(point, GroundControlPoint):
             raise InputError(f"gcps: expected GroundControlPoints, found {brief(point)}")
         if point.name in names:
-            raise InputError(f"gcps: expected a name of its own for each, found two {point.name}")
+            raise InputError(f"gcps: expected unique names, found {point.name} twice")
         names.add(point.name)
     if not points:
-        raise InputError("gcps: expected control points, found none")
+        raise InputError("gcps: expected at least one control point, found 0")
     return points
 
 
 def with_check_points(
     points: tuple[GroundControlPoint, ...], names: Iterable[str]
 ) -> tuple[GroundControlPoint, ...]:
-    """Return the points with some of them made check points.
+    """Return the points with some of them changed to check points.
 
     Raises:
         InputError: there is no point of a name.

@@ -1,7 +1,4 @@
-"""Positions of images as a file or a camera's receiver gives them.
-
-Positions and the images of a model that they belong to, by name.
-"""
+"""Measured positions of images from a file or from EXIF tags, and their images by name."""
 
 from __future__ import annotations
 
@@ -30,7 +27,7 @@ __all__ = [
 
 
 EXIF_TAGS = "EXIF tags"
-"""Prefix of the source of positions that images have themselves."""
+"""Prefix of the source of positions that come from the images themselves."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,14 +35,14 @@ class GpsPositions(Displayed):
     """Measured positions of images on the earth.
 
     Attributes:
-        names: n names of images.
-        geodetic: (n, 3) latitude, longitude [degrees] and height [m] on WGS84; height nan where it
-            is unknown.
-        accuracy: (n, 2) horizontal and vertical standard deviation [m], nan where the source has
-            none. The horizontal one is that of east and of north.
-        reference_system: the coordinates came in it.
-        source: where they came from, as messages name it.
-        notes: sentences on what was ignored or is inexact.
+        names: names of the n images.
+        geodetic: (n, 3) latitude, longitude [degrees] and height [m] on WGS84; the height is nan if
+            unknown.
+        accuracy: (n, 2) horizontal and vertical standard deviation [m], nan if the source has none.
+            The horizontal one applies to east and to north.
+        reference_system: reference system of the given coordinates.
+        source: name of the source for messages.
+        notes: sentences on ignored or inexact data.
     """
 
     names: tuple[str, ...]
@@ -60,7 +57,7 @@ class GpsPositions(Displayed):
 
     @property
     def is_exif(self) -> bool:
-        """True where receivers wrote the positions, and nobody a table."""
+        """True if the positions come from the images' EXIF tags and not from a table."""
         return self.source.startswith(EXIF_TAGS)
 
     def _display(self) -> Display:
@@ -101,10 +98,10 @@ def no_fix_notes(names: Sequence[str], source: str) -> tuple[str, ...]:
 
 
 def matched(index: ImageIndex, positions: GpsPositions) -> dict[int, int]:
-    """Return the position of each image that has one, by their rows.
+    """Return the position of each image that has one, by rows.
 
     Raises:
-        InputError: two positions are of one image, or two images have the name of one.
+        InputError: two positions belong to one image, or a position's name fits several images.
     """
     rows: dict[int, int] = {}
     for position, name in enumerate(positions.names):
@@ -121,7 +118,7 @@ def matched(index: ImageIndex, positions: GpsPositions) -> dict[int, int]:
 
 
 def too_few(problem: Problem, positions: GpsPositions, found: int, fewest: int) -> InputError:
-    """Return the error of positions that are not enough."""
+    """Return the error for too few positions."""
     hint = ""
     if not found and len(positions):
         here, there = shown(problem.image_names[0]), shown(positions.names[0])
@@ -130,7 +127,9 @@ def too_few(problem: Problem, positions: GpsPositions, found: int, fewest: int) 
     for name in positions.names:
         other = index.differing_in_case(name)
         if other is not None and index.find(name) is None:
-            hint = f": {shown(name)} differs from {shown(other)} of the model in its case"
+            hint = (
+                f": {shown(name)} differs from {shown(other)} of the model in upper and lower case"
+            )
             break
     return InputError(
         f"gps: expected positions of at least {plural(fewest, 'image')} of the model, "
@@ -153,19 +152,19 @@ def unmatched_notes(
         )
     extra = [name for name in positions.names if index.find(name) is None]
     if extra:
-        notes.append(f"{plural(len(extra), 'position')} of images that the model does not have.")
+        notes.append(f"{plural(len(extra), 'position')} of images that are not in the model.")
     notes += case_notes(index, extra)
     return notes
 
 
 def case_notes(index: ImageIndex, names: Iterable[str]) -> list[str]:
-    """Return a sentence on names, not found, that differ from images' in their case, or none."""
+    """Return a sentence on unknown names that differ from images' in case only, or none."""
     pairs = [(name, index.differing_in_case(name)) for name in dict.fromkeys(names)]
     alike = [(name, other) for name, other in pairs if other is not None]
     if not alike:
         return []
     name, other = alike[0]
     return [
-        f"{plural(len(alike), 'name')} of these differ from names of the model in case only, which "
-        f"counts: {shown(name)} for {shown(str(other))}."
+        f"{plural(len(alike), 'name')} of these differ from names of the model only in "
+        f"upper and lower case: {shown(name)} and {shown(str(other))}."
     ]

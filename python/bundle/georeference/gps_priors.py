@@ -27,7 +27,7 @@ from bundle.model.problem import Problem
 __all__ = ["GPS_SIGMA", "GpsPriors", "check_settings", "gps_priors"]
 
 GPS_SIGMA = (2.0, 5.0)
-"""Metres, horizontal and vertical: a receiver without corrections, under open sky."""
+"""Metres, horizontal and vertical: a receiver without corrections under open sky."""
 FEWEST = 3
 
 
@@ -36,10 +36,10 @@ class GpsPriors(Displayed):
     """Priors of a problem's images in a local frame.
 
     Attributes:
-        priors: for ``bundle.solve(problem, priors=...)``, of images by id.
-        origin: of the frame east, north, up [m] in which they are.
-        reference_system: the positions came in it.
-        notes: sentences on what was ignored or is inexact.
+        priors: priors for ``bundle.solve(problem, priors=...)``, of images by id.
+        origin: origin of their frame east, north, up [m].
+        reference_system: reference system of the given positions.
+        notes: sentences on ignored or inexact data.
     """
 
     priors: tuple[PositionPrior, ...]
@@ -48,13 +48,13 @@ class GpsPriors(Displayed):
     notes: tuple[str, ...]
 
     def georeference(self, result: Solved) -> Georeference:
-        """Return where a solve with these priors has put the model.
+        """Return the georeference of a model that was solved with these priors.
 
         Raises:
-            InputError: the result is of another problem, or of a solve without alignment.
+            InputError: the result belongs to another problem, or to a solve without alignment.
         """
         if result.similarity is None:
-            raise InputError("result: expected one of a solve that aligned the problem")
+            raise InputError("result: expected the result of a solve that aligned the problem")
         problem = result.problem
         known = ProblemPriors.make(problem, self.priors)
         residuals, sigmas = known.residuals(problem), known.sigmas(problem)
@@ -88,31 +88,31 @@ def gps_priors(
 ) -> GpsPriors:
     """Make priors of a problem's images from positions on the earth.
 
-    Images without a position have no prior; positions of images that the problem does not have do
-    not count; notes tell how many. A position belongs to the image of the same name, or of the same
-    last part of its name where that is unique.
+    Images without a position get no prior, and positions of unknown images are ignored; notes count
+    both. A position belongs to the image of the same name, or of the same last part of its name if
+    that is unique.
 
     Args:
-        problem: whose images they are.
+        problem: problem of the images.
         gps: the path of OpenDroneMap's geo.txt, "exif", or positions.
         images: folder of the images, for "exif".
-        gps_sigma: standard deviation in metres, a number or (horizontal, vertical), of positions
-            that have none of their own.
-        antenna: (3,) place of the receiver in the frame of the camera, x right, y down, z forward,
+        gps_sigma: standard deviation in metres, a number or (horizontal, vertical), for positions
+            without their own.
+        antenna: (3,) position of the receiver in the camera frame, x right, y down, z forward,
             metres.
-        prior_loss: a robust loss of each position's residual.
-        prior_loss_scale: sigmas at which it bends.
-        origin: of the frame; by default the middle of the positions that count.
-        fewest: how many positions there have to be.
+        prior_loss: robust loss of each position's residual.
+        prior_loss_scale: sigmas beyond which the loss is robust.
+        origin: origin of the frame; by default the middle of the used positions.
+        fewest: required number of positions.
 
     Raises:
         InputError: a file or an argument is wrong, the images have no names, fewer than ``fewest``
-            of them have a position, or these do not determine the place, the size and the attitude
-            of the problem.
+            of them have a position, or these do not determine position, scale and attitude of the
+            problem.
         OSError: a path cannot be read.
     """
     default = parse_sigma("gps_sigma", gps_sigma)
-    # Refuse these now, whatever the positions are.
+    # Refuse wrong settings first, whatever the positions are.
     settings: dict[str, Any] = {"loss": prior_loss, "loss_scale": prior_loss_scale}
     check_settings(antenna, settings)
     index = ImageIndex(problem, "gps: ")
@@ -124,7 +124,7 @@ def gps_priors(
     if len(chosen) < fewest:
         raise too_few(problem, positions, len(chosen), fewest)
     notes: tuple[str, ...] = ()
-    if fewest >= FEWEST:  # they alone place the model
+    if fewest >= FEWEST:  # only then they place the model alone
         survey = Survey(
             problem,
             (),
@@ -135,7 +135,7 @@ def gps_priors(
             antenna=np.asarray(antenna, dtype=np.float64),
         )
         notes = check_readings(survey)
-        try:  # do they?
+        try:  # test if they determine it
             robust_similarity(survey.measured, survey.what)
         except InputError as error:
             raise InputError(f"gps: {error}") from None
@@ -159,7 +159,7 @@ def gps_priors(
 
 
 def check_settings(antenna: ArrayLike, settings: dict[str, Any]) -> None:
-    """Refuse what no prior takes, under the names of the arguments."""
+    """Refuse settings that no prior accepts, under the names of the arguments."""
     try:
         PositionPrior(0, (0.0, 0.0, 0.0), 1.0, lever_arm=antenna, **settings)
     except InputError as error:

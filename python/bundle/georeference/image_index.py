@@ -1,4 +1,4 @@
-"""Images of a problem by their names, as lists of positions and of control points have them."""
+"""Index of images by name, for lists of positions and of control points."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ __all__ = ["ImageIndex", "last_part"]
 
 
 class ImageIndex:
-    """Finds images by name: the whole name, or its last part where that is unique.
+    """Finder of images by name: the whole name, or its last part if that is unique.
 
     Args:
-        problem: whose images they are.
-        argument: what messages begin with, such as "gps: ".
+        problem: problem of the images.
+        argument: beginning of messages, such as "gps: ".
 
     Raises:
         InputError: the images have no names.
@@ -21,9 +21,7 @@ class ImageIndex:
 
     def __init__(self, problem: Problem, argument: str = "") -> None:
         if problem.num_images and not any(problem.image_names):
-            raise InputError(
-                f"{argument}expected images with names, which BAL files do not have, found none"
-            )
+            raise InputError(f"{argument}expected images with names; BAL files have none")
         self._problem = problem
         self._argument = argument
         self._whole: dict[str, list[int]] = {}
@@ -35,14 +33,14 @@ class ImageIndex:
             self._folded.setdefault(last_part(name).casefold(), index)
 
     def find(self, name: str, place: str = "") -> int | None:
-        """Return the index of an image, None where the model has none of this name.
+        """Return the index of an image, None if the model has none of this name.
 
         Args:
-            name: of the image.
-            place: what a message begins with; that of the constructor by default.
+            name: name of the image.
+            place: beginning of messages; by default that of the constructor.
 
         Raises:
-            InputError: it has several.
+            InputError: several images match.
         """
         found = self._whole.get(name) or self._last.get(last_part(name), [])
         if len(found) > 1:
@@ -56,7 +54,7 @@ class ImageIndex:
         return found[0] if found else None
 
     def differing_in_case(self, name: str) -> str | None:
-        """Return the name of an image that differs from one that is not found in its case only."""
+        """Return the name of an image that differs from an unknown one only in case."""
         index = self._folded.get(last_part(name).casefold())
         return None if index is None else self._problem.image_names[index]
 

@@ -1,22 +1,23 @@
-"""Leave-one-out residuals of surveyed points, and which of them are suspects.
+"""Leave-one-out residuals of surveyed points, and detection of gross errors.
 
 The similarity without point i predicts it: d_i is the prediction minus the survey, and its
 covariance C_i is that of the survey, of the point in the model and of the similarity together. d_i
-is independent of the fit, so for normal errors, with a factor sigma0 on all sigmas that the
-residuals of the others tell with nu degrees of freedom,
+is independent of the fit. For normal errors, with a factor sigma0 on all sigmas that is estimated
+from the residuals of the others with nu degrees of freedom,
 
     east and north:  F = d^T C^-1 d / (2 sigma0^2)   has the F distribution with 2 and nu,
     up:              t = d / (sigma0 sqrt(C))        has Student's with nu degrees of freedom
 
 (deletion residuals: Belsley, Kuh and Welsch 1980; data snooping in geodesy: Baarda 1968). sigma0 is
-told separately for east and north and for up, since the ratio of two stated sigmas is seldom right.
-It is at least 1: errors within the stated sigmas make no suspect; where it would be below, nu is
-infinite.
+estimated separately for east and north and for up, because the ratio of two stated sigmas is seldom
+right. It is at least 1, so that errors within the stated sigmas make no suspect; where the estimate
+is smaller, nu is infinite.
 
-A point is a suspect if the probability of one of its statistics, times the number of statistics
-(Bonferroni), is below ``LEVEL``: a block without gross errors gets a suspect once in twenty
-times. The most improbable point is left out for good, and the others are tested again without it,
-until none is left: a gross error would hide a smaller one, and would make its neighbours look bad.
+A point is a suspect if the probability of one of its statistics, multiplied by the number of
+statistics (Bonferroni), is below ``LEVEL``: a block without gross errors gets a suspect once in
+twenty times. The most improbable point is removed, and the others are tested again without it,
+until no suspect is left. Otherwise a gross error would hide a smaller one, and would make its
+neighbours look bad.
 """
 
 from __future__ import annotations
@@ -36,25 +37,25 @@ __all__ = ["LEVEL", "LeaveOneOut", "leave_one_out", "probability_f2", "probabili
 Array = NDArray[np.float64]
 
 LEVEL = 0.05
-"""Chance that a block without gross errors gets a suspect."""
+"""Probability that a block without gross errors gets a suspect."""
 
 FEWEST = 3
-"""Points that a similarity takes."""
+"""Fewest points for a similarity."""
 
 NODES = 60
 MOST_FREEDOM = 1000
-"""Beyond, Student's distribution is the normal one to four digits."""
+"""Above this, Student's distribution is normal to four digits."""
 
 
 @dataclass(frozen=True)
 class LeaveOneOut:
-    """What the other points say about each.
+    """Predictions of points from the other points.
 
     Attributes:
-        residual: (n, 3) prediction from the others minus survey, east, north, up [m]; nan where the
+        residual: (n, 3) prediction from the others minus survey, east, north, up [m]; nan if the
             others do not determine the model, and for unknown heights.
-        sigma: (n, 3) standard deviation of each, by the stated sigmas.
-        suspect: (n,) whether a gross error is likely.
+        sigma: (n, 3) standard deviation of each, from the stated sigmas.
+        suspect: (n,) True if a gross error is likely.
     """
 
     residual: Array
@@ -71,10 +72,10 @@ def leave_one_out(
     """Predict each tested point from the control points without it.
 
     Args:
-        points: all of them.
-        control: (n,) which of them determine the similarity.
-        tested: (n,) which of them are predicted.
-        level: chance of a suspect where there is no gross error.
+        points: all points.
+        control: (n,) mask of points that determine the similarity.
+        tested: (n,) mask of points to predict.
+        level: probability of a suspect without a gross error.
     """
     count = len(points)
     residual, sigma = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
@@ -111,7 +112,7 @@ def _predicted(points: Correspondences, control: NDArray[np.bool_], index: int) 
         return None
     try:
         fit = fit_similarity(points.rows(others))
-    except InputError:  # the others alone are on one line
+    except InputError:  # the others alone are collinear
         return None
     residuals, covariances = fit.predict(points.rows(np.array([index])))
     residual, covariance = residuals[0], covariances[0]
@@ -135,24 +136,26 @@ def _sigma0(fit: SimilarityFit, rows: slice) -> tuple[float, float]:
 
 
 def probability_f2(value: float, freedom: float) -> float:
-    """Return the chance that F with 2 and ``freedom`` degrees of freedom exceeds the value."""
+    """Return the probability that F with 2 and ``freedom`` degrees of freedom exceeds a value."""
     if math.isinf(freedom):
         return math.exp(-value)
     return math.exp(-0.5 * freedom * math.log1p(2 * value / freedom))
 
 
 def probability_t(value: float, freedom: float) -> float:
-    """Return the chance that Student's t is farther from zero than the value.
+    """Return the probability that Student's t is farther from zero than a value.
 
     With tan(angle) = t / sqrt(nu) the density is that of cos(angle)^(nu - 1): a smooth integral,
-    done by Gauss and Legendre. Below one degree of freedom, which says nothing, the chance is 1.
+    computed by Gauss-Legendre quadrature. Below one degree of freedom, which has no meaning, the
+    probability is 1.
     """
     if freedom < 1:
         return 1.0
     if freedom > MOST_FREEDOM:
         return math.erfc(value / math.sqrt(2))
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
-    angle = math.atan2(math.sqrt(freedom), value)  # from the pole, where the cosine is the sine
+    # from the pole, where the cosine becomes the sine
+    angle = math.atan2(math.sqrt(freedom), value)
     density = np.sin(angle * (nodes + 1) / 2) ** (freedom - 1)
     total = math.lgamma((freedom + 1) / 2) - math.lgamma(freedom / 2) - 0.5 * math.log(math.pi)
     return float(2 * math.exp(total) * (weights @ density) * angle / 2)

@@ -8,8 +8,8 @@ and longitude lambda, PROJ's ``topocentric`` step gives
     [u]   [ cos(phi) cos(lambda)   cos(phi) sin(lambda)   sin(phi)  ]
 
 (EPSG method 9837). It is a rigid motion: distances are those of space, in metres, anywhere. Up is
-the normal of the ellipsoid at the origin alone; d metres away a point on the ellipsoid is d^2 / 2R
-below zero, 8 cm at one kilometre.
+the normal of the ellipsoid at the origin only; at a distance d, a point on the ellipsoid is d^2 /
+2R below zero, 8 cm at one kilometre.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = ["LocalFrame"]
 Array = NDArray[np.float64]
 
 LARGEST_HEIGHT = 1e9
-"""Metres; beyond the moon, coordinates lose the micrometres."""
+"""Metres; beyond the moon, coordinates lose micrometres."""
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ class LocalFrame:
     """East, north, up in metres about an origin on WGS84.
 
     Attributes:
-        latitude: of the origin, degrees north, -90 to 90.
-        longitude: of the origin, degrees east, -360 to 360.
-        height: of the origin above the ellipsoid, metres.
+        latitude: latitude of the origin, degrees north, -90 to 90.
+        longitude: longitude of the origin, degrees east, -360 to 360.
+        height: height of the origin above the ellipsoid, metres.
 
     Raises:
-        InputError: these are no numbers, or out of range.
+        InputError: a value is not numeric or out of range.
     """
 
     latitude: float
@@ -62,16 +62,16 @@ class LocalFrame:
     def about(geodetic: ArrayLike) -> LocalFrame:
         """Return the frame about the middle of some places.
 
-        The median of their normals on the ellipsoid stays with the majority where some places are
-        wrong by continents, and needs no care at the date line or a pole. The height is the median
-        of those that are known; without any the origin is on the ellipsoid.
+        The median of their normals on the ellipsoid follows the majority if some places are wrong
+        by continents, and works at the date line and at the poles. The height is the median of the
+        known heights; without any, the origin is on the ellipsoid.
 
         Args:
             geodetic: (n, 3) latitude, longitude [degrees], height [m] or nan; n at least 1.
         """
         geodetic = np.asarray(geodetic, dtype=np.float64).reshape(-1, 3)
         if not len(geodetic):
-            raise InputError("origin: expected at least one position, found none")
+            raise InputError("origin: expected at least one position, found 0")
         latitude, longitude, height = geodetic.T
         known = ~np.isnan(height)
         middle = float(np.median(height[known])) if known.any() else 0.0
@@ -97,8 +97,8 @@ class LocalFrame:
         """Return (n, 3) east, north, up [m] of places.
 
         Args:
-            geodetic: (n, 3) latitude, longitude [degrees], height [m]. Where the height is nan,
-                east and north are those at the height of the origin, and up is nan.
+            geodetic: (n, 3) latitude, longitude [degrees], height [m]. If the height is nan, east
+                and north are those at the height of the origin, and up is nan.
         """
         latitude, longitude, height = np.asarray(geodetic, dtype=np.float64).reshape(-1, 3).T
         unknown = np.isnan(height)

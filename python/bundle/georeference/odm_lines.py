@@ -1,8 +1,8 @@
-"""Lines of OpenDroneMap's text files, whatever editor wrote them.
+"""Lines of OpenDroneMap's text files, from any editor.
 
-Tabs, blank lines and ``#`` comments are all found in the wild. The first line that is left names
-the coordinate reference system. A name with blanks stands in quotes, or between tabs in a line
-whose other fields have none.
+Files contain tabs, blank lines and ``#`` comments. The first remaining line names the coordinate
+reference system. A name with blanks is in quotes, or between tabs in a line whose other fields have
+no blanks.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["parse_number", "read_lines"]
 
 
 _COORDINATES = ("x", "y", "z")
-_QUOTES = "; a name with blanks stands in quotes"
+_QUOTES = "; put a name with blanks in quotes"
 _ENDS_AS_FILES_DO = re.compile(r"\.[A-Za-z]\w{1,4}$")
 _WORDS = re.compile(r"""(?<!\S)(?:"([^"]+)"|'([^']+)')(?!\S)|(\S+)""")
 
@@ -30,12 +30,12 @@ def read_lines(
     """Return the reference system, and the words of every further line with its number from 1.
 
     Args:
-        path: of the file.
-        name_at: which of the words is the name of an image.
+        path: path of the file.
+        name_at: index of the word that is the name of an image.
 
     Raises:
         InputError: the file is no text, or its first line names no reference system.
-        OSError: it cannot be read.
+        OSError: the file cannot be read.
     """
     lines = [
         (number, line)
@@ -44,7 +44,7 @@ def read_lines(
     ]
     if not lines:
         raise InputError(
-            f"{shown(path)}: expected a line with the coordinate reference system, found none"
+            f"{shown(path)}: expected a line with the coordinate reference system, found 0 lines"
         )
     (number, header), *rows = lines
     try:
@@ -55,7 +55,7 @@ def read_lines(
 
 
 def _words(line: str, name_at: int) -> list[str]:
-    """Return the words of a line: the fields between tabs where only the name has blanks."""
+    """Return the words of a line: the fields between tabs if only the name has blanks."""
     fields = [field.strip() for field in line.split("\t") if field.strip()]
     if len(fields) > max(name_at, 1) and _ENDS_AS_FILES_DO.search(fields[name_at].strip("'\"")):
         others = fields[:name_at] + fields[name_at + 1 :]
@@ -70,12 +70,12 @@ def parse_number(place: str, name: str, word: str, *, unknown: bool = False) -> 
 
     Args:
         place: file and line, for messages.
-        name: what the number is.
-        word: as it stands in the file.
-        unknown: whether nan is allowed, for what is not known.
+        name: name of the number for messages.
+        word: the word in the file.
+        unknown: allow nan for unknown values.
 
     Raises:
-        InputError: it is no number, or not finite.
+        InputError: it is not numeric, or not finite.
     """
     try:
         value = float(word)

@@ -1,16 +1,16 @@
-"""Other readings of the numbers in a file: columns exchanged, feet for metres.
+"""Other interpretations of the numbers in a file: swapped columns, feet instead of metres.
 
-x and y exchanged mirror a place. A similarity does not mirror, but over flat ground it turns the
-model upside down instead, and every residual stays small: the cameras are then below the ground
-that they see. Which way is up, images tell: with the mean direction d from a camera to the points
-that it sees and the axis a of its image that points up (minus y),
+Swapping x and y mirrors a place. A similarity cannot mirror; on flat ground it turns the model
+upside down instead, and every residual stays small: the cameras are then below the ground that they
+observe. Images determine the vertical. With the mean direction d from a camera to its points and
+the upward axis a of its image (minus y),
 
     uprightness = median of a_up - median of d_up
 
-is about 1 for nadir images (0 and -1), for images of a facade (1 and 0) and more between, and minus
-that upside down. Cameras that look straight up at a ceiling have -1, too, and are right. So
-coordinates are refused only where another reading of them fits no worse and is upright, or where it
-fits many times better. That is judged by the residual in sigmas that most places do not exceed, the
+is about 1 for nadir images (0 and -1), for images of a facade (1 and 0) and more between, and the
+negative if upside down. Cameras that look straight up at a ceiling also have -1 and are right.
+Coordinates are therefore refused only if another interpretation fits no worse and is upright, or
+fits many times better. The criterion is the residual in sigmas that most places do not exceed, the
 h-th of n with h = n / 2 + 2, about the similarity that most of them agree on: some may be anywhere,
 and three fit anything.
 """
@@ -40,20 +40,20 @@ if TYPE_CHECKING:  # survey calls check_readings
 __all__ = ["check_readings", "uprightness"]
 
 UPRIGHT = 0.5
-"""Beyond it a model stands upright, below minus it upside down."""
+"""Above this a model is upright, below minus this it is upside down."""
 NO_WORSE = 1.2
-"""Times the residuals that another reading may have and fit no worse."""
+"""Ratio of residuals up to which another interpretation fits no worse."""
 BETTER = 3.0
-"""Times smaller residuals of a reading that alone can be meant."""
+"""Ratio of residuals from which another interpretation must be meant."""
 TINY = 0.05
-"""Sigmas of residuals that want no explanation."""
+"""Residuals in sigmas that need no explanation."""
 SMALL = 0.5
-"""Sigmas of residuals of which none is worse."""
+"""Residuals in sigmas below which no interpretation is worse than another."""
 FEWEST = 7
-"""Places below which a better fit is chance."""
+"""Fewest places for which a better fit is no coincidence."""
 FOOT = 0.3048
 MOST_OBSERVATIONS = 1_000_000
-"""Observations, at most, that are read to tell which way is up."""
+"""Most observations that are read to determine the vertical."""
 EXCHANGED = "columns 1 and 2 fit when exchanged"
 FEET = "heights fit as feet"
 
@@ -65,7 +65,7 @@ def check_readings(survey: Survey) -> tuple[str, ...]:
     """Return a sentence on a model that is upside down, or none.
 
     Raises:
-        InputError: another reading of the coordinates is the one that is meant.
+        InputError: another interpretation of the coordinates is meant.
     """
     if survey.frame.origin is None:
         return ()
@@ -82,28 +82,28 @@ def check_readings(survey: Survey) -> tuple[str, ...]:
         turned = upright < -UPRIGHT and its_upright > UPRIGHT and what == EXCHANGED
         better = residual > TINY and residual > BETTER * its_residual and len(given) >= FEWEST
         if better and what == FEET:
-            # Heights that are noise fit the better the smaller they are made.
+            # Heights that are noise fit the better the smaller they are.
             level = survey.decisive_places(*_scaled(points, positions, 0.0))
             if level is not None:
                 at_one_height = _judged(survey.problem, level, survey.what)[0]
                 better = _most(at_one_height[rows[whose]]) > BETTER * its_residual
         if better or (turned and its_residual <= NO_WORSE * max(residual, SMALL)):
-            found = f"off by {residual:.3g} sigmas as they are and by {its_residual:.3g} so"
+            found = f"off by {residual:.3g} sigmas as given and by {its_residual:.3g} otherwise"
             if turned:
-                found = "upside down as they are"
+                found = "upside down as given"
             raise InputError(f"{whose}: {what} ({survey.what}: the model is {found})")
     if upright < -UPRIGHT:
         return (
-            "The cameras look up at their points, or their images are upside down: so is the model "
-            "unless that is meant.",
+            "The cameras look up at their points, or their images are upside down: so is "
+            "the model unless that is meant.",
         )
     return ()
 
 
 def uprightness(problem: Problem, similarity: Similarity) -> float:
-    """Return how upright the images of a problem stand where a similarity puts it; nan: no points.
+    """Return the uprightness of a problem's images after a similarity; nan without points.
 
-    About 1 upright, -1 upside down.
+    It is about 1 if upright, -1 if upside down.
     """
     up = similarity.rotation[2]  # in the frame of the problem
     some = slice(None, None, max(1, problem.num_observations // MOST_OBSERVATIONS))
@@ -141,7 +141,7 @@ def _judged(problem: Problem, places: Correspondences, what: str) -> tuple[Array
 
 
 def _readings(survey: Survey) -> Iterator[tuple[str, str, *Readings]]:
-    """Return what else files may mean: whose coordinates, what, and how they are read so."""
+    """Return other interpretations: whose coordinates, description, and the coordinates."""
     points, positions = survey.points, survey.positions
     by_hand = positions if positions is not None and not positions.is_exif else None
     for what in (EXCHANGED, FEET):
@@ -159,7 +159,7 @@ def _readings(survey: Survey) -> Iterator[tuple[str, str, *Readings]]:
 
 
 def _exchanged_points(points: tuple[GroundControlPoint, ...]) -> tuple[GroundControlPoint, ...]:
-    """Return points with x for y; none where that is no place of their system."""
+    """Return points with x and y swapped; none if they have no place in their system."""
     exchanged = []
     for point in points:
         x, y, z = point.position
@@ -181,7 +181,7 @@ def _exchanged_positions(positions: GpsPositions | None) -> GpsPositions | None:
 def _scaled(
     points: tuple[GroundControlPoint, ...], positions: GpsPositions | None, factor: float
 ) -> Readings:
-    """Return both with other heights."""
+    """Return both with scaled heights."""
     of_points = (
         replace(point, position=(*point.position[:2], factor * point.position[2]))
         for point in points

@@ -1,13 +1,13 @@
-"""What is known of where an image was taken, as a prior of a solve.
+"""Prior on the position of an image.
 
-With c(pose) = -R^T t the centre of the camera, a the antenna in the frame of the camera and p the
-measured position, the prior costs
+With c(pose) = -R^T t the projection centre, a the antenna in the camera frame and p the measured
+position, the prior costs
 
     1/2 rho(r^T r),  r = L^-1 (c + R^T a - p),  Sigma = L L^T
 
-beside the reprojection errors, whose unit is one pixel: the cost of a solve is
-1/2 sum (e / 1 px)^2 + 1/2 sum rho(r^T r). An axis that is not known has a sigma so large that its
-share is zero in double precision, cost, gradient and Hessian.
+beside the reprojection errors, whose unit is one pixel: the cost of a solve is 1/2 sum (e / 1 px)^2
++ 1/2 sum rho(r^T r). An unknown axis has a sigma so large that its share of cost, gradient and
+Hessian is zero in double precision.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ Array = NDArray[np.float64]
 ROBUST_SCALE = math.sqrt(7.814727903251179)
 """Sigmas; 95 % of errors with three Gaussian coordinates are shorter (chi squared: 7.8147)."""
 UNKNOWN = 1e100
-"""A standard deviation whose inverse square, beside any other number here, is zero."""
+"""Standard deviation whose inverse square is negligible beside any other number here."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PositionPrior(Displayed):
-    """A measured position of an image, such as GPS gives it.
+    """Measured position of an image, for example from GPS.
 
     Attributes:
-        image: id of the image, or its name.
-        position: (3,) of the camera's centre, or of the antenna, in the length unit of ``sigma``.
-            The third coordinate may be nan: then only the horizontal position counts.
+        image: id or name of the image.
+        position: (3,) position of the projection centre, or of the antenna, in the length unit of
+            ``sigma``. The third coordinate may be nan: then only the horizontal position counts.
         sigma: standard deviation: one number, (horizontal, vertical), or one per axis. Infinite:
             the axis does not count. Exactly one of this and ``covariance`` is given.
         covariance: (3, 3) symmetric positive definite, in squared length units.
-        lever_arm: (3,) place of the antenna in the frame of the camera (x right, y down, z
-            forward), in the same length unit.
-        loss: a robust loss out of :class:`bundle.SolveOptions`.
-        loss_scale: the length of the residual in sigmas at which the loss bends; by default 2.795,
-            which 5 % of good positions exceed.
+        lever_arm: (3,) position of the antenna in the camera frame (x right, y down, z forward), in
+            the same length unit.
+        loss: robust loss of :class:`bundle.SolveOptions`.
+        loss_scale: length of the residual in sigmas beyond which the loss is robust; by default
+            2.795, which 5 % of good positions exceed.
 
     Raises:
-        InputError: a value is of the wrong type, shape or range; the message names the image.
+        InputError: a value has a wrong type, shape or range; the message names the image.
     """
 
     image: int | str
@@ -97,12 +97,12 @@ class PositionPrior(Displayed):
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """Name for messages."""
         return f"PositionPrior({brief(self.image)})"
 
     @property
     def full_covariance(self) -> Array:
-        """(3, 3); axes that do not count have a variance of 1e200."""
+        """Covariance (3, 3); axes that do not count have a variance of 1e200."""
         if self.covariance is not None:
             full: Array = np.array(self.covariance, dtype=np.float64)
         else:
@@ -113,7 +113,7 @@ class PositionPrior(Displayed):
         return full
 
     def factor(self, image_id: int) -> PositionFactor:
-        """Return the factor of a solve whose image has this id."""
+        """Return the factor of a solve for the image with this id."""
         return PositionFactor(
             ("image", image_id),
             np.nan_to_num(np.asarray(self.position, dtype=np.float64)),
@@ -124,7 +124,7 @@ class PositionPrior(Displayed):
         )
 
     def whiten(self, residual: Array) -> Array:
-        """Return L^-1 of a (3,) residual; axes that do not count are zero."""
+        """Return L^-1 times a (3,) residual; axes that do not count are zero."""
         root = np.linalg.cholesky(_inverse(self.full_covariance))
         return np.asarray(root.T @ np.nan_to_num(residual), dtype=np.float64)
 
@@ -176,7 +176,7 @@ def _covariance(name: str, value: Any) -> Array:
     if np.isfinite(matrix).all() and (diagonal > 0).all():
         scale = np.sqrt(np.outer(diagonal, diagonal))
         symmetric = bool((np.abs(matrix - matrix.T) <= 1e-12 * scale).all())
-        # Correlations: units of the axes do not matter.
+        # Correlations do not depend on the units of the axes.
         if symmetric and np.linalg.eigvalsh((matrix / scale + (matrix / scale).T) / 2)[0] > 1e-14:
             return (matrix + matrix.T) / 2
     raise InputError(

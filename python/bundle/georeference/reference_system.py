@@ -1,25 +1,23 @@
-"""Coordinate reference systems of files: parsed, and transformed to WGS84 by PROJ.
+"""Coordinate reference systems of files, their transformation to WGS84 by PROJ, and area of use.
 
-All coordinates go to latitude, longitude and height on WGS84 first, never from one projection to
-another, and from there into a local frame (``bundle.georeference.local_frame``): projected
-coordinates are no Euclidean space. A UTM map shrinks its central meridian by 0.9996, 40 cm in a
-kilometre, and turns north by the convergence of meridians.
+All coordinates are transformed to latitude, longitude and height on WGS84, never from one
+projection to another, and from there into a local frame (``bundle.georeference.local_frame``),
+because projected coordinates are no Euclidean space. A UTM map scales its central meridian by
+0.9996, 40 cm in a kilometre, and rotates north by the convergence of meridians.
 
-Heights are another matter than the map. Where a system has a vertical axis of its own (EPSG:4979,
-EPSG:7423, EPSG:32632+5773), PROJ transforms it. Where it has none (EPSG:32632, EPSG:4326), the
-third number of a file is taken for metres above the WGS84 ellipsoid, as it stands: heights above
-sea level are wrong by the geoid's undulation, up to 100 m, which is nearly the same all over a
-survey and shifts it as a whole.
+Heights are treated separately. If a system has a vertical axis (EPSG:4979, EPSG:7423,
+EPSG:32632+5773), PROJ transforms it. Otherwise (EPSG:32632, EPSG:4326), the third number of a file
+is used unchanged as metres above the WGS84 ellipsoid: heights above sea level are wrong by the
+geoid undulation, up to 100 m, which is nearly constant over a survey and shifts it as a whole.
 
-Most coordinates of a file that lie outside of the system's area are another reading of the same
-numbers: columns exchanged, degrees, or the zone of the other hemisphere. Which one is told by
-trying it.
+If most coordinates of a file are outside the system's area, the numbers usually have another
+meaning: swapped columns, degrees, or the zone of the other hemisphere. Each is tried.
 
-The area in which a coordinate reference system is used, as PROJ's database has it.
+The area of use of a system comes from PROJ's database.
 
-Coordinates outside of it are seldom meant, but some are: national surveys use one zone of UTM for a
-country that is wider (EPSG:25833 in Norway, 13 degrees beyond). So they are noted, and refused
-where another reading of the same numbers lies within the area, or where they are farther away.
+Coordinates outside of it are rarely right, but some are: national surveys use one UTM zone for a
+wider country (EPSG:25833 in Norway, 13 degrees beyond). Such coordinates get a note. They are
+refused if another interpretation is within the area, or if they are too far away.
 """
 
 from __future__ import annotations
@@ -46,22 +44,24 @@ __all__ = ["FARTHEST", "MARGIN", "SURE", "WGS84", "AreaOfUse", "ReferenceSystem"
 Array = NDArray[np.float64]
 
 MARGIN = 1.0
-"""Degrees beyond the area that nobody minds."""
+"""Degrees outside of the area that need no note."""
 FARTHEST = 20.0
-"""Degrees beyond the area at which nothing can be meant."""
+"""Degrees outside of the area from which no coordinates can be right."""
 SURE = 70
-"""Per cent of PROJ's confidence that a text without a code is a system of its database."""
+"""Least confidence of PROJ, in per cent, to identify a text without a code with a system of its
+database.
+"""
 
 
 @dataclass(frozen=True)
 class AreaOfUse:
-    """A rectangle of longitudes and latitudes, in degrees.
+    """Rectangle of longitudes and latitudes in degrees.
 
     Attributes:
-        west: the western end; east of ``east`` where the area has the date line within.
-        south: the southern end.
-        east: the eastern end.
-        north: the northern end.
+        west: western end; greater than ``east`` if the area contains the date line.
+        south: southern end.
+        east: eastern end.
+        north: northern end.
     """
 
     west: float
@@ -71,7 +71,7 @@ class AreaOfUse:
 
     @staticmethod
     def of(crs: CRS) -> AreaOfUse | None:
-        """Return the area of a system, of its map where it has heights as well; None: unknown."""
+        """Return the horizontal area of a system; None if unknown."""
         import pyproj
 
         flat = crs.sub_crs_list[0] if crs.sub_crs_list else crs
@@ -82,7 +82,7 @@ class AreaOfUse:
         return None if area is None else AreaOfUse(*area.bounds)
 
     def beyond(self, geodetic: Array) -> Array:
-        """Return how many degrees (n, 2 or more) latitudes and longitudes are outside."""
+        """Return by how many degrees (n, 2 or more) latitudes and longitudes are outside."""
         latitude, longitude = geodetic[:, 0], geodetic[:, 1]
         width = (self.east - self.west) % 360 or 360.0
         from_west = (longitude - self.west) % 360
@@ -101,14 +101,15 @@ _EPSG = re.compile(r"epsg:\s*(\d+(?:\s*\+\s*\d+)?)", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class ReferenceSystem:
-    """A coordinate reference system.
+    """Coordinate reference system.
 
     Attributes:
         name: "EPSG:32632", "EPSG:32632+5773" (with heights), a PROJ string that contains "+proj=",
             "WGS84 UTM 32N", or "WGS84" for longitude and latitude.
 
     Raises:
-        InputError: none of these, PROJ does not know it, or it has no place on the map.
+        InputError: the name has none of these forms, PROJ does not know it, or it has no horizontal
+            coordinates.
     """
 
     name: str
@@ -118,12 +119,12 @@ class ReferenceSystem:
 
     @property
     def has_height(self) -> bool:
-        """Whether the third coordinate belongs to the system."""
+        """True if the third coordinate belongs to the system."""
         return len(self._crs.axis_info) == 3
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is lost or assumed on the way to WGS84: a sentence each."""
+        """Sentences on losses and assumptions of the transformation to WGS84."""
         lost = () if self._transformer[1] else (_UNKNOWN_SHIFT.format(self.name),)
         feet = self.counts_feet and not self.has_height
         return (*lost, _METRES.format(self.name)) if feet else lost
@@ -135,12 +136,12 @@ class ReferenceSystem:
 
         Args:
             coordinates: (n, 3) east, north, height, or longitude, latitude, height, in the units of
-                the system, whatever order of axes its authority prescribes. Heights may be nan
-                (unknown) and then are so in the result.
-            places: what messages call each row; "position 0" and so on by default.
+                the system, independent of the axis order of its authority. Heights may be nan
+                (unknown) and stay nan.
+            places: name of each row for messages; "position 0" and so on by default.
 
         Raises:
-            InputError: one has no place on the map, or most are out of the system's area.
+            InputError: a coordinate has no place on the map, or most are outside the system's area.
         """
         given = np.asarray(coordinates, dtype=np.float64).reshape(-1, 3)
         geodetic = self._transformed(given)
@@ -161,17 +162,17 @@ class ReferenceSystem:
         )
 
     def area_notes(self, geodetic: NDArray[np.float64]) -> tuple[str, ...]:
-        """Return a sentence on places outside of the area in which the system is used, or none."""
+        """Return a sentence on places outside of the system's area of use, or none."""
         outside = int((self._beyond(geodetic) > MARGIN).sum())
         if not outside:
             return ()
         return (
-            f"{plural(outside, 'position')} of {len(geodetic)} outside of the area in which "
-            f"{self.name} is used ({self._area}).",
+            f"{plural(outside, 'position')} of {len(geodetic)} outside of the area of use "
+            f"of {self.name} ({self._area}).",
         )
 
     def is_no_fix(self, coordinates: ArrayLike) -> NDArray[np.bool_]:
-        """Return which of (n, 3) coordinates are 0 0, as receivers without a fix write."""
+        """Return the mask of (n, 3) coordinates at 0 0, as receivers without a fix write."""
         given = np.asarray(coordinates, dtype=np.float64).reshape(-1, 3)
         zero: NDArray[np.bool_] = (given[:, :2] == 0).all(axis=1)
         if self._crs.is_projected and zero.any():
@@ -180,7 +181,7 @@ class ReferenceSystem:
         return zero
 
     def exchanged(self, geodetic: ArrayLike) -> NDArray[np.float64] | None:
-        """Return places whose first two coordinates are exchanged; None where there are none."""
+        """Return places with the first two coordinates swapped; None if they have no place."""
         places = np.asarray(geodetic, dtype=np.float64).reshape(-1, 3)
         transformer, _ = self._transformer
         if self._crs.is_geocentric:
@@ -191,12 +192,12 @@ class ReferenceSystem:
         return self._readable(np.column_stack([y, x, places[:, 2]]))
 
     def is_within(self, coordinates: ArrayLike) -> bool:
-        """Return whether most coordinates are within the area in which the system is used."""
+        """Return True if most coordinates are within the area of use."""
         return self._readable(np.asarray(coordinates, dtype=np.float64).reshape(-1, 3)) is not None
 
     @property
     def counts_feet(self) -> bool:
-        """True for a map whose coordinates are feet."""
+        """Return True for a map with coordinates in feet."""
         return bool(0.3 < self._crs.axis_info[0].unit_conversion_factor < 0.31)
 
     def _transformed(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -217,18 +218,18 @@ class ReferenceSystem:
         return np.zeros(len(geodetic)) if self._area is None else self._area.beyond(geodetic)
 
     def _readable(self, given: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return the places of coordinates; None where most are outside of the area."""
+        """Return the places of coordinates; None if most are outside of the area."""
         geodetic = self._transformed(given)
         if not _is_on_earth(geodetic).all() or np.median(self._beyond(geodetic)) > MARGIN:
             return None
         return geodetic
 
     def _meant(self, given: NDArray[np.float64]) -> str:
-        """Return how coordinates outside of the area may be read, or ""."""
+        """Return another interpretation of coordinates outside of the area, or ""."""
         if self._crs.is_geocentric:
             return ""
         if self._crs.is_projected and (np.abs(given[:, :2]) <= [180, 180]).all():
-            return "; they look like degrees, as EPSG:4326 has them" if given[:, :2].any() else ""
+            return "; they look like degrees (EPSG:4326)" if given[:, :2].any() else ""
         if self._readable(given[:, [1, 0, 2]]) is not None:
             return "; columns 1 and 2 fit when exchanged"
         zone = self._crs.utm_zone
@@ -253,7 +254,7 @@ class ReferenceSystem:
             )
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of "+init=", that it is deprecated
+                warnings.simplefilter("ignore")  # "+init=" is deprecated
                 crs = pyproj.CRS.from_user_input(_definition(self.name))
         except pyproj.exceptions.CRSError as error:
             reason = first_line(error)
@@ -267,7 +268,7 @@ class ReferenceSystem:
 
     @cached_property
     def _transformer(self) -> tuple[Transformer, bool]:
-        """Return the way to WGS84, and whether it accounts for all differences of datums."""
+        """Return the transformation to WGS84, and whether it includes all differences of datums."""
         import pyproj
 
         target = pyproj.CRS.from_epsg(4979 if self.has_height else 4326)
@@ -279,8 +280,8 @@ class ReferenceSystem:
             except pyproj.exceptions.ProjError as error:
                 reason = first_line(error)
         raise InputError(
-            f"coordinate reference system {brief(self.name)}: expected one that PROJ transforms to "
-            f"WGS84, found none ({brief(reason)})"
+            f"coordinate reference system {brief(self.name)}: expected one that PROJ can "
+            f"transform to WGS84, found {brief(reason)}"
         )
 
     def __getstate__(self) -> dict[str, str]:
@@ -288,17 +289,17 @@ class ReferenceSystem:
 
 
 WGS84 = "EPSG:4326"
-"""Longitude and latitude, as GPS receivers give them."""
+"""Longitude and latitude, as GPS receivers output them."""
 
 _UNKNOWN_SHIFT = (
-    "PROJ cannot shift {} to WGS84 exactly (its datum or a geoid grid is missing): positions are "
-    "taken as if it needed no shift."
+    "PROJ cannot shift {} to WGS84 exactly (its datum or a geoid grid is missing): "
+    "positions are used without a shift."
 )
-_METRES = "The map {} counts feet, but has no heights: these are taken for metres."
+_METRES = "The map {} is in feet, but has no heights: these are used as metres."
 
 
 def _definition(name: str) -> str:
-    """Return what PROJ understands.
+    """Return a definition for PROJ.
 
     Raises:
         InputError: the name has none of the forms that files use.

@@ -1,23 +1,21 @@
-"""Similarities x -> s R x + t, and the one of the least sum of squares in closed form.
+"""Similarities x -> s R x + t: least squares in closed form, and problems moved by them.
 
-With the centred points of a model a_i, and b_i where they belong, and sum b a^T = U D V^T
-(Umeyama, "Least-squares estimation of transformation parameters between two point patterns",
-PAMI 13(4), 1991),
+With the centred points a_i of a model, their targets b_i, and sum b a^T = U D V^T (Umeyama,
+"Least-squares estimation of transformation parameters between two point patterns", PAMI 13(4),
+1991),
 
     R = U diag(1, 1, d) V^T,  d = det(U) det(V),  s = (D_1 + D_2 + d D_3) / sum |a|^2.
 
-Points in one plane leave D_3 = 0, and R is still unique: d is chosen so that R is a rotation. Only
-D_2 = 0, points on one line, leaves an angle open.
+Coplanar points give D_3 = 0, and R is still unique, because d is chosen so that R is a rotation.
+Only D_2 = 0, collinear points, leaves an angle free.
 
-A problem moved by a similarity.
-
-With x' = s R x + t the camera frames keep their axes and grow with the scene: a point at
-R_c x + t_c before its camera is at s (R_c x + t_c) after. So
+Under x' = s R x + t the camera frames keep their axes and scale with the scene: a point at R_c x +
+t_c in its camera moves to s (R_c x + t_c). So
 
     R_c' = R_c R^T,  t_c' = s t_c - R_c' t,
 
-and no projection changes. Frames of rigs move as cameras do, and rigs grow with the scene as well:
-t_s' = s t_s for a sensor_from_rig.
+and no projection changes. Frames of rigs move as cameras do, and rigs scale with the scene: t_s' =
+s t_s for a sensor_from_rig.
 """
 
 from __future__ import annotations
@@ -45,7 +43,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Similarity:
-    """The map x -> scale * rotation @ x + translation.
+    """Map x -> scale * rotation @ x + translation.
 
     Attributes:
         scale: metres per length unit of the model.

@@ -1,23 +1,23 @@
 """Weighted similarity between two sets of corresponding points, each with its covariance.
 
-Wanted are s, R, t with y_i = s R a_i + R m_i + t near b_i: a_i in the model, b_i where it was
-surveyed, and m_i an offset in metres along the axes of the model (the lever arm of an antenna; zero
-otherwise). Minimized is
+The unknowns are s, R, t with y_i = s R a_i + R m_i + t near b_i: a_i in the model, b_i its surveyed
+position, and m_i an offset in metres along the axes of the model (the lever arm of an antenna; zero
+otherwise). The cost is
 
     1/2 sum rho(r_i^T S_i^-1 r_i),  r_i = y_i - b_i,  S_i = B_i + s^2 R A_i R^T
 
-with the covariances B_i of the survey and A_i of the point in the model. An unknown height takes
-away the third row of r_i and S_i.
+with the covariances B_i of the survey and A_i of the point in the model. An unknown height removes
+the third row of r_i and S_i.
 
-The start is the closed form for equal weights (``umeyama``). From there Gauss-Newton steps with
-left increments
+The start is the closed form for equal weights (``umeyama``). Gauss-Newton steps follow, with left
+increments
 
     dr = (y - t) dlambda - [y - t]x dw + dt,  s <- s exp(dlambda),  R <- Exp(dw) R
 
-(the part of dlambda without R m) repeat with the S_i and the weights rho' of the last step, until
-they stand still: iteratively reweighted least squares, whose fixed point is the minimum for the
-S_i found. Where heights are unknown the closed form needs some: it takes those that the model
-itself predicts, a few times over.
+(the part of dlambda without R m). They use the S_i and the weights rho' of the last step until
+convergence: iteratively reweighted least squares, whose fixed point is the minimum for the final
+S_i. If heights are unknown, the closed form uses those that the model itself predicts, in a few
+iterations.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ __all__ = ["SimilarityFit", "fit_similarity"]
 Array = NDArray[np.float64]
 
 THINNEST = 1e-6
-"""Width over length of points that count as lying on one line."""
+"""Largest ratio of width to length of points that count as lying on one line."""
 WIDEST_ANGLE = math.radians(10)
-"""Standard deviation of an angle, at least one of three, beyond which it counts as open."""
+"""Largest standard deviation of the three rotation angles of a determined model."""
 LEAST_SIGMA0 = 1e-3
-"""Share of the sigmas below which residuals are rounding."""
+"""Share of the sigmas below which residuals are rounding errors."""
 LEAST_FREEDOM = 1e-6
-"""Degrees of freedom below which rounding alone is left."""
+"""Degrees of freedom below which only rounding errors are left."""
 MAX_STEPS = 200
 SMALLEST_STEP = 1e-13
 WORST_CONDITION = 1e10
@@ -53,18 +53,18 @@ WORST_CONDITION = 1e10
 
 @dataclass(frozen=True)
 class SimilarityFit:
-    """A similarity that was fitted, and how certain it is.
+    """Fitted similarity and its covariance.
 
     Attributes:
         similarity: the map.
         covariance: (7, 7) of log scale, rotation (radians, left increment) and translation [m] at
-            ``center``, for the covariances as given.
-        center: (3,) the point of the model to which the translation of ``covariance`` belongs.
+            ``center``, for the given covariances.
+        center: (3,) point of the model to which the translation of ``covariance`` belongs.
         weight: (n,) rho' of each point; 1 without a loss.
-        whitened: (n, 3) residuals divided by the lower Cholesky factors of their covariances,
-            0 for unknown heights.
-        redundancy: (n, 3) share of each whitened residual that is not taken up by the fit, between
-            0 and 1; 0 for unknown heights.
+        whitened: (n, 3) residuals divided by the lower Cholesky factors of their covariances; 0 for
+            unknown heights.
+        redundancy: (n, 3) share of each whitened residual that the fit does not absorb, between 0
+            and 1; 0 for unknown heights.
     """
 
     similarity: Similarity
@@ -76,15 +76,15 @@ class SimilarityFit:
 
     @property
     def sigma0(self) -> float:
-        """Size of the residuals in sigmas, over the degrees of freedom; nan without any."""
+        """Residuals in sigmas relative to their degrees of freedom; nan without any."""
         freedom = float(self.redundancy.sum())
         squared = float((self.weight[:, None] * self.whitened**2).sum())
         return math.sqrt(squared / freedom) if freedom > LEAST_FREEDOM else math.nan
 
     def predict(self, points: Correspondences) -> tuple[Array, Array]:
-        """Return residuals (n, 3) and their covariances (n, 3, 3), of points that did not count.
+        """Return residuals (n, 3) and covariances (n, 3, 3) of points that were not used.
 
-        The covariance is that of the survey and of the model's point and that of the similarity.
+        The covariance is the sum for the survey, the model's point and the similarity.
         """
         residual = _residuals(self.similarity, points)
         jacobian = _jacobian(self.similarity, points, self.center)
@@ -98,20 +98,21 @@ def fit_similarity(
     """Return the weighted similarity.
 
     Args:
-        points: at least three, not on one line, of which enough have a height.
-        loss: name of a robust loss of the residuals in sigmas.
-        loss_scale: where it bends, in sigmas.
-        what: what the points are, for messages.
+        points: at least three points, not on one line, of which enough have a height.
+        loss: robust loss of the residuals in sigmas.
+        loss_scale: sigmas beyond which the loss is robust.
+        what: description of the points for messages.
 
     Raises:
-        InputError: the points do not determine seven degrees of freedom; the message says why.
+        InputError: the points do not determine seven degrees of freedom; the message has the
+            reason.
     """
     try:
         return _fitted(points, loss, loss_scale, what)
     except (np.linalg.LinAlgError, OverflowError):
         raise InputError(
-            f"expected {what} and a model whose sizes a computer can relate, found "
-            f"coordinates up to {np.nanmax(np.abs(points.target)):.3g} and in the model "
+            f"expected {what} and a model of comparable magnitude, found coordinates up to "
+            f"{np.nanmax(np.abs(points.target)):.3g} and in the model "
             f"{np.abs(points.source).max():.3g}"
         ) from None
 
@@ -121,7 +122,7 @@ def _fitted(points: Correspondences, loss: str, loss_scale: float, what: str) ->
     similarity = _start(points)
     center = points.source.mean(axis=0)
     size = float(np.sqrt(((points.source - center) ** 2).sum(axis=1).mean()))
-    with np.errstate(all="ignore"):  # what is not determined is refused below
+    with np.errstate(all="ignore"):  # undetermined cases are refused below
         for _ in range(MAX_STEPS):
             root, whitened, jacobian = _whitened(similarity, points, center)
             weight = _weights(whitened, loss, loss_scale)
@@ -150,7 +151,7 @@ def _check_points(points: Correspondences, what: str) -> None:
     known = ~np.isnan(points.target[:, 2])
     if not known.any():
         raise InputError(
-            f"expected {what} with a height, found none: the height of the model stays open"
+            f"expected {what} with a height, found 0: the height of the model is undetermined"
         )
     level = np.where(known, points.target[:, 2], points.target[known, 2].mean())
     for cloud in (points.source, np.column_stack([points.target[:, :2], level])):
@@ -161,36 +162,37 @@ def _check_points(points: Correspondences, what: str) -> None:
 
 def _on_a_line(what: str, count: int) -> str:
     return (
-        f"the {count} {what} lie on one line: expected one beside it, as the model could turn "
-        "about the line"
+        f"the {count} {what} lie on one line: expected one beside it, because the "
+        "model could rotate about the line"
     )
 
 
 def _check_normal(normal: Array, points: Correspondences, weight: Array, what: str) -> None:
-    """Refuse points that leave a degree of freedom open to first order."""
+    """Refuse points that leave a degree of freedom undetermined to first order."""
     diagonal = np.sqrt(np.diag(normal))
     scaled = normal / np.outer(diagonal, diagonal)
     if np.isfinite(scaled).all() and np.linalg.cond(scaled) < WORST_CONDITION:
         return
     if (weight == 0).any():
         raise InputError(
-            f"the loss leaves {int((weight > 0).sum())} of {len(points)} {what}, which do not "
-            "determine the model: expected a larger scale of the loss, or another loss"
+            f"the loss leaves {int((weight > 0).sum())} of {len(points)} {what}, which do "
+            "not determine the model: expected a larger scale of the loss, or another loss"
         )
     known = int((~np.isnan(points.target[:, 2])).sum())
     if known < len(points):
         raise InputError(
-            f"the heights of {known} of {len(points)} {what} are known, which leaves the tilt or "
-            "the height of the model open; expected 3 with a height, not on one line"
+            f"only {known} of {len(points)} {what} have a known height, so the tilt or the "
+            "height of the model is undetermined; expected 3 with a height, not on one line"
         )
     raise InputError(_on_a_line(what, len(points)))
 
 
 def _check_angles(fit: SimilarityFit, points: Correspondences, what: str) -> None:
-    """Refuse points that are on a line as far as sigmas and residuals tell."""
-    # What the residuals say about the sigmas counts where they are smaller.
+    """Refuse points that lie on one line within their sigmas and residuals."""
+    # The residuals' estimate of the sigmas counts if it is smaller.
     sigma0 = 1.0 if math.isnan(fit.sigma0) else min(max(fit.sigma0, LEAST_SIGMA0), 1.0)
-    known = np.linalg.inv(fit.covariance[1:4, 1:4])  # of the rotation, the others being free
+    # information of the rotation with the other parameters free
+    known = np.linalg.inv(fit.covariance[1:4, 1:4])
     information = min(
         np.linalg.eigvalsh(rotation)[0]
         for rotation in (known, known + _bending(fit, points), _known_of_target(fit, points))
@@ -198,17 +200,17 @@ def _check_angles(fit: SimilarityFit, points: Correspondences, what: str) -> Non
     angle = sigma0 / math.sqrt(information) if information > 0 else math.inf
     if angle > WIDEST_ANGLE:
         raise InputError(
-            f"the {len(points)} {what} leave a rotation of the model open by "
+            f"the {len(points)} {what} determine a rotation of the model only to "
             f"{math.degrees(min(angle, math.pi)):.3g} degrees (one sigma), expected at most "
             f"{math.degrees(WIDEST_ANGLE):.0f}: within their sigmas they lie on one line"
         )
 
 
 def _known_of_target(fit: SimilarityFit, points: Correspondences) -> Array:
-    """Return what a rotation of the surveyed points, instead of the model's, would be known by.
+    """Return the rotation information if the surveyed points rotate instead of the model.
 
-    Points of a model that is wide do not fit a line, and stand on their edge beside it where that
-    is the coordinate of the largest sigma: they seem to tell the rotation that the line leaves.
+    Points of a wide model do not fit a line. If the coordinate of the largest sigma is across the
+    line, they stand on edge beside it and seem to determine the rotation that the line leaves free.
     """
     moved = fit.similarity.apply(points.source) + points.offset @ fit.similarity.rotation.T
     target = np.where(np.isnan(points.target), moved, points.target)
@@ -223,14 +225,14 @@ def _known_of_target(fit: SimilarityFit, points: Correspondences) -> Array:
 
 
 def _bending(fit: SimilarityFit, points: Correspondences) -> Array:
-    """Return what residuals add to the (3, 3) second derivatives by the rotation.
+    """Return the contribution of residuals to the (3, 3) second derivatives by the rotation.
 
-    A rotation w moves y to y + w x y + w x (w x y) / 2, so that the residuals, weighted, add
+    A rotation w moves y to y + w x y + w x (w x y) / 2, so that the weighted residuals add
 
         (g y^T + y g^T) / 2 - (g . y) I,    g = S^-1 r,
 
-    to J^T S^-1 J, which knows the width of the points of the model alone. Where those to which they
-    go have none, g . y takes all of that away again.
+    to J^T S^-1 J, which contains only the width of the model's points. If their targets have no
+    width, g . y cancels it.
     """
     root, whitened, _ = _whitened(fit.similarity, points, fit.center)
     pull = np.einsum("nij,ni->nj", root, fit.weight[:, None] * whitened)

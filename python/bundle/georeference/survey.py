@@ -1,4 +1,4 @@
-"""Control points and positions of images beside a model: what a similarity is fitted to."""
+"""Survey: control points and positions of images of a model, to which a similarity is fitted."""
 
 from __future__ import annotations
 
@@ -28,34 +28,34 @@ Array = NDArray[np.float64]
 FEWEST = 3
 
 MOST_OUTSIDE = 5
-"""Measurements outside of their images that are listed."""
+"""Most measurements outside of their images to list."""
 
 
 class Survey:
-    """What was measured in the field, and where the model has it.
+    """Measurements in the field, and their points in the model.
 
     Args:
         problem: the model.
         points: control and check points.
-        positions: of images, or None.
-        gcp_sigma: of targets without their own, metres.
-        pixel_sigma: of measurements without their own, pixels.
-        gps_sigma: of positions without their own, metres.
-        antenna: (3,) in the frame of the camera, metres.
+        positions: positions of images, or None.
+        gcp_sigma: standard deviation of targets without their own, metres.
+        pixel_sigma: standard deviation of measurements without their own, pixels.
+        gps_sigma: standard deviation of positions without their own, metres.
+        antenna: (3,) in the camera frame, metres.
 
     Attributes:
-        frame: of points and positions.
-        targets: the points, triangulated in the model.
-        used: (n,) which of them are somewhere in the model.
-        control: (n,) which of these are control points.
-        surveyed: the targets, used or not.
-        cameras: the positions of images of the model.
-        rows: which of the positions given these are.
-        measured: the used targets, then the cameras.
-        decisive: which of ``measured`` may have an influence: all but check points.
+        frame: frame of points and positions.
+        targets: points triangulated in the model.
+        used: (n,) mask of triangulated targets.
+        control: (n,) mask of control points among these.
+        surveyed: targets, used or not.
+        cameras: positions of images of the model.
+        rows: their rows in the given positions.
+        measured: used targets, then cameras.
+        decisive: mask of ``measured`` that may have an influence: all but check points.
 
     Raises:
-        InputError: these are fewer than three.
+        InputError: fewer than three are decisive.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Survey:
     def decisive_places(
         self, points: tuple[GroundControlPoint, ...], positions: GpsPositions | None
     ) -> Correspondences | None:
-        """Return what may have an influence, at other coordinates; None where these are nowhere."""
+        """Return the decisive places at other coordinates; None if these have no place."""
         try:
             frame = Frame(points, positions)
         except InputError:
@@ -100,23 +100,23 @@ class Survey:
 
     @property
     def tested(self) -> NDArray[np.bool_]:
-        """Which of ``measured`` are targets."""
+        """Mask of the targets in ``measured``."""
         tested: NDArray[np.bool_] = np.arange(len(self.measured)) < self.used.sum()
         return tested
 
     @property
     def what(self) -> str:
-        """What is measured, for messages."""
+        """Description of the measurements for messages."""
         if self.control.any() and len(self.cameras):
             return "control points and positions of images"
         return "control points" if self.control.any() else "positions of images"
 
     def leave_one_out(self) -> tuple[Array, NDArray[np.bool_]]:
-        """Return what the others say of each target; see :func:`leave_one_out`.
+        """Return the leave-one-out residuals of targets; see :func:`leave_one_out`.
 
         Returns:
-            (n, 3) its residual if all others place the model, nan where it is not used; and (n,)
-            whether that is too far.
+            (n, 3) residuals if all others place the model, nan for unused targets; and (n,) mask of
+            suspects.
         """
         others = leave_one_out(self.measured, self.decisive, self.tested)
         left_out = self._of_targets(others.residual, np.nan)
@@ -130,14 +130,14 @@ class Survey:
         return found
 
     def notes(self) -> tuple[str, ...]:
-        """Return sentences on what is inexact, is not used, or looks wrong."""
+        """Return sentences on inexact, unused or suspicious data."""
         found = [*self.frame.notes, *notes_on_targets(self.problem, self.targets)]
         positions, num_cameras = self.positions, len(self.cameras)
         missing: list[str] = []
         if positions is not None and num_cameras < len(positions):
             found.append(
                 f"{plural(len(positions) - num_cameras, 'position')} of {len(positions)} are of "
-                "images that the model does not have."
+                "images that are not in the model."
             )
             missing += positions.names
         missing += (m.image for target in self.targets for m in target.point.measurements)
@@ -146,12 +146,12 @@ class Survey:
 
 
 def surveyed(targets: tuple[Triangulated, ...], target: Array, sigma: Sigma) -> Correspondences:
-    """Return targets in the model and where they were surveyed.
+    """Return targets in the model and their surveyed positions.
 
     Args:
-        targets: n of them, triangulated or not.
-        target: (n, 3) where they are; up is nan where unknown.
-        sigma: of those without their own.
+        targets: n targets, triangulated or not.
+        target: (n, 3) surveyed positions; up is nan if unknown.
+        sigma: standard deviation of targets without their own.
     """
     sigmas = np.array([entry.point.sigma or sigma for entry in targets]).reshape(-1, 2)
     return Correspondences(
@@ -169,14 +169,14 @@ def control_point_error(
     left_out: Array | None = None,
     suspect: bool = False,
 ) -> ControlPointError:
-    """Return what there is to say of a target.
+    """Return the result record of a target.
 
     Args:
-        target: in the model.
+        target: target in the model.
         residual: (3,) model minus survey.
-        covariance: (3, 3) of the survey.
-        left_out: (3,) the residual of a model without the target, if that is known.
-        suspect: whether a gross error is likely.
+        covariance: (3, 3) covariance of the survey.
+        left_out: (3,) residual of a model without the target, if known.
+        suspect: True if a gross error is likely.
     """
     squares = (target.residual**2).sum(axis=1)
     unknown = np.full(3, np.nan)
@@ -200,7 +200,7 @@ def control_point_error(
 
 
 def notes_on_targets(problem: Problem, targets: tuple[Triangulated, ...]) -> tuple[str, ...]:
-    """Return sentences on targets that are not used, or measured in strange places."""
+    """Return sentences on targets that are not used, or measured at strange positions."""
     notes = [
         f"{entry.point.name} is not used: {entry.reason}." for entry in targets if entry.reason
     ]
@@ -208,14 +208,14 @@ def notes_on_targets(problem: Problem, targets: tuple[Triangulated, ...]) -> tup
     seen = sum(len(entry.images) for entry in targets)
     if seen < measured:
         notes.append(
-            f"{plural(measured - seen, 'measurement')} of {measured} are in images that the model "
-            "does not have."
+            f"{plural(measured - seen, 'measurement')} of {measured} are in images that are "
+            "not in the model."
         )
     return (*notes, *_outside(problem, targets))
 
 
 def _outside(problem: Problem, targets: tuple[Triangulated, ...]) -> list[str]:
-    """Return a sentence for each pixel that its image does not have."""
+    """Return a sentence for each measurement outside of its image."""
     notes = []
     for entry in targets:
         for image, measurement in zip(entry.images.tolist(), entry.measurements, strict=True):
@@ -240,7 +240,7 @@ def _cameras(
     sigma: Sigma,
     antenna: Array,
 ) -> tuple[Correspondences, list[int]]:
-    """Return the positions of images of the model, and which of those given they are."""
+    """Return the positions of images of the model, and their rows in the given positions."""
     images, rows = np.array(list(found), dtype=np.int64), list(found.values())
     sigmas = np.tile(np.array(sigma), (len(rows), 1))
     if positions is not None and rows:
@@ -280,6 +280,6 @@ def _check_count(
     ]
     more = f" ({len(reasons)} cannot be used; {reasons[0]})" if reasons else ""
     raise InputError(
-        f"gcps: expected at least {FEWEST} control points that 2 images of the model see, "
-        f"found {control.sum()}{more}"
+        f"gcps: expected at least {FEWEST} control points, each in 2 images of the "
+        f"model, found {control.sum()}{more}"
     )

@@ -1,14 +1,14 @@
 """Ground control points among the points of a solve.
 
-A control point is a point of the problem like any other, X, with two kinds of residual: those of
-its pixels, divided by their sigma, and its distance from the survey,
+A control point is a point X of the problem like any other, with two kinds of residual: those of its
+pixels, divided by their sigma, and its distance from the survey,
 
     1/2 rho(r^T r),  r = L^-1 (X - X0),  Sigma = L L^T = diag(h^2, h^2, v^2),
 
 where an unknown height has a variance so large that its share is zero in double precision. It
-starts where the rays of its images meet. Check points are no part of the solve: afterwards they are
-triangulated with the cameras that it found, and so are the control points, whose adjusted positions
-would only tell how tightly the survey holds them.
+starts where the rays of its images intersect. Check points are no part of the solve: they are
+triangulated afterwards with the refined cameras. So are the control points, whose adjusted
+positions would only show how tightly the survey holds them.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ class TargetPriors:
     """Control points of a solve, in the frame of its priors.
 
     Attributes:
-        points: all that were given, check points too.
-        used: those among them that are points of the solve, triangulated in the problem.
-        point_ids: the ids that these have in the solve.
-        had_sigmas: whether the observations of the problem had sigmas.
+        points: all given points, including check points.
+        used: triangulated points among them that take part in the solve.
+        point_ids: ids of these points in the solve.
+        had_sigmas: True if the observations of the problem had sigmas.
     """
 
     points: tuple[GroundControlPoint, ...]
@@ -68,7 +68,7 @@ class TargetPriors:
             if point.reference_system is not None:
                 raise InputError(
                     f"priors: control point {point.name}: expected coordinates in metres, such as "
-                    "those of bundle.georeference.gcp_priors, found some in "
+                    "those of bundle.georeference.gcp_priors, found coordinates in "
                     f"{point.reference_system}"
                 )
             if point.name in names:
@@ -82,19 +82,19 @@ class TargetPriors:
         used = tuple(target for target in found if not target.reason)
         if control and not used:
             raise InputError(
-                "priors: expected control points that 2 images of the problem see, found none "
+                "priors: expected control points in at least 2 images of the problem, found 0 "
                 f"({found[0].point.name}: {found[0].reason})"
             )
         had_sigmas = problem.observation_sigma is not None
         return TargetPriors(given, used, _free_ids(problem, len(used)), had_sigmas)
 
     def correspondences(self) -> Correspondences:
-        """Return where the used ones are in the problem that they were made for, and should be."""
+        """Return the used points in the problem of :meth:`make`, and their surveyed positions."""
         target = np.array([entry.point.position for entry in self.used]).reshape(-1, 3)
         return surveyed(self.used, target, GCP_SIGMA)
 
     def factors(self) -> list[PriorFactor]:
-        """Return a factor for each of the used ones, in order."""
+        """Return a factor for each used point, in order."""
         return [
             PriorFactor(
                 ("point", point_id),
@@ -107,11 +107,11 @@ class TargetPriors:
         ]
 
     def added_to(self, problem: Problem, moved: Similarity | None) -> Problem:
-        """Return the problem with the used ones as its last points and observations.
+        """Return the problem with the used points as its last points and observations.
 
         Args:
-            problem: the one they were made for, or that one moved.
-            moved: by what.
+            problem: problem of :meth:`make`, or the same problem moved.
+            moved: similarity by which it was moved.
         """
         if not self.used:
             return problem
@@ -147,7 +147,7 @@ class TargetPriors:
         )
 
     def taken_from(self, problem: Problem) -> Problem:
-        """Return a problem that :meth:`added_to` made, solved or filtered, without them."""
+        """Return a solved or filtered problem of :meth:`added_to` without them."""
         if not self.used:
             return problem
         points = problem.num_points - len(self.used)
@@ -164,7 +164,7 @@ class TargetPriors:
         )
 
     def errors(self, problem: Problem) -> tuple[ControlPointError, ...]:
-        """Return how far all points are from the survey in a problem in the frame of the priors."""
+        """Return the residuals of all points in a problem in the frame of the priors."""
         targets = triangulate(
             problem, self.points, ImageIndex(problem), pixel_sigma=GCP_PIXEL_SIGMA
         )
@@ -177,7 +177,7 @@ class TargetPriors:
 
 
 def _free_ids(problem: Problem, count: int) -> tuple[int, ...]:
-    """Return ids that no point has: the next ones, or where there are none the first gaps."""
+    """Return unused ids: the next ones, or the first gaps if there are none."""
     last = int(problem.point_ids.max(initial=0))
     if last < LARGEST_ID - count:
         return tuple(range(last + 1, last + 1 + count))

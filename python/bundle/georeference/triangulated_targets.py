@@ -1,12 +1,12 @@
-"""Targets triangulated from their pixels, with the cameras of the model held.
+"""Targets triangulated from their pixels, with constant cameras.
 
-The point X minimizes sum |project(X) - xy|^2 / sigma^2 over its images, by Levenberg and Marquardt
-on the camera models' own Jacobians J. It starts where the rays come nearest to each other: with
-directions d and centres c, (sum I - d d^T) X = sum (I - d d^T) c. Its covariance (sum J^T J)^-1 is
-that for pixels of the stated sigma and cameras without error.
+The point X minimizes sum |project(X) - xy|^2 / sigma^2 over its images, by Levenberg-Marquardt on
+the camera models' own Jacobians J. It starts at the point nearest to all rays: with directions d
+and centres c, (sum I - d d^T) X = sum (I - d d^T) c. Its covariance (sum J^T J)^-1 assumes pixels
+of the stated sigma and cameras without error.
 
-A camera model projects; its inverse is found here, for any of them, by Gauss-Newton on the sphere
-of directions, along a path of pixels from the optical axis.
+A camera model projects. Its inverse is found here, for any model, by Gauss-Newton on the sphere of
+directions, along a path of pixels from the optical axis.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ Array = NDArray[np.float64]
 FEWEST_IMAGES = 2
 MAX_STEPS = 100
 WORST_CONDITION = 1e12
-"""Of the normal matrix of a point: beyond, its rays are parallel."""
+"""Condition number of a point's normal matrix above which its rays are parallel."""
 LONGEST_STEP = 0.3
-"""Radians that a direction turns at once, and in a stage."""
+"""Radians by which a direction rotates at most per step, and per stage."""
 SMALLEST_STEP = 1e-11
 STAGES = 12
 LARGEST_MISS = 1e-3
-"""Pixels by which a direction may miss the pixel that it was found for."""
+"""Largest error in pixels of a direction found for a pixel."""
 
 
 @dataclass(frozen=True)
 class Triangulated:
-    """A target in the model, or why it is not there.
+    """Target in the model, or the reason why it is missing.
 
     Attributes:
         point: the target.
-        measurements: those in images of the model.
-        images: (m,) their indices in the problem.
-        position: (3,) in the model; nan where it could not be triangulated.
-        covariance: (3, 3) of it, in squared units of the model.
+        measurements: measurements in images of the model.
+        images: (m,) indices of these images in the problem.
+        position: (3,) in the model; nan if it could not be triangulated.
+        covariance: (3, 3) of the position, in squared units of the model.
         residual: (m, 2) projection minus measurement, pixels.
-        reason: why there is no position; "" where there is one.
+        reason: reason why there is no position; "" otherwise.
     """
 
     point: GroundControlPoint
@@ -70,13 +70,13 @@ def triangulate(
     *,
     pixel_sigma: float,
 ) -> tuple[Triangulated, ...]:
-    """Triangulate every target; where one cannot be, ``reason`` says why.
+    """Triangulate every target; ``reason`` tells why one failed.
 
     Args:
         problem: the model.
         points: the targets.
-        images: of the problem.
-        pixel_sigma: standard deviation of measurements that have none of their own, pixels.
+        images: index of the problem's images.
+        pixel_sigma: standard deviation in pixels of measurements without their own.
     """
     return tuple(_triangulated(problem, point, images, pixel_sigma) for point in points)
 
@@ -114,7 +114,7 @@ def _triangulated(
         return lost("its rays are parallel")
     residual, _, valid = _reprojected(problem, images, rotations, translations, xy, position)
     if not valid.all():
-        return lost(f"its rays meet behind {measurements[int(np.argmin(valid))].image}")
+        return lost(f"its rays intersect behind {measurements[int(np.argmin(valid))].image}")
     covariance = np.asarray(np.linalg.inv(normal), np.float64)
     return Triangulated(point, measurements, images, position, covariance, residual)
 
@@ -134,10 +134,10 @@ def _camera(problem: Problem, image: int) -> tuple[str, Array]:
 def direction_of(model: str, params: Array, xy: Array) -> Array | None:
     """Return the unit vector in the camera frame that projects to a pixel, None without one.
 
-    The pixel is approached from that of the optical axis along a line, and the direction follows by
-    Gauss-Newton. So it stays on the side of the axis where the projection is one to one: models
-    such as OPENCV project directions beyond the turning point of their distortion onto the image
-    once more.
+    The pixel is approached along a line from that of the optical axis, and the direction follows by
+    Gauss-Newton. It therefore stays in the region where the projection is one to one: models such
+    as OPENCV project directions beyond the turning point of their distortion into the image a
+    second time.
     """
     direction = np.array([0.0, 0.0, 1.0])
     start = project(model, params, direction[None])[0][0]
@@ -159,7 +159,7 @@ def _followed(model: str, params: Array, xy: Array, start: Array) -> Array | Non
             miss, jacobian = pixels.xy[0] - xy, pixels.d_point[0]
             if not (np.isfinite(miss).all() and np.isfinite(jacobian).all()):
                 return None
-            # The step of least length lies in the tangent plane, as J d = 0.
+            # The least-norm step lies in the tangent plane, because J d = 0.
             step = -np.linalg.pinv(jacobian) @ miss
             direction = direction + step / max(np.linalg.norm(step) / LONGEST_STEP, 1)
             direction /= np.linalg.norm(direction)
@@ -193,7 +193,7 @@ def _reprojected(
     xy: Array,
     position: Array,
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return residuals (m, 2), their derivatives (m, 2, 3) and whether the image sees the point."""
+    """Return residuals (m, 2), derivatives (m, 2, 3), and the mask of images with the point."""
     residual, jacobian = np.empty((len(images), 2)), np.empty((len(images), 2, 3))
     valid = np.empty(len(images), dtype=bool)
     for row, image in enumerate(images):
@@ -214,7 +214,7 @@ def _refined(
     sigma: Array,
     position: Array,
 ) -> tuple[Array, Array]:
-    """Return the point of the least weighted residuals, and its normal matrix."""
+    """Return the point of least weighted residuals, and its normal matrix."""
 
     def at(point: Array) -> tuple[Array, Array, float]:
         residual, jacobian, _ = _reprojected(problem, images, rotations, translations, xy, point)

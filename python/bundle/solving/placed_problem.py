@@ -1,4 +1,4 @@
-"""The start of a solve with priors: the problem in their frame, with its control points."""
+"""Start of a solve with priors: the problem in their frame, with its control points."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ FEWEST = 3
 
 
 class PlacedProblem(NamedTuple):
-    """A problem at its priors.
+    """Problem at its priors.
 
     Attributes:
-        problem: in the frame of the priors; control points are its last points.
-        factors: all of them; those of the priors come last, positions before control points.
-        similarity: by which the problem was moved, if it was.
-        targets: the control and check points, if there are any.
+        problem: problem in the frame of the priors; control points are its last points.
+        factors: all factors; those of the priors come last, positions before control points.
+        similarity: similarity by which the problem was moved, if it was moved.
+        targets: control and check points, if there are any.
     """
 
     problem: Problem
@@ -45,11 +45,11 @@ class PlacedProblem(NamedTuple):
         return () if self.targets is None else self.targets.point_ids
 
     def taken_from(self, problem: Problem) -> Problem:
-        """Return a refined or filtered problem of this one without control points."""
+        """Return a refined or filtered version of this problem without control points."""
         return problem if self.targets is None else self.targets.taken_from(problem)
 
     def control_points(self, problem: Problem) -> tuple[ControlPointError, ...]:
-        """Return how far control and check points are from the survey in the result."""
+        """Return the residuals of control and check points in the result."""
         return () if self.targets is None else self.targets.errors(problem)
 
 
@@ -62,11 +62,11 @@ def place_at_priors(
     """Move a problem to its priors, and add their factors and control points.
 
     Args:
-        problem: left untouched.
-        factors: beside the priors.
+        problem: problem to move; not modified.
+        factors: factors beside the priors.
         priors: positions of images, and control points.
-        align: whether the problem is moved to where the priors are; None: if there are no factors,
-            and they determine the place.
+        align: move the problem to the priors; None: do so if there are no factors and the priors
+            determine the place.
 
     Raises:
         InputError: see :func:`bundle.solve`.
@@ -75,7 +75,7 @@ def place_at_priors(
         align = as_flag("align", align)
     if not priors:
         if align:
-            raise InputError("align: expected priors to align the problem to, found none")
+            raise InputError("align: expected priors to align the problem to, found 0")
         return PlacedProblem(problem, factors)
     from bundle.georeference.prior_alignment import ProblemPriors
     from bundle.georeference.similarity import moved
@@ -100,7 +100,7 @@ def place_at_priors(
 
 
 def _sorted(priors: tuple[Any, ...]) -> tuple[list[Any], list[Any]]:
-    """Return positions, and what else there is, which has to be control points."""
+    """Return the positions, and the other priors, which must be control points."""
     from bundle.georeference.control_point import GroundControlPoint
     from bundle.georeference.position_prior import PositionPrior
 
@@ -115,7 +115,7 @@ def _sorted(priors: tuple[Any, ...]) -> tuple[list[Any], list[Any]]:
 
 
 def _similarity(problem: Problem, known: ProblemPriors, targets: TargetPriors | None) -> Similarity:
-    """Return the similarity to where the priors say that the problem is.
+    """Return the similarity to the priors.
 
     Raises:
         InputError: they do not determine it.
@@ -136,8 +136,8 @@ def _similarity(problem: Problem, known: ProblemPriors, targets: TargetPriors | 
     what = "control points and positions of images"
     losses = {entry.point.loss for entry in targets.used} | {prior.loss for prior in known.priors}
     if losses == {"trivial"}:
-        # Beside thousands of pixels a few priors move the model slowly: a solve that begins where
-        # their squares are least need not move it.
+        # A few priors beside thousands of pixels move the model slowly. A solve that begins at
+        # their least squares need not move it.
         try:
             return fit_similarity(joined, what=what).similarity
         except InputError:
