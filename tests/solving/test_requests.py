@@ -202,7 +202,7 @@ def test_rounds_check_their_limits_and_files_before_factors(earlier, later, word
 
 
 def test_segments_and_rounds_warn_once(tmp_path):
-    """Of the last adjustment: each of its segments, and each round, would warn."""
+    """The result warns of the last adjustment only, not of each segment and each round."""
     problem = make_problem(num_images=5, num_points=50)
     with processes(2):
         result = bundle.solve_rounds(
