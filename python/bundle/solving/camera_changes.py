@@ -1,4 +1,4 @@
-"""What a solve changed in the intrinsics of each camera."""
+"""Changes of the intrinsics of each camera by a solve."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class CameraChange:
         model: COLMAP's name.
         before: parameters by name; pixels, or no unit for distortion.
         after: likewise.
-        movement: the largest change of a parameter, in focal lengths for those in pixels and as it
-            stands for distortion, which acts on coordinates in focal lengths. Thus it is about the
+        movement: the largest change of a parameter: in focal lengths for parameters in pixels, and
+            unscaled for distortion, which acts on coordinates in focal lengths. This is about the
             angle in radians by which rays at 45 degrees from the axis move.
     """
 
@@ -34,7 +34,7 @@ class CameraChange:
 
 
 def camera_changes(solved: Result) -> list[CameraChange]:
-    """Return the cameras whose parameters a solve changed, the largest movement first."""
+    """Return the cameras that a solve changed, the largest movement first."""
     first, last = solved.initial_problem, solved.problem
     changes = []
     for camera in np.flatnonzero((first.camera_params != last.camera_params).any(axis=1)):

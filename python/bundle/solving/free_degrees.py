@@ -1,4 +1,4 @@
-"""How many degrees of freedom a problem leaves open, counted from its structure.
+"""Gauge freedom of a problem, counted from its structure.
 
 Images that share free points see a rigid piece of the world, up to a similarity: it may move by
 d = (a, b, s), X' = X + a + b x X + s X, without any of its images changing, if image i, R X + t,
@@ -53,7 +53,7 @@ _Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GaugeFreedom(Displayed):
-    """What the observations and factors of a problem leave open.
+    """Gauge freedom that the observations and factors of a problem leave.
 
     Attributes:
         degrees: of freedom that nothing determines.

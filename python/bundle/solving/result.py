@@ -1,4 +1,4 @@
-"""What a solve gives back."""
+"""The result of a solve."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ __all__ = ["Result"]
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Result(SolveRecord):
-    """A refined problem and how it came about.
+    """A refined problem, and the record of its solve.
 
     Attributes:
         problem: the refined problem.
         initial_problem: the input, untouched.
         options: every option as used.
-        summary: what the solver says.
+        summary: of the solver.
         iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
         build_time_in_seconds: from the arrays to a solver's problem and back, outside the solver.
         solve_time_in_seconds: inside the solver.
@@ -51,15 +51,15 @@ class Result(SolveRecord):
         factor_costs_after: the same at the output.
         active_bounds: the bounds on which camera parameters end: key of the camera, name of the
             parameter, "lower" or "upper".
-        constraints: what became of each rule: pulls of priors in sigmas, active bounds, ties.
-        similarity: by which the input was moved to where priors of positions say that it is, before
-            the solve; None where it was not. ``initial_problem`` is the input as it was.
-        control_points: ground control and check points, in the order given: the model minus the
-            survey where the refined cameras see them.
+        constraints: outcome of each rule: pulls of priors in sigmas, active bounds, ties.
+        similarity: that moved the input to its priors before the solve; None if nothing moved.
+            ``initial_problem`` is the input before that.
+        control_points: ground control and check points, in the order given: position triangulated
+            by the refined cameras, minus that of the survey.
         rounds: of :func:`bundle.solve_rounds`; options, summary, iterations and times are those of
-            the last round's adjustment, and ``problem`` is what its filter has left.
-        part: which part of the problem took part, where only some images were refined; the costs
-            are of this part, the reprojection errors of the whole problem.
+            the last adjustment.
+        part: the images and points that took part, where only some images were refined; costs are
+            those of the part, reprojection errors those of the whole problem.
     """
 
     problem: Problem
@@ -95,7 +95,7 @@ class Result(SolveRecord):
         return gauge_freedom(self.initial_problem, self.options)
 
     def measure(self) -> None:
-        """Measure all of these now, so that asking for them takes no time."""
+        """Measure the statistics now; later access takes no time."""
         _ = self.reprojection_error_before
         if {"reprojection_error_after", "worst_images"} <= vars(self).keys():
             return

@@ -1,4 +1,4 @@
-"""What one round of adjusting and filtering did, and to which part of a problem."""
+"""Records of a round of adjusting and filtering, and of the part that was refined."""
 
 from __future__ import annotations
 
@@ -36,18 +36,17 @@ class Round:
 
 @dataclass(frozen=True, kw_only=True)
 class RestRecord:
-    """What was marginalised beside an adjustment of some images, and the prior that it left.
+    """The marginalised rest of a local adjustment, and the prior that it left.
 
     Attributes:
         num_images: eliminated, neighbours of the part not included.
         num_points: eliminated.
-        num_points_without_parallax: of these, left out along the direction that nothing sees.
-        prior_size: unknowns of the prior, poses of neighbours and parameters of cameras; 0 without
-            a prior: what is left out says nothing of the part.
+        num_points_without_parallax: of these, left out along their unobserved direction.
+        prior_size: unknowns of the prior, poses of neighbours and parameters of cameras; 0: no
+            prior, since the rest has no information on the part.
         prior_rank: of its information matrix, the held gauge included.
         prior_bytes: of that matrix.
-        gauge_degrees: degrees of freedom of the world that nothing determines; in these the
-            neighbours stay where they are on average.
+        gauge_degrees: gauge freedom; along it the neighbours stay where they are on average.
         cost_before: of the prior, above its minimum, at the start.
         cost_after: the same at the end.
     """
@@ -65,16 +64,16 @@ class RestRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class PartRecord:
-    """What took part in an adjustment of some images only.
+    """The part of a problem in a local adjustment.
 
     Attributes:
         num_images: refined.
-        num_images_held: others that see a point of these; held, or under the prior of the rest.
+        num_images_held: others that see a point of these; constant, or under the prior of the rest.
         num_points: seen by a refined image; refined.
         num_observations: of these points.
         shared_camera_ids: cameras of refined images that also took others: if their intrinsics are
-            refined, projections into images that are held change.
-        rest: what was marginalised; None where the rest was held.
+            refined, projections into constant images change.
+        rest: the marginalised rest; None if it was held.
     """
 
     num_images: int

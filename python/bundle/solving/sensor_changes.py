@@ -1,4 +1,4 @@
-"""How a solve moved sensors on their rigs."""
+"""Changes of the poses of sensors on their rigs by a solve."""
 
 from __future__ import annotations
 
@@ -74,8 +74,8 @@ def weak_baseline(
 ) -> str:
     """Return a warning where a focal length and a baseline changed together, "" elsewhere.
 
-    A longer baseline before longer lenses is nearly the same picture: images determine both
-    together only by how perspective changes within them, and a solve wanders far for little cost.
+    A longer baseline with longer lenses gives nearly the same images: only the change of
+    perspective within an image tells them apart, and a solve moves far for little cost.
     """
     if not options.refine_sensor_from_rig or "focal" not in options.refine:
         return ""

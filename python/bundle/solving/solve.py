@@ -1,4 +1,4 @@
-"""Bundle adjustment: a problem and options in, a refined problem and its story out."""
+"""Bundle adjustment of a problem: the public function."""
 
 from __future__ import annotations
 

@@ -34,19 +34,19 @@ class Solver(Displayed):
     """Bundle adjustment of one structure, solved again and again without setting up again.
 
     The structure is which image sees which point, the cameras' models, what is refined and how it
-    is solved, with its factors and bounds. All that follows from it is laid out once: threads,
+    is solved, with its factors and bounds. All that depends on it alone is laid out once: threads,
     unknowns, the order of the elimination, the analysed linear solver, buffers. A solve then starts
     at the values of a problem: poses, camera parameters, points, observed pixels. It takes the
     steps of :func:`bundle.solve`, bit for bit, and spends nearly all of its time in them.
     Exceptions: Ceres on several threads sums in any order; relative priors of ``constraints`` stay
     relative to the problem of the constructor.
 
-    Ceres has no such solver: where ``options.backend`` or ``auto`` means Ceres, each solve starts
-    from scratch. Values that make the gauge hold other numbers lay out everything anew; the
-    two-level preconditioner forms its clusters by values in each solve.
+    Ceres has no such solver: with Ceres as the backend, each solve starts from scratch. If the
+    values make the gauge hold other numbers, everything is laid out anew. The two-level
+    preconditioner forms its clusters by values in each solve.
 
-    A solver pickles as its problem, options, factors and bounds, and is laid out anew when it is
-    read; functions of factors have to pickle, too.
+    A solver pickles as its problem, options, factors and bounds, and is laid out anew on reading.
+    Functions of factors have to pickle, too.
 
     Args:
         problem: the structure, and the values that :meth:`solve` starts from if not given others;
@@ -97,17 +97,17 @@ class Solver(Displayed):
 
     @property
     def options(self) -> SolveOptions:
-        """Every option as used where :meth:`solve` does not change it."""
+        """Options as used, but for those that :meth:`solve` changes."""
         return self._options
 
     @property
     def factors(self) -> tuple[Factor, ...]:
-        """Those beside the observations."""
+        """Factors beside the observations."""
         return self._prepared.request.factors
 
     @property
     def bounds(self) -> dict[tuple[str, int], tuple[NDArray[np.float64], NDArray[np.float64]]]:
-        """Of the cameras with a bound: {("camera", camera_id): (lower, upper)}."""
+        """Bounds of cameras: {("camera", camera_id): (lower, upper)}."""
         if self._limits is None or self._limits.bounds is None:
             return {}
         return self._limits.bounds.given(self.problem)

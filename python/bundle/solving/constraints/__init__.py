@@ -1,4 +1,4 @@
-"""What is known beside the pixels, as rules: fixed, prior, bounds, share, ratio."""
+"""Rules about cameras, images and points: fixed, prior, bounds, share, ratio."""
 
 from bundle.solving.constraints.rule_list import Constraints, rules_of
 from bundle.solving.constraints.rules import Bounds, Fixed, Prior, Ratio, Rule, Share, Target

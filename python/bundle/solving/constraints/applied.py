@@ -1,7 +1,7 @@
-"""Rules as a solve needs them: what they mean in one problem, decided once.
+"""Resolved rules: their constants, bounds, priors and ties in one problem.
 
-Priors and bounds that speak of the start ("2 %", "as at the start") mean the start of the whole
-run, not of each round of it.
+Rules are resolved once. Priors and bounds relative to the start ("2 %", "as at the start") refer to
+the start of the whole run, not to that of a round.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["HELD_POSITION", "HELD_ROTATION", "Applied", "KnownPrior", "Tie"]
 
 HELD_ROTATION, HELD_POSITION = 1, 2
-"""Bits of the parts of a pose that are held, as ``problem_view.h`` has them."""
+"""Bits of the constant parts of a pose, as in ``problem_view.h``."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class KnownPrior:
         value: as known: a number; x, y, z; or cam_from_world, of a rotation.
         sigma: in the parameter's unit, degrees for a rotation; per axis for a position; a share of
             the value where relative.
-        relative: whether it is the logarithm that is known.
+        relative: True if the prior is on the logarithm.
         column: of a camera's parameter.
     """
 
@@ -61,18 +61,18 @@ class Tie:
 
 @dataclass(frozen=True)
 class Applied:
-    """What rules mean in one problem.
+    """Rules, resolved for one problem.
 
     Attributes:
-        rules: they themselves.
-        held_params: columns of the parameters of a camera that are held, by camera id.
-        held_poses: bits of what is held of an image's pose, by image id.
-        fixed_point_ids: points that are held.
+        rules: as given.
+        held_params: columns of the constant parameters of a camera, by camera id.
+        held_poses: bits of the constant parts of an image's pose, by image id.
+        fixed_point_ids: constant points.
         bounds: (lower, upper) by camera id and column.
         priors: one for each factor.
         factors: of the priors.
-        ties: what moves together.
-        counts: parameters (or positions, rotations) that each rule is about.
+        ties: parameters that are multiples of one number.
+        counts: number of parameters (or positions, rotations) that each rule names.
         bounded: index of the rule that bounds a parameter, by camera id and column.
     """
 
@@ -89,16 +89,16 @@ class Applied:
 
     @property
     def locate(self) -> bool:
-        """Whether rules say in part where images or points are, so that no gauge is to be held."""
+        """True if rules determine the world in part, so that gauge "auto" holds nothing."""
         both = HELD_POSITION | HELD_ROTATION
         return any(prior.subject[0] != "camera" for prior in self.priors) or any(
             parts != both for parts in self.held_poses.values()
         )
 
     def restricted(self, part: Problem) -> Applied:
-        """Return what of this is about the cameras and images of a part of the problem.
+        """Return the rules of the cameras, images and points of a part of the problem.
 
-        A parameter that is tied to a camera outside of the part is held.
+        A parameter that is tied to a camera outside of the part becomes constant.
         """
         cameras, images = set(part.camera_ids.tolist()), set(part.image_ids.tolist())
         points = set(part.point_ids.tolist())

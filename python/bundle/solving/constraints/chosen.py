@@ -1,4 +1,4 @@
-"""What the target and the names of a rule stand for in a problem."""
+"""Lookup of the cameras, images, points and parameters that a rule names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Chooser"]
 
 
 class Chooser:
-    """Finds what rules name in one problem."""
+    """Lookup of the names of rules in one problem."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem

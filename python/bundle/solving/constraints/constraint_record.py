@@ -1,4 +1,4 @@
-"""What became of each rule in a solve."""
+"""Outcome of each rule in a solve."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["BoundEnd", "PriorEnd", "RuleEnd", "TieEnd"]
 
 @dataclass(frozen=True, kw_only=True)
 class PriorEnd:
-    """How far a solve went from what was known.
+    """Distance of a solved parameter from its prior.
 
     Attributes:
         subject: "camera", "image" or "point".

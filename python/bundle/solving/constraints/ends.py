@@ -1,4 +1,4 @@
-"""What became of rules: pulls of priors, active bounds, ties."""
+"""Outcome of rules: pulls of priors, active bounds, ties."""
 
 from __future__ import annotations
 

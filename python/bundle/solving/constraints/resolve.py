@@ -1,4 +1,4 @@
-"""From rules and a problem to what a solve holds, bounds, ties and is told."""
+"""Resolution of rules: the constants, bounds, ties and priors that they mean in a problem."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def apply(
     options: SolveOptions,
     part: Mapping[str, Set[int]] | None = None,
 ) -> tuple[Problem, Applied | None]:
-    """Return the start of a solve, with shared parameters made equal, and what the rules mean.
+    """Return the start of a solve, with shared parameters made equal, and the resolved rules.
 
     Args:
         constraints: the rules.
         problem: whose cameras, images and points they name.
-        options: which say what is held anyway.
-        part: ids of the cameras, images and points that are refined, where only some are; rules
-            leave the others alone.
+        options: whose fixed ids and ``refine`` make parameters constant, too.
+        part: ids of the refined cameras, images and points, where these are not all; rules have no
+            effect on the others.
 
     Raises:
         InputError: something is no rule, names nothing of the problem, contradicts another rule or
@@ -86,7 +86,7 @@ class _Resolver:
         }
 
     def resolve(self) -> tuple[Problem, Applied]:
-        """Return the start and what the rules mean."""
+        """Return the start and the resolved rules."""
         for number, rule in enumerate(self._rules):
             if isinstance(rule, Fixed):
                 self._fix(number, rule)
@@ -208,7 +208,7 @@ class _Resolver:
             )
 
     def _settle_ties(self) -> tuple[tuple[Tie, ...], set[Member]]:
-        """Move the start to where ties hold; return those that are free, and what others hold."""
+        """Move the start to where ties hold; return the free ties, and the constant members."""
         ties, held = [], set[Member]()
         camera_ids = self._problem.camera_ids.tolist()
         groups = self._groups.all()

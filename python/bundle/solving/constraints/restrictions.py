@@ -1,4 +1,4 @@
-"""What keeps the parameters of a solve from moving freely, as arrays for the core."""
+"""Restrictions of the parameters of a solve, as arrays for the core."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ __all__ = ["Restrictions"]
 
 @dataclass(frozen=True, eq=False)
 class Restrictions:
-    """Bounds, and what rules hold and tie; None where there is nothing of a kind.
+    """Bounds, constants and ties; None where there are none of a kind.
 
     Attributes:
         bounds: of camera parameters.
-        held_camera_params: (num_cameras,) bit j: parameter j is held.
-        held_pose_parts: (num_images,) bits of what is held of a pose.
-        camera_tie: as ``Problem.camera_params``: of which number a parameter is a multiple, or -1.
-        camera_tie_scale: how many times.
-        num_ties: how many such numbers there are.
+        held_camera_params: (num_cameras,) bit j: parameter j is constant.
+        held_pose_parts: (num_images,) bits of the constant parts of a pose.
+        camera_tie: as ``Problem.camera_params``: index of the shared number that a parameter is a
+            multiple of, or -1.
+        camera_tie_scale: the multiple.
+        num_ties: number of shared numbers.
     """
 
     bounds: CameraBounds | None = None

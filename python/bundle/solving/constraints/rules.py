@@ -24,7 +24,7 @@ POSES = ("position", "rotation")
 
 @dataclass(frozen=True)
 class Target:
-    """What a rule is about.
+    """Target of a rule.
 
     Attributes:
         kind: "camera", "image" or "point".
@@ -106,7 +106,7 @@ def _split(text: str) -> list[str]:
 
 @dataclass(frozen=True)
 class Rule:
-    """What all rules have.
+    """Base of all rules.
 
     Attributes:
         target: of which cameras, images or points; also as text, such as "cameras 1-4".

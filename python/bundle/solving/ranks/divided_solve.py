@@ -1,4 +1,4 @@
-"""A solve by several processes: the first sends the parts, all solve, the first collects."""
+"""A solve by several processes: rank 0 sends the parts, all solve, rank 0 collects."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ __all__ = [
 
 
 class Ranks(Protocol):
-    """What ``_core.solve_part`` meets the other processes by, with its tally of messages."""
+    """Communication of one rank in ``_core.solve_part``, with its tally of messages."""
 
     rank: int
     num_ranks: int
@@ -46,12 +46,12 @@ class Ranks(Protocol):
 
 
 class Crew(Protocol):
-    """The processes, as the first of them sees them.
+    """The processes as rank 0 sees them.
 
     Attributes:
-        num_ranks: how many there are.
-        is_solving: the others are within a solve; they hear nothing else until it ends.
-        is_told_to_end: the user wants the solve to end; looked at after each iteration.
+        num_ranks: number of processes.
+        is_solving: True while the others solve; they accept no other job until the end.
+        is_told_to_end: True after Ctrl-C; checked after each iteration.
     """
 
     num_ranks: int
@@ -59,22 +59,22 @@ class Crew(Protocol):
     is_told_to_end: bool
 
     def ranks(self) -> Ranks:
-        """Return how the first meets the others in one solve."""
+        """Return the communication of rank 0 in one solve."""
 
     def send(self, job: Job, rank: int) -> None:
-        """Send a job to one of the others."""
+        """Send a job to another rank."""
 
     def receive(self, rank: int) -> PartOfOutput:
-        """Return what one of the others made of its job."""
+        """Return the output of another rank."""
 
 
 @dataclass
 class Job:
-    """What a process needs to solve its part.
+    """Input of one process.
 
     Attributes:
         part: its points.
-        options: all options, with nothing left to choose.
+        options: resolved.
         restrictions: bounds, and the parameters that are held and tied; None without any.
         factors: as ``partition.factors_of`` returns them.
         image_is_observed: (num_images,) of the whole problem.
@@ -89,7 +89,7 @@ class Job:
 
 @dataclass
 class PartOfOutput:
-    """What a process gives back: its points, the costs of its factors, what it did."""
+    """Output of one process: its points, the costs of its factors, its record."""
 
     points: NDArray[np.float64]
     factor_costs_before: NDArray[np.float64]
@@ -123,7 +123,7 @@ def solve_divided(
     limits: Restrictions | None,
     core_factors: Any,
 ) -> dict[str, Any]:
-    """Return what ``_core.solve`` returns, by all processes.
+    """Solve by all processes; return the same as ``_core.solve``.
 
     Raises:
         InputError: there are fewer points than processes, or as ``_core.solve``.
@@ -179,7 +179,7 @@ def process_record(parts: Iterable[ProcessPart], ranks: Ranks) -> ProcessRecord:
 def heeding(
     crew: Crew, progress: Callable[[dict[str, Any]], None] | None
 ) -> Callable[[dict[str, Any]], None]:
-    """Return what reports an iteration and then stops the solve if the user wants its end."""
+    """Return a callback that reports an iteration, then stops the solve after Ctrl-C."""
 
     def heed(record: dict[str, Any]) -> None:
         if progress is not None:
@@ -196,7 +196,7 @@ _COSTS = ("factor_costs_before", "factor_costs_after")
 def work_on(
     job: Job, ranks: Ranks, progress: Callable[[dict[str, Any]], None] | None = None
 ) -> tuple[dict[str, Any], PartOfOutput]:
-    """Solve the part of one process; return the core's output and what the first needs of it."""
+    """Solve the part of one process; return the output of the core, and its part for rank 0."""
     output = _core.solve_part(
         job.part,
         job.options,

@@ -1,4 +1,4 @@
-"""One line where mpirun ends all processes: which one prints it (``bind_launcher.cpp`` has how).
+"""The one error line of a run that mpirun ends; ``bind_launcher.cpp`` has the protocol.
 
 Processes on other machines than mpirun's are silent.
 """
@@ -28,24 +28,24 @@ def begin() -> None:
 
 
 def know_processes(pids: dict[int, int]) -> None:
-    """Take note of the processes on this machine: {rank: process id}."""
+    """Store the processes of this machine: {rank: process id}."""
     _core.know_processes(pids)
 
 
 def take_the_word() -> bool:
-    """Return whether this process is the one to say why all end; no other is from now on."""
+    """Claim the right to print the final error. True for the first caller only."""
     return not _mark() or _core.take_the_word(_mark())
 
 
 def speaks_for_all() -> bool:
-    """Return the same where all processes have the same to say."""
+    """Claim the same right for an error that all processes have."""
     if not _mark():
         return rank_by_launcher() == 0
     return take_the_word()
 
 
 def _mark() -> str:
-    """Return the path of the file whose creator speaks; "" on other machines than mpirun's."""
+    """Return the path of the file whose creator prints; "" on machines other than mpirun's."""
     folder = os.environ.get("PMIX_SERVER_TMPDIR", "")
     try:
         with Path(f"/proc/{os.getppid()}/comm").open(encoding="utf-8") as file:

@@ -1,4 +1,4 @@
-"""Whether this process is one of several that mpirun started; which of them it is."""
+"""Number and rank of the processes that mpirun started, without mpi4py."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = [
     "use",
 ]
 
-# What Open MPI, and MPICH with those derived from it, tell their processes.
+# Variables of Open MPI, and of MPICH with its derivatives.
 _SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
 _RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK")
 _LOCAL_SIZES = ("OMPI_COMM_WORLD_LOCAL_SIZE", "MPI_LOCALNRANKS")
@@ -27,19 +27,20 @@ _crew: Crew | None = None
 
 
 def size_by_launcher() -> int:
-    """Return how many processes there are; 1 without a launcher."""
+    """Return the number of processes; 1 without a launcher."""
     return _number(_SIZES, 1)
 
 
 def rank_by_launcher() -> int:
-    """Return which of them this is, from 0 on."""
+    """Return the rank of this process, from 0 on."""
     return _number(_RANKS, 0)
 
 
 def threads_of_one_process(cores: int) -> int:
-    """Return how many of the cores a process uses where the user did not say.
+    """Return the default number of threads of a process.
 
-    Those that the launcher bound it to; where it did not, the processes of this machine share them.
+    These are the cores that the launcher bound it to. Without binding, the processes of this
+    machine share all cores.
     """
     if size_by_launcher() == 1:
         return cores
@@ -50,13 +51,13 @@ def threads_of_one_process(cores: int) -> int:
 
 
 def current() -> Crew | None:
-    """Return the processes that solves are divided among; None: this one is alone."""
+    """Return the processes that share a solve; None: this process is the only one."""
     return _crew
 
 
 @contextmanager
 def use(crew: Crew) -> Iterator[None]:
-    """Divide the solves within the context among these processes."""
+    """Divide the solves within this context among these processes."""
     global _crew
     before, _crew = _crew, crew
     try:

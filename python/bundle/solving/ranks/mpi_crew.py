@@ -1,8 +1,7 @@
-"""The processes of mpirun: the first one's view of the others, and what the others do.
+"""The processes of mpirun: the view of rank 0, and the loop of the others.
 
-The others wait for jobs and look for one a hundred times a second, so that they take no time from
-the first one while it reads or writes. A process that fails ends all: it cannot be waited for, as
-the others are in the middle of a sum.
+The others poll for jobs a hundred times a second, so that they take no time from rank 0 while it
+reads or writes. A process that fails ends all of them: the others wait for its terms of a sum.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ __all__ = ["MpiCrew", "serve"]
 
 BETWEEN_LOOKS = 0.01
 DELIVERY = 0.5
-"""Seconds that mpirun has to pass on a line before it ends all."""
+"""Seconds for mpirun to pass on a line before it ends all ranks."""
 GRACE = 3.0
-"""Seconds in which the first process may end all with its own line, which is often the same one."""
+"""Seconds in which rank 0 may end all ranks with its own line, often the same one."""
 
 
 class MpiCrew:
@@ -46,21 +45,21 @@ class MpiCrew:
         self.is_told_to_end = True
 
     def meeting(self) -> MpiMeeting:
-        """Return how all processes do more than a solve together."""
+        """Return the communication of all ranks outside of a solve."""
         return MpiMeeting(self._comm)
 
     def send_to_all(self, job: Any) -> None:
-        """Send a job with a method ``work``; the others hear nothing else until its end."""
+        """Send a job with a method ``work``; the others accept no other until it ends."""
         self.is_solving = True
         for rank in range(1, self.num_ranks):
             _any_size(self._comm).send(job, rank)
 
     def release(self) -> None:
-        """Take note that the others wait again."""
+        """Mark the other ranks as waiting again."""
         self.is_solving = False
 
     def ranks(self) -> Ranks:
-        """Return how this process meets the others in one solve."""
+        """Return the communication of this rank in one solve."""
         return MpiRanks(self._comm)
 
     def send(self, job: Job, rank: int) -> None:
@@ -68,12 +67,12 @@ class MpiCrew:
         _any_size(self._comm).send(job, rank)
 
     def receive(self, rank: int) -> PartOfOutput:
-        """Return what a process made of its job."""
+        """Return the output of another rank."""
         part: PartOfOutput = _any_size(self._comm).recv(source=rank)
         return part
 
     def end(self, code: int) -> None:
-        """Let the others end; by force where they are in a solve that this process has left."""
+        """End the other ranks; by force if they are in a solve that this rank has left."""
         if self.is_solving:
             time.sleep(DELIVERY)
             self._comm.Abort(code)
@@ -90,20 +89,20 @@ class MpiMeeting:
         self.num_ranks: int = comm.size
 
     def broadcast(self, value: Any = None) -> Any:
-        """Return the value of the first."""
+        """Return the value of rank 0."""
         return _any_size(self._comm).bcast(value, root=0)
 
     def gather(self, value: Any) -> Any:
-        """Return the values of all to the first, None to the others."""
+        """Return the values of all ranks to rank 0, None to the others."""
         return _any_size(self._comm).gather(value, root=0)
 
     def ranks(self) -> Ranks:
-        """Return how the core meets the others in one solve."""
+        """Return the communication of this rank in one solve."""
         return MpiRanks(self._comm)
 
 
 def serve(comm: Any, complain: Callable[[str], None], describe: Callable[[Exception], str]) -> None:
-    """Solve what the first process sends, until it sends nothing more.
+    """Serve the jobs of rank 0, until it sends None.
 
     Args:
         comm: mpi4py's, of all processes.

@@ -17,11 +17,11 @@ MOST_AT_ONCE = 1 << 24
 
 
 class MpiRanks:
-    """What ``_core.solve_part`` calls, and a tally of it: {what: [messages, bytes, seconds]}.
+    """Communication that ``_core.solve_part`` calls, with a tally {what: [messages, bytes, s]}.
 
-    Sums are those of MPI_Reduce, whose order of summation Open MPI chooses by the number of
-    processes and the length of the message, not by who comes first. MPI knows no twofold sums:
-    they go up a binary tree here.
+    Sums are those of MPI_Reduce. Open MPI chooses their order by the number of processes and the
+    length of the message, not by the order of arrival. MPI has no double-double sums: these go up a
+    binary tree here.
     """
 
     def __init__(self, comm: Any) -> None:
@@ -42,10 +42,10 @@ class MpiRanks:
 
         self._for_pieces(what, values, reduce)
 
-    def sum_twofold_to_first(self, what: str, sums: memoryview, rests: memoryview) -> None:
-        """Replace those of rank 0 by the twofold sums over all ranks."""
+    def sum_twofold_to_first(self, what: str, sums: memoryview, errors: memoryview) -> None:
+        """Replace those of rank 0 by the double-double sums over all ranks."""
         begun = perf_counter()
-        mine = np.frombuffer(sums, np.float64), np.frombuffer(rests, np.float64)
+        mine = np.frombuffer(sums, np.float64), np.frombuffer(errors, np.float64)
         for begin in range(0, len(mine[0]), MOST_AT_ONCE):
             self._sum_piece(*(array[begin : begin + MOST_AT_ONCE] for array in mine))
         self._count(what, mine[0].nbytes + mine[1].nbytes, begun)

@@ -1,7 +1,7 @@
-"""Solves that the first process does alone while the others wait, and why.
+"""Solves that rank 0 does alone while the others wait, and the reasons.
 
-The fused backend divides points; what it leaves to Ceres is not divided. Nor is what needs all
-points at once: three of them that hold the gauge, a factor of several.
+The fused backend divides points. A solve by Ceres is not divided, nor one that needs points of
+several ranks at once: three points that hold the gauge, a factor of several points.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from bundle import _core
 __all__ = ["reason_in_options", "reason_to_be_alone", "warning"]
 
 _OPEN = ("gauge", "cheirality")
-"""Options that the problem may settle, and that say nothing about who solves."""
+"""Options that depend on the problem, and do not decide who solves."""
 
 
 def reason_in_options(options: dict[str, Any]) -> str:
-    """Return why these options cannot be divided, whatever the problem; "" where they can."""
+    """Return why no solve with these options can be divided; "" if it can."""
     if options["gauge"] == "three_points":
         return "Three points, which may be in different parts, hold the gauge (gauge)."
     return _core.reason_for_ceres(options | {name: _core.default_options()[name] for name in _OPEN})
 
 
 def reason_to_be_alone(options: dict[str, Any], core_factors: Any) -> str:
-    """Return why a solve cannot be divided; "" where it can.
+    """Return why a solve cannot be divided; "" if it can.
 
     Args:
-        options: all of them, with nothing left to choose.
+        options: resolved.
         core_factors: variables, factors and places, as ``_core.solve`` takes them; None: none.
     """
     reason = reason_in_options(options)

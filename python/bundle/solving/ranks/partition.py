@@ -1,7 +1,7 @@
-"""Which process has which points.
+"""Division of points among processes.
 
-Points are put in the order of the first image that sees them, then of the last one, and this order
-is cut where the observations so far are k/N of all. So
+Points are sorted by the first image that sees them, then by the last one. This order is cut where
+the observations so far are k/N of all. So
 
 - each process has as many observations as any other, up to one track,
 - the points of a process are seen by images that follow each other, as far as points are at all:

@@ -74,10 +74,10 @@ SMALLEST = 64 * np.finfo(float).eps
 
 @dataclass(frozen=True)
 class RestPrior:
-    """What the rest of a problem says of a part.
+    """Information of the rest of a problem on a part.
 
     Attributes:
-        factor: None where it says nothing.
+        factor: None without information.
         holds_gauge: whether there are neighbours, so that no other gauge is needed.
         record: for reports, costs not known yet.
     """

@@ -1,4 +1,4 @@
-"""The state of a run of rounds: what the next solve starts from, and what filters have left."""
+"""The state of a run of rounds: the start of the next solve, and the rows that filters left."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class State:
-    """Where a run of rounds is.
+    """State of a run of rounds.
 
     Attributes:
-        problem: what the next solve starts from, or the end.
+        problem: start of the next solve, or the end.
         observation_mask: which observations of the first round's problem are left.
         point_mask: which of its points are left.
         rounds: that are over.

@@ -2,9 +2,8 @@
 
 Sums and maxima are those of the processes. An order statistic, as the median is one, is found by
 bisection: doubles that are not negative are ordered as the integers of their bits are, so that 63
-halvings of these find the smallest value that as many errors do not exceed as it takes. In each the
-processes tell how many of theirs do not exceed the middle: the result is exact, and no process sees
-more than its own errors.
+halvings find the k-th smallest error. In each, every process counts its errors up to the middle:
+the result is exact, and no process sees more than its own errors.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A process reads its slice of a model: all cameras, its points, their observations."""
+"""Reading of a slice of a model: all cameras, the points of a process, their observations."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ __all__ = ["Meeting", "Slice", "Survey", "read_slice", "survey"]
 
 
 class Meeting(Protocol):
-    """All processes, in the same order of calls."""
+    """Communication of all processes, which make the same calls in the same order."""
 
     rank: int
     num_ranks: int
 
     def broadcast(self, value: Any = None) -> Any:
-        """Return the value of the first."""
+        """Return the value of rank 0."""
 
     def gather(self, value: Any) -> list[Any]:
-        """Return the values of all to the first, nothing to the others."""
+        """Return the values of all ranks to rank 0, None to the others."""
 
     def ranks(self) -> Ranks:
-        """Return how the core meets the others in one solve."""
+        """Return the communication of this rank in one solve."""
 
 
 @dataclass
 class Survey:
-    """What a model has, and which point is whose.
+    """Counts of a model, and the owner of each point.
 
     Attributes:
         num_images: of the model.
         num_observations: of the model.
-        owner: (num_points,) the process that has a point.
+        owner: (num_points,) rank that has a point.
         section: (num_points,) of each point; see ``ranks.partition``.
         point_ids: (num_points,) of a COLMAP model, ascending; None of a BAL file, whose points have
             their positions for ids.
@@ -56,7 +56,7 @@ class Survey:
     point_ids: NDArray[np.int64] | None = None
 
     def unknown(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return those that no point has."""
+        """Return the ids that are no point's."""
         if self.point_ids is None:
             return ids[(ids < 0) | (ids >= len(self.owner))]
         return np.setdiff1d(ids, self.point_ids)
@@ -64,7 +64,7 @@ class Survey:
 
 @dataclass
 class Slice:
-    """What one process has of a model.
+    """Slice of a model in one process.
 
     Attributes:
         cameras: all images and cameras, without points and observations.
@@ -80,7 +80,7 @@ class Slice:
 
 
 def survey(path: Path, num_parts: int) -> Survey:
-    """Read a BAL file or a binary COLMAP model once and keep what tells which points are close.
+    """Read a BAL file or a binary COLMAP model once, and divide its points.
 
     Raises:
         InputError: it is not what its format says, or has fewer points than parts. Whether the
@@ -104,7 +104,7 @@ def survey(path: Path, num_parts: int) -> Survey:
 
 
 def read_slice(meeting: Meeting, path: Path, found: Survey | None) -> Slice:
-    """Read the slice of this process; ``found`` is the first one's survey, None elsewhere.
+    """Read the slice of this process; ``found`` is the survey of rank 0, None elsewhere.
 
     Raises:
         InputError: the model is not the one that was surveyed, as far as counts tell; or, in the

@@ -1,4 +1,4 @@
-"""Checkpoints of a refinement in slices: files as those of one process, written by the first."""
+"""Checkpoints of a refinement in slices: the files of one process, written by rank 0."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ __all__ = ["Kept", "SlicedCheckpoint"]
 
 @dataclass
 class Kept:
-    """What a checkpoint holds.
+    """Content of a checkpoint.
 
     Attributes:
         state: arrays of the whole model by name, as ``prepare.STATE`` has them.
-        so_far: what was done; its problem has no points.
-        has_ended: whether nothing is left to do.
+        so_far: the adjustment so far; its problem has no points.
+        has_ended: True if nothing is left to do.
     """
 
     state: dict[str, Any]
@@ -81,7 +81,7 @@ class SlicedCheckpoint:
         write(self._path, state, self._fingerprint)
 
     def read(self, path: Path, options: SolveOptions) -> Kept:
-        """Return what a checkpoint of this run holds; ``options`` are those as used.
+        """Return the content of a checkpoint of this run; ``options`` are those as used.
 
         Raises:
             InputError, OSError: as ``checkpoint.read``.
