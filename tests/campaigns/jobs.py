@@ -79,7 +79,7 @@ def _run_batch(function: str, jobs: Sequence[str], timeout: float) -> list[Outco
 
 def _attempt(call, job: str) -> tuple[str, str]:
     import bundle
-    from bundle.io.atomic.atomic_write import NoteWarning
+    from bundle.io.atomic.replaced_paths import NoteWarning
 
     try:
         with warnings.catch_warnings():

@@ -105,7 +105,7 @@ def interrupting(where: str) -> str:
     ("where", "written"),
     [("bundle.io.open.load", False), ("bundle.io.bal.save", False),
      ("bundle.io.atomic.atomic_write.flush", False),
-     ("bundle.io.atomic.atomic_write._record", True),
+     ("bundle.io.atomic.atomic_write.note_replaced", True),
      ("bundle.cli.output.show", True)],
 )  # fmt: skip
 def test_interrupted_around_the_replacement(model, tmp_path, where, written):

@@ -13,7 +13,7 @@ import tempfile
 import warnings
 
 import bundle
-from bundle.io.atomic.atomic_write import NoteWarning
+from bundle.io.atomic.replaced_paths import NoteWarning
 
 GIGABYTE = 2**30
 

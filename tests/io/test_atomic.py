@@ -12,6 +12,7 @@ import pytest
 
 import bundle
 from bundle.io.atomic import atomic_write as atomic
+from bundle.io.atomic.replaced_paths import recording
 from tests.io.bal_files import bal_text, load_bytes, make_bal
 from tests.io.trees import FOREIGN, NEW_MODEL, OLD_MODEL, tree, write_tree
 
@@ -219,7 +220,7 @@ def test_owner_and_permissions_stay(tmp_path: Path) -> None:
 
 
 def test_what_was_replaced_is_recorded_once_it_is(tmp_path: Path) -> None:
-    with atomic.recording() as replaced:
+    with recording() as replaced:
         with atomic.replace_file(tmp_path / "a") as temporary:
             assert replaced == []
         assert replaced == [tmp_path / "a"]
@@ -249,7 +250,7 @@ def test_ctrl_c_during_the_replacement_waits(
     monkeypatch.setattr(os, "rename", interrupted(real[0]))
     monkeypatch.setattr(os, "replace", interrupted(real[1]))
     with (
-        atomic.recording() as replaced,
+        recording() as replaced,
         pytest.raises(KeyboardInterrupt),
         replace(tmp_path / "out") as temporary,
     ):

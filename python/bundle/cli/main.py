@@ -26,7 +26,7 @@ from bundle.cli.parser import Parser
 from bundle.cli.standard_streams import complain, open_missing_streams, release_broken_streams
 from bundle.cli.suggestions import unknown_flag
 from bundle.errors import end_in_one_line
-from bundle.io.atomic import atomic_write as atomic
+from bundle.io.atomic.replaced_paths import NoteWarning, recording
 
 __all__ = ["COMMANDS", "command_parser", "main"]
 
@@ -35,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; ``bundle.cli.error_lines`` has them all."""
     open_missing_streams()
     end_in_one_line()
-    with atomic.recording() as written, _noting_recoveries():
+    with recording() as written, _noting_recoveries():
         try:
             code = _run(sys.argv[1:] if argv is None else list(argv))
         except (Exception, KeyboardInterrupt) as error:
@@ -109,8 +109,10 @@ def command_parser() -> Parser:
 
 def _declare(name: str, parser: Parser) -> None:
     """Declare the arguments of a command."""
-    from bundle.cli.commands import ARGUMENTS, add_common  # not for --version and --help
+    from bundle.cli.commands import ARGUMENTS, add_common  # --version and --help start quickly
+    from bundle.cli.path_checks import check_paths
 
+    parser.check = check_paths
     parser.set_defaults(command=name, kind=kind_of_input)
     ARGUMENTS[name](parser)
     add_common(parser)
@@ -124,12 +126,12 @@ def _noting_recoveries() -> Iterator[None]:
         show = warnings.showwarning
 
         def note(message: Warning | str, category: type[Warning], *where: Any, **how: Any) -> None:
-            if issubclass(category, atomic.NoteWarning):
+            if issubclass(category, NoteWarning):
                 complain(f"note: {message}")
             else:
                 show(message, category, *where, **how)
 
-        warnings.simplefilter("always", atomic.NoteWarning)
+        warnings.simplefilter("always", NoteWarning)
         setattr(warnings, "showwarning", note)  # noqa: B010 (the stub knows only functions of its own)
         yield
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
 import textwrap
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
-from bundle.cli.path_checks import check_paths
 from bundle.cli.standard_streams import print_out
 from bundle.cli.suggestions import unknown_command, unknown_value
 from bundle.errors import InputError, shown
@@ -21,6 +19,8 @@ class _Formatter(argparse.HelpFormatter):
     """Help that breaks lines at blanks only: "principal-point" stays one word."""
 
     def __init__(self, prog: str) -> None:
+        import shutil  # for help only: it loads three compressors
+
         width = min(shutil.get_terminal_size().columns, 100)
         super().__init__(prog, max_help_position=28, width=width)
 
@@ -50,6 +50,7 @@ class Parser(argparse.ArgumentParser):
     ) -> None:
         super().__init__(allow_abbrev=False, formatter_class=_Formatter, **settings)
         self._declare = declare
+        self.check: Callable[[Sequence[argparse.Action], argparse.Namespace], None] | None = None
         self.explain = explain or (lambda found: f"unrecognized arguments: {found}")
 
     def declared(self) -> Parser:
@@ -83,7 +84,8 @@ class Parser(argparse.ArgumentParser):
         parsed, rest = super().parse_known_args(args, namespace)
         if rest:
             self.error(self.explain(rest[0]))
-        check_paths(self._actions, parsed)
+        if self.check is not None:
+            self.check(self._actions, parsed)
         return parsed, rest
 
     def flags(self) -> tuple[str, ...]:

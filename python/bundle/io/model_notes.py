@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError, shown
-from bundle.io.atomic.atomic_write import NoteWarning
 from bundle.io.atomic.model_files import is_text_model
+from bundle.io.atomic.replaced_paths import NoteWarning
 from bundle.model.rig_arrays import pose_differences
 
 __all__ = ["check_rig_files", "lacks_keypoint_lines", "note_contradiction"]

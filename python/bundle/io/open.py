@@ -23,6 +23,7 @@ from bundle.io.atomic.model_files import (
     missing_model_files,
     models_below,
 )
+from bundle.io.atomic.replaced_paths import RecoveryWarning
 from bundle.io.file_names import check_name
 from bundle.io.georeference_file import remove_georeference
 from bundle.io.recognition import FORMATS, is_pose_graph_file, other_format_at
@@ -197,7 +198,7 @@ def check_target(
 def recover(path: str | os.PathLike[str]) -> None:
     """Finish what a killed process has left unfinished at a path, and warn that this was done."""
     for sentence in atomic.recover(as_path(path)):
-        warnings.warn(sentence, atomic.RecoveryWarning, stacklevel=3)
+        warnings.warn(sentence, RecoveryWarning, stacklevel=3)
 
 
 def _files_of_other_format(folder: Path, format: str) -> tuple[str, ...]:

@@ -33,6 +33,7 @@ from bundle.io.atomic import exchange, in_place
 from bundle.io.atomic.flush import flush, flush_folder, flush_with_files
 from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files
 from bundle.io.atomic.mounts import mount_points
+from bundle.io.atomic.replaced_paths import note_replaced
 from bundle.io.atomic.streams import append, is_stream
 from bundle.io.atomic.temporary import (
     NEW,
@@ -47,38 +48,13 @@ from bundle.io.atomic.temporary import (
 )
 
 __all__ = [
-    "NoteWarning",
-    "RecoveryWarning",
     "check_file",
     "check_folder",
-    "recording",
     "recover",
     "replace_file",
     "replace_folder",
     "write_text",
 ]
-
-
-class NoteWarning(UserWarning):
-    """What a user should read once; a command prints it as a note."""
-
-
-class RecoveryWarning(NoteWarning):
-    """A killed process had left a model replaced in part; that was finished."""
-
-
-_records: list[list[Path]] = []
-
-
-@contextmanager
-def recording() -> Iterator[list[Path]]:
-    """Give a list to which every path is added once it has been replaced."""
-    record: list[Path] = []
-    _records.append(record)
-    try:
-        yield record
-    finally:
-        _records.remove(record)
 
 
 def recover(path: Path) -> tuple[str, ...]:
@@ -162,7 +138,7 @@ def replace_file(path: Path) -> Iterator[Path]:
         flush(temporary.path)
         with interrupts_deferred():
             temporary.path.replace(target)
-            _record(path)
+            note_replaced(path)
         flush_folder(target.parent)
 
 
@@ -195,7 +171,7 @@ def replace_folder(path: Path) -> Iterator[Path]:
         with interrupts_deferred():
             if exists or not exchange.move_new_folder(new, target):
                 _replace_existing(target, temporary, beside)
-            _record(path)
+            note_replaced(path)
             temporary.remove()
         flush_folder(target.parent)
 
@@ -235,11 +211,6 @@ def _locked(folder: Path) -> Iterator[None]:
                 return
         finally:
             os.close(descriptor)
-
-
-def _record(path: Path) -> None:
-    for record in _records:
-        record.append(path)
 
 
 def _take_over_file(old: Path, new: Path) -> None:

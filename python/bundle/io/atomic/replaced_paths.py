@@ -1,0 +1,41 @@
+"""Record of the paths that were replaced, and warnings that a user should read.
+
+An error names the files that a command had written before. This module imports next to nothing: the
+command line needs it before it knows what it is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+__all__ = ["NoteWarning", "RecoveryWarning", "note_replaced", "recording"]
+
+
+class NoteWarning(UserWarning):
+    """Warning that a user should read once; a command prints it as a note."""
+
+
+class RecoveryWarning(NoteWarning):
+    """Warning that a killed process had replaced a model in part, and that this was finished."""
+
+
+_records: list[list[Path]] = []
+
+
+@contextmanager
+def recording() -> Iterator[list[Path]]:
+    """Give a list to which every path is added once it has been replaced."""
+    record: list[Path] = []
+    _records.append(record)
+    try:
+        yield record
+    finally:
+        _records.remove(record)
+
+
+def note_replaced(path: Path) -> None:
+    """Add a path to every list of :func:`recording`."""
+    for record in _records:
+        record.append(path)
