@@ -233,7 +233,7 @@ def test_names_are_escaped_and_no_formulas():
 
 
 NOTHING = np.zeros(0)
-LARGE = 1e300
+LARGE = 1e308  # twice that overflows
 
 
 @pytest.mark.parametrize(
@@ -247,8 +247,19 @@ LARGE = 1e300
         ([1.0, 2.0], [-1.0, math.inf]),
         ([1.0, 1.0 + 1e-15], [5.0, 5.0]),
         ([5e-324, 1e-310], [0.0, 5e-324]),
+        ([LARGE / 10, LARGE / 10], [-LARGE / 10, -LARGE / 10]),
     ],
-    ids=["empty", "nan", "one", "zeros", "huge", "infinite", "equal but for rounding", "tiny"],
+    ids=[
+        "empty",
+        "nan",
+        "one",
+        "zeros",
+        "huge",
+        "infinite",
+        "equal but for rounding",
+        "tiny",
+        "same",
+    ],
 )
 @pytest.mark.parametrize("is_logarithmic", [False, True])
 @pytest.mark.parametrize("is_plan", [False, True])

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 __all__ = ["SHAPE", "Axis", "linear", "logarithmic", "round_down", "short", "square"]
 
 MOST_TICKS = 6
+LARGEST = 308
+"""The largest power of ten of a double."""
 
 SHAPE = 410 / 266
 """Width of the area of a chart by its height: (480 - 58 - 12) / (320 - 10 - 44) on a page."""
@@ -52,7 +54,8 @@ def logarithmic(values: Iterable[float], label: str = "") -> Axis:
     """Return an axis over the positive finite values, its ends at powers of ten."""
     finite = [value for value in values if math.isfinite(value) and value > 0]
     first = math.floor(math.log10(min(finite, default=1.0)) + 1e-9)
-    last = math.ceil(math.log10(max(finite, default=1.0)) - 1e-9)
+    first = min(max(first, -LARGEST + 1), LARGEST - 1)
+    last = min(math.ceil(math.log10(max(finite, default=1.0)) - 1e-9), LARGEST)
     last = max(last, first + 1)
     step = math.ceil((last - first) / MOST_TICKS)
     ticks = tuple(10.0**power for power in range(first, last + 1, step))

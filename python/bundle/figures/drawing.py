@@ -22,7 +22,7 @@ __all__ = ["NO_AXIS", "Figure", "LineFigure", "over_image"]
 Array = NDArray[np.float64]
 
 NO_AXIS = Axis(0.0, 1.0, ())
-"""Of figures of bars."""
+"""The axes of figures of bars."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -136,8 +136,9 @@ class LineFigure:
 
 def _plan(x: Array, y: Array, labels: tuple[str, str]) -> tuple[Axis, Axis]:
     """Return axes on which a metre is as long across as up."""
-    middle = [(values.min() + values.max()) / 2 for values in (x, y)]
-    half = [(values.max() - values.min()) / 2 for values in (x, y)]
+    ends = [(values.min() / 2, values.max() / 2) for values in (x, y)]  # sums could overflow
+    middle = [low + high for low, high in ends]
+    half = [high - low for low, high in ends]
     reach = max(1.05 * half[0] / SHAPE, 1.05 * half[1], 1e-3)
     return square((middle[0], middle[1]), reach, labels)
 
