@@ -1,4 +1,4 @@
-"""How public objects show themselves: a few lines of text, and a table in a notebook."""
+"""The repr of public objects: a few lines of text, and a table in a notebook."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["Display", "Displayed"]
 
 @dataclass(frozen=True, kw_only=True)
 class Display:
-    """What an object shows.
+    """The content of a repr.
 
     Attributes:
         title: the first line.

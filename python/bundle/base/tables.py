@@ -1,4 +1,4 @@
-"""How numbers, tables and paragraphs look, on a terminal and in a pipe alike."""
+"""Layout of tables, facts and notes, the same on a terminal and in a pipe."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How certain a reconstruction is, as its report shows it.
+"""Certainty of a reconstruction, as its report shows it.
 
 A pose is R, t with x = R X + t; its covariance counts in w and s of R' = Exp(w) R, t' = t + s. The
 centre of the camera is c = -R^T t, hence to first order dc = R^T (w x t) - R^T s, and its

@@ -115,7 +115,7 @@ def _work(frames: _Keyframes, budget: float) -> list[LineFigure]:
 
 def _contradiction(frames: _Keyframes) -> LineFigure:
     return LineFigure(
-        name="imu_excess", title="Cost of the IMU beside what its noise explains", x_label=TIME,
+        name="imu_excess", title="IMU cost by its expectation from the noise", x_label=TIME,
         y_label="ratio",
         lines=(
             frames.line("ratio", lambda r: r.imu_excess),
@@ -136,7 +136,7 @@ def _sizes(frames: _Keyframes) -> list[LineFigure]:
             ),
         ),
         LineFigure(
-            name="fill", title="Fill of the factor", x_label=TIME, y_label="nnz(L) / nnz(Λ)",
+            name="fill", title="Fill-in of the factor", x_label=TIME, y_label="nnz(L) / nnz(Λ)",
             lines=(frames.line("nnz(L) / nnz(Λ)", lambda r: r.fill_ratio),),
             note="Of the reduced matrix of the states; 1 where it is dense.",
         ),
@@ -155,7 +155,7 @@ def _prior(frames: _Keyframes) -> list[LineFigure]:
                 frames.line("largest", lambda r: r.prior_max_eigenvalue),
                 frames.line("smallest, absolute", lambda r: size(r.prior_min_eigenvalue)),
             ),
-            note="The smallest is rounding about 0 where nothing measures position and yaw.",
+            note="The smallest is rounding error where position and yaw are unobservable.",
         ),
         LineFigure(
             name="prior", title="Health of the prior", x_label=TIME, y_label="ratio",
@@ -174,7 +174,7 @@ def _prior(frames: _Keyframes) -> list[LineFigure]:
 def _nullity(frames: _Keyframes) -> LineFigure:
     counted = any(record.nullity is not None for record in frames.records)
     return LineFigure(
-        name="nullity", title="Directions that nothing sees", x_label=TIME, y_label="nullity",
+        name="nullity", title="Unobservable directions", x_label=TIME, y_label="nullity",
         lines=(
             frames.line("nullity", lambda r: r.nullity),
             frames.line("expected", lambda r: r.expected_nullity, is_limit=True),
@@ -225,8 +225,8 @@ def _yaw_sigma(frames: _Keyframes) -> LineFigure:
     rotation = np.degrees(frames.values(lambda r: r.accumulated_rotation))
     missing = "Known with --covariance, --start-yaw-sigma and --start-position-sigma."
     return LineFigure(
-        name="yaw_sigma", title="Sigma of yaw against the rotation made",
-        x_label="degrees turned since the start", y_label="sigma of yaw, degrees",
+        name="yaw_sigma", title="Sigma of yaw against rotation",
+        x_label="rotation since the start, degrees", y_label="sigma of yaw, degrees",
         lines=(Line("sigma of yaw", rotation, sigma),),
         note="No sensor measures yaw: it must not fall." if np.isfinite(sigma).any() else missing,
     )  # fmt: skip

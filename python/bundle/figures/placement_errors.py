@@ -1,4 +1,4 @@
-"""How well a model fits measured positions and control points: the content of georeference.json."""
+"""Errors of a model at measured positions and control points, from georeference.json."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class PlacedTarget:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Where a model is on the earth, and how well it fits what was measured.
+    """The place of a model on the earth, and its errors at what was measured.
 
     Attributes:
         reference_system: of the coordinates as they were read; None where they were Cartesian.

@@ -1,4 +1,4 @@
-"""How well a calibrated camera projects: sigma of a pixel, in its worst direction.
+"""Uncertainty of the projection of a calibrated camera: sigma of a pixel, worst direction.
 
 The covariance S of a camera's parameters alone says little about pixels: an error of the principal
 point looks like a small turn of the camera, and the solve turns every pose by as much. What users

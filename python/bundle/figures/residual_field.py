@@ -1,4 +1,4 @@
-"""What is systematic in the residuals of a camera: means over the cells of its image.
+"""Systematic residuals of a camera: means over the cells of its image.
 
 A lens model that is wrong leaves residuals that point the same way wherever the same part of the
 image is used. In a cell with n residuals r_i the mean m has, if they are independent, the standard

@@ -1,4 +1,4 @@
-"""How residuals are distributed: coordinates on a linear axis, lengths on a logarithmic one."""
+"""Histograms of residuals: coordinates on a linear axis, lengths on a logarithmic one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a 3-D view of a reconstruction draws, in a frame that suits it.
+"""Points and cameras of the 3-D view of a reconstruction, in a frame that suits it.
 
 The frame has its origin in the median of the points and as its unit the half width of the box of
 the middle 90 % of points and cameras. What is farther away than 50 units is not drawn: points near

@@ -1,4 +1,4 @@
-"""The curves and bars of a comparison as numbers, for whatever draws them."""
+"""Curves of a comparison as numbers, and the looks of its methods."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SMALLEST_GAP = 1e-9
 
 @dataclass(frozen=True)
 class Style:
-    """How every picture shows a method.
+    """The look of a method in every figure.
 
     Attributes:
         colour: from 0, the same for all backends and numbers of threads.

@@ -1,4 +1,4 @@
-"""How well points are determined: observations per point, and angles between their rays."""
+"""Observations per point and angles between rays, which determine points."""
 
 from __future__ import annotations
 

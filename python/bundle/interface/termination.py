@@ -1,50 +1,60 @@
-"""Why a solve ended, in plain words."""
+"""The end of a solve in plain words."""
 
 from __future__ import annotations
+
+import re
 
 from bundle.base.words import plural
 from bundle.interface.summary import Summary
 
 __all__ = ["sentence"]
 
-# How Ceres' messages begin (trust_region_minimizer.cc, solver.cc), the same from 1.14 to 2.2.
+# The beginnings of Ceres' messages (trust_region_minimizer.cc, solver.cc), the same from 1.14 to
+# 2.2. "{limit}" is the tolerance at the end of the message.
 _REASONS = {
-    "Function tolerance reached. No non-constant": "every parameter is held fixed",
-    "Function tolerance reached": (
-        "another step would change the cost by no more than the function tolerance"
-    ),
-    "Gradient tolerance reached": "no entry of the gradient exceeds the gradient tolerance",
-    "Parameter tolerance reached": (
-        "another step would change the parameters by no more than the parameter tolerance"
-    ),
+    "Function tolerance reached. No non-constant": ": all parameters are constant",
+    "Function tolerance reached": " (relative cost change below {limit})",
+    "Gradient tolerance reached": " (largest entry of the gradient below {limit})",
+    "Parameter tolerance reached": " (relative parameter change below {limit})",
     "Minimum trust region radius reached": (
-        "the trust region shrank to nothing, no step lowers the cost any further"
+        ": no step lowers the cost (minimum trust region radius reached)"
     ),
-    "Maximum number of iterations reached": (
-        "the limit of iterations came first; what was reached is kept"
-    ),
-    "Maximum solver time reached": "the limit of time came first; what was reached is kept",
+    "Maximum number of iterations reached": ": iteration limit reached. The best state is kept",
+    "Maximum solver time reached": ": time limit reached. The best state is kept",
     "Number of consecutive invalid steps": (
-        "several steps in a row had no finite cost or did not solve the linear system"
+        ": consecutive steps had no finite cost, or their linear system was not solved"
     ),
-    "Linear solver failed": "the linear solver gave up for a reason other than numerics",
+    "Linear solver failed": ": fatal error of the linear solver",
     "Initial residual and Jacobian evaluation failed": (
-        "the cost or its derivatives are not finite at the start"
+        ": cost or Jacobian not finite at the start"
     ),
-    "Residual and Jacobian evaluation failed": ("the cost or its derivatives ceased to be finite"),
+    "Residual and Jacobian evaluation failed": ": cost or Jacobian no longer finite",
 }
-_VERDICTS = {"CONVERGENCE": "Converged", "NO_CONVERGENCE": "Not converged", "FAILURE": "Failed"}
+_VERDICTS = {
+    "CONVERGENCE": "Converged in",
+    "NO_CONVERGENCE": "Not converged after",
+    "FAILURE": "Failed after",
+}
 
 
 def sentence(summary: Summary, num_steps: int, num_rejected: int = 0) -> str:
-    """Return how a solve of `num_steps` steps ended, `num_rejected` of them not accepted."""
-    after = f"after {plural(num_steps, 'step')}"
+    """Return the end of a solve of `num_steps` steps, `num_rejected` of them not accepted."""
+    steps = plural(num_steps, "step")
     if num_rejected:
-        after += f" ({num_rejected} rejected)"
+        steps += f", {num_rejected} rejected"
     if summary.interrupted:
-        return f"Interrupted {after}; the best state so far is kept."
-    verdict = _VERDICTS.get(summary.termination_type, "Ended")
+        return f"Interrupted after {steps}. The best state is kept."
+    verdict = f"{_VERDICTS.get(summary.termination_type, 'Ended after')} {steps}"
     for beginning, reason in _REASONS.items():
         if summary.message.startswith(beginning):
-            return f"{verdict} {after}: {reason}."
-    return f"{verdict} {after}: {' '.join(summary.message.split()) or summary.termination_type}"
+            return f"{verdict}{reason.format(limit=_limit(summary.message))}."
+    return f"{verdict}: {' '.join(summary.message.split()) or summary.termination_type}"
+
+
+def _limit(message: str) -> str:
+    """Return the tolerance in a message such as "... 3.4e-07 <= 1.0e-06": "1e-6"."""
+    found = re.search(r"<= ([-+.\de]+)", message)
+    if found is None:
+        return "its tolerance"
+    text = f"{float(found[1].rstrip('.')):g}"
+    return re.sub(r"e([-+])0?", lambda sign: "e-" if sign[1] == "-" else "e", text)

@@ -227,7 +227,7 @@ def test_placement_and_certainty_are_on_the_page_where_they_are_known(solved, tm
     for kind, covariance in (("point", given.point_covariance), ("camera", None)):
         ellipsoids = scene[f"{kind}_ellipsoids"]
         axes = np.frombuffer(base64.b64decode(ellipsoids["axes"]), "<f4").reshape(-1, 3, 3)
-        assert f"{ellipsoids['factor']:g} times as large" in page.text
+        assert f"x{ellipsoids['factor']:g} (" in page.text
         if covariance is not None:
             shape = np.swapaxes(axes, 1, 2) @ axes / ellipsoids["factor"] ** 2
             np.testing.assert_allclose(shape * scene["unit"] ** 2, covariance, rtol=1e-3, atol=1e-9)

@@ -1,4 +1,4 @@
-"""Where a symmetric matrix of blocks is not zero, under any order of its blocks."""
+"""Nonzero pattern of a symmetric matrix of blocks, under any order of its blocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where matrices are not zero, readable from 3 rows to a million."""
+"""Nonzero patterns of matrices, readable from 3 rows to a million."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How certain the reconstruction is: sums of poses and points, correlations of intrinsics."""
+"""Certainty of a reconstruction: sigmas of poses and points, correlations of intrinsics."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ LARGE = 0.02
 
 def certainty_section(problem: Problem, known: Certainty, cameras: Sequence[int]) -> str:
     """Return sigmas of poses and points, and the correlation matrix of each of some cameras."""
-    scaled = "times" if known.scale == "sigma0" else "not scaled by"
+    scaled = "times" if known.scale == "sigma0" else "not times"
     words = (
         f"Marginal standard deviations, {scaled} sigma0 = {number(known.sigma0)} "
         f"({known.dof:,} degrees of freedom); gauge: {known.gauge.replace('_', ' ')}."
     )
     if known.num_null_points:
         count = plural(known.num_null_points, "point", grouped=True)
-        words += f" {count} without parallax: left out along the direction that nothing sees."
+        words += f" {count} without parallax: the unobservable direction is left out."
     rows = [
         _row("position of a camera, worst direction [length unit]",
              np.sqrt(largest_eigenvalues(known.centers))),
@@ -69,8 +69,8 @@ def scene_ellipsoids(view: SceneView, known: Certainty) -> tuple[dict[str, Any],
         made, factor = ellipsoid_data(positions[there], covariance[here], view.unit)
         if made is not None:
             data[f"{name}_ellipsoids"] = made
-            words.append(f"of {made['count']} {name}s {factor:g} times as large")
-    sentence = f"Ellipsoids of one standard deviation, {' and '.join(words)}." if words else ""
+            words.append(f"x{factor:g} ({plural(made['count'], name)})")
+    sentence = f"1-sigma ellipsoids, drawn {' and '.join(words)}." if words else ""
     return data, sentence
 
 

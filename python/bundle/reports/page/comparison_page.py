@@ -1,4 +1,4 @@
-"""The page of a comparison: what to take, every run, and where its time went."""
+"""The page of a comparison: recommendation, runs, and their time by phase."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of a graph: what each order of elimination costs, and every step of it."""
+"""The page of a graph: cost and steps of each order of elimination."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of a problem: what each way to solve it will cost, and why."""
+"""The page of a problem: predicted cost of each method, and the reasons."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def write_inspection(
         check_type("problem", problem, Problem)
     options = SolveOptions.of(options, {}, "options")
     if isinstance(inspection, Inspection):
-        title = f"What solving {name} costs" if name else "What solving costs"
+        title = f"Solver cost of {name}" if name else "Solver cost"
         processes = processes_section(ranks, network)
         _write_problem(inspection, path, title, problem, options, name, processes)
     elif isinstance(inspection, GraphInspection):
@@ -129,10 +129,10 @@ def _write_problem(
         _scope(inspection, name),
         tag("h2", "Methods, the fastest first"),
         _methods(inspection, methods),
-        tag("h2", "What a step costs"),
+        tag("h2", "Cost of a step"),
         _costs(methods),
         *processes,
-        tag("h2", "What is factorised"),
+        tag("h2", "Factors"),
         _factors(methods),
     ]
     graphs: list[GraphInspection] = []

@@ -1,4 +1,4 @@
-"""Lenses: what distortion does along the radius, and the parameters."""
+"""Lenses: distortion along the radius, and the parameters."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def lens_section(
         num_cameras: observed, of which these have most observations.
     """
     words = (
-        "How far distortion moves the image of a ray outwards, the mean around the axis; dashed "
-        "verticals: the observation farthest out, beyond which the curve is a guess, and the "
+        "Distortion moves the image of a ray outwards by this much (mean around the axis). Dashed "
+        "verticals: the outermost observation, beyond which the curve extrapolates, and the "
         "farthest corner of the image."
     )
     if num_cameras > len(curves):

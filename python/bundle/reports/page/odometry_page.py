@@ -1,4 +1,4 @@
-"""The page of an odometry: what each keyframe knew, over time, and the path from above."""
+"""The page of an odometry: telemetry of the keyframes over time, and the path from above."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["write_odometry"]
 SECTIONS = {
     "Trajectory": ("path", "error"),
     "Work": ("times", "steps", "costs", "sizes", "fill"),
-    "What the window knows": (
+    "State of the window": (
         "nullity",
         "excitation",
         "imu_excess",
@@ -31,7 +31,7 @@ SECTIONS = {
         "prior",
     ),
     "Biases": ("gyro_bias", "accel_bias"),
-    "What left the window": ("ages", "landmarks_left"),
+    "Marginalization": ("ages", "landmarks_left"),
 }
 ROWS = 12
 

@@ -1,4 +1,4 @@
-"""What went into a report and what came out: counts, costs, errors, options, warnings."""
+"""Input and outcome of a solve: counts, costs, errors, options, warnings."""
 
 from __future__ import annotations
 

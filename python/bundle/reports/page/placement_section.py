@@ -60,7 +60,7 @@ def _targets(place: Placement) -> str:
          pixels(target.pixels)]
         for target in place.targets
     ]  # fmt: skip
-    words = "Left out: the length of the error where the other points alone place the model."
+    words = "Left out: length of the error when only the other points place the model."
     return table(head, rows, rows_shown=ROWS) + tag("p", words, class_="quiet")
 
 

@@ -1,4 +1,4 @@
-"""What several processes would cost, on the page of a problem: where they stop to pay, and why."""
+"""Predicted cost of several processes, on the page of a problem."""
 
 from __future__ import annotations
 

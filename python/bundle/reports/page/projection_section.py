@@ -16,11 +16,10 @@ from bundle.reports.page.table import rounded
 __all__ = ["projection_data", "projection_section"]
 
 WORDS = (
-    "How far a point that stands still before the camera appears from where it should: one "
-    "standard deviation in the worst direction, from the noise of the measurements. A small turn "
-    "or shift of the camera that makes up for it is not counted (mrcal's projection uncertainty). "
-    "A lens of another kind than the model is wrong by more, and where nothing was observed the "
-    "model extrapolates."
+    "Standard deviation of the pixel of a point that is fixed to the camera, in the worst "
+    "direction, from the noise of the measurements (mrcal's projection uncertainty). A small "
+    "rotation or shift of the camera that compensates the error is not counted. Errors of the "
+    "lens model come on top, and where nothing was observed the model extrapolates."
 )
 
 

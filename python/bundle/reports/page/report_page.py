@@ -1,4 +1,4 @@
-"""The page of a reconstruction: what went in and came out, and what the residuals show."""
+"""The page of a reconstruction: outcome, residuals, lenses, certainty, structure, scene."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def write_report(
 
 
 class _Page:
-    """Sections of a page with their numbers, and what is missing."""
+    """Sections of a page with their numbers, and notes on missing parts."""
 
     def __init__(self, problem: Problem, result: Result | None) -> None:
         self.problem = problem

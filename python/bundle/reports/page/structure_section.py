@@ -1,4 +1,4 @@
-"""How the block hangs together: lengths of tracks, angles of rays, co-visibility."""
+"""Structure of the block: lengths of tracks, angles of rays, co-visibility."""
 
 from __future__ import annotations
 

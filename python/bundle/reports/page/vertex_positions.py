@@ -1,4 +1,4 @@
-"""Where the vertices of a small graph go: apart in the plane as they are in the graph.
+"""Layout of a small graph: distances in the plane are those in the graph.
 
 Stress majorisation (Gansner, Koren and North 2004): the sum over pairs of
 (distance in the plane / distance in the graph - 1)^2 falls with every round, from a start that the

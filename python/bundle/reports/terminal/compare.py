@@ -26,8 +26,8 @@ __all__ = ["compared"]
 Pair = tuple[Run, Measurement]
 
 LEGEND = (
-    "gap: final cost over the best one, less 1; to: seconds to a cost within it; total in seconds; "
-    "MB: peak of the process"
+    "gap: final cost / best cost - 1; to: seconds until within that gap; total: seconds; "
+    "MB: peak memory of the process"
 )
 PREDICTED_LEGEND = "nnz(L): lower triangle with the diagonal; MB: beyond the loaded problem"
 
@@ -142,7 +142,7 @@ PREDICTED = (
 
 
 def _warnings(measured: Sequence[Pair], names: _Names) -> list[Section]:
-    """Return what the solvers took instead and what they warn of, each sentence once."""
+    """Return warnings, and solvers used in place of others; each sentence once."""
     said: dict[str, list[str]] = {}
     for run, measurement in measured:
         for sentence in (*_taken(run, measurement), *measurement.summary.warnings):
@@ -157,12 +157,12 @@ def _warnings(measured: Sequence[Pair], names: _Names) -> list[Section]:
 
 
 def _taken(run: Run, measurement: Measurement) -> list[str]:
-    """Return what was taken in place of what the method names, "auto" or not."""
+    """Return the solver that a method used in place of its own."""
     summary = measurement.summary
     taken = (summary.backend_used.lower(), summary.linear_solver_type_used)
     if taken == (run.method.backend, run.method.linear_solver_type.upper()):
         return []
-    return [f"took {' '.join(taken)}."]
+    return [f"used {' '.join(taken)}."]
 
 
 def _profiles(comparison: Comparison) -> list[Section]:
@@ -192,9 +192,9 @@ def _recommendation(comparison: Comparison) -> list[Section]:
     found = comparison.recommendation
     sections = []
     if comparison.interrupted:
-        sections.append(Section(facts=[("interrupted", "what was not run yet is missing")]))
+        sections.append(Section(facts=[("interrupted", "methods that had not run are missing")]))
     if found is None:
-        nothing = "nothing: no method has a usable solution"
+        nothing = "none: no method has a usable solution"
         sections.append(Section(facts=[("recommended", nothing)], is_joined=bool(sections)))
         return sections
     rows = [("recommended", found.reason), *([("", found.verdict)] if found.verdict else [])]

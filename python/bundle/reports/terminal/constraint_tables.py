@@ -27,7 +27,7 @@ BOUNDS = (
 
 
 def constraint_sections(rules: Sequence[RuleEnd]) -> list[Section]:
-    """Return what became of the rules; nothing where there are none."""
+    """Return the state of the rules after the solve; nothing where there are none."""
     held = [shown(rule.rule) for rule in rules if rule.kind == "fixed"]
     more = [f"{plural(len(held) - 3, 'other rule')} as well"] if len(held) > 3 else []
     priors = [prior for rule in rules for prior in rule.priors]
@@ -57,7 +57,7 @@ def _listed(
 
 def _known(prior: PriorEnd) -> str:
     if prior.parameter == "rotation":
-        return "as at the start"
+        return "start value"
     return ", ".join(f"{value:.7g}" for value in prior.known)
 
 

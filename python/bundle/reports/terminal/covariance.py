@@ -102,8 +102,8 @@ def uncertainties_of_graph(
         (name, sigma[:, first:last]) for name, (first, last) in zip(names, parts, strict=True)
     )
     held = {
-        "first": f"{plural(len(cov.held_pose_ids), 'pose')} held, beside fixed ones",
-        "inner": "inner constraints: the least trace",
+        "first": f"{plural(len(cov.held_pose_ids), 'pose')} constant, besides fixed ones",
+        "inner": "inner constraints (minimum trace)",
         "none": "by fixed poses",
     }
     facts = [
@@ -140,8 +140,8 @@ def _sigma0(cov: Covariance | GraphCovariance) -> tuple[str, str]:
 
 def _scale(cov: Covariance) -> str:
     if cov.robust == "sandwich":
-        return "sandwich: as the residuals scatter"
-    return "residuals of 1 px, or of their sigmas" if cov.scale == "unit" else "times sigma0"
+        return "sandwich, from the scatter of the residuals"
+    return "residual sigma of 1 px, or as given" if cov.scale == "unit" else "times sigma0"
 
 
 def _relative(cov: Covariance | GraphCovariance) -> list[dict[str, Any]]:
@@ -186,8 +186,8 @@ def _notes(cov: Covariance) -> list[Section]:
     if len(null):
         ids = ", ".join(map(str, null[:8])) + (", ..." if len(null) > 8 else "")
         sentences.append(
-            f"{plural(len(null), 'point')} without parallax: left out along the direction that "
-            f"nothing sees (ids {ids})."
+            f"{plural(len(null), 'point')} without parallax: the unobservable direction is "
+            f"left out (ids {ids})."
         )
     return [Section(notes=sentences, is_warning=True)] if sentences else []
 

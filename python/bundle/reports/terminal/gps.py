@@ -18,17 +18,17 @@ MOST_IMAGES = 5
 
 
 def gps_report(georeference: Georeference) -> list[Section]:
-    """Return where the model is, how well the positions fit, and which images they do not fit."""
+    """Return the place of the model, its errors, and the images of large errors."""
     rows = []
     if georeference.images:
         used = sum(image.used for image in georeference.images)
-        rows.append(("positions", f"of {used} of {plural(len(georeference.images), 'image')}"))
+        rows.append(("positions", f"{used} of {plural(len(georeference.images), 'image')} used"))
     points = georeference.control_points
     if points:
         controls = sum(point.role == "control" for point in points)
         checks = sum(point.role == "check" for point in points)
         rows.append(
-            ("control points", f"{controls} of {len(points)}, {plural(checks, 'check point')}")
+            ("control points", f"{controls} of {len(points)} used, {plural(checks, 'check point')}")
         )
     read = georeference.reference_system
     frame = f"metres east, north, up; read in {shown(read)}" if read else "metres, as given"

@@ -145,19 +145,18 @@ def _best(inspection: Inspection) -> MethodInspection:
 def _remarks(inspection: Inspection) -> list[str]:
     free = format_size(inspection.available_memory_in_bytes)
     remarks = [
-        "flops are the sum of c^2 + 3 c over the columns of L, c their entries below the diagonal, "
-        'and those under "CHOLMOD\'s" its own sum of (c + 1)^2; fill is in pairs of blocks; the '
-        "height is that of the elimination tree, in blocks; the fullest column of L has as many "
-        "entries below the diagonal.",
-        f"Times are for {plural(inspection.num_threads, 'thread')}, by this machine's measured "
-        f"rates; memory is the peak beyond the problem, of {free} free.",
+        "flops: sum of c^2 + 3 c over the columns of L, c being entries below the diagonal. "
+        "CHOLMOD's: sum of (c + 1)^2. fill: pairs of blocks. height: of the elimination tree, in "
+        "blocks. fullest: entries below the diagonal of the fullest column of L.",
+        f"Times are for {plural(inspection.num_threads, 'thread')}, from this machine's measured "
+        f"rates. Memory is the peak beyond the problem, of {free} free.",
     ]
     if any(not method.fits_in_memory for method in inspection.methods):
-        remarks.append("! does not fit into the memory that is free.")
+        remarks.append("! does not fit into free memory.")
     if any(not method.is_taken for method in inspection.methods):
         remarks.append(
-            "(in brackets) for comparison: the fused backend takes the order of natural, AMD and "
-            "METIS that makes the fewest flops, Ceres takes AMD's."
+            "(in brackets): for comparison only. The fused backend uses the order of natural, AMD "
+            "and METIS with the fewest flops, Ceres uses AMD."
         )
     remarks += _disagreement(inspection)
     by_note: dict[str, dict[str, str]] = {}
@@ -189,8 +188,8 @@ def _disagreement(inspection: Inspection) -> list[str]:
     if taken <= _CLEARLY_SLOWER * best:
         return []
     return [
-        f"`--solver auto` would take {inspection.auto_choice}: it goes by the rates of a fixed "
-        "machine. `bundle compare` measures who is right."
+        f"`--solver auto` would select {inspection.auto_choice}, from the rates of a reference "
+        "machine. `bundle compare` measures which is faster."
     ]
 
 

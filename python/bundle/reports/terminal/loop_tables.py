@@ -30,7 +30,7 @@ CLOSURES = (
 
 
 def loops_section(closed: LoopClosing) -> Section:
-    """Return what became of the closures."""
+    """Return the state of the closures after the solve."""
     graph = f"{plural(closed.num_nodes, 'pose')}, {plural(closed.num_edges, 'edge')}"
     pieces = f", {closed.num_components} pieces" if closed.num_components > 1 else ""
     rows = [
@@ -50,4 +50,4 @@ def loops_section(closed: LoopClosing) -> Section:
 
 
 def _others(count: int) -> str:
-    return f"{plural(count, 'other closure')} end nearer; --json FILE lists all"
+    return f"{plural(count, 'other closure')} have smaller errors; --json FILE lists all"

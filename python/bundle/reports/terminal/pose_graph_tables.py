@@ -189,7 +189,10 @@ def described_graph(path: str, graph: PoseGraph) -> Report:
         *(("", note) for note in graph.notes),
         ("dimension", str(graph.dimension)),
         ("components", str(graph.num_components)),
-        ("poses", "of the file" if graph.has_poses else "composed of edges: the file has none"),
+        (
+            "poses",
+            "from the file" if graph.has_poses else "composed from the edges: the file has none",
+        ),
         ("redundancy", f"{degrees} degrees of freedom"),
         *(
             (f"chi2 now, {error}", number(value) if value is not None else "-")

@@ -168,7 +168,7 @@ def _constraints(solved: Result) -> list[Section]:
 
 
 def _part(solved: Result) -> list[tuple[str, str]]:
-    """Return which part was adjusted; nothing where it was the whole problem."""
+    """Return the adjusted part; nothing where it was the whole problem."""
     part = solved.part
     if part is None:
         return []
@@ -176,7 +176,7 @@ def _part(solved: Result) -> list[tuple[str, str]]:
     adjusted = (
         f"only {plural(part.num_images, 'image')}, {plural(part.num_points, 'point')}; "
         f"{plural(part.num_observations, 'observation')} of these points, with {neighbours} "
-        f"{'held' if part.rest is None else 'under a marginal prior'}"
+        f"{'constant' if part.rest is None else 'under a marginal prior'}"
     )
     if part.rest is not None:
         return [("", adjusted), *_rest(part.rest)]
@@ -188,15 +188,15 @@ def _part(solved: Result) -> list[tuple[str, str]]:
     cameras = f"{'camera' if len(shared) == 1 else 'cameras'} {', '.join(shared[:3])}{more}"
     return [
         ("", adjusted),
-        ("", f"{cameras} also took images that are held, whose errors change (--fix-cameras)"),
+        ("", f"{cameras} also have constant images, whose errors change (--fix-cameras)"),
     ]
 
 
 def _rest(rest: RestRecord) -> list[tuple[str, str]]:
-    """Return what the marginal prior of the rest is made of."""
+    """Return the size and cost of the marginal prior."""
     gone = f"{plural(rest.num_images, 'image')} and {plural(rest.num_points, 'point')} marginalised"
     if rest.prior_size == 0:
-        return [("", f"{gone}, which say nothing of these")]
+        return [("", f"{gone}, which do not constrain them")]
     prior = (
         f"{gone} at their values: a prior on {plural(rest.prior_size, 'unknown')} (rank "
         f"{rest.prior_rank}, {format_size(rest.prior_bytes)}), cost "
@@ -205,7 +205,7 @@ def _rest(rest: RestRecord) -> list[tuple[str, str]]:
     if rest.gauge_degrees == 0:
         return [("", prior)]
     degrees = plural(rest.gauge_degrees, "degree")
-    return [("", prior), ("gauge", f"neighbours stay on average, {degrees} of freedom")]
+    return [("", prior), ("gauge", f"mean of the neighbours constant, {degrees} of freedom")]
 
 
 def worst_sections(images: Sequence[ImageError], title: str) -> list[Section]:
@@ -220,7 +220,7 @@ def worst_sections(images: Sequence[ImageError], title: str) -> list[Section]:
 
 
 def _cameras(changes: Sequence[CameraChange]) -> list[Section]:
-    """Return what changed in the intrinsics, of the cameras that moved most."""
+    """Return changes of intrinsics, of the cameras that moved most."""
     if not changes:
         return []
     rows = []
@@ -258,7 +258,7 @@ def _refined(options: SolveOptions) -> str:
 
 
 def _gauge(solved: Result) -> list[tuple[str, str]]:
-    """Return what the gauge of rigs takes away; nothing where there are no rigs."""
+    """Return the gauge of rigs; nothing where there are no rigs."""
     if not solved.problem.num_frames or solved.options.gauge == "none":
         return []
     return [("gauge", f"{solved.gauge_freedom.sentence}: held")]

@@ -33,7 +33,7 @@ def with_loops(
 
 
 def _section(result: TwoLoopsResult, error: TrajectoryError | None) -> Section:
-    """Return how late poses were, what closures corrected, what the loops left out."""
+    """Return lateness of poses, corrections by closures, and losses."""
     found, motion = result.statistics, result.correction
     rows = [("published", f"{plural(found.num_poses, 'pose')}, one per IMU sample")]
     if found.lateness is not None:

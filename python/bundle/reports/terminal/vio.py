@@ -44,7 +44,7 @@ def odometry_report(
     """
     said = _warnings(result, findings)
     ends = [f"No trajectory was written: {result.message}."] * (not result.is_usable)
-    ends += ["Interrupted: the trajectory goes as far as it came."] * result.interrupted
+    ends += ["Interrupted: the trajectory ends early."] * result.interrupted
     notes = [*ends, *said]
     return Report(
         command="vio",
@@ -104,7 +104,7 @@ def _facts(
             (
                 "position",
                 f"{number(error.ate)} m rms (ATE) along {number(error.path_length)} m; aligned in "
-                f"yaw and position alone {number(error.ate_yaw)} m",
+                f"yaw and position only {number(error.ate_yaw)} m",
             ),
             ("scale", f"{error.scale:.5f}"),
             ("rotation", f"{number(error.rotation_rms)} degrees rms"),
@@ -125,7 +125,7 @@ def _times(result: OdometryResult) -> Table:
 
 
 def _certainty(records: tuple[KeyframeRecord, ...]) -> list[tuple[str, str]]:
-    """Return rows of what was computed on request: nullity, sigma of yaw."""
+    """Return rows computed on request: nullity, sigma of yaw."""
     rows = []
     counted = Counter(r.nullity for r in records if r.nullity is not None)
     if counted:
@@ -135,20 +135,20 @@ def _certainty(records: tuple[KeyframeRecord, ...]) -> list[tuple[str, str]]:
         rows.append(("nullity", f"{found}; expected {records[-1].expected_nullity}"))
     if any(r.gyro_bias_sigma is not None for r in records):
         known = [r for r in records if r.yaw_sigma is not None]
-        said = "not known: needs --start-yaw-sigma"
+        said = "unknown without --start-yaw-sigma"
         if known:
             first, last = (np.degrees(r.yaw_sigma or 0.0) for r in (known[0], known[-1]))
             turned = np.degrees(known[-1].accumulated_rotation)
             said = (
                 f"{number(float(first))} degrees at first, {number(float(last))} at last, "
-                f"after turns of {number(float(turned))} degrees in all"
+                f"after {number(float(turned))} degrees of rotation"
             )
         rows.append(("sigma of yaw", said))
     return rows
 
 
 def _warnings(result: OdometryResult, findings: tuple[SequenceFinding, ...]) -> list[str]:
-    """Return what looks wrong in the sequence, then a sentence per kind of alarm.
+    """Return findings in the sequence, then a sentence per kind of alarm.
 
     An alarm has the numbers of the last one of its kind.
     """
