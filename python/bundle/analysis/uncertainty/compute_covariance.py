@@ -11,11 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
 from bundle.analysis.uncertainty.covariance_result import Covariance
-from bundle.analysis.uncertainty.far_points import note_on_far_points
 from bundle.analysis.uncertainty.graph_covariance import GraphCovariance, graph_covariance
+from bundle.analysis.uncertainty.value_checks import (
+    note_on_far_points,
+    refuse_huge,
+    refuse_rounding,
+    rows_of,
+)
 from bundle.base.arrays import freeze
 from bundle.base.words import not_converged
-from bundle.errors import InputError, brief
+from bundle.errors import InputError
 from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.covariance_options import GAUGES, PARTS, ROBUST, SCALES, one_of, parts_of
@@ -38,9 +43,6 @@ __all__ = ["covariance"]
 
 AT_MINIMUM = 1e-4
 """What a further step would take off the cost, beside the cost, at what counts as a minimum."""
-
-LARGEST = 1e50
-"""Coordinates beyond this have fourth powers, which gauges need, near the end of doubles."""
 
 
 @overload
@@ -230,10 +232,10 @@ class _Recipe:
     def compute(self, pairs: list[tuple[int, int]]) -> Covariance:
         """Return the covariance, with the relative poses of these pairs of image ids."""
         given = self.request.problem
-        rows = _rows_of(given, pairs)
+        rows = rows_of(given, pairs)
         if not given.num_observations:
             raise InputError("problem: expected observations, found none")
-        _refuse_huge(given)
+        refuse_huge(given)
         ready = prepare(self.request)
         layout = ready.layout
         factors = layout.core_factors()
@@ -292,7 +294,7 @@ class _Recipe:
         notes: tuple[str, ...],
     ) -> Covariance:
         problem = self.request.problem
-        _refuse_rounding(problem, out)
+        refuse_rounding(problem, out)
         num_points = problem.num_points  # control points of the start come after them
 
         def some(part: str, ids: NDArray[Any], values: NDArray[Any]) -> tuple[Any, Any]:
@@ -325,57 +327,6 @@ class _Recipe:
             notes=notes,
             _relative=replace(self, of=("poses",)).compute,
         )
-
-
-def _rows_of(problem: Problem, pairs: list[Any]) -> list[tuple[int, int]]:
-    """Return pairs of image ids as places in the problem's arrays."""
-    place = {key: row for row, key in enumerate(problem.image_ids.tolist())}
-    rows = []
-    for number_of, pair in enumerate(pairs):
-        try:
-            a, b = pair
-        except (TypeError, ValueError):
-            a, b = None, None
-        for one in (a, b):
-            if not isinstance(one, int | np.integer) or int(one) not in place:
-                raise InputError(
-                    f"relative: expected pairs of image ids, found {brief(pair)} at [{number_of}]"
-                )
-        rows.append((place[int(a)], place[int(b)]))
-    return rows
-
-
-def _refuse_huge(problem: Problem) -> None:
-    """Refuse coordinates whose powers leave the range of doubles, naming the first."""
-    for kind, ids, coordinates in (
-        ("point", problem.point_ids, problem.points),
-        ("image", problem.image_ids, problem.cam_from_world[:, 4:]),
-    ):
-        sizes = np.abs(coordinates).max(axis=1, initial=0.0)
-        for row in np.flatnonzero(sizes > LARGEST)[:1]:
-            raise InputError(
-                f"{kind} {ids[row]}: expected coordinates of at most {LARGEST:g}, found "
-                f"{sizes[row]:g}; covariances need their fourth powers"
-            )
-
-
-def _refuse_rounding(problem: Problem, out: dict[str, Any]) -> None:
-    """Refuse variances that are no variances: negative, or no numbers where something is seen."""
-    seen = np.zeros(problem.num_images, bool)
-    seen[problem.observation_image] = True
-    for kind, ids, blocks, known in (
-        ("image", problem.image_ids, out["poses"], seen),
-        ("camera", problem.camera_ids, out["cameras"], False),
-        ("point", problem.point_ids, out.get("points", np.zeros((0, 3, 3))), False),
-    ):
-        variances = np.diagonal(blocks, axis1=1, axis2=2)[: len(ids)]
-        wrong = (variances < 0) | np.isinf(variances)
-        no_number = np.isnan(variances).any(axis=1) & known
-        for row in np.flatnonzero(wrong.any(axis=1) | no_number[: len(wrong)])[:1]:
-            raise InputError(
-                f"{kind} {ids[row]}: expected variances, found {variances[row].min():g}, which is "
-                "rounding alone: the problem has no digits left; bundle diagnose says why"
-            )
 
 
 def _scaled(problem: Problem, options: SolveOptions, sigma0: float) -> tuple[Problem, SolveOptions]:

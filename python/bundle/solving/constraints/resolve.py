@@ -20,10 +20,18 @@ from bundle.solving.constraints.applied import (
     Tie,
 )
 from bundle.solving.constraints.chosen import Chooser
+from bundle.solving.constraints.constant_parts import ConstantParts
 from bundle.solving.constraints.prior_factors import factor_of
 from bundle.solving.constraints.rule_list import rules_of
 from bundle.solving.constraints.rules import Bounds, Fixed, Prior, Ratio, Rule, Share
-from bundle.solving.constraints.ties import MOST_SHARED, Group, Groups, Member, check_components
+from bundle.solving.constraints.ties import (
+    MOST_SHARED,
+    Group,
+    Groups,
+    Member,
+    check_components,
+    divided_bounds,
+)
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
@@ -58,7 +66,7 @@ def apply(
     return _Resolver(rules, problem, options, part).resolve()
 
 
-class _Resolver:
+class _Resolver(ConstantParts):
     def __init__(
         self,
         rules: tuple[Rule, ...],
@@ -66,24 +74,12 @@ class _Resolver:
         options: SolveOptions,
         part: Mapping[str, Set[int]] | None,
     ) -> None:
-        self._part = part
-        self._rules, self._problem, self._options = rules, problem, options
+        super().__init__(rules, problem, options, part)
         self._chooser = Chooser(problem)
-        self._params = problem.camera_params.copy()
-        self._fixed: dict[Member, int] = {}  # the rule that holds a parameter
-        self._bounds: dict[Member, tuple[float, float]] = {}
-        self._bounded: dict[Member, int] = {}
         self._groups = Groups()
-        self._poses: dict[tuple[int, str], int] = {}  # the rule that holds a part of a pose
-        self._points: dict[int, int] = {}
         self._known: dict[Any, int] = {}  # the rule with a prior on something
         self._priors: list[KnownPrior] = []
         self._counts = [0] * len(rules)
-        self._free_kinds = set(options.refine)
-        self._fixed_ids = {
-            kind: set(getattr(options, f"fixed_{kind}_ids"))
-            for kind in ("camera", "image", "point")
-        }
 
     def resolve(self) -> tuple[Problem, Applied]:
         """Return the start and the resolved rules."""
@@ -146,10 +142,6 @@ class _Resolver:
             for part in rule.parameters:
                 self._poses.setdefault((index, part), number)
                 self._counts[number] += 1
-
-    def _is_on_rig(self, image: int) -> bool:
-        frames = self._problem.image_frame
-        return len(frames) > 0 and bool(frames[image] >= 0)
 
     def _bound(self, number: int, rule: Bounds) -> None:
         for camera, _, columns in self._chooser.parameters(rule):
@@ -244,7 +236,7 @@ class _Resolver:
         for member, times in group.members:
             if member not in self._bounds:
                 continue
-            low, high = _divided(self._bounds[member], times)
+            low, high = divided_bounds(self._bounds[member], times)
             lower, upper, by = max(lower, low), min(upper, high), self._bounded[member]
             if not lower <= u <= upper:
                 place, name = self._place(self._bounded[member]), self._name(member)
@@ -259,15 +251,6 @@ class _Resolver:
             # The start is within, whatever rounding makes of multiples.
             self._bounds[member] = min(low, times * u), max(high, times * u)
             self._bounded.setdefault(member, by)
-
-    def _check_bounds(self) -> None:
-        for member, (lower, upper) in self._bounds.items():
-            value = self._params[member]
-            if not lower <= value <= upper:
-                raise InputError(
-                    f"{self._place(self._bounded[member])}: {self._name(member)}: expected a start "
-                    f"within [{lower:g}, {upper:g}], found {value:.10g}"
-                )
 
     def _know(self, number: int, rule: Prior, held: set[Member]) -> None:
         if rule.target.kind == "camera":
@@ -348,56 +331,6 @@ class _Resolver:
             raise InputError(
                 f"{self._place(number)}: {name} already has a prior, by {self._place(earlier)}"
             )
-
-    def _why_held(self, member: Member) -> str:
-        """Return why a parameter is held, or ""."""
-        if member in self._fixed:
-            return f"is held by {self._place(self._fixed[member])}"
-        camera, j = member
-        key = int(self._problem.camera_ids[camera])
-        if self._is_outside("camera", key):
-            return "is held (its camera took none of the images that are refined)"
-        if key in self._fixed_ids["camera"]:
-            return f"is held (camera {key} is among the fixed ones)"
-        kind = param_kinds(self._problem.camera_models[camera])[j]
-        if kind == "metadata":
-            return "no solve refines"
-        if kind not in self._free_kinds:
-            return f"is held (refine lacks {kind})"
-        lower, upper = self._bounds.get(member, (-math.inf, math.inf))
-        return f"is held by {self._place(self._bounded[member])}" if lower == upper else ""
-
-    def _why_pose_held(self, kind: str, index: int, name: str) -> str:
-        key = int(getattr(self._problem, f"{kind}_ids")[index])
-        group = "points" if kind == "point" else "poses"
-        rule = self._points.get(index) if kind == "point" else self._poses.get((index, name))
-        if rule is not None:
-            return f"is held by {self._place(rule)}"
-        if key in self._fixed_ids[kind]:
-            return f"is held (it is among the fixed {kind}s)"
-        return "" if group in self._free_kinds else f"is held (refine lacks {group})"
-
-    def _is_outside(self, kind: str, key: int) -> bool:
-        return self._part is not None and key not in self._part[kind]
-
-    def _place(self, number: int) -> str:
-        return self._rules[number].place
-
-    def _name(self, member: Member) -> str:
-        camera, j = member
-        name = camera_models()[self._problem.camera_models[camera]][j]
-        return f"{name} of camera {self._problem.camera_ids[camera]}"
-
-
-def _divided(bounds: tuple[float, float], times: float) -> tuple[float, float]:
-    """Return bounds of u for x = times u, such that no rounding takes x out of its own."""
-    low, high = sorted(bound / times for bound in bounds)
-    for _ in range(2):  # a quotient and a product, half a unit in the last place each
-        if not bounds[0] <= times * low <= bounds[1]:
-            low = math.nextafter(low, math.inf)
-        if not bounds[0] <= times * high <= bounds[1]:
-            high = math.nextafter(high, -math.inf)
-    return low, high
 
 
 def _tuple(value: Any) -> tuple[float, ...]:

@@ -11,12 +11,13 @@ says, which holds all. Where members already agree, but for rounding, u is the f
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from bundle.errors import InputError
 
-__all__ = ["MOST_SHARED", "Group", "Groups", "check_components"]
+__all__ = ["MOST_SHARED", "Group", "Groups", "check_components", "divided_bounds"]
 
 Member = tuple[int, int]
 """Index of a camera and column of a parameter."""
@@ -94,6 +95,17 @@ def check_components(groups: Iterable[Group]) -> Group | None:
 
 def _agree(a: float, b: float) -> bool:
     return abs(a - b) <= ROUNDING * max(abs(a), abs(b))
+
+
+def divided_bounds(bounds: tuple[float, float], times: float) -> tuple[float, float]:
+    """Return bounds of u for x = times u, such that no rounding takes x out of its own."""
+    low, high = sorted(bound / times for bound in bounds)
+    for _ in range(2):  # a quotient and a product, half a unit in the last place each
+        if not bounds[0] <= times * low <= bounds[1]:
+            low = math.nextafter(low, math.inf)
+        if not bounds[0] <= times * high <= bounds[1]:
+            high = math.nextafter(high, -math.inf)
+    return low, high
 
 
 class Groups:
