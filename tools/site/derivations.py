@@ -142,7 +142,7 @@ class Derivation(SphinxDirective):
         listed[name] = (self.env.docname, anchor)
 
         section = nodes.section(ids=[anchor], names=[nodes.fully_normalize_name(name)])
-        section += nodes.title("", self.options.get("title", path.name))
+        section += nodes.title("", "", *text_nodes(self.options.get("title", path.name)))
         source = nodes.paragraph(classes=["derived-in"])
         source += addnodes.download_reference(
             "", "", nodes.literal(name, name), reftarget="/" + _from_docs(path), refdoc=""
