@@ -29,8 +29,8 @@ def page(results: Results, heading: str, plots: dict[str, str]) -> str:
     """Return the page; ``plots`` maps "gap" and "scaling" to paths as its links have them."""
     parts = ["# Benchmarks", heading]
     parts.append(
-        "Written by `benchmarks/run.py`; how each number is taken stands in "
-        "[benchmarks/README.md](../benchmarks/README.md). In brackets the spread of the runs."
+        "Written by `benchmarks/run.py`; the method is in "
+        "[benchmarks/README.md](../benchmarks/README.md). Brackets show the spread of the runs."
     )
     for title, text in (
         ("Targets", _targets(results)),
@@ -115,10 +115,10 @@ def _share(results: Results) -> str:
         return ""
     header = ["problem", "flops an observation", "limit of a step", *_SHARE_SOLVERS]
     text = (
-        "The limit is the least number of flops that the formulas of elimination need "
+        "The limit is the minimum number of flops of the elimination formulas "
         "([flops.py](../benchmarks/flops.py)) at the rate of DGEMM, "
         f"{peak / 1e9:.0f} GFLOP/s on {results.settings['threads']} threads. The factorisation of "
-        "the reduced system is counted for dense-schur alone: the shares of the others are lower "
+        "the reduced system is counted for dense-schur only, so the shares of the others are lower "
         "bounds."
     )
     return f"{text}\n\n{table.grid(header, lines)}"
