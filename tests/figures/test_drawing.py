@@ -221,6 +221,25 @@ def named():
     ]  # fmt: skip
 
 
+def test_bands_and_error_bars_reach_one_sigma_to_both_sides():
+    sigma, error = np.array([0.2, 0.4, 0.1, 0.3]), np.array([0.1, np.nan, 0.3, 0.2])
+    figure = chart(Line("a", X, Y - 0.5, colour=1, sigma=sigma, error=error))
+    root, ax = parsed(figure), axis_of(figure)
+    band = in_data(corners(root.find("./svg/path[@class='band']").get("d").rstrip("Z")), figure)
+    expected = np.concatenate([Y - 0.5 + sigma, (Y - 0.5 - sigma)[::-1]])
+    np.testing.assert_allclose(band, np.column_stack([[*X, *X[::-1]], expected]), atol=0.02)
+    known = np.isfinite(error)
+    ends = np.stack([Y - 0.5 - error, Y - 0.5 + error], axis=1)[known]
+    bars = root.findall("./svg/line[@style]")
+    assert [bar.get("style") for bar in bars] == ["stroke:var(--c1)"] * 3
+    for bar, at, heights in zip(bars, X[known], ends, strict=True):
+        places = [[float(bar.get("x1")), float(bar.get(f"y{k}"))] for k in (1, 2)]
+        seen = in_data(np.array(places), figure)
+        np.testing.assert_allclose(seen, np.column_stack([[at, at], heights]), atol=0.02)
+    segments = np.array(ax.collections[-1].get_segments())
+    np.testing.assert_allclose(segments[..., 1], ends)
+
+
 def test_names_are_escaped_and_no_formulas():
     label = "$x^$ " + HOSTILE
     marks = named()

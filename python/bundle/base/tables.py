@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import math
 import os
-import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TextIO
 
@@ -20,7 +19,6 @@ __all__ = [
     "WIDEST",
     "Bar",
     "Columns",
-    "CommandLine",
     "columns",
     "console",
     "facts",
@@ -174,23 +172,6 @@ class Bar:
     def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
         """Return the narrowest and the widest that a bar can be."""
         return Measurement(NARROWEST_BAR, BAR_WIDTH)
-
-
-class CommandLine:
-    """A command line broken between words with a backslash, so that it can be copied as it is."""
-
-    def __init__(self, command: str) -> None:
-        self.command = command
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield the lines, each indented."""
-        lines: list[str] = []
-        for word in map(shlex.quote, shlex.split(self.command)):
-            if lines and len(lines[-1]) + len(word) + 3 <= options.max_width:
-                lines[-1] += f" {word}"
-            else:
-                lines.append(f"    {word}" if lines else word)
-        yield Text(" \\\n".join(lines), no_wrap=True, overflow="ignore")
 
 
 def notes(sentences: Iterable[str], *, style: str = "") -> list[RenderableType]:

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 import bundle
 from bundle.figures.matplotlib.density import FAINTEST, factor_density, matrix_density
-from bundle.figures.matplotlib.factor_columns import factor_columns
-from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
+from bundle.figures.matplotlib.matrix_pattern import MatrixPattern, factor_columns
 
 
 def random_pattern(seed: int, num_blocks: int, sizes: tuple[int, int] = (1, 1)) -> MatrixPattern:

@@ -75,7 +75,7 @@ def test_tracks_and_images_are_those_of_the_numbers(numbers):
 
 
 def test_opposite_directions_have_other_colours_and_equal_ones_the_same():
-    from bundle.figures.directions import direction_colours
+    from bundle.figures.marks import direction_colours
 
     vectors = np.array([[1, 0], [0, 1], [-1, 0], [0, -1], [3, 0]], float)
     colours = direction_colours(vectors).astype(int)

@@ -11,8 +11,8 @@ import pytest
 
 import bundle
 from bundle.figures.axes import linear, logarithmic, short
-from bundle.reports.page.image import png
 from bundle.reports.page.page import as_json, tag, write_page
+from bundle.reports.page.pictures import png
 from bundle.reports.page.vertex_positions import place
 from tests.reports.page.reader import Page, check_self_contained
 

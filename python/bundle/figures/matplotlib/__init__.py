@@ -17,7 +17,7 @@ from bundle.figures.matplotlib.charts import (
     draw_performance_profile,
 )
 from bundle.figures.matplotlib.covisibility_graph import draw_covisibility
-from bundle.figures.matplotlib.figure import figure
+from bundle.figures.matplotlib.draw import figure
 from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
 from bundle.figures.matplotlib.problem_patterns import (
     ORDERINGS,

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.figures.matplotlib.factor_columns import factor_columns
-from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
+from bundle.figures.matplotlib.matrix_pattern import MatrixPattern, factor_columns
 
 __all__ = ["FILL_COLOUR", "Density", "factor_density", "matrix_density"]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bundle.figures.directions import direction_colours
+from bundle.errors import InputError
 from bundle.figures.drawing import Figure
 from bundle.figures.marks import (
     Bars,
@@ -21,12 +21,15 @@ from bundle.figures.marks import (
     StackedBars,
     Steps,
     Vectors,
+    direction_colours,
 )
+from bundle.interface.option_fields import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as MatplotlibFigure
 
-__all__ = ["COLOURS", "DASHES", "draw", "legend_below", "show_title"]
+__all__ = ["COLOURS", "DASHES", "draw", "figure", "legend_below", "show_title"]
 
 # Okabe and Ito's colours, which the colour-blind tell apart too, then three greys of other hues, as
 # dark as a page has them on white.
@@ -41,6 +44,32 @@ TITLE, OF_TWO, OF_A_LINE = 11.0, 5.5, 7.0
 WIDE = 4.0  # inches from which labels have one line
 # Points that ticks and label take below an axis.
 LABELS_BELOW = 38
+
+
+def figure(
+    num_rows: int = 1, num_columns: int = 1, *, width: float = 4.0, height: float = 4.0
+) -> tuple[MatplotlibFigure, Any]:
+    """Return a figure and its (num_rows, num_columns) axes, each ``width`` by ``height`` inches.
+
+    The figure belongs to no window and no global state; ``figure.savefig("a.svg")`` writes it, as
+    PNG or SVG by the name.
+
+    Raises:
+        InputError: Matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure as made_by  # not installed with bundle
+    except ImportError:
+        raise InputError(
+            "pictures: expected Matplotlib, found none; install it with pip install matplotlib"
+        ) from None
+    num_rows = number("num_rows", num_rows, whole=True, minimum=1, maximum=100)
+    num_columns = number("num_columns", num_columns, whole=True, minimum=1, maximum=100)
+    width = number("width", width, above=0, maximum=1000)
+    height = number("height", height, above=0, maximum=1000)
+    made = made_by(figsize=(num_columns * width, num_rows * height), layout="constrained")
+    made.set_layout_engine("constrained", w_pad=0.08, h_pad=0.08)
+    return made, made.subplots(num_rows, num_columns, squeeze=False)
 
 
 def draw(ax: Axes, figure: Figure, title: str | None = None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Self
@@ -14,7 +14,7 @@ from bundle.base.arguments import as_integers
 from bundle.errors import InputError, brief
 from bundle.interface.option_fields import number
 
-__all__ = ["MatrixPattern"]
+__all__ = ["MatrixPattern", "factor_columns"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,3 +124,26 @@ def _row(name: str, values: Any) -> NDArray[np.int64]:
     if row.ndim != 1:
         raise InputError(f"{name}: expected integers in one row, found shape {row.shape}")
     return row
+
+
+def factor_columns(pattern: MatrixPattern) -> Iterator[NDArray[np.int32]]:
+    """Yield the block rows of each column of L, ascending, the diagonal first.
+
+    Column j of L holds what column j of the matrix holds below the diagonal, and what the columns
+    hold whose first entry below their diagonal is j: its children in the elimination tree (Davis,
+    Direct Methods for Sparse Linear Systems, 4.1). A column is dropped as soon as its parent has
+    used it, so that L never stands in memory as a whole.
+    """
+    begin, rows = pattern.column_begin, pattern.rows.astype(np.int32)
+    waiting: dict[int, list[NDArray[np.int32]]] = {}
+    held = np.zeros(pattern.num_blocks, bool)
+    for column in range(pattern.num_blocks):
+        held[column] = True
+        held[rows[begin[column] : begin[column + 1]]] = True
+        for child in waiting.pop(column, ()):
+            held[child] = True
+        found = (column + np.flatnonzero(held[column:])).astype(np.int32)
+        held[found] = False
+        if len(found) > 1:
+            waiting.setdefault(int(found[1]), []).append(found[1:])
+        yield found

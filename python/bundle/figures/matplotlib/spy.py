@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from bundle.figures.matplotlib.density import Density, factor_density, matrix_density
-from bundle.figures.matplotlib.figure import figure
+from bundle.figures.matplotlib.draw import figure
 from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
 from bundle.figures.matplotlib.problem_patterns import ORDERINGS, order_blocks
 

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from bundle.figures.matplotlib.covisibility_graph import CovisibilityGraph, within_view
 from bundle.figures.matplotlib.density import Density, factor_density, matrix_density
 from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
-from bundle.reports.page.image import data_uri
 from bundle.reports.page.page import tag
+from bundle.reports.page.pictures import data_uri
 
 __all__ = ["covisibility", "matrix", "orderings"]
 

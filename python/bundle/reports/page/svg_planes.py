@@ -9,12 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bundle.figures.axes import short
-from bundle.figures.directions import direction_colours
 from bundle.figures.drawing import Figure
-from bundle.figures.marks import Array, Cells, Dots, Photo, Vectors
+from bundle.figures.marks import Array, Cells, Dots, Photo, Vectors, direction_colours
 from bundle.reports.page.contours import contours
-from bundle.reports.page.image import data_uri
 from bundle.reports.page.page import tag
+from bundle.reports.page.pictures import data_uri
 
 __all__ = ["plane"]
 

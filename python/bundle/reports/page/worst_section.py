@@ -11,7 +11,7 @@ from bundle.errors import shown
 from bundle.figures.image_residuals import ImageResiduals
 from bundle.figures.residual_figures import image_figure, image_name
 from bundle.reports.page.page import tag
-from bundle.reports.page.photographs import Photograph, photograph
+from bundle.reports.page.pictures import Photograph, photograph
 from bundle.reports.page.svg import grid
 from bundle.reports.page.table import table
 

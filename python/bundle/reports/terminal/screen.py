@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable
 
-from rich.console import RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.text import Text
 
-from bundle.base.tables import CommandLine, columns, facts, notes
+from bundle.base.tables import columns, facts, notes
 from bundle.reports.sections import Report, Section, Table
 
-__all__ = ["laid_out"]
+__all__ = ["CommandLine", "laid_out"]
 
 
 def laid_out(report: Report | Iterable[Section]) -> list[RenderableType]:
@@ -35,3 +36,20 @@ def _table(table: Table) -> list[RenderableType]:
     made = columns(table.head, table.cells(), left=table.left, keys=table.keys)
     legend = [Text(table.legend, "dim")] if table.legend else []
     return [made, *legend, *notes(table.rest())]
+
+
+class CommandLine:
+    """A command line broken between words with a backslash, so that it can be copied as it is."""
+
+    def __init__(self, command: str) -> None:
+        self.command = command
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yield the lines, each indented."""
+        lines: list[str] = []
+        for word in map(shlex.quote, shlex.split(self.command)):
+            if lines and len(lines[-1]) + len(word) + 3 <= options.max_width:
+                lines[-1] += f" {word}"
+            else:
+                lines.append(f"    {word}" if lines else word)
+        yield Text(" \\\n".join(lines), no_wrap=True, overflow="ignore")
