@@ -58,7 +58,7 @@ def figure(
         InputError: Matplotlib is not installed.
     """
     try:
-        from matplotlib.figure import Figure as made_by  # not installed with bundle
+        import matplotlib.figure  # not installed with bundle
     except ImportError:
         raise InputError(
             "pictures: expected Matplotlib, found none; install it with pip install matplotlib"
@@ -67,7 +67,9 @@ def figure(
     num_columns = number("num_columns", num_columns, whole=True, minimum=1, maximum=100)
     width = number("width", width, above=0, maximum=1000)
     height = number("height", height, above=0, maximum=1000)
-    made = made_by(figsize=(num_columns * width, num_rows * height), layout="constrained")
+    made = matplotlib.figure.Figure(
+        figsize=(num_columns * width, num_rows * height), layout="constrained"
+    )
     made.set_layout_engine("constrained", w_pad=0.08, h_pad=0.08)
     return made, made.subplots(num_rows, num_columns, squeeze=False)
 
