@@ -1,0 +1,109 @@
+"""Reports as data: columns find and write their cells, JSON holds all that tables round and cut."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from bundle.base.tables import render
+from bundle.reports.sections import Column, Report, Section, Table, dumps, plain, several
+from bundle.reports.terminal.screen import laid_out
+
+
+@dataclass(frozen=True)
+class Inner:
+    rmse: float
+
+
+@dataclass(frozen=True)
+class Row:
+    name: str
+    error: Inner
+    count: int
+
+
+ROWS = [Row(name, Inner(0.12345678 * k), k) for k, name in enumerate(["a", "b", "c"], 1)]
+COLUMNS = (
+    Column("name", "name"),
+    Column("RMSE [px]", "error.rmse", "{:.2f}".format),
+    Column("twice", lambda row: 2 * row.count),
+)
+
+
+def others(count):
+    return f"{count} other rows"
+
+
+def test_a_column_is_an_attribute_a_path_of_attributes_or_a_function():
+    table = Table(COLUMNS, ROWS)
+    assert table.head == ("name", "RMSE [px]", "twice")
+    assert table.cells() == [("a", "0.12", "2"), ("b", "0.25", "4"), ("c", "0.37", "6")]
+    assert Table.of(("x", "y"), [(1, "two")]).cells() == [(1, "two")]
+
+
+def test_a_new_column_is_one_line():
+    wider = Table((*COLUMNS, Column("count", "count")), ROWS)
+    assert [row[:-1] for row in wider.cells()] == Table(COLUMNS, ROWS).cells()
+    assert [row[-1] for row in wider.cells()] == ["1", "2", "3"]
+
+
+@pytest.mark.parametrize(
+    ("most", "shown", "rest"),
+    [(None, 3, []), (3, 3, []), (2, 2, ["1 other rows"]), (0, 0, ["3 other rows"])],
+)
+def test_rows_that_are_not_shown_are_counted(most, shown, rest):
+    table = Table(COLUMNS, ROWS, most=most, others=others)
+    assert len(table.cells()) == shown
+    assert table.rest() == rest
+
+
+def report(**more):
+    return Report(
+        command="check",
+        input={"path": "in"},
+        sections=[
+            Section(facts=[("input", "in")]),
+            Section(tables=[Table(COLUMNS, ROWS, most=2, others=others, legend="of pixels")]),
+            Section(notes=["First."], is_warning=True, is_joined=True),
+            Section(command="bundle refine in -o out"),
+        ],
+        data={"rows": ROWS, "none": math.nan, "array": np.array([1.5, np.inf]), **more},
+    )
+
+
+def test_sections_are_laid_out_with_an_empty_line_between_each_two():
+    lines = [line.strip() for line in render(*laid_out(report()), width=60).splitlines()]
+    expected = ["input", "", "name", "a", "b", "of pixels", "- 1 other rows", "- First.", "",
+                "bundle refine in -o out"]  # fmt: skip
+    assert len(lines) == len(expected)
+    for line, beginning in zip(lines, expected, strict=True):
+        assert line.startswith(beginning) and bool(line) == bool(beginning)
+    assert laid_out(report().sections[:1]) != []
+    assert laid_out([Section(), Section()]) == []
+
+
+def test_json_has_every_row_unrounded_and_null_for_what_is_not_finite():
+    made = report(more=(1, "x", None, {"k": np.int64(3)}))
+    held = made.json()
+    assert list(held) == [
+        "schema", "command", "version", "input", "rows", "none", "array", "more",
+    ]  # fmt: skip
+    assert [row["error"]["rmse"] for row in held["rows"]] == [row.error.rmse for row in ROWS]
+    assert held["none"] is None and held["array"] == [1.5, None]
+    assert held["more"] == [1, "x", None, {"k": 3}]
+    assert json.loads(dumps(held)) == held
+
+
+def test_a_report_without_an_input_has_none_in_its_json():
+    assert list(Report(command="synth").json()) == ["schema", "command", "version"]
+    both = several("info", [report(), report()])
+    assert list(both) == ["schema", "command", "version", "reports"]
+    assert both["reports"][0] == report().json()
+
+
+def test_types_are_no_records():
+    assert plain({"type": Row})["type"] is Row
