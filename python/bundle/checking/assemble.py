@@ -1,4 +1,4 @@
-"""A report out of what was counted and found."""
+"""Assembly of a report from counts and findings."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ REASONS = {
 }
 
 SAYS_NOTHING = ("undecided", "unstable")
-"""Kinds of findings after which nothing can be said of the Jacobians."""
+"""Kinds of findings after which the Jacobians cannot be judged."""
 
 NAMED = 3
-"""Places that a sentence names."""
+"""Number of places that a sentence names."""
 
 CHECKER_PRECISION = 1e-6
-"""What ceres::GradientChecker is asked for: its own differences are not better everywhere."""
+"""Tolerance of ceres::GradientChecker: its differences are not everywhere better."""
 
 
 def make_report(
@@ -53,8 +53,8 @@ def make_report(
     """Return the report.
 
     Groups of parameters that the reference cannot decide become findings of their own, as does a
-    check in which no point could be decided. A residual without a value, a finding without columns,
-    decides nothing either.
+    check in which no point could be decided. A residual without a value (a finding without columns)
+    is undecided as well.
     """
     groups, parameters = verdicts(tallies)
     found = [*findings, *_undecided(groups)]

@@ -1,7 +1,7 @@
-"""From wrong numbers to the mistake behind them: signatures tried from the sharpest to the vaguest.
+"""Classification of wrong Jacobians: signatures, tried from the most to the least specific.
 
-A signature is a guess of what the wrong columns are, made from the correct ones; it counts if it
-leaves at most a thousandth of the deviation. What no signature explains is named by its size.
+A signature predicts the wrong columns from the correct ones. It is accepted if it leaves at most a
+thousandth of the deviation. A deviation that no signature explains is described by its size.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ KINDS = (
     "small_part",
     "large_part",
 )
-"""What a finding can be, from "a stale cache" to "wrong in a large part"."""
+"""Kinds of findings, from "a stale cache" to "wrong in a large part"."""
 
 SIGNATURES: tuple[Callable[[Evidence], None], ...] = (
     rotation.conventions,
@@ -82,7 +82,7 @@ def classify(evidence: Evidence) -> list[Finding]:
 def stale(
     deviations: JacobianDeviation, repeated: JacobianDeviation, tolerance: float
 ) -> Finding | None:
-    """Return a finding if Jacobians belong to points evaluated before.
+    """Return a finding if the Jacobians are those of points that were evaluated before.
 
     Args:
         deviations: at K points, evaluated one after the other.
@@ -112,7 +112,7 @@ def stale(
 
 
 def float_precision(deviations: JacobianDeviation, names: tuple[str, ...]) -> Finding | None:
-    """Return a finding if the Jacobians were rounded to single precision on their way."""
+    """Return a finding if the Jacobians were rounded to single precision."""
     analytic, reference = deviations.analytic, deviations.reference
     with np.errstate(over="ignore", invalid="ignore"):
         single = analytic.astype(np.float32).astype(np.float64) == analytic
@@ -149,7 +149,7 @@ def _not_finite(evidence: Evidence) -> None:
 
 
 def _by_size(evidence: Evidence) -> None:
-    """Name what is left by how wrong it typically is."""
+    """Describe the remaining columns by their typical error."""
     sizes = {j: float(np.median(_largest(evidence, j))) for j in evidence.wrong}
     fine = [j for j in evidence.wrong if evidence.deviations.error[..., j].max() < 1e-4]
     small = [j for j, size in sizes.items() if size < 0.3 and j not in fine]

@@ -1,4 +1,4 @@
-"""Signatures of columns that are wrong each for itself: zero, sign, factor, a missing term."""
+"""Signatures of single columns: zero, sign, factor, a missing term."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LEAST_FACTOR = 1e-4
 
 
 def zeros(evidence: Evidence) -> None:
-    """Columns that are zero and should not be."""
+    """Columns that are zero although the residual depends on them."""
     wrong = [j for j in evidence.wrong if not evidence.analytic[..., j].any()]
     if wrong:
         evidence.found(
@@ -31,7 +31,7 @@ def zeros(evidence: Evidence) -> None:
 
 
 def factors(evidence: Evidence) -> None:
-    """Columns that are a constant times what they should be, as a whole or in some rows."""
+    """Columns with a constant wrong factor, in all rows or in some."""
     by_factor: dict[tuple[float, ...], list[int]] = {}
     where: dict[int, str] = {}
     for j in evidence.wrong:
@@ -66,7 +66,7 @@ def factors(evidence: Evidence) -> None:
 
 
 def parameter_factors(evidence: Evidence) -> None:
-    """Columns that are right but for a factor that is the value of a parameter."""
+    """Columns with a wrong factor that is the value of a parameter."""
     for j in list(evidence.wrong):
         analytic, reference = evidence.analytic[..., j], evidence.reference[..., j]
         ratios = _ratios(analytic, reference, axis=1)
@@ -92,7 +92,7 @@ def parameter_factors(evidence: Evidence) -> None:
 
 
 def terms_of_a_parameter(evidence: Evidence) -> None:
-    """Columns that are right for a parameter of value zero: the terms with it are missing."""
+    """Columns without the terms of a parameter: they are correct where its value is zero."""
     if not evidence.wrong:
         return
     deviation = np.linalg.norm(
@@ -119,7 +119,7 @@ def terms_of_a_parameter(evidence: Evidence) -> None:
 
 
 def zero_entries(evidence: Evidence) -> None:
-    """Columns that are right but for rows that are zero."""
+    """Columns with rows that are zero, and otherwise correct."""
     for j in list(evidence.wrong):
         analytic, reference = evidence.analytic[..., j], evidence.reference[..., j]
         zero_rows = ~analytic.any(axis=0)

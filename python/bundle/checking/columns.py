@@ -1,4 +1,4 @@
-"""What the columns of a Jacobian are: names, groups, blocks."""
+"""Description of the columns of a Jacobian: names, groups, blocks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["Block", "Column"]
 
 @dataclass(frozen=True)
 class Column:
-    """One parameter: what a report calls it, and the group that gets a verdict with it."""
+    """One parameter: its name in reports, and the group that shares its verdict."""
 
     name: str
     group: str
@@ -22,10 +22,10 @@ class Column:
 class Block:
     """Columns that lie side by side in memory, `start` to `stop`.
 
-    ``rotation`` is "" or says how the columns turn: "tangent" (a manifold's increment), "vector"
-    (the numbers of a rotation vector, whose values the points hold) or "quaternion".
-    ``conventions`` are other tangent coordinates that one may have differentiated by: words, and
-    for each sample the matrix by which the right columns become those (samples, size, size).
+    ``rotation`` is "" or the parameterisation of a rotation: "tangent" (increment of a manifold),
+    "vector" (a rotation vector, whose values are in the points) or "quaternion". ``conventions``
+    are other tangent coordinates that a user may differentiate by: a description, and for each
+    sample the matrix from the correct columns to these (samples, size, size).
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What the signatures look at: wrong columns, and a test of whether a guess explains them."""
+"""Evidence for signatures: the wrong columns, and the test of a prediction."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 __all__ = ["Evidence", "Finding"]
 
 EXPLAINED = 1e-3
-"""A guess explains a deviation if it leaves at most this share of it."""
+"""Share of a deviation that an accepted prediction may leave."""
 
 ReferenceAt = Callable[[int, int], Array | None]
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something wrong, and what it looks like.
+    """A mistake, and its description.
 
     Attributes:
         kind: the signature, one of ``bundle.checking.classify.KINDS``.
@@ -40,7 +40,7 @@ class Finding:
 
 @dataclass(eq=False)
 class Evidence:
-    """Points at which something is wrong, and what is not explained yet.
+    """Points with errors, and the errors that are not explained yet.
 
     Attributes:
         deviations: the Jacobians at K points, those with errors only.
@@ -75,10 +75,10 @@ class Evidence:
     def explains(
         self, guess: Array, columns: Sequence[int], points: NDArray[np.intp] | None = None
     ) -> bool:
-        """Return whether a guess (K, R, len(columns)), in units of scale, is what is there.
+        """Return whether a prediction (K, R, len(columns)), in units of scale, fits the columns.
 
-        What is left is held against the deviation, and against what is there: a thousandth of the
-        right size is not explained by any other small number.
+        The remainder is compared with the deviation and with the columns: a column of a thousandth
+        of the right size is not explained by any other small number.
         """
         chosen = slice(None) if points is None else points
         analytic = self.analytic[chosen][..., columns]
@@ -90,18 +90,18 @@ class Evidence:
         return bool(deviation > 4 * doubt and left <= EXPLAINED * size + 2 * doubt)
 
     def points_wrong_in(self, column: int) -> NDArray[np.intp]:
-        """Return the points at which a column is wrong: a mistake may sit in one branch only."""
+        """Return the points at which a column is wrong: a mistake can be in a single branch."""
         errors = self.deviations.error[..., column].max(axis=1)
         return np.flatnonzero(errors > self.tolerance)
 
     def names(self, columns: Sequence[int]) -> str:
-        """Return "rotation x, y and z": names joined, a shared first word said once."""
+        """Return joined names, such as "rotation x, y and z", with a common first word once."""
         return join_names([self.columns[j].name for j in columns])
 
     def found(
         self, kind: str, columns: Sequence[int], sentence: str, factor: float | None = None
     ) -> None:
-        """Note a finding that explains columns."""
+        """Record a finding that explains columns."""
         error = float(np.max(self.deviations.error[..., list(columns)], initial=0.0))
         names = tuple(self.columns[j].name for j in columns)
         self.findings.append(Finding(kind, names, sentence, error, factor))

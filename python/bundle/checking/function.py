@@ -1,4 +1,4 @@
-"""The user's residual: called, checked for shapes, flattened."""
+"""Calls of a user's residual, with checks of shapes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ResidualFunction = Callable[[list[Array]], tuple[Any, Sequence[Any]]]
 
 
 class UserFunction:
-    """A function of parameter blocks that answers with residual and Jacobians.
+    """A function of parameter blocks that returns a residual and its Jacobians.
 
     It is called once at the blocks for the number of residuals, unless that is known.
     """
@@ -34,7 +34,7 @@ class UserFunction:
         """Return the residual (R,) and all Jacobians side by side (R, N).
 
         Raises:
-            InputError: what the function answers has the wrong shape.
+            InputError: a returned array has the wrong shape.
         """
         residual, jacobians = self._call(blocks)
         values = self._residual(residual)
@@ -46,7 +46,7 @@ class UserFunction:
         return values, np.hstack(self._jacobians(jacobians))
 
     def core(self, blocks: list[Array], jacobians: bool) -> tuple[Array, list[Array] | None] | None:
-        """Answer as ``_core`` asks: None where the residual is not finite."""
+        """Return the arrays for ``_core``; None if the residual is not finite."""
         residual, matrices = self._call(blocks)
         values = self._residual(residual)
         if not np.isfinite(values).all():
@@ -72,7 +72,7 @@ class UserFunction:
     def _residual(residual: Any) -> Array:
         values = as_array("function: residual", residual).reshape(-1).copy()
         if not len(values):
-            raise InputError("function: expected at least one residual, found none")
+            raise InputError("function: expected at least one residual, found an empty array")
         return values
 
     def _jacobians(self, jacobians: Sequence[Any]) -> list[Array]:

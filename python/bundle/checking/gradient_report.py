@@ -1,4 +1,4 @@
-"""What a check of Jacobians found, as data and as text."""
+"""Report of a check of Jacobians, as data and as text."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ __all__ = [
 STYLES = {"correct": "green", "wrong": "red", "undecided": "yellow"}
 
 SHOWN = 5
-"""Findings that the repr names; printing a report shows all."""
+"""Number of findings in the repr; printing a report shows all."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is to be said of a parameter, or of a group of them.
+    """Verdict on a parameter or on a group of parameters.
 
     Attributes:
         name: "camera RADIAL k1", "rotation".
@@ -80,7 +80,7 @@ class Offender:
 
 @dataclass(frozen=True)
 class Undecided:
-    """Points at which no reference is good enough to say anything.
+    """Points without a sufficiently accurate reference.
 
     Attributes:
         reason: "camera_center" (the point is so close to the camera's centre that the rounding of
@@ -99,14 +99,14 @@ class Undecided:
 
 @dataclass(frozen=True)
 class GradientCheckerSummary:
-    """How ceres::GradientChecker fared at the same points.
+    """Results of ceres::GradientChecker at the same points.
 
     Attributes:
-        num_probes: how often it was asked.
-        num_agreed: it found nothing wrong.
-        num_false_alarms: it complained of Jacobians that the second reference finds correct.
-        num_gave_up: it stepped on a point without a value.
-        num_overlooked: it was content with Jacobians that are wrong.
+        num_probes: number of checks.
+        num_agreed: checks without an error.
+        num_false_alarms: errors in Jacobians that the second reference finds correct.
+        num_gave_up: checks that met a point without a value.
+        num_overlooked: checks without an error in Jacobians that are wrong.
     """
 
     num_probes: int = 0
@@ -118,7 +118,7 @@ class GradientCheckerSummary:
 
 @dataclass(frozen=True, eq=False)
 class GradientReport:
-    """What a check found. True if all is correct; printing it explains.
+    """Result of a check. True if all is correct; printing it explains the findings.
 
     Attributes:
         ok: the verdict is "correct".
@@ -155,7 +155,7 @@ class GradientReport:
 
     @property
     def num_undecided(self) -> int:
-        """Points checked of which nothing can be said."""
+        """Number of undecided points."""
         return sum(entry.count for entry in self.undecided)
 
     @property
@@ -190,7 +190,7 @@ class GradientReport:
 
 
 def outcome(report: GradientReport) -> str:
-    """Return the verdict in one sentence."""
+    """Return the verdict as one sentence."""
     if report.ok:
         undecided = f"; {report.num_undecided} undecided" if report.num_undecided else ""
         return (
@@ -205,7 +205,7 @@ def outcome(report: GradientReport) -> str:
 
 
 def explanation(report: GradientReport) -> list[RenderableType]:
-    """Return verdict, what is wrong, and the numbers behind it."""
+    """Return the verdict, the mistakes and their numbers."""
     skipped = f", {report.num_skipped} skipped" if report.num_skipped else ""
     count = plural(report.num_checked, report.noun)
     parts: list[RenderableType] = [

@@ -1,4 +1,4 @@
-"""Checking the Jacobians of a user's residual."""
+"""Check of the Jacobians of a user's residual."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def check_gradients(
     tolerance: float = TOLERANCE,
     ambient: bool = True,
 ) -> GradientReport:
-    """Check analytic Jacobians, and say what is wrong with them.
+    """Check analytic Jacobians and name their mistakes.
 
     At the given point and at others around it the Jacobians are compared with two references:
     ceres::GradientChecker, and central differences with Richardson extrapolation that bound their
@@ -57,15 +57,15 @@ def check_gradients(
         radius: how far the others are, relative to each parameter; radians for rotations.
         seed: of the sampling.
         tolerance: relative error from which on an entry is wrong.
-        ambient: also compare along the normals of manifolds, which a solve does not feel and
-            GradientChecker does not see.
+        ambient: also compare along the normals of manifolds, which affect no solve and which
+            GradientChecker does not check.
 
     Returns:
-        A report that is true if all is well, and explains itself when printed.
+        A report that is true if all Jacobians are correct; printing it explains the findings.
 
     Raises:
         InputError: blocks, manifolds or names do not fit each other, or the function answers with
-            wrong shapes. What the function raises comes through.
+            wrong shapes. Exceptions of the function are passed on.
     """
     if not callable(function):
         raise InputError(f"function: expected a function, found {brief(function)}")

@@ -1,4 +1,4 @@
-"""Jacobians beside their reference, and errors that are safe near zero."""
+"""Jacobians and their reference, with relative errors that are defined near zero."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["JacobianDeviation"]
 Array = NDArray[np.float64]
 
 FLOOR = 1e-3
-"""Of the column's usual size: what is smaller is measured by that."""
+"""Share of a column's usual size; smaller columns are measured by the usual size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +21,7 @@ class JacobianDeviation:
     """Jacobians of one residual at K points, each num_residuals x num_columns.
 
     Attributes:
-        analytic: (K, R, N) what is checked.
+        analytic: (K, R, N) the Jacobians to check.
         reference: (K, R, N) the second reference.
         uncertainty: (K, R, N) a bound on the reference's own error, infinite where it has no value.
     """

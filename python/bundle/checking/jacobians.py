@@ -1,4 +1,4 @@
-"""Checking our own Jacobians on a user's problem."""
+"""Check of the analytic Jacobians on a user's problem."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ __all__ = ["check_jacobians"]
 
 CHUNK = 16384
 CENTER = 1e-3
-"""Relative rounding of the derivatives from which on they are not looked at."""
+"""Relative rounding of derivatives above which they are not checked."""
 ROUNDING_UNITS = 16
 """Rounding errors that add up in a residual and its Jacobian."""
 CLOSE_UNITS = 1024
 """Rounding errors that differences of a residual over a fraction of the depth multiply."""
 TURN = 0.3
-"""Radians by which every other observation is checked away from the start of its chart."""
+"""Rotation in radians from the start of the chart at which every other observation is checked."""
 
 POSE = tuple(f"{part} {axis}" for part in ("rotation", "translation") for axis in "xyz")
 POINT = ("point x", "point y", "point z")
@@ -198,7 +198,7 @@ class _Check:
         ]
 
     def report(self) -> GradientReport:
-        """Classify what is wrong and name it."""
+        """Classify and name the mistakes."""
         findings = [finding for model in self.models.values() for finding in self._classify(model)]
         if self.unstable:
             findings.append(
@@ -228,7 +228,7 @@ class _Check:
         )
 
     def _decide(self, deviations: JacobianDeviation) -> NDArray[np.bool_]:
-        """Return at which points something is wrong or most entries are known to be correct."""
+        """Return the points with an error or with mostly confirmed entries."""
         tolerance = self.settings.tolerance
         wrong = (deviations.error > tolerance).any(axis=(1, 2))
         known = (deviations.doubt <= tolerance).mean(axis=(1, 2)) > 0.5
@@ -342,7 +342,7 @@ class _Check:
 
 
 def _rounding_errors(jacobians: Array, rounding: Array) -> Array:
-    """Return what rounding may do to the entries (K, 2, N) of Jacobians.
+    """Return the possible rounding of the entries (K, 2, N) of Jacobians.
 
     Entries by rotation, translation and point are sums that may cancel: they are measured by the
     largest column of their kind.

@@ -61,7 +61,7 @@ class Manifold:
 
     @staticmethod
     def parse(given: ManifoldLike, size: int) -> Manifold:
-        """Return the manifold that is meant.
+        """Return the manifold of a name.
 
         Raises:
             InputError: there is no such manifold, or it does not fit a block of this size.
@@ -86,12 +86,12 @@ class Manifold:
 
     @property
     def core(self) -> tuple[str, list[int]]:
-        """What ``_core`` takes: a rotation vector's numbers are a vector space to Ceres."""
+        """Manifold for ``_core``: to Ceres, rotation vectors are a vector space."""
         return _core_name(self.name), list(self.constant)
 
     @property
     def is_curved(self) -> bool:
-        """Whether the tangent space is another one than that of the parameters."""
+        """True if the tangent space differs from the parameter space."""
         return self.core[0] != "euclidean"
 
     def plus(self, x: Array, delta: Array) -> Array:

@@ -1,8 +1,8 @@
-"""Tangent Jacobians that were filled up with a column of zeros to the size of the block.
+"""Tangent Jacobians padded with a column of zeros to the size of the block.
 
-Solvers of old take a Jacobian by the numbers of a block, 4 of a quaternion, and multiply it by that
-of the manifold's Plus. A manifold whose Jacobian is (I, 0)^T lets one hand in the Jacobian by the
-tangent coordinates with a zero column beside it; with any other manifold that is wrong.
+Ceres takes a Jacobian by the numbers of a block, 4 of a quaternion, and multiplies it by that of
+the manifold's Plus. If Plus has the Jacobian (I, 0)^T, a Jacobian by tangent coordinates with an
+additional zero column is correct. With any other manifold it is wrong.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SCALES = (1.0, 2.0, 0.5)
 def padded(
     layout: Layout, space: JacobianDeviation, tangent: JacobianDeviation, tolerance: float
 ) -> list[Finding]:
-    """Return a finding a padded block, if these blocks are all that is wrong.
+    """Return one finding per padded block if no other block is wrong.
 
     Args:
         layout: of the blocks.
@@ -60,10 +60,10 @@ def padded(
 
 
 def _is_tangent(given: Array, reference: Array) -> bool:
-    """Return whether columns are by tangent coordinates, scaled or turned as one may take them.
+    """Return whether columns are by tangent coordinates, possibly scaled or rotated.
 
-    Rotations and translations come in threes, each perhaps from the other side: A Q has the
-    products A A^T of A.
+    Rotations and translations have three columns each, possibly by the perturbation on the other
+    side: A Q has the same products A A^T as A.
     """
     parts = [slice(j, j + 3) for j in range(0, given.shape[2], 3)]
     for part in parts:

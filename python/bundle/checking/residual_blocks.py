@@ -1,4 +1,4 @@
-"""Parameter blocks of a user's residual: manifolds, names of the columns, points around a point."""
+"""Parameter blocks of a user's residual: manifolds, column names, samples around a point."""
 
 from __future__ import annotations
 
@@ -82,12 +82,12 @@ class Layout:
 
     @property
     def core(self) -> list[tuple[str, list[int]]]:
-        """The manifolds as ``_core`` takes them."""
+        """Manifolds for ``_core``."""
         return [manifold.core for manifold in self.manifolds]
 
     @property
     def is_curved(self) -> bool:
-        """Whether some tangent space is another one than that of the parameters."""
+        """True if some tangent space differs from the parameter space."""
         return any(manifold.is_curved for manifold in self.manifolds)
 
 

@@ -1,4 +1,4 @@
-"""Signatures of rotations: another perturbation, another frame, another order of the tangent space.
+"""Signatures of rotations: another perturbation, frame or order of the tangent space.
 
 The numbers w of a rotation vector move by d as Exp(w + d) = Exp(J_l(w) d) Exp(w): a derivative by a
 perturbation from the left times J_l, or by one from the right times J_r(w) = J_l(-w), is that by w.
@@ -24,7 +24,7 @@ BY_RIGHT = "the derivative by d of Exp(w) Exp(d), not by w: J_r is missing"
 
 
 def conventions(evidence: Evidence) -> None:
-    """Columns by other tangent coordinates of the manifold than those that are asked for."""
+    """Columns by other tangent coordinates than those of the manifold."""
     for block in evidence.blocks:
         columns = list(block.columns)
         for (kind, words), changes in block.conventions.items():
@@ -36,7 +36,7 @@ def conventions(evidence: Evidence) -> None:
 
 
 def rotation_vectors(evidence: Evidence) -> None:
-    """Columns of a rotation vector that belong to another perturbation of the rotation."""
+    """Columns of a rotation vector by another perturbation of the rotation."""
     for columns, left, what in _algebras(evidence):
         if not set(columns) & set(evidence.wrong):
             continue
@@ -61,10 +61,9 @@ def rotation_vectors(evidence: Evidence) -> None:
 
 
 def turned(evidence: Evidence) -> None:
-    """Three columns that are a rotation of what they should be.
+    """Three columns that are rotated.
 
-    A' = A Q with a rotation Q keeps A A^T, whatever Q is. Three of four columns of a quaternion are
-    nothing that turns.
+    A' = A Q keeps A A^T for any rotation Q. Three of four columns of a quaternion do not rotate.
     """
     quaternions = {j for b in evidence.blocks if b.rotation == "quaternion" for j in b.columns}
     for block in evidence.blocks:
@@ -92,7 +91,7 @@ def turned(evidence: Evidence) -> None:
 
 
 def _algebras(evidence: Evidence) -> Iterator[tuple[list[int], Array, str]]:
-    """Yield columns that may be a Lie algebra's, and ad (K, n, n) of the values there."""
+    """Yield columns that can be a Lie algebra, with ad (K, n, n) of their values."""
     for block in evidence.blocks:
         if block.rotation == "vector":
             columns = list(block.columns)

@@ -1,4 +1,4 @@
-"""Signatures of rows: what is there is the right Jacobian multiplied from the left, A = M J.
+"""Signatures of rows: the correct Jacobian multiplied from the left, A = M J.
 
 - Rows in a wrong order: M is a permutation.
 - The square root L^T of the information applied to the residual alone, or to the Jacobian alone: M
@@ -19,7 +19,7 @@ __all__ = ["logarithm", "rows", "whitening"]
 
 
 def rows(evidence: Evidence) -> None:
-    """Rows that stand in each other's place: of all columns, or of a block."""
+    """Exchanged rows, of all columns or of a block."""
     num_residuals = evidence.analytic.shape[1]
     if num_residuals < 2:
         return
@@ -47,7 +47,7 @@ def rows(evidence: Evidence) -> None:
 
 
 def whitening(evidence: Evidence) -> None:
-    """All columns multiplied by one matrix that is not a number: weights of one side alone."""
+    """All columns multiplied by one matrix: weights of only the residual or only the Jacobian."""
     analytic, reference = evidence.deviations.analytic, evidence.deviations.reference
     used = [j for j in range(analytic.shape[2]) if reference[..., j].any()]
     if analytic.shape[1] < 2 or len(used) < 2 or not set(used) <= set(evidence.wrong):
@@ -73,7 +73,7 @@ def whitening(evidence: Evidence) -> None:
 
 
 def logarithm(evidence: Evidence) -> None:
-    """Columns without the inverse Jacobian of the logarithm that the residual is."""
+    """Columns of a logarithmic residual without the inverse Jacobian of the logarithm."""
     num_residuals = evidence.analytic.shape[1]
     if num_residuals < 2 or evidence.residuals is None:
         return
@@ -121,7 +121,7 @@ def _keeps_residual(evidence: Evidence, columns: list[int], size: int) -> bool:
 def _sources(given: Array, right: Array) -> tuple[NDArray[np.intp], Array]:
     """Return the row of the right Jacobian that each given row is a multiple of, and the multiple.
 
-    A row that is a multiple of its own stays.
+    A row that is a multiple of itself is kept.
     """
     products = np.einsum("kin,kjn->ij", given, right)
     square = np.einsum("kjn,kjn->j", right, right)

@@ -1,4 +1,4 @@
-"""The check of a function at points: both references, verdicts, findings."""
+"""Check of a function at sample points: both references, verdicts, findings."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from bundle.interface.check_options import TOLERANCE
 __all__ = ["SamplePoint", "check_samples"]
 
 SAME_RESIDUAL = 1e-9
-"""By how much of its largest entry a residual may differ between two calls at the same point."""
+"""Share of its largest entry by which a residual may differ between two calls at one point."""
 
 ROUGH = 1e-3
 """Relative uncertainty of the reference at the given point that no rounding explains."""
@@ -37,7 +37,7 @@ _Probe = tuple[bool, Array | None, Array | None, str]
 
 @dataclass(frozen=True, eq=False)
 class SamplePoint:
-    """The blocks at which a function is checked; each point may have a function of its own."""
+    """The blocks of one sample; each sample can have its own function."""
 
     user: UserFunction
     blocks: list[Array]
@@ -47,13 +47,13 @@ class SamplePoint:
         return self.user.evaluate(self.blocks)
 
     def reference(self, manifolds: list[tuple[str, list[int]]]) -> Any:
-        """Return what Richardson extrapolation finds."""
+        """Return the derivatives by Richardson extrapolation."""
         return _core.richardson_jacobian(
             self.user.core, self.user.num_residuals, self.blocks, manifolds
         )
 
     def probe(self, manifolds: list[tuple[str, list[int]]]) -> _Probe:
-        """Return what ceres::GradientChecker finds."""
+        """Return the result of ceres::GradientChecker."""
         return _core.gradient_checker(
             self.user.core, self.user.num_residuals, self.blocks, manifolds, CHECKER_PRECISION
         )
@@ -69,12 +69,12 @@ class SamplePoint:
 def check_samples(
     samples: Sequence[SamplePoint], layout: Layout, *, tolerance: float, ambient: bool = True
 ) -> GradientReport:
-    """Check Jacobians at points; the first is the one that was given."""
+    """Check Jacobians at sample points; the first is the given point."""
     return _Check(samples, layout, tolerance, ambient).run()
 
 
 class _Check:
-    """One check, in the order of its methods."""
+    """One check; its methods run in their order."""
 
     def __init__(
         self, samples: Sequence[SamplePoint], layout: Layout, tolerance: float, ambient: bool
@@ -145,7 +145,7 @@ class _Check:
 
     @staticmethod
     def _roughness(deviations: JacobianDeviation) -> Array:
-        """Return the doubt (R, N) at the first point, beside the row where that is larger."""
+        """Return the uncertainty (R, N) at the first point, relative to the scale or the row."""
         row = np.abs(deviations.reference[0]).max(axis=1, keepdims=True)
         rough: Array = deviations.uncertainty[0] / np.maximum(deviations.scale[0], row)
         return rough
@@ -304,7 +304,7 @@ def _no_value() -> Finding:
 
 
 def _unstable(first: Sequence[Array], again: Sequence[Array]) -> Finding | None:
-    """Return a finding if two calls at one point differ by more than a sum's order explains."""
+    """Return a finding if two calls at one point differ by more than rounding."""
     for k, (one, other) in enumerate(zip(first, again, strict=True)):
         with np.errstate(invalid="ignore"):
             same = np.abs(one - other) <= SAME_RESIDUAL * np.abs(one).max()
@@ -320,7 +320,7 @@ def _unstable(first: Sequence[Array], again: Sequence[Array]) -> Finding | None:
 
 
 def _vagueness(findings: Sequence[Finding]) -> int:
-    """Return how many findings say no more than that something is wrong."""
+    """Return the number of unspecific findings."""
     if not findings:
         return 100
     return sum(f.kind in ("small_part", "large_part", "order", "missing_term") for f in findings)

@@ -1,4 +1,4 @@
-"""Counting over many points: verdicts, histogram, worst entries, and what is kept to classify."""
+"""Counts over many points: verdicts, histogram, worst entries, and samples for classification."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EDGES = (0.0, *(10.0**exponent for exponent in range(-14, 2)), np.inf)
 """Limits of the histogram's bins."""
 
 MOST_KEPT = 200
-"""Wrong points that are enough to recognise a mistake by."""
+"""Number of wrong points that suffice to recognise a mistake."""
 
 MOST_WORST = 10
 MOST_OF_A_COLUMN = 3
@@ -38,7 +38,7 @@ class Worst:
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """Wrong points for the classifier: their numbers, and their Jacobians."""
+    """Wrong points for the classification: their numbers and Jacobians."""
 
     points: NDArray[np.intp]
     deviations: JacobianDeviation
@@ -46,7 +46,7 @@ class Kept:
 
 @dataclass(eq=False)
 class Tally:
-    """Sums up one kind of residual with its columns."""
+    """Statistics of one kind of residual."""
 
     columns: Sequence[Column]
     tolerance: float
@@ -64,7 +64,7 @@ class Tally:
         self._kept: list[Kept] = []
 
     def add(self, deviations: JacobianDeviation, points: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Add points; `points` are their numbers. Returns which of them are wrong."""
+        """Add points by their numbers and return the wrong ones."""
         if not len(deviations):
             return np.zeros(0, bool)
         error = deviations.error
@@ -89,7 +89,7 @@ class Tally:
         return wrong_points
 
     def is_undecided(self, column: int) -> bool:
-        """Return whether most of a column is undecided, but for what is certain to be zero."""
+        """Return whether most entries of a column are undecided, certain zeros excepted."""
         return bool(2 * self.num_undecided[column] > self.num_telling[column])
 
     @property
@@ -136,7 +136,7 @@ class Tally:
 
 
 def verdicts(tallies: Sequence[Tally]) -> tuple[tuple[Verdict, ...], tuple[Verdict, ...]]:
-    """Return verdicts on groups and on parameters, those of one name taken together."""
+    """Return verdicts on groups and on parameters; parameters of one name are combined."""
     entries = [(column, tally, j) for tally in tallies for j, column in enumerate(tally.columns)]
     named = [(column.group, tally, j) for column, tally, j in entries]
     return _verdicts(named), _verdicts([(column.name, tally, j) for column, tally, j in entries])
