@@ -11,6 +11,7 @@ from typing import get_args, get_origin, get_type_hints
 
 import pytest
 
+import bundle
 from bundle.interface import option_keywords
 from bundle.interface.flight_options import FlightOptions
 from bundle.interface.option_class import takes_options
@@ -68,3 +69,27 @@ def test_a_signature_lists_the_options_after_the_arguments_of_a_function():
     assert shown["loss"].default == "own"
     assert shown["gauge"].default == "auto"
     assert function(1, gauge="none") == (1, "own", {"gauge": "none"})
+
+
+@pytest.mark.parametrize(
+    ("function", "kind"),
+    [
+        (bundle.solve, SolveOptions),
+        (bundle.Solver, SolveOptions),
+        (bundle.solve_rounds, SolveOptions),
+        (bundle.compare, SolveOptions),
+        (bundle.covariance, SolveOptions),
+        (bundle.diagnose, SolveOptions),
+        (bundle.inspect, SolveOptions),
+        (bundle.gauge_freedom, SolveOptions),
+        (bundle.FactorGraph.solve, SolveOptions),
+        (bundle.synthesize, SceneOptions),
+        (bundle.synthesize_flight, FlightOptions),
+        (bundle.run_odometry, WindowOptions),
+        (bundle.SlidingWindow, WindowOptions),
+    ],
+)
+def test_functions_show_every_option_that_they_take(function, kind):
+    shown = inspect.signature(function).parameters
+    assert {field.name for field in dataclasses.fields(kind)} <= set(shown)
+    assert not any(parameter.kind is parameter.VAR_KEYWORD for parameter in shown.values())

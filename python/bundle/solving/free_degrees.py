@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ from numpy.typing import NDArray
 from bundle.base.components import component_roots
 from bundle.base.display import Display, Displayed
 from bundle.base.words import plural
+from bundle.interface.option_class import takes_options
+from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.io.source import Source, as_problem
 from bundle.model.problem import Problem
@@ -87,13 +89,14 @@ class GaugeFreedom(Displayed):
         return Display(title=f"Gauge freedom: {self.sentence}", facts=())
 
 
+@takes_options(SolveOptions)
 def gauge_freedom(
     problem: Source,
     options: SolveOptions | None = None,
     *,
     factors: Iterable[Factor] = (),
     priors: Iterable[PositionPrior] = (),
-    **changes: Any,
+    **changes: Unpack[SolveKeywords],
 ) -> GaugeFreedom:
     """Count the degrees of freedom of a solve that no observation, factor or fixed id determines.
 

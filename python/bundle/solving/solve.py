@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Unpack, overload
 
 from numpy.typing import ArrayLike
 
@@ -11,6 +11,8 @@ from bundle.base.arguments import check_function
 from bundle.errors import InputError, brief
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
+from bundle.interface.option_class import takes_options
+from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.solve_record import Progress
@@ -39,7 +41,7 @@ def solve(
     options: PoseGraphOptions | None = None,
     *,
     progress: Progress | None = None,
-    **changes: Any,
+    **changes: Unpack[PoseGraphKeywords],
 ) -> PoseGraphResult: ...
 
 
@@ -54,10 +56,11 @@ def solve(
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
     constraints: Constraints | Iterable[str | Rule] | Applied = (),
     progress: Progress | None = None,
-    **changes: Any,
+    **changes: Unpack[SolveKeywords],
 ) -> Result: ...
 
 
+@takes_options(SolveOptions)
 def solve(
     problem: Source | PoseGraph,
     options: SolveOptions | PoseGraphOptions | None = None,

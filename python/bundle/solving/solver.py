@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,8 @@ from bundle.base.arguments import check_function
 from bundle.base.display import Display, Displayed
 from bundle.base.words import contents, plural
 from bundle.errors import InputError, brief, first_line
+from bundle.interface.option_class import takes_options
+from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import CHANGEABLE, SolveOptions
 from bundle.interface.solve_record import Progress
 from bundle.io.source import Source, as_problem
@@ -65,6 +67,7 @@ class Solver(Displayed):
         KeyboardInterrupt, MemoryError, InputError, OSError: as :func:`bundle.solve`.
     """
 
+    @takes_options(SolveOptions)
     def __init__(
         self,
         problem: Source,
@@ -73,7 +76,7 @@ class Solver(Displayed):
         factors: Iterable[Factor] = (),
         bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
         constraints: Constraints | Iterable[str | Rule] | Applied = (),
-        **changes: Any,
+        **changes: Unpack[SolveKeywords],
     ) -> None:
         self._prepared = prepare(  # without priors: nothing is moved
             SolveRequest(

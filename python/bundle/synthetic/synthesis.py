@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
 from bundle.base.words import contents, plural
+from bundle.interface.option_class import takes_options
+from bundle.interface.option_keywords import SceneKeywords
 from bundle.interface.scene_options import SceneOptions
 from bundle.model.problem import Problem
 from bundle.synthetic.blocks import SceneInBlocks
@@ -43,7 +45,10 @@ class SyntheticScene(Displayed):
         return Display(title=f"SyntheticScene: {self.options.short()}", facts=facts)
 
 
-def synthesize(options: SceneOptions | None = None, **changes: Any) -> SyntheticScene:
+@takes_options(SceneOptions)
+def synthesize(
+    options: SceneOptions | None = None, **changes: Unpack[SceneKeywords]
+) -> SyntheticScene:
     """Make a seeded synthetic scene with ground truth.
 
     Every point is seen by two images at least, every image sees at least 20 points where the scene

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,8 @@ from bundle.analysis.diagnosis.track_table import FEW_SHARED, TrackTable
 from bundle.analysis.diagnosis.unknowns import Unknowns
 from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.interface.option_class import takes_options
+from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.source import Source, as_problem
@@ -51,7 +53,7 @@ FEW_OBSERVATIONS = 10
 def diagnose(
     problem: PoseGraph | PoseGraphResult,
     options: PoseGraphOptions | None = None,
-    **changes: Any,
+    **changes: Unpack[PoseGraphKeywords],
 ) -> GraphDiagnosis: ...
 
 
@@ -65,10 +67,11 @@ def diagnose(
     align: bool | None = None,
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
     constraints: Constraints | Iterable[str | Rule] | Applied = (),
-    **changes: Any,
+    **changes: Unpack[SolveKeywords],
 ) -> Diagnosis: ...
 
 
+@takes_options(SolveOptions)
 def diagnose(
     problem: Source | Result | PoseGraph | PoseGraphResult,
     options: SolveOptions | PoseGraphOptions | None = None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,8 @@ from bundle.errors import InputError
 from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.covariance_options import GAUGES, PARTS, ROBUST, SCALES, one_of, parts_of
+from bundle.interface.option_class import takes_options
+from bundle.interface.option_keywords import PoseGraphKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.source import Source, as_problem
@@ -53,7 +55,7 @@ def covariance(
     relative: Iterable[tuple[int, int]] = (),
     gauge: str | None = None,
     scale: str = "unit",
-    **changes: Any,
+    **changes: Unpack[PoseGraphKeywords],
 ) -> GraphCovariance: ...
 
 
@@ -75,6 +77,7 @@ def covariance(
 ) -> Covariance: ...
 
 
+@takes_options(SolveOptions)
 def covariance(
     problem: Source | Result | PoseGraph | PoseGraphResult,
     options: SolveOptions | PoseGraphOptions | None = None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Unpack
 
 from bundle import _core
 from bundle.base.arguments import as_flag, check_function
@@ -20,6 +20,8 @@ from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.marginals import GraphMarginals
 from bundle.graphs.factors.variables import Array, Key, Variable, as_list
 from bundle.interface.graph_options import GraphOptions
+from bundle.interface.option_class import takes_options
+from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.solve_record import Progress, SolveRecord, record_fields
 
@@ -100,13 +102,14 @@ class FactorGraph(GraphMarginals):
         graph.solve().values["b"]
     """
 
+    @takes_options(SolveOptions)
     def solve(
         self,
         options: SolveOptions | None = None,
         *,
         progress: Progress | None = None,
         square_root: bool | None = None,
-        **changes: Any,
+        **changes: Unpack[SolveKeywords],
     ) -> GraphResult:
         """Minimise 1/2 sum rho(||r||^2) over the factors, from the variables' values.
 

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,9 @@ from bundle.inertial.two_loops.window_loop import WindowLoop
 from bundle.inertial.two_loops.yaw_motion import YawMotion
 from bundle.inertial.vio.odometry import OdometryResult
 from bundle.inertial.vio.window_run import WindowRun
+from bundle.interface.option_class import takes_options
 from bundle.interface.option_fields import number
+from bundle.interface.option_keywords import WindowKeywords
 from bundle.interface.window_options import WindowOptions
 from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.model.sequence.sequence import Sequence
@@ -119,6 +121,7 @@ class TwoLoopsResult(Displayed):
         )
 
 
+@takes_options(WindowOptions)
 def run_two_loops(
     sequence: Sequence,
     options: WindowOptions | None = None,
@@ -128,7 +131,7 @@ def run_two_loops(
     num_shares: int = 100,
     solver: Callable[..., Array] | None = None,
     progress: Callable[[int, int], bool] | None = None,
-    **changes: Any,
+    **changes: Unpack[WindowKeywords],
 ) -> TwoLoopsResult:
     """Replay a sequence and publish a pose per IMU sample.
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 
 from bundle.base.display import Display, Displayed
 from bundle.inertial.vio.keyframe_record import KeyframeRecord
 from bundle.inertial.vio.window_run import WindowRun
+from bundle.interface.option_class import takes_options
+from bundle.interface.option_keywords import WindowKeywords
 from bundle.interface.window_options import WindowOptions
 from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.model.sequence.sequence import Sequence
@@ -60,12 +62,13 @@ class OdometryResult(Displayed):
         )
 
 
+@takes_options(WindowOptions)
 def run_odometry(
     sequence: Sequence,
     options: WindowOptions | None = None,
     *,
     progress: Callable[[int, int, KeyframeRecord | None], bool] | None = None,
-    **changes: Any,
+    **changes: Unpack[WindowKeywords],
 ) -> OdometryResult:
     """Run a :class:`bundle.SlidingWindow` over a sequence.
 

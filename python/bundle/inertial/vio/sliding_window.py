@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -33,6 +33,8 @@ from bundle.inertial.vio.steady_speed import steady_speed
 from bundle.inertial.vio.window_contents import window_arrays
 from bundle.inertial.vio.window_frame import ImuInterval, WindowFrame
 from bundle.inertial.vio.window_telemetry import WindowTelemetry
+from bundle.interface.option_class import takes_options
+from bundle.interface.option_keywords import WindowKeywords
 from bundle.interface.window_options import WindowOptions
 from bundle.model.sequence.imu_noise import ImuNoise
 
@@ -60,6 +62,7 @@ class SlidingWindow:
         InputError: an argument has a wrong shape or value.
     """
 
+    @takes_options(WindowOptions)
     def __init__(
         self,
         camera_from_imu: Any,
@@ -69,7 +72,7 @@ class SlidingWindow:
         gravity: Any = (0.0, 0.0, -9.81),
         time_offset: float = 0.0,
         options: WindowOptions | None = None,
-        **changes: Any,
+        **changes: Unpack[WindowKeywords],
     ) -> None:
         self.options = WindowOptions.of(options, changes, "SlidingWindow")
         self.camera_from_imu = as_vector("camera_from_imu", camera_from_imu, 7)

@@ -7,7 +7,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, Unpack, overload
 
 from bundle.base.arguments import check_function
 from bundle.errors import InputError, check_keywords
@@ -24,8 +24,9 @@ from bundle.interface.compare_options import (
     THREADS,
     TIMEOUT,
 )
-from bundle.interface.option_class import spellings
+from bundle.interface.option_class import spellings, takes_options
 from bundle.interface.option_fields import number
+from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.source import Source
@@ -51,7 +52,7 @@ def compare(
     repeat: int = REPEAT,
     timeout: float = TIMEOUT,
     progress: Callable[[str], None] | None = None,
-    **changes: Any,
+    **changes: Unpack[PoseGraphKeywords],
 ) -> GraphComparison: ...
 
 
@@ -69,10 +70,11 @@ def compare(
     timeout: float = TIMEOUT,
     memory_cap: int = 0,
     progress: Callable[[Progress], None] | None = None,
-    **changes: Any,
+    **changes: Unpack[SolveKeywords],
 ) -> Comparison: ...
 
 
+@takes_options(SolveOptions)
 def compare(
     problems: Source | Sequence[Source] | PoseGraph | PoseGraphResult,
     options: SolveOptions | PoseGraphOptions | None = None,

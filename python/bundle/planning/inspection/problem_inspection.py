@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, overload
+from typing import Unpack, overload
 
 from bundle import _core
 from bundle.base.arguments import as_flag
@@ -11,6 +11,8 @@ from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY, format_size
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.interface.option_class import takes_options
+from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.io.source import Source, as_problem
 from bundle.model.pose_graph_arrays import PoseGraph
@@ -44,16 +46,17 @@ def inspect(
     options: SolveOptions | None = None,
     *,
     recalibrate: bool = False,
-    **changes: Any,
+    **changes: Unpack[SolveKeywords],
 ) -> Inspection: ...
 
 
+@takes_options(SolveOptions)
 def inspect(
     problem: Source | PoseGraph | PoseGraphResult,
     options: SolveOptions | None = None,
     *,
     recalibrate: bool = False,
-    **changes: Any,
+    **changes: Unpack[SolveKeywords],
 ) -> Inspection | PoseGraphInspection:
     """Predict the cost of each solver method on a problem, without solving it.
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Unpack
 
 from bundle.errors import InputError
+from bundle.interface.option_class import takes_options
+from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CHECKPOINT_INTERVAL, RoundOptions
 from bundle.interface.solve_record import Progress
@@ -38,6 +40,7 @@ SMALLEST_CHANGE = 5e-4
 (``ba_global_max_refinement_change``)."""
 
 
+@takes_options(SolveOptions)
 def solve_rounds(
     problem: Source,
     options: SolveOptions | None = None,
@@ -57,7 +60,7 @@ def solve_rounds(
     checkpoint_interval: int = CHECKPOINT_INTERVAL,
     resume: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
-    **changes: Any,
+    **changes: Unpack[SolveKeywords],
 ) -> Result:
     """Adjust and filter in turns: outliers found after one adjustment do not disturb the next.
 

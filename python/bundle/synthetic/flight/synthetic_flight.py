@@ -8,12 +8,14 @@ IMU's clock.
 from __future__ import annotations
 
 import os
-from typing import Any, NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.interface.flight_options import FlightOptions
+from bundle.interface.option_class import takes_options
+from bundle.interface.option_keywords import FlightKeywords
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.io.sequences.trajectory_files import Trajectory, save_ground_truth
 from bundle.model.rigid_motions import inverse_poses
@@ -44,7 +46,10 @@ class SyntheticFlight(NamedTuple):
     ground_truth: Trajectory
 
 
-def synthesize_flight(options: FlightOptions | None = None, **changes: Any) -> SyntheticFlight:
+@takes_options(FlightOptions)
+def synthesize_flight(
+    options: FlightOptions | None = None, **changes: Unpack[FlightKeywords]
+) -> SyntheticFlight:
     """Make a visual-inertial sequence with ground truth.
 
     Args:

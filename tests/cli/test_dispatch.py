@@ -1,0 +1,59 @@
+"""The tables of commands: each has arguments, handlers that exist, and a default for any kind."""
+
+from __future__ import annotations
+
+import pytest
+
+from bundle.cli.commands import ARGUMENTS
+from bundle.cli.dispatch import COMMANDS, FLIGHT, GRAPH_FILE, HANDLERS, SEVERAL, find_handler
+from bundle.cli.main import command_parser
+from bundle.io.recognition import Kind, recognize
+
+
+def test_the_tables_name_the_same_commands():
+    assert list(ARGUMENTS) == list(COMMANDS)
+    assert {command for command, _ in HANDLERS} == set(COMMANDS)
+
+
+@pytest.mark.parametrize(("command", "kind"), HANDLERS)
+def test_every_handler_exists(command, kind):
+    handler = find_handler(command, kind)
+    assert callable(handler)
+    module, _, name = HANDLERS[command, kind].partition(":")
+    assert (handler.__module__, handler.__name__) == (f"bundle.cli.{module}", name)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_any_other_kind_goes_to_the_reader_of_reconstructions(command):
+    assert find_handler(command, "nothing") is find_handler(command, Kind.RECONSTRUCTION)
+
+
+@pytest.mark.parametrize(
+    ("words", "kind"),
+    [
+        (("refine", "a.g2o", "-o", "b"), Kind.POSE_GRAPH),
+        (("refine", "a.txt", "-o", "b"), Kind.RECONSTRUCTION),
+        (("info", "a.g2o", "b.txt"), SEVERAL),
+        (("compare", "a.txt", "b.g2o"), Kind.POSE_GRAPH),
+        (("compare", "a.txt", "b.txt"), Kind.RECONSTRUCTION),
+        (("inspect", "a.g2o"), Kind.POSE_GRAPH),
+        (("inspect", "--graph", "a.txt"), GRAPH_FILE),
+        (("inspect",), GRAPH_FILE),
+        (("synth", "out", "--scene", "flight"), FLIGHT),
+    ],
+)
+def test_the_kind_of_a_command_line(words, kind, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments = command_parser().parse_args(list(words))
+    assert (arguments.command, arguments.kind(arguments)) == (words[0], kind)
+
+
+def test_kinds_are_told_by_content_and_pipes_are_left_alone(tmp_path):
+    (tmp_path / "graph.txt").write_text("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
+    (tmp_path / "problem.txt").write_text("1 1 1\n0 0 1 1\n")
+    (tmp_path / "flight").mkdir()
+    (tmp_path / "flight" / "imu.csv").touch()
+    assert recognize(tmp_path / "graph.txt") is Kind.POSE_GRAPH
+    assert recognize(tmp_path / "problem.txt") is Kind.RECONSTRUCTION
+    assert recognize(tmp_path / "flight") is Kind.SEQUENCE
+    assert recognize(None) is Kind.RECONSTRUCTION
