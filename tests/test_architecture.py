@@ -17,7 +17,7 @@ ROOMS = "base interface model io checking graphs georeference editing solving in
 RANKS = f"{ROOMS} planning analysis figures reports cli".split()  # of python/bundle
 ROOT_FILES = ["__init__.py", "__main__.py", "_core.pyi", "errors.py", "py.typed"]
 OUTSIDERS = {  # other people's packages, and the rooms that may know them
-    "argparse": "cli", "rich": "base checking reports cli", "matplotlib": "figures",
+    "argparse": "cli", "shtab": "cli", "rich": "base checking reports cli", "matplotlib": "figures",
     "pycolmap": "model io", "pyproj": "georeference", "yaml": "model",
     "evo": "inertial", "mpi4py": "solving cli", "PIL": "georeference reports",
 }  # fmt: skip

@@ -14,6 +14,7 @@ from typing import Any
 
 from bundle import __version__
 from bundle.cli import startup
+from bundle.cli.completion import SHELLS, PrintCompletion
 from bundle.cli.dispatch import COMMANDS, find_handler, kind_of_input
 from bundle.cli.error_lines import (
     EXIT_BAD_INPUT,
@@ -95,6 +96,12 @@ def command_parser() -> Parser:
         explain=lambda found: unknown(found, ""),
     )
     parser.add_argument("--version", action="version", version=f"bundle {__version__}")
+    parser.add_argument(
+        "--print-completion",
+        choices=SHELLS,
+        action=PrintCompletion,
+        help="print a script that completes commands, flags and values in a shell (needs shtab)",
+    )
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, help in COMMANDS.items():
         commands.add_parser(

@@ -34,10 +34,10 @@ from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.gps_priors import GPS_SIGMA
 from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.other_readings import check_readings
-from bundle.georeference.position_prior import ROBUST_SCALE
 from bundle.georeference.similarity import moved
 from bundle.georeference.similarity_fit import fit_similarity
 from bundle.georeference.survey import Survey, control_point_error
+from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
 from bundle.io.source import Source, as_problem

@@ -22,8 +22,8 @@ from math import comb, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.georeference.position_prior import ROBUST_SCALE
 from bundle.georeference.similarity import scale_and_rotation, umeyama
+from bundle.interface.georeference_options import ROBUST_SCALE
 
 __all__ = ["agreeing"]
 

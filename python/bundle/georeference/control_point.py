@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from bundle.errors import InputError, brief
-from bundle.georeference.position_prior import ROBUST_SCALE
+from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
 

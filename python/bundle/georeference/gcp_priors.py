@@ -39,10 +39,11 @@ from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.leave_one_out import leave_one_out
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.other_readings import check_readings
-from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
+from bundle.georeference.position_prior import PositionPrior
 from bundle.georeference.similarity_fit import fit_similarity
 from bundle.georeference.survey import Survey, surveyed
 from bundle.georeference.triangulated_targets import triangulate
+from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.model.problem import Problem
 
 __all__ = ["GcpPriors", "gcp_priors"]

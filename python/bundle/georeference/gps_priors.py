@@ -19,9 +19,10 @@ from bundle.georeference.gps_positions import GpsPositions, matched, too_few, un
 from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.other_readings import check_readings
-from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
+from bundle.georeference.position_prior import PositionPrior
 from bundle.georeference.prior_alignment import ProblemPriors, robust_similarity
 from bundle.georeference.survey import Survey
+from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.model.problem import Problem
 
 __all__ = ["GPS_SIGMA", "GpsPriors", "check_settings", "gps_priors"]

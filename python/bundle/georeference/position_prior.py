@@ -12,7 +12,6 @@ Hessian is zero in double precision.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,15 +23,14 @@ from bundle.base.arrays import freeze, refrozen
 from bundle.base.display import Display, Displayed
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.factors import PositionFactor
+from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
 
-__all__ = ["ROBUST_SCALE", "PositionPrior"]
+__all__ = ["PositionPrior"]
 
 Array = NDArray[np.float64]
 
-ROBUST_SCALE = math.sqrt(7.814727903251179)
-"""Sigmas; 95 % of errors with three Gaussian coordinates are shorter (chi squared: 7.8147)."""
 UNKNOWN = 1e100
 """Standard deviation whose inverse square is negligible beside any other number here."""
 

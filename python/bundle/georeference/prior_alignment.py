@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from bundle.errors import InputError, brief, nearest
 from bundle.georeference.consensus import agreeing
 from bundle.georeference.correspondences import Correspondences
-from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
+from bundle.georeference.position_prior import PositionPrior
 from bundle.georeference.similarity import Similarity, moved
 from bundle.georeference.similarity_fit import fit_similarity
 from bundle.graphs.factors.factors import PositionFactor
 from bundle.graphs.factors.variables import as_list
+from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 

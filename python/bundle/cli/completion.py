@@ -1,0 +1,42 @@
+"""`bundle --print-completion SHELL`: a script that completes commands, flags, values and paths.
+
+shtab makes the script from the parser. The script is static: a shell completes without starting
+Python.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from bundle.errors import InputError
+
+__all__ = ["SHELLS", "PrintCompletion"]
+
+SHELLS = ("bash", "zsh", "tcsh")
+
+
+class PrintCompletion(argparse.Action):
+    """Action that prints the script of a shell and ends the command."""
+
+    def __call__(self, parser: Any, _namespace: Any, shell: Any, _flag: str | None = None) -> None:
+        """Print the script.
+
+        Raises:
+            InputError: shtab is not installed.
+        """
+        # Both are for this flag only; shtab is an extra.
+        from bundle.cli.path_checks import PathArgument
+
+        try:
+            import shtab
+        except ImportError:
+            raise InputError(
+                "--print-completion: expected shtab, found none (pip install shtab)"
+            ) from None
+        for command in parser.commands().values():
+            for action in command._actions:
+                if isinstance(action.type, PathArgument):
+                    action.complete = shtab.FILE
+        parser._print_message(shtab.complete(parser, shell=shell))
+        parser.exit()
