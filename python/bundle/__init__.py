@@ -102,7 +102,7 @@ if TYPE_CHECKING:
     from bundle.reports.page import report
     from bundle.solving import constraints
     from bundle.solving.constraints.rule_list import Constraints
-    from bundle.solving.free_degrees import GaugeFreedom, gauge_freedom
+    from bundle.solving.gauge_freedom import GaugeFreedom, gauge_freedom
     from bundle.solving.result import Result
     from bundle.solving.rounds.filtering import Filtered, filter_observations
     from bundle.solving.rounds.solve_rounds import solve_rounds
@@ -327,7 +327,7 @@ _DEFERRED = {
     "planning.inspection.problem_inspection": ("inspect",),
     "reports.page": ("report",),
     "solving.constraints.rule_list": ("Constraints",),
-    "solving.free_degrees": ("GaugeFreedom", "gauge_freedom"),
+    "solving.gauge_freedom": ("GaugeFreedom", "gauge_freedom"),
     "solving.result": ("Result",),
     "solving.rounds.filtering": ("Filtered", "filter_observations"),
     "solving.rounds.solve_rounds": ("solve_rounds",),

@@ -36,7 +36,7 @@ FORMER = {
     "files": "io.files",
     "filters.msckf": "inertial.filters.msckf",
     "filters.track_linearization": "inertial.filters.track_linearization",
-    "free_degrees": "solving.free_degrees",
+    "free_degrees": "solving.gauge_freedom",
     "graph.digits": "graphs.factors.digits",
     "graph.factor_check": "graphs.factors.factor_check",
     "graph.factor_graph": "graphs.factors.factor_graph",

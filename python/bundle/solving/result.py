@@ -24,7 +24,7 @@ from bundle.model.reprojection import (
 from bundle.model.worst_images import ImageError, worst_images, worst_of_errors
 from bundle.solving.constraints.camera_bounds import ActiveBound
 from bundle.solving.constraints.constraint_record import RuleEnd
-from bundle.solving.free_degrees import GaugeFreedom, gauge_freedom
+from bundle.solving.gauge_freedom import GaugeFreedom, gauge_freedom
 from bundle.solving.round_record import PartRecord, Round
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.source import Source, as_problem
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
-from bundle.solving.free_degrees import gauge_freedom
+from bundle.solving.gauge_freedom import gauge_freedom
 from bundle.solving.prepare import prepare
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result

@@ -21,7 +21,7 @@ from bundle.io.georeference_file import remove_georeference
 from bundle.io.open import save_model
 from bundle.model.problem import Problem
 from bundle.model.worst_images import worst_of_sums
-from bundle.solving.free_degrees import gauge_freedom
+from bundle.solving.gauge_freedom import gauge_freedom
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.ranks.divided_solve import Crew, heeding, process_record
 from bundle.solving.request import RunPlan, SolveRequest
