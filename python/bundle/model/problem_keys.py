@@ -5,6 +5,7 @@ A sensor of a rig has two ids, ``("sensor", (rig_id, camera_id))``.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,9 @@ from bundle.errors import InputError, brief
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 
-__all__ = ["ProblemKeys", "parameter_names"]
+__all__ = ["KINDS", "ProblemKeys", "parameter_names", "touched_ids"]
+
+KINDS = ("image", "camera", "point", "frame", "sensor")
 
 
 class ProblemKeys:
@@ -91,3 +94,13 @@ def parameter_names(argument: str, problem: Problem, camera: int) -> tuple[str, 
             f"{argument}: camera {problem.camera_ids[camera]}: model {model} is not supported"
         )
     return names
+
+
+def touched_ids(factors: Iterable[Any]) -> dict[str, list[Any]]:
+    """Return the ids of the variables of factors by kind; keys of no kind are left out."""
+    touched: dict[str, list[Any]] = {kind: [] for kind in KINDS}
+    keys: list[Any] = [key for factor in factors for key in factor.keys]
+    for key in keys:
+        if isinstance(key, tuple) and len(key) == 2 and key[0] in KINDS:  # else refused later
+            touched[key[0]].append(key[1])
+    return touched

@@ -24,15 +24,13 @@ from bundle.solving.result import Result
 from bundle.solving.sensor_changes import weak_baseline
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from bundle.graphs.factors.factors import Factor
     from bundle.solving.constraints.applied import Applied
     from bundle.solving.constraints.constraint_record import RuleEnd
     from bundle.solving.request import Rules
-    from bundle.solving.round_record import Round
     from bundle.solving.rounds.local_part import LocalPart
     from bundle.solving.rounds.rest_prior import RestPrior
+    from bundle.solving.rounds.run_state import State
 
 __all__ = ["STATE", "Prepared", "prepare"]
 
@@ -111,22 +109,14 @@ class Prepared:
             **record_fields(output),
         )
 
-    def finished(
-        self,
-        result: Result,
-        *,
-        observations: NDArray[Any] | None = None,
-        points: NDArray[Any] | None = None,
-        rounds: tuple[Round, ...] = (),
-    ) -> Result:
+    def finished(self, result: Result, state: State | None = None) -> Result:
         """Return the last result of the start as one of the problem given.
 
         Args:
             result: of the start, or of what filters have left of it.
-            observations: mask of the start's observations that are left; None: all.
-            points: likewise.
-            rounds: that led to it.
+            state: of the rounds that led to it; None without any.
         """
+        rounds = () if state is None else state.rounds
         last, given, placed = result.problem, self.request.problem, self.placed
         ends = _rule_ends(self.applied, placed.problem, last)
         if self.part is not None:
@@ -137,7 +127,7 @@ class Prepared:
                 result, record = without_prior(result, record, self.rest)
             return dataclasses.replace(
                 result,
-                problem=self.part.merge(last, observations, points),
+                problem=self.part.merge(last, state),
                 initial_problem=given,
                 options=_as_asked(result.options, self.request.options),
                 rounds=rounds,

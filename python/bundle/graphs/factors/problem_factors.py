@@ -29,11 +29,10 @@ from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.variables import Array, Key, as_list
 from bundle.model.problem import Problem
-from bundle.model.problem_keys import ProblemKeys, parameter_names
+from bundle.model.problem_keys import KINDS, ProblemKeys, parameter_names
 
 __all__ = ["ProblemFactors", "check_factors", "wrong_factor"]
 
-KINDS = ("image", "camera", "point", "frame", "sensor")
 _POSES = {"image": "cam_from_world", "frame": "rig_from_world", "sensor": "sensor_from_rig"}
 
 

@@ -26,14 +26,16 @@ from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
+from bundle.model.problem_keys import touched_ids
 from bundle.model.selection import with_frames
 from bundle.solving.request import Bounds
 from bundle.solving.round_record import PartRecord
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
+    from bundle.solving.rounds.run_state import State
 
-__all__ = ["LocalPart", "touched_ids"]
+__all__ = ["LocalPart"]
 
 _Indices = NDArray[np.int64]
 _Mask = NDArray[np.bool_]
@@ -195,22 +197,20 @@ class LocalPart:
         keys = {("camera", camera_id) for camera_id in outside}
         return {key: value for key, value in bounds.items() if key not in keys}
 
-    def merge(
-        self, refined: Problem, observation_mask: _Mask | None, point_mask: _Mask | None
-    ) -> Problem:
+    def merge(self, refined: Problem, state: State | None = None) -> Problem:
         """Return the whole problem with the values of the part that were refined.
 
         Args:
             refined: the part, or what is left of it.
-            observation_mask: which observations of the part are left; None: all.
-            point_mask: which points of the part are left; None: all.
+            state: of the rounds, whose masks say what is left; None: all is.
         """
         whole, part = self._whole, self.selection
         left = np.ones(whole.num_observations, bool)
         stays = np.ones(whole.num_points, bool)
-        if observation_mask is not None and point_mask is not None:
-            left[part.observations], stays[part.points] = observation_mask, point_mask
-            part = part.restricted(observation_mask, point_mask)
+        if state is not None:
+            left[part.observations] = state.observation_mask
+            stays[part.points] = state.point_mask
+            part = part.restricted(state.observation_mask, state.point_mask)
         values = part.put_back(
             whole,
             refined,
@@ -228,17 +228,6 @@ def _frames_of(problem: Problem, images: _Mask) -> _Mask:
     of_images = problem.image_frame[images]
     frames[of_images[of_images >= 0]] = True
     return frames
-
-
-def touched_ids(factors: Iterable[Factor]) -> dict[str, list[Any]]:
-    """Return the ids of the variables of factors by kind."""
-    kinds = ("image", "camera", "point", "frame", "sensor")
-    touched: dict[str, list[Any]] = {kind: [] for kind in kinds}
-    keys: list[Any] = [key for factor in factors for key in factor.keys]
-    for key in keys:
-        if isinstance(key, tuple) and len(key) == 2 and key[0] in kinds:  # else refused later
-            touched[key[0]].append(key[1])
-    return touched
 
 
 def _held(

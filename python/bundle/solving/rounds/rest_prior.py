@@ -40,12 +40,13 @@ from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
+from bundle.model.problem_keys import touched_ids
 from bundle.model.selection import Selection
 from bundle.solving.layout import lay_out
 from bundle.solving.request import Bounds
 from bundle.solving.result import Result
 from bundle.solving.round_record import PartRecord, RestRecord
-from bundle.solving.rounds.local_part import LocalPart, touched_ids
+from bundle.solving.rounds.local_part import LocalPart
 from bundle.solving.rounds.neighbours import Neighbours
 
 if TYPE_CHECKING:

@@ -15,6 +15,7 @@ from bundle.interface.round_options import CHECKPOINT_INTERVAL, RoundOptions
 from bundle.interface.solve_record import Progress
 from bundle.io.source import Source, as_problem
 from bundle.model.image_selection import ImageSelection
+from bundle.model.problem_keys import touched_ids
 from bundle.solving.executors import solve_prepared
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.request import Bounds, PartRequest, RunPlan, SolveRequest
@@ -22,7 +23,6 @@ from bundle.solving.result import Result
 from bundle.solving.round_record import Round
 from bundle.solving.rounds.checkpoint import Checkpoint
 from bundle.solving.rounds.filtering import Filtered, filter_observations
-from bundle.solving.rounds.local_part import touched_ids
 from bundle.solving.rounds.run_state import State
 from bundle.solving.rounds.segments import num_steps, solve_in_segments
 
@@ -166,20 +166,11 @@ def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) 
     while state.end is None:
         result = _adjust(prepared, state, checkpoint, progress)
         if result.summary.interrupted or not result.summary.is_solution_usable:
-            return _finished(prepared, state, result)
+            return prepared.finished(result, state)  # a checkpoint keeps what was before
         state = _next(prepared, state, result, plan.rounds)
         if checkpoint is not None:
             checkpoint.write(state)
-    return _finished(prepared, state, state.end)
-
-
-def _finished(prepared: Prepared, state: State, result: Result) -> Result:
-    return prepared.finished(
-        result,
-        observations=state.observation_mask,
-        points=state.point_mask,
-        rounds=state.rounds,
-    )
+    return prepared.finished(state.end, state)
 
 
 def _adjust(

@@ -1,7 +1,7 @@
 """The gauge problem of a model in slices: a small problem with the same gauge freedom.
 
-The count of gauge freedoms (``bundle.solving.gauge_freedom``) depends on the images that free points
-connect, and on the positions of constant points. Of free points a slice therefore gives, for each
+Gauge freedom (``bundle.solving.gauge_freedom``) depends on the images that free points connect, and
+on the positions of constant points. Of free points a slice therefore gives, for each
 image that it observes, one point that connects the image with the first one of its component; of
 constant points it gives all observations. That is at most one point per image and process, and the
 points that the user named.
