@@ -10,6 +10,7 @@ from urllib.parse import unquote, urlparse
 
 import pytest
 
+from bundle.interface.option_classes import OPTION_CLASSES
 from tests.reports.page.conftest import browser  # noqa: F401 (a fixture)
 
 SITE = Path(__file__).parents[2] / "build" / "site"
@@ -86,6 +87,12 @@ def test_search_finds_terms_of_the_literature_without_a_server(browser, site, te
     browser.open(site / "search.html")
     browser.evaluate(f"Search.performSearch('{term}')")
     browser.wait_for("document.querySelectorAll('#search-results li').length > 0")
+
+
+def test_every_option_class_is_on_the_page_of_options(browser, site):  # noqa: F811
+    browser.open(site / "reference" / "options.html")
+    for name in OPTION_CLASSES:
+        assert browser.count(f"section#{name.lower()} dt") > 1, name
 
 
 def test_notebooks_show_what_they_computed(browser, site):  # noqa: F811

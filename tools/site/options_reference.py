@@ -1,8 +1,7 @@
-"""The directives ``options`` and ``command``: what can be asked for, read from the code.
+"""The directives ``options`` and ``commands``: all options and flags, read from the code.
 
-``{options} SolveOptions`` lists the fields of an option class of bundle, with flag, default and
-range. ``{command} refine`` lists the arguments of a command of the command line, by its groups;
-``{commands}`` has a section for each command.
+``{options}`` has a section for each option class: its fields with flag, default and range.
+``{commands}`` has a section for each command: its arguments by groups.
 """
 
 from __future__ import annotations
@@ -16,9 +15,10 @@ from typing import Any
 
 from docutils import nodes
 from sphinx.util.docutils import SphinxDirective
+from tools.site.derivations import text_nodes
 
-import bundle
 from bundle.cli.main import COMMANDS, command_parser
+from bundle.interface.option_classes import OPTION_CLASSES, option_class
 
 
 def entry(names: Iterable[str], anchor: str, text: str, details: str = "") -> nodes.Node:
@@ -65,21 +65,29 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:] + ("" if text.endswith((".", ":")) else ".")
 
 
-class OptionClass(SphinxDirective):
-    """``{options} SolveOptions``."""
-
-    required_arguments = 1
+class OptionClasses(SphinxDirective):
+    """``{options}``: a section for each option class."""
 
     def run(self) -> list[nodes.Node]:
-        """Return the list of its fields."""
-        kind: Any = getattr(bundle, self.arguments[0], None)
-        if not isinstance(kind, type) or not dataclasses.is_dataclass(kind):
-            raise self.error(f"options: expected an option class, found {self.arguments[0]}")
-        self.env.note_dependency(inspect.getfile(kind))
+        """Return the sections, each with the list of its fields."""
         self.env.note_dependency(__file__)
-        found = nodes.definition_list(classes=["options"])
-        found += [field_entry(kind, field) for field in dataclasses.fields(kind)]
-        return [found]
+        sections: list[nodes.Node] = []
+        for name in sorted(OPTION_CLASSES, key=lambda name: (name != "SolveOptions", name)):
+            kind: Any = option_class(name)
+            self.env.note_dependency(inspect.getfile(kind))
+            section = nodes.section(ids=[nodes.make_id(name)], names=[name])
+            section += nodes.title("", name)
+            section += nodes.paragraph("", "", *text_nodes(summary(kind)))
+            found = nodes.definition_list(classes=["options"])
+            found += [field_entry(kind, field) for field in dataclasses.fields(kind)]
+            section += found
+            sections.append(section)
+        return sections
+
+
+def summary(kind: type) -> str:
+    """Return the first paragraph of the docstring of a class."""
+    return " ".join((inspect.getdoc(kind) or "").partition("\n\n")[0].split())
 
 
 def invocation(action: argparse.Action) -> list[str]:
@@ -91,62 +99,50 @@ def invocation(action: argparse.Action) -> list[str]:
     return [flag if action.nargs == 0 else f"{flag} {value}" for flag in action.option_strings]
 
 
-class Command(SphinxDirective):
-    """``{command} refine``."""
-
-    required_arguments = 1
-
-    def run(self) -> list[nodes.Node]:
-        """Return its groups of arguments, each a section."""
-        name = self.arguments[0]
-        if name not in COMMANDS:
-            raise self.error(f"command: expected one of {', '.join(COMMANDS)}, found {name}")
-        parser = command_parser().commands()[name]
-        for module in [__name__, *(name for name in sys.modules if name.startswith("bundle.cli."))]:
-            self.env.note_dependency(inspect.getfile(sys.modules[module]))
-        found: list[nodes.Node] = [nodes.paragraph("", sentence(parser.description or ""))]
-        for group in parser._action_groups:
-            actions = [
-                action for action in group._group_actions if "--help" not in action.option_strings
-            ]
-            if not actions:
-                continue
-            title = {"positional arguments": "Arguments", "options": "Options"}.get(
-                group.title or "", sentence(group.title or "").rstrip(".")
-            )
-            found.append(nodes.rubric("", title))
-            if group.description:
-                found.append(nodes.paragraph("", group.description))
-            listed = nodes.definition_list(classes=["options"])
-            for action in actions:
-                anchor = nodes.make_id(f"{name} {(action.option_strings or [action.dest])[-1]}")
-                text = parser._get_formatter()._expand_help(action)
-                listed += entry(invocation(action), anchor, sentence(text))
-            found.append(listed)
-        return found
-
-
 class Commands(SphinxDirective):
     """``{commands}``: a section for each command."""
 
     def run(self) -> list[nodes.Node]:
-        """Return the sections."""
+        """Return the sections, each with a list for each group of arguments."""
+        parsers = command_parser().commands()
         sections: list[nodes.Node] = []
         for name in COMMANDS:
             title = f"bundle {name}"
             section = nodes.section(ids=[nodes.make_id(title)], names=[title])
             section += nodes.title("", title)
-            section += Command(
-                "command", [name], {}, self.content, self.lineno, self.content_offset,
-                self.block_text, self.state, self.state_machine,
-            ).run()  # fmt: skip
+            section += arguments_of(name, parsers[name])
             sections.append(section)
+        for module in [__name__, *(name for name in sys.modules if name.startswith("bundle.cli."))]:
+            self.env.note_dependency(inspect.getfile(sys.modules[module]))
         return sections
+
+
+def arguments_of(name: str, parser: argparse.ArgumentParser) -> list[nodes.Node]:
+    """Return the description of a command and its arguments by groups."""
+    found: list[nodes.Node] = [nodes.paragraph("", sentence(parser.description or ""))]
+    for group in parser._action_groups:
+        actions = [
+            action for action in group._group_actions if "--help" not in action.option_strings
+        ]
+        if not actions:
+            continue
+        title = {"positional arguments": "Arguments", "options": "Options"}.get(
+            group.title or "", sentence(group.title or "").rstrip(".")
+        )
+        found.append(nodes.rubric("", title))
+        if group.description:
+            found.append(nodes.paragraph("", group.description))
+        listed = nodes.definition_list(classes=["options"])
+        for action in actions:
+            anchor = nodes.make_id(f"{name} {(action.option_strings or [action.dest])[-1]}")
+            text = parser._get_formatter()._expand_help(action)
+            listed += entry(invocation(action), anchor, sentence(text))
+        found.append(listed)
+    return found
 
 
 def setup(app: Any) -> dict[str, Any]:
     """Register the directives."""
-    app.add_directive("options", OptionClass)
-    app.add_directive("command", Command)
+    app.add_directive("options", OptionClasses)
     app.add_directive("commands", Commands)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
