@@ -168,6 +168,20 @@ def test_an_image_plane_goes_down_and_has_its_corners():
     assert float(cells[2].get("y")) == pytest.approx(2.0 + 150)
 
 
+def test_vectors_of_an_image_plane_start_where_they_are():
+    at, step = np.array([[120.0, 60.0], [700.0, 500.0]]), np.array([[10.0, -20.0], [0.0, 30.0]])
+    figure = over_image(np.array([100.0, 50.0, 740.0, 530.0]), "f", "", Vectors(at, step))
+    (path,) = parsed(figure).findall("./svg/path")
+    pairs = [part.split("l") for part in path.get("d")[1:].split("M")]
+    for (start, way), place, vector in zip(pairs, at, step, strict=True):
+        seen = [np.array(text.split(), float) * 640 / 400 for text in (start, way)]
+        np.testing.assert_allclose(seen[0], place - (100, 50) + 2 * 1.6, atol=0.1)
+        np.testing.assert_allclose(seen[1], vector, atol=0.1)
+    lines = axis_of(figure).lines
+    for line, place, vector in zip(lines, at, step, strict=True):
+        np.testing.assert_allclose(line.get_xydata(), [place, place + vector])
+
+
 EACH = {
     Line: chart(Line("a", X, Y, colour=2, sigma=0.1 * Y, error=0.2 * Y)),
     Steps: chart(Steps("a", np.append(X, 11.0), Y)),

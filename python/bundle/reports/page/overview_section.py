@@ -16,18 +16,12 @@ from bundle.model.problem import Problem
 from bundle.model.reprojection import ReprojectionError
 from bundle.reports.page.page import tag
 from bundle.reports.page.svg import draw
-from bundle.reports.page.table import table
+from bundle.reports.page.table import declared, table
+from bundle.reports.sections import Table
+from bundle.reports.terminal.solve_data import ERRORS, ROUNDS
 from bundle.solving.result import Result
 
 __all__ = ["overview_section"]
-
-ERRORS = {
-    "rmse": "RMSE [px]",
-    "mean": "mean error [px]",
-    "median": "median error [px]",
-    "p95": "95th percentile [px]",
-    "max": "max error [px]",
-}
 
 
 def overview_section(
@@ -47,7 +41,8 @@ def overview_section(
         charts.append(draw(iteration_figure(np.asarray(result.iterations["cost"], float))))
     sections.append(tag("div", *charts, class_="grid"))
     if result.rounds:
-        sections.append(_rounds(result))
+        rounds = declared(Table(ROUNDS, result.rounds))
+        sections.append(tag("h3", "Rounds") + rounds)
     sections.append(_options(result))
     return sections
 
@@ -92,17 +87,6 @@ def _errors_of(result: Result) -> str:
         rows.append([title, f"{getattr(first, name):,}", f"{getattr(last, name):,}"])
     rows.append(["behind camera", f"{before.num_behind_camera:,}", f"{after.num_behind_camera:,}"])
     return table(["", "before", "after"], rows)
-
-
-def _rounds(result: Result) -> str:
-    head = ["round", "cost before", "cost after", "observations", "removed", "points", "removed"]
-    rows = [
-        [str(one.round), f"{one.initial_cost:.9g}", f"{one.cost:.9g}",
-         f"{one.num_observations:,}", f"{one.num_observations_removed:,}",
-         f"{one.num_points:,}", f"{one.num_points_removed:,}"]
-        for one in result.rounds
-    ]  # fmt: skip
-    return tag("h3", "Rounds") + table(head, rows)
 
 
 def _options(result: Result) -> str:

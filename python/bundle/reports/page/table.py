@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.reports.page.page import tag
+from bundle.reports.sections import Table
 
-__all__ = ["Notes", "convention", "rounded", "table"]
+__all__ = ["Notes", "convention", "declared", "rounded", "table"]
 
 # Characters of a sentence that wraps.
 LONG = 20
@@ -69,6 +70,11 @@ def table(
     size = "wide" if len(head) > MOST_COLUMNS else None
     inner = tag("table", tag("thead", heading), tag("tbody", *lines), class_=size)
     return tag("div", inner, class_="scroll", tabindex=0)
+
+
+def declared(made: Table, *, best: int | None = None, rows_shown: int | None = None) -> str:
+    """Return a declared table; ``best`` and ``rows_shown`` as in :func:`table`."""
+    return table(made.head, made.cells(), best=best, rows_shown=rows_shown)
 
 
 class Notes:

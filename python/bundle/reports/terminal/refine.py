@@ -17,7 +17,7 @@ from bundle.reports.terminal.camera_edit_rows import edit_data, edit_rows
 from bundle.reports.terminal.inputs import about_problem, problem_facts, rig_fact, written
 from bundle.reports.terminal.process_tables import process_sections
 from bundle.reports.terminal.rig_tables import sensor_sections
-from bundle.reports.terminal.solve_data import factor_fact, result_data
+from bundle.reports.terminal.solve_data import ERRORS, ROUNDS, factor_fact, result_data
 from bundle.reports.terminal.timing import WallTime, wall_section
 from bundle.solving.camera_changes import CameraChange, camera_changes
 from bundle.solving.result import Result
@@ -33,26 +33,6 @@ __all__ = ["refinement", "worst_sections"]
 
 MOST_CAMERAS = 5
 """Cameras whose changes are shown."""
-
-
-_full = "{:.9e}".format
-
-ROUNDS = (
-    Column("round", "round"),
-    Column("cost before", "initial_cost", _full),
-    Column("cost after", "cost", _full),
-    Column("observations", "num_observations"),
-    Column("removed", "num_observations_removed"),
-    Column("points", "num_points"),
-    Column("removed", "num_points_removed"),
-)
-ERRORS = {
-    "rmse": "RMSE [px]",
-    "mean": "mean error [px]",
-    "median": "median error [px]",
-    "p95": "95th percentile [px]",
-    "max": "max error [px]",
-}
 
 
 def refinement(

@@ -10,10 +10,30 @@ from bundle.base.words import number, plural, seconds
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.summary import Summary
-from bundle.reports.sections import Section, records
+from bundle.reports.sections import Column, Section, records
 from bundle.solving.result import Result
 
-__all__ = ["factor_fact", "looks_wrong", "result_data", "solve_options"]
+__all__ = ["ERRORS", "ROUNDS", "factor_fact", "looks_wrong", "result_data", "solve_options"]
+
+
+_full = "{:.9e}".format
+
+ROUNDS = (
+    Column("round", "round"),
+    Column("cost before", "initial_cost", _full),
+    Column("cost after", "cost", _full),
+    Column("observations", "num_observations"),
+    Column("removed", "num_observations_removed"),
+    Column("points", "num_points"),
+    Column("removed", "num_points_removed"),
+)
+ERRORS = {
+    "rmse": "RMSE [px]",
+    "mean": "mean error [px]",
+    "median": "median error [px]",
+    "p95": "95th percentile [px]",
+    "max": "max error [px]",
+}
 
 
 def result_data(solved: Result) -> dict[str, Any]:
