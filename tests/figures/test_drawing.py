@@ -149,7 +149,7 @@ def test_the_palette_is_that_of_light_pages():
 
 
 def test_an_image_plane_goes_down_and_has_its_corners():
-    figure = plane(Cells(np.array([[1.0, np.nan], [3.0, 4.0]]), 4.0, "px"))
+    figure = plane(Cells(np.array([[1.0, np.nan], [3.0, 4.0]]), 5.0, "px"))
     ax = axis_of(figure)
     assert ax.get_xlim() == (0, 640) and ax.get_ylim() == (480, 0)
     root = parsed(figure)
