@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from bundle.analysis.uncertainty.compute_covariance import covariance
     from bundle.analysis.uncertainty.covariance_result import Covariance
     from bundle.analysis.uncertainty.graph_covariance import GraphCovariance
-    from bundle.base.headers import get_include
+    from bundle.base.paths import get_include
     from bundle.checking.gradient_report import GradientReport
     from bundle.checking.gradients import check_gradients
     from bundle.checking.jacobians import check_jacobians
@@ -250,7 +250,7 @@ _DEFERRED = {
     "analysis.uncertainty.compute_covariance": ("covariance",),
     "analysis.uncertainty.covariance_result": ("Covariance",),
     "analysis.uncertainty.graph_covariance": ("GraphCovariance",),
-    "base.headers": ("get_include",),
+    "base.paths": ("get_include",),
     "checking.gradient_report": ("GradientReport",),
     "checking.gradients": ("check_gradients",),
     "checking.jacobians": ("check_jacobians",),

@@ -50,7 +50,7 @@ FORMER = {
     "graph.spectrum": "graphs.factors.spectrum",
     "graph.square_root_prior": "graphs.factors.linear_prior",
     "graph.variables": "graphs.factors.variables",
-    "headers": "base.headers",
+    "headers": "base.paths",
     "html": "reports.page",
     "inertial.imu_factors": "inertial.preintegration.imu_factors",
     "inertial.imu_noise": "model.sequence.imu_noise",

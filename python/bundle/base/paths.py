@@ -1,14 +1,17 @@
-"""Paths as users hand them in."""
+"""Paths that users give, the lines of text files, and the path of the C++ headers."""
 
 from __future__ import annotations
 
+import codecs
 import os
 from pathlib import Path
 from typing import Any, TypeGuard
 
-from bundle.errors import InputError, brief
+from bundle.errors import InputError, brief, shown
 
-__all__ = ["as_path", "is_path"]
+__all__ = ["as_path", "get_include", "is_path", "numbered_lines"]
+
+_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def as_path(path: Any, name: str = "path") -> Path:
@@ -36,3 +39,28 @@ def is_path(value: Any) -> TypeGuard[str | os.PathLike[str]]:
     return isinstance(value, str) or (
         isinstance(value, os.PathLike) and isinstance(os.fspath(value), str)
     )
+
+
+def numbered_lines(path: str | os.PathLike[str]) -> list[tuple[int, str]]:
+    """Return the lines of a text file with their numbers from 1.
+
+    Byte order marks, UTF-16 and the line ends of any system are read.
+
+    Raises:
+        InputError: the file is no text.
+        OSError: it cannot be read.
+    """
+    content = Path(path).read_bytes()
+    try:
+        text = content.decode("utf-16" if content.startswith(_UTF16) else "utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{shown(path)}: expected text in UTF-8, found other bytes") from None
+    return list(enumerate(text.replace("\ufeff", "").split("\n"), 1))
+
+
+def get_include() -> str:
+    """Return the folder that a compiler needs to find ``#include <bundle/check.h>``.
+
+    The header makes compiled Ceres cost functions checkable with ``bundle.check_gradients``.
+    """
+    return str(Path(__file__).resolve().parents[1] / "include")

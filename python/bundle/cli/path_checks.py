@@ -18,7 +18,7 @@ from typing import Any
 from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.atomic.model_files import MODEL_FILES
-from bundle.io.atomic.streams import is_stream
+from bundle.io.atomic.special_paths import is_stream
 from bundle.io.file_names import PAGE, check_name
 from bundle.io.georeference_file import GEOREFERENCE
 from bundle.io.recognition import SEQUENCE_FILES, reconstruction_at

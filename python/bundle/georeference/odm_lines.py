@@ -11,7 +11,7 @@ import math
 import os
 import re
 
-from bundle.base.text_lines import numbered_lines
+from bundle.base.paths import numbered_lines
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.reference_system import ReferenceSystem
 

@@ -16,14 +16,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
-from bundle.base.arrays import filled, freeze, immutable
+from bundle.base.arrays import immutable
 from bundle.base.display import Display, Displayed
 from bundle.base.words import contents, format_name, plural
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice
 from bundle.model import rig_arrays
 from bundle.model.cameras import camera_models
+from bundle.model.problem_fields import DTYPES, check_values, default, sigmas_or_none, strings
 from bundle.model.pycolmap.deferred_source import DeferredSource
+from bundle.model.pycolmap.problem_source import packed, unpacked
+from bundle.model.selection import select
 
 if TYPE_CHECKING:
     import pycolmap
@@ -33,33 +36,6 @@ if TYPE_CHECKING:
 __all__ = ["Problem"]
 
 FORMATS = ("bal", "colmap", "memory")
-
-# Those without a default first: the others' defaults depend on how many there are.
-_DTYPES: dict[str, type] = {
-    "cam_from_world": np.float64,
-    "camera_params": np.float64,
-    "points": np.float64,
-    "observation_image": np.int32,
-    "observation_point": np.int32,
-    "observation_xy": np.float64,
-    "observation_keypoint": np.int32,
-    "image_ids": np.int64,
-    "image_camera": np.int32,
-    "camera_ids": np.int64,
-    "camera_sizes": np.int64,
-    "point_ids": np.int64,
-    **rig_arrays.DTYPES,
-}
-
-# What has a default has one entry for each of these.
-_ONE_FOR_EACH = {
-    "image_ids": "num_images",
-    "image_camera": "num_images",
-    "camera_ids": "num_cameras",
-    "camera_sizes": "num_cameras",
-    "point_ids": "num_points",
-    "observation_keypoint": "num_observations",
-}
 
 
 def _by_default() -> Any:
@@ -162,14 +138,14 @@ class Problem(Displayed):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "format", choice("format", self.format, FORMATS))
-        for name, dtype in _DTYPES.items():
+        for name, dtype in DTYPES.items():
             value = getattr(self, name)
-            array = _default(self, name) if value is None else immutable(name, value, dtype)
+            array = default(self, name) if value is None else immutable(name, value, dtype)
             object.__setattr__(self, name, array)
-        object.__setattr__(self, "observation_sigma", _sigmas(self.observation_sigma))
+        object.__setattr__(self, "observation_sigma", sigmas_or_none(self.observation_sigma))
         names = ("",) * self.num_images if self.image_names is None else self.image_names
-        object.__setattr__(self, "image_names", _names("image_names", names))
-        models = _names("camera_models", self.camera_models)
+        object.__setattr__(self, "image_names", strings("image_names", names))
+        models = strings("camera_models", self.camera_models)
         known = camera_models()
         canonical = {
             model: choice("camera_models", model, known) for model in dict.fromkeys(models)
@@ -177,7 +153,7 @@ class Problem(Displayed):
         object.__setattr__(self, "camera_models", tuple(canonical[model] for model in models))
         rig_arrays.settle(self)
         _core.validate(self)
-        _check_values(self)
+        check_values(self)
         rig_arrays.check(self)
 
     @property
@@ -250,10 +226,8 @@ class Problem(Displayed):
         return dataclasses.replace(self, source=copy.deepcopy(self.source, memo))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        from bundle.model.pycolmap import problem_source
-
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return _unpacked, (type(self), fields | {"source": problem_source.packed(self.source)})
+        return _unpacked, (type(self), fields | {"source": packed(self.source)})
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some arrays replaced; the others are shared, not copied.
@@ -292,8 +266,6 @@ class Problem(Displayed):
             >>> near = problem.select(points=problem.points[:, 2] < 10)
             >>> problem = near.put_back(problem, bundle.solve(near.problem).problem)
         """
-        from bundle.model.selection import select  # which returns problems
-
         return select(
             self, images=images, cameras=cameras, points=points, observations=observations
         )
@@ -367,73 +339,6 @@ class _Source:
 setattr(Problem, "source", _Source())  # noqa: B010 (the checker knows the field)
 
 
-def _default(problem: Problem, name: str) -> NDArray[Any]:
-    """Return the default of an array; those that it depends on are there."""
-    if name in rig_arrays.DTYPES:
-        return rig_arrays.default(problem, name)
-    if name not in _ONE_FOR_EACH:
-        raise InputError(f"{name}: expected numbers, found None")
-    count, dtype = getattr(problem, _ONE_FOR_EACH[name]), _DTYPES[name]
-    if name == "observation_keypoint":
-        return filled((count,), -1, dtype)
-    if name == "camera_sizes":
-        return filled((count, 2), 0, dtype)
-    if name == "image_camera" and problem.num_cameras != count:
-        if problem.num_cameras != 1:
-            raise InputError(
-                "image_camera: expected the index of each image's camera, as there are "
-                f"{count} images and {problem.num_cameras} cameras, found nothing"
-            )
-        return filled((count,), 0, dtype)
-    return freeze(np.arange(count, dtype=dtype))
-
-
-def _sigmas(given: Any) -> NDArray[np.float64] | None:
-    """Return the sigmas of observations; None where none are given."""
-    if given is None:
-        return None
-    sigmas = immutable("observation_sigma", given, np.float64)
-    return sigmas if sigmas.size else None
-
-
-def _names(field_name: str, names: Any) -> tuple[str, ...]:
-    """Return names as a tuple of plain strings; whether they can be printed is checked later."""
-    if isinstance(names, (str, bytes)):
-        raise InputError(f"{field_name}: expected a sequence of strings, found a single one")
-    try:
-        found = tuple(names)
-    except TypeError:
-        raise InputError(
-            f"{field_name}: expected a sequence of strings, found {type(names).__name__}"
-        ) from None
-    for index, name in enumerate(found):
-        if not isinstance(name, str):
-            raise InputError(
-                f"{field_name}: expected strings, found {type(name).__name__} at index {index}"
-            )
-    return tuple(map(str, found))
-
-
-def _check_values(problem: Problem) -> None:
-    """Check what the core does not look at."""
-    negative = (problem.camera_sizes < 0).any(axis=1)
-    if negative.any():
-        camera = int(np.argmax(negative))
-        width, height = problem.camera_sizes[camera]
-        raise InputError(
-            f"camera_sizes: camera {problem.camera_ids[camera]}: expected a width and a height of "
-            f"at least 0, found {width} x {height}"
-        )
-    if problem.num_observations and problem.observation_keypoint.min() < -1:
-        observation = int(np.argmin(problem.observation_keypoint))
-        raise InputError(
-            f"observation_keypoint: observation {observation}: expected an index, or -1 for none, "
-            f"found {problem.observation_keypoint[observation]}"
-        )
-
-
 def _unpacked(cls: type[Problem], fields: dict[str, Any]) -> Problem:
     """Return what was pickled, checked anew: the file may have changed."""
-    from bundle.model.pycolmap import problem_source
-
-    return cls(**fields | {"source": problem_source.unpacked(fields["source"])})
+    return cls(**fields | {"source": unpacked(fields["source"])})

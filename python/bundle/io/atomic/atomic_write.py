@@ -32,9 +32,8 @@ from bundle.errors import InputError, shown
 from bundle.io.atomic import exchange, in_place
 from bundle.io.atomic.flush import flush, flush_folder, flush_with_files
 from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files
-from bundle.io.atomic.mounts import mount_points
 from bundle.io.atomic.replaced_paths import note_replaced
-from bundle.io.atomic.streams import append, is_stream
+from bundle.io.atomic.special_paths import append, is_stream, mount_points
 from bundle.io.atomic.temporary import (
     NEW,
     Temporary,

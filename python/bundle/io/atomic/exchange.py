@@ -24,7 +24,7 @@ from pathlib import Path
 
 from bundle.io.atomic.flush import flush_folder
 from bundle.io.atomic.model_files import MODEL_FILES
-from bundle.io.atomic.mounts import mount_points
+from bundle.io.atomic.special_paths import mount_points
 from bundle.io.atomic.temporary import is_temporary
 
 __all__ = ["can_exchange", "exchange_folder", "move_new_folder", "take_over_folder"]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.text_lines import numbered_lines
+from bundle.base.paths import numbered_lines
 from bundle.errors import InputError, brief, shown
 
 __all__ = ["CsvTable", "csv_lines", "read_csv"]

@@ -17,7 +17,7 @@ import os
 
 import numpy as np
 
-from bundle.base.text_lines import numbered_lines
+from bundle.base.paths import numbered_lines
 from bundle.errors import InputError, brief, shown
 from bundle.model.rigid_motions import inverse_poses, unit_poses
 from bundle.model.sequence.calibration import Calibration

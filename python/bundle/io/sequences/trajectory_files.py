@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle.base.arrays import immutable
-from bundle.base.paths import as_path
-from bundle.base.text_lines import numbered_lines
+from bundle.base.paths import as_path, numbered_lines
 from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.sequences.csv_tables import csv_lines, read_csv

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bundle.io.atomic import atomic_write as atomic
-from bundle.io.atomic.streams import is_stream
+from bundle.io.atomic.special_paths import is_stream
 from bundle.io.file_names import PAGE, check_name
 
 __all__ = ["as_json", "asset", "tag", "write_page"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from bundle.base.display import Display, Displayed
-from bundle.base.text_lines import numbered_lines
+from bundle.base.paths import numbered_lines
 from bundle.errors import InputError, brief, shown
 from bundle.solving.constraints.rule_text import parse_rule, without_comment
 from bundle.solving.constraints.rules import Rule

@@ -1,4 +1,8 @@
-"""Paths that are written into, never replaced: devices, pipes, descriptors of this process."""
+"""Paths that renaming cannot replace: streams, and places where something is mounted.
+
+Devices, pipes and descriptors of this process are written into. Renaming works neither across a
+mount point nor onto one.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,10 @@ import os
 import re
 from pathlib import Path
 
-__all__ = ["append", "is_stream"]
+__all__ = ["append", "is_stream", "mount_points"]
 
 _DESCRIPTOR = re.compile(r"/dev/(stdin|stdout|stderr|fd/\d+)|/proc/(self|thread-self|\d+)/fd/\d+")
+_TABLE = Path("/proc/self/mountinfo")
 
 
 def is_stream(path: str | os.PathLike[str]) -> bool:
@@ -35,3 +40,21 @@ def append(path: str | os.PathLike[str], text: str) -> None:
             stream.write(text)
     except OSError as error:
         raise OSError(error.errno, error.strerror, os.fspath(path)) from error
+
+
+def mount_points() -> frozenset[Path]:
+    """Return where something is mounted, bind mounts and mounted files included.
+
+    Renaming does not work across these, nor onto them. Empty where the system does not tell.
+
+    Format: proc_pid_mountinfo(5); the fifth column, with odd characters as octal escapes.
+    """
+    try:
+        lines = _TABLE.read_bytes().splitlines()
+    except OSError:
+        return frozenset()
+    columns = (line.split()[4] for line in lines if len(line.split()) > 4)
+    return frozenset(
+        Path(os.fsdecode(re.sub(rb"\\([0-7]{3})", lambda m: bytes([int(m[1], 8)]), name)))
+        for name in columns
+    )
