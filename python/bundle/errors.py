@@ -1,4 +1,4 @@
-"""The one exception for everything a user can get wrong, and how its messages show values."""
+"""The exception for bad input, and values as its messages show them."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def shown(path: str | os.PathLike[str]) -> str:
 def brief(value: Any) -> str:
     """Return any value as one short line of printable text: its repr, or its type.
 
-    Of a long one the beginning, after the type where the quotes of a word do not tell it.
+    A long repr is cut; its type comes first, unless it is a string.
     """
     try:
         text = " ".join(repr(value).split())[: LONGEST_VALUE + 1]
-    except Exception:  # a repr of the user's, or one of an object that is no longer whole
+    except Exception:  # a user's __repr__, or an object that was not built completely
         return f"an object of type {type(value).__name__}"
     text = _printable(text)
     if len(text) <= LONGEST_VALUE:
@@ -45,18 +45,18 @@ def brief(value: Any) -> str:
 
 
 def first_line(error: Exception) -> str:
-    """Return the first line of what an exception of another library says, or its type."""
+    """Return the first line of an exception's message, or its type where it has none."""
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def nearest(found: str, spellings: Mapping[str, str] | Iterable[str]) -> str:
-    """Return "; did you mean X?", or "" where nothing resembles what was found.
+    """Return "; did you mean X?", or "" where no name is similar.
 
-    Case, hyphens and underscores do not count.
+    Case, hyphens and underscores are ignored.
 
     Args:
-        found: what the user wrote.
-        spellings: right names, or other spellings with the right name of each.
+        found: the user's spelling.
+        spellings: valid names, or a table from other spellings to valid names.
     """
     import difflib
 
@@ -71,15 +71,15 @@ def nearest(found: str, spellings: Mapping[str, str] | Iterable[str]) -> str:
 
 
 def check_keywords(caller: str, given: Iterable[str], spellings: Mapping[str, str]) -> None:
-    """Refuse keywords that do not exist, and name the keyword that was probably meant.
+    """Refuse unknown keywords, and suggest the most similar one.
 
     Args:
-        caller: whose keywords they are.
-        given: the keywords that were found.
-        spellings: every spelling that is understood, with the name of the option.
+        caller: function that takes the keywords.
+        given: keywords of the call.
+        spellings: table from every known spelling to the name of its option.
 
     Raises:
-        InputError: one does not exist.
+        InputError: a keyword is unknown.
     """
     names = dict.fromkeys(spellings.values())
     for keyword in given:

@@ -160,8 +160,8 @@ def test_files_that_are_refused(tmp_path: Path) -> None:
     for name, message in {
         "folder": "folder: expected a file or nothing, found a folder",
         "pipe": "pipe: expected a file or nothing, found a device or pipe",
-        "missing/out.txt": "expected a folder .*/missing to write into, found none",
-        "pipe/out.txt": "expected a folder .*/pipe to write into, found none",
+        "missing/out.txt": "expected a folder .*/missing to write into; it is missing",
+        "pipe/out.txt": "expected a folder .*/pipe to write into; it is missing",
     }.items():
         with pytest.raises(bundle.InputError, match=message):
             atomic.check_file(tmp_path / name)
@@ -177,7 +177,7 @@ def test_folders_that_are_refused(tmp_path: Path) -> None:
         "file": "file: expected a COLMAP model folder or nothing, found a file",
         "thesis": r"expected a COLMAP model, an empty folder or nothing, .*\(chapter1.tex\)",
         "half": r"expected a COLMAP model, an empty folder or nothing, .*\(cameras.bin\)",
-        "missing/model": "expected a folder .*/missing to write into, found none",
+        "missing/model": "expected a folder .*/missing to write into; it is missing",
     }.items():
         with pytest.raises(bundle.InputError, match=message):
             atomic.check_folder(tmp_path / name)

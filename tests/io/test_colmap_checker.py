@@ -289,7 +289,7 @@ def test_every_camera_model_is_known(
 
 def test_folder_that_is_no_model(tmp_path: Path) -> None:
     assert complaint(tmp_path / "nothing").endswith(
-        "expected the folder of a COLMAP model, found nothing"
+        "expected the folder of a COLMAP model, found no such path"
     )
     folder = write_files(tmp_path / "partial", {"cameras.bin": b"", "points3D.txt": b""})
     assert complaint(folder) == (
@@ -297,7 +297,7 @@ def test_folder_that_is_no_model(tmp_path: Path) -> None:
         "cameras.txt, images.txt (text)"
     )
     (folder / "file").touch()
-    assert complaint(folder / "file").endswith("found something else")
+    assert complaint(folder / "file").endswith("found no folder")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")

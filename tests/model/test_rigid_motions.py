@@ -2,10 +2,16 @@
 
 import mpmath
 import numpy as np
+import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
+from bundle.model.rigid_motions import (
+    inverse_poses,
+    multiply_as_colmap,
+    multiply_poses,
+    unit_poses,
+)
 from bundle.model.rotations import inverse_jacobian_coefficient, vector_from_quaternion
 
 
@@ -47,3 +53,17 @@ def test_the_coefficient_of_the_inverse_jacobian(angle):
         expected = float((1 - half * mpmath.cot(half)) / (4 * half**2))
     np.testing.assert_allclose(inverse_jacobian_coefficient(np.array([angle])), expected, rtol=1e-8)
     assert inverse_jacobian_coefficient(np.zeros(1))[0] == 1 / 12
+
+
+def test_products_as_colmap_are_colmaps_to_the_last_bit():
+    """Also of quaternions that are not of norm 1."""
+    rng = np.random.default_rng(5)
+    a, b = rng.normal(size=(2, 300, 7))
+    a[:150, :4] /= np.linalg.norm(a[:150, :4], axis=1, keepdims=True)
+
+    def rigid(pose):
+        return pycolmap.Rigid3d(pycolmap.Rotation3d(pose[:4]), pose[4:])
+
+    products = [rigid(one) * rigid(other) for one, other in zip(a, b, strict=True)]
+    expected = [np.append(product.rotation.quat, product.translation) for product in products]
+    np.testing.assert_array_equal(multiply_as_colmap(a, b), expected)

@@ -1,7 +1,7 @@
-"""Whether a limit of memory leaves room for the libraries, asked before they are loaded.
+"""Limits of memory, checked before libraries are loaded.
 
-Under `ulimit -v` or `ulimit -d`, OpenBLAS and others end the process as they are loaded, or try for
-ever. Nothing but the standard library is imported here, and nothing where there is no limit.
+Under `ulimit -v` or `ulimit -d`, OpenBLAS and others abort or hang while they are loaded. This
+module imports the standard library only, and even that only where there is a limit.
 """
 
 from __future__ import annotations
@@ -11,23 +11,25 @@ from pathlib import Path
 
 __all__ = ["LIBRARIES", "PYCOLMAP", "require"]
 
-# Measured with 2 cores, and some to spare: numpy, the core and their threads, on Debian 13, whose
-# OpenBLAS takes 130 MB more than that of Debian 12; then pycolmap. Each further core takes a stack
+# Measured with 2 cores, with a margin: NumPy, the core and their threads on Debian 13, whose
+# OpenBLAS takes 130 MB more than that of Debian 12; then pycolmap. Each further core adds a stack
 # and an arena of the heap.
 LIBRARIES = (520e6, 400e6)
-"""Bytes of address space and of data that importing bundle takes."""
+"""Bytes of address space and of data that `import bundle` takes."""
 
 PYCOLMAP = (330e6, 100e6)
-"""The same for pycolmap."""
+"""Bytes of address space and of data that `import pycolmap` takes."""
 
 _PER_CORE = 80e6
 _MEASURED_CORES = 2
 
 
 def require(what: str, sizes: tuple[float, float]) -> None:
-    """Raise MemoryError if the limits of this process leave less than ``sizes`` for ``what``.
+    """Raise MemoryError if the limits of this process leave less than ``sizes``.
 
-    ``sizes``: bytes of address space and of data.
+    Args:
+        what: library that is loaded next, for the message.
+        sizes: bytes of address space and of data that it takes.
     """
     try:
         import resource
@@ -52,7 +54,7 @@ def _cores() -> int:
 
 
 def _pages(field: int) -> int:
-    """Return a field of /proc/self/statm: 0 all pages, 5 data and stack; 0 where there is none."""
+    """Return a field of /proc/self/statm: 0 all pages, 5 data and stack. Without the file, 0."""
     try:
         return int(Path("/proc/self/statm").read_text().split()[field])
     except OSError:

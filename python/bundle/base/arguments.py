@@ -1,4 +1,4 @@
-"""Arguments of public functions, made into what they stand for or refused in one line."""
+"""Arguments of public functions: converted, or refused in one line."""
 
 from __future__ import annotations
 
@@ -22,28 +22,30 @@ __all__ = [
 
 
 def as_array(name: str, value: Any) -> NDArray[np.float64]:
-    """Return real numbers as a C-contiguous array of doubles; itself where it is one.
+    """Convert real numbers to a C-contiguous array of doubles, without a copy where possible.
 
     Raises:
-        InputError: complex, masked, ragged or no numbers; the message begins with the name.
+        InputError: numbers are complex, masked, ragged or missing; the message begins with the
+            name.
     """
     if type(value) is np.ndarray and value.dtype == np.float64 and value.flags.c_contiguous:
-        return value  # calls by the thousand, each with a few samples
-    with np.errstate(over="ignore"):  # of long doubles; infinity is for the caller to judge
+        return value  # fast path for thousands of calls with a few samples each
+    with np.errstate(over="ignore"):  # of long doubles; the caller checks for infinity
         return np.asarray(real_numbers(name, value), dtype=np.float64, order="C")
 
 
 def real_numbers(name: str, value: Any) -> NDArray[Any]:
-    """Return an array of real numbers as it is, anything else as one.
+    """Convert a value to an array of real numbers; return such an array unchanged.
 
     Raises:
-        InputError: complex, masked, ragged or no numbers; the message begins with the name.
+        InputError: numbers are complex, masked, ragged or missing; the message begins with the
+            name.
     """
     if is_masked(value):
         raise InputError(f"{name}: expected an array without a mask, found a masked one")
     try:
         given = np.asarray(value)
-    except Exception:  # whatever an object's __array__, __len__ or __getitem__ raises
+    except Exception:  # any error of the object's __array__, __len__ or __getitem__
         raise InputError(f"{name}: expected numbers, found {brief(value)}") from None
     if given.dtype.kind not in "iuf" and given.size:
         found = brief(value) if given.ndim == 0 else f"an array of {given.dtype.name}"
@@ -52,30 +54,30 @@ def real_numbers(name: str, value: Any) -> NDArray[Any]:
 
 
 def is_masked(value: Any) -> bool:
-    """Tell whether a value is a masked array; does not import ``numpy.ma``, which takes a while."""
+    """Tell whether a value is a masked array, without importing ``numpy.ma``, which is slow."""
     masked = sys.modules.get("numpy.ma")  # without it there is no masked array
     return masked is not None and isinstance(value, masked.MaskedArray)
 
 
 def check_function(name: str, value: Any) -> None:
-    """Refuse what cannot be called.
+    """Check that a value is callable, or None.
 
     Raises:
-        InputError: that.
+        InputError: it is not callable.
     """
     if value is not None and not callable(value):
         raise InputError(f"{name}: expected a function, found {brief(value)}")
 
 
 def as_integers(argument: str, values: Any) -> NDArray[np.int64]:
-    """Return an array of integers of any shape; nothing at all has shape (0,).
+    """Convert values to an array of 64-bit integers; an empty list has shape (0,).
 
     Raises:
-        InputError: these are no integers of 64 bits; the message begins with the argument.
+        InputError: a value is no 64-bit integer; the message begins with the argument.
     """
     try:
         array = np.asarray(values if isinstance(values, np.ndarray) else list(values))
-    except Exception:  # whatever the user's objects raise while they are looked at
+    except Exception:  # any error of the user's objects
         raise InputError(
             f"{argument}: expected an array of integers, found {brief(values)}"
         ) from None
@@ -94,10 +96,10 @@ def as_integers(argument: str, values: Any) -> NDArray[np.int64]:
 
 
 def as_flag(name: str, value: Any) -> bool:
-    """Return True or False.
+    """Return a flag as a bool.
 
     Raises:
-        InputError: it is neither.
+        InputError: it is neither True nor False.
     """
     if not isinstance(value, bool | np.bool_):
         raise InputError(f"{name}: expected True or False, found {brief(value)}")
@@ -105,10 +107,10 @@ def as_flag(name: str, value: Any) -> bool:
 
 
 def check_type(name: str, value: Any, kind: type) -> None:
-    """Refuse what is no instance of a class.
+    """Check that a value is an instance of a class.
 
     Raises:
-        InputError: that.
+        InputError: it is not.
     """
     if not isinstance(value, kind):
         raise InputError(f"{name}: expected a {kind.__name__}, found {brief(value)}")

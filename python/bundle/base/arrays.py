@@ -1,9 +1,10 @@
-"""Arrays that cannot be changed after they were checked.
+"""Immutable arrays.
 
-Indices are checked once, when a problem is made; a solve trusts them. So the memory of a problem's
-arrays must not change afterwards, and the read-only flag alone does not see to that: the memory may
-belong to a writable array, to a file that is mapped, to another library, or to an array whose flag
-can be set back. What is not immutable in the sense of ``cpp/bindings/immutable_array.h`` is copied.
+Indices are checked once, when a problem is made; a solve trusts them. The memory of a problem's
+arrays must therefore not change later. The read-only flag alone does not ensure this: the memory
+may belong to a writable array, to a mapped file, to another library, or to an array whose flag can
+be reset. An array that is not immutable in the sense of ``cpp/bindings/immutable_array.h`` is
+copied.
 """
 
 from __future__ import annotations
@@ -22,17 +23,17 @@ __all__ = ["filled", "freeze", "immutable", "refrozen"]
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:
-    """Return an immutable array on the memory of one that no other object refers to."""
+    """Return an immutable array on the memory of an array without other references."""
     return _core.freeze(array)
 
 
 def filled(shape: tuple[int, ...], value: float, dtype: type) -> NDArray[Any]:
-    """Return an immutable array of one value."""
+    """Return an immutable array filled with one value."""
     return freeze(np.full(shape, value, dtype))
 
 
 def refrozen(state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return attributes, their arrays immutable: those of pickles and deep copies are writable."""
+    """Return attributes with immutable arrays; pickles and deep copies have writable ones."""
 
     def again(value: Any) -> Any:
         if isinstance(value, np.ndarray):
@@ -43,11 +44,11 @@ def refrozen(state: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def immutable(name: str, value: Any, dtype: type) -> NDArray[Any]:
-    """Return the value as an immutable C-contiguous array; on the same memory where it is one.
+    """Convert a value to an immutable C-contiguous array, without a copy where it already is one.
 
     Raises:
-        InputError: the value is no array of real numbers, or not of whole ones where the type asks
-            for them; it begins with the name.
+        InputError: the value is no array of real numbers, or of whole numbers for an integer type;
+            the message begins with the name.
     """
     given = real_numbers(name, value)
     if given.ndim == 0:
@@ -55,7 +56,9 @@ def immutable(name: str, value: Any, dtype: type) -> NDArray[Any]:
     usable = given.dtype == dtype and given.flags.c_contiguous and given.flags.aligned
     if usable and _core.is_immutable(given):
         return given.view()
-    with np.errstate(invalid="ignore", over="ignore"):  # told below, and by who checks for infinity
+    with np.errstate(
+        invalid="ignore", over="ignore"
+    ):  # checked below; the caller checks for infinity
         array: NDArray[Any] = np.array(given, dtype=dtype, order="C", copy=True)
     if np.issubdtype(dtype, np.integer) and given.dtype != array.dtype:
         wrong = given != array

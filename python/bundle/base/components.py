@@ -1,4 +1,10 @@
-"""Connected components of the graph of images and points: who is joined by observations."""
+"""Connected components of the graph of images and points.
+
+Two images are connected if they observe a common point. The algorithm is that of Shiloach and
+Vishkin (1982): every image starts as its own tree; in each round the root of every tree hooks onto
+the smallest root that a common point reaches, then all paths are compressed. It ends after about
+log(num_images) rounds, even for long chains.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +21,10 @@ def component_roots(
 ) -> NDArray[np.int64]:
     """Return for each image the smallest image of its component, (num_images,).
 
-    Every image starts as its own tree. In each round the root of every tree hooks onto the smallest
-    root that a common point reaches, then all paths are compressed (Shiloach and Vishkin 1982),
-    which ends after about log(num_images) rounds, even for long chains.
-
     Args:
         images: (num_observations,) image of each observation, sorted by point.
-        starts: where the observations of each point that has any begin.
-        num_images: number of images; one without observations is its own component.
+        starts: row of the first observation of each observed point.
+        num_images: number of images. An image without observations is its own component.
     """
     root = np.arange(num_images)
     lengths = np.diff(starts, append=len(images))

@@ -1,7 +1,7 @@
-"""Modules by public and former names: ``import bundle.losses``, pickles of earlier states.
+"""Public and former names of modules: ``import bundle.losses``, pickles of earlier versions.
 
-A pickle names the module of each class. Those that were written before the modules moved to their
-rooms load by this table.
+A pickle names the module of each class. This table loads pickles that were written before the
+modules moved to their present folders.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ FORMER = {
     "vio.window_options": "interface.window_options",
     "worst_images": "model.worst_images",
 }
-"""Former modules of public classes and of what they hold, without the package's name."""
+"""Former modules of public classes and of their attributes, without the name of the package."""
 
 
 def spec_of(name: str, public_modules: dict[str, str]) -> ModuleSpec | None:
@@ -160,7 +160,7 @@ def spec_of(name: str, public_modules: dict[str, str]) -> ModuleSpec | None:
 
 
 class _SameModule(Loader):
-    """Loader that gives the module of another name."""
+    """Loader of a module under another name."""
 
     def __init__(self, place: str) -> None:
         self.place = place

@@ -1,4 +1,10 @@
-"""Ctrl-C while files change places."""
+"""Ctrl-C deferred during short critical blocks.
+
+Two kinds of blocks must not be left halfway:
+
+* renames of files that belong together: the folder would hold a mixture of two models;
+* the import of pycolmap, which does not survive an interruption.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +19,15 @@ __all__ = ["interrupts_deferred"]
 
 @contextmanager
 def interrupts_deferred() -> Iterator[None]:
-    """Let SIGINT wait until the block has ended; an exception in the block takes its place.
+    """Defer SIGINT until the block has ended; an exception of the block takes precedence.
 
-    Only for blocks of milliseconds. Python runs handlers in the main thread, so other threads need
-    nothing.
+    Use it for blocks of milliseconds only. Python runs signal handlers in the main thread: in other
+    threads this does nothing. A handler that is not a function (SIG_IGN, SIG_DFL) stays.
+
+    Example:
+        >>> with interrupts_deferred():
+        ...     old.rename(backup)
+        ...     new.rename(old)
     """
     handler = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(handler):

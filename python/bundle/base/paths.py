@@ -15,10 +15,10 @@ _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def as_path(path: Any, name: str = "path") -> Path:
-    """Return a path that the system can be asked for.
+    """Convert a path to a ``pathlib.Path``.
 
     Raises:
-        InputError: it is no path, is empty, or holds characters that no path has.
+        InputError: it is no path, is empty, or has characters that no path can have.
     """
     if not is_path(path):
         raise InputError(f"{name}: expected a path, found {brief(path)}")
@@ -35,7 +35,7 @@ def as_path(path: Any, name: str = "path") -> Path:
 
 
 def is_path(value: Any) -> TypeGuard[str | os.PathLike[str]]:
-    """Tell whether a value is a path by its type, and not one of bytes."""
+    """Tell whether a value has the type of a path; bytes are none."""
     return isinstance(value, str) or (
         isinstance(value, os.PathLike) and isinstance(os.fspath(value), str)
     )
@@ -54,7 +54,9 @@ def numbered_lines(path: str | os.PathLike[str]) -> list[tuple[int, str]]:
     try:
         text = content.decode("utf-16" if content.startswith(_UTF16) else "utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError(f"{shown(path)}: expected text in UTF-8, found other bytes") from None
+        raise InputError(
+            f"{shown(path)}: expected text in UTF-8, found bytes that are not UTF-8"
+        ) from None
     return list(enumerate(text.replace("\ufeff", "").split("\n"), 1))
 
 

@@ -1,4 +1,4 @@
-"""How numbers and counts look in sentences, in a terminal, a notebook and a page alike."""
+"""Numbers and counts in sentences of terminal, notebook and page."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = [
 
 
 def number(value: float) -> str:
-    """Return a magnitude in four significant digits; "-" where there is none."""
+    """Format a number with four significant digits; "-" if it is not finite."""
     if not math.isfinite(value):
         return "-"
     if value == 0 or 1e-3 <= abs(value) < 1e6:
@@ -32,14 +32,14 @@ def number(value: float) -> str:
 
 
 def amount(value: float) -> str:
-    """Return a count in full up to seven digits, else with three of them; "-" for none."""
+    """Format a count in full up to seven digits, else with three; "-" if it is not finite."""
     if not math.isfinite(value):
         return "-"
     return f"{value:,.0f}" if abs(value) < 1e7 else f"{value:.2e}"
 
 
 def distinct(one: float, other: float) -> tuple[str, str]:
-    """Return two numbers with as many digits, six or more, as it takes to tell them apart."""
+    """Format two numbers with enough digits, at least six, to differ."""
     for digits in range(6, 18):
         texts = f"{one:.{digits}g}", f"{other:.{digits}g}"
         if texts[0] != texts[1]:
@@ -48,7 +48,7 @@ def distinct(one: float, other: float) -> tuple[str, str]:
 
 
 def not_converged(percent: float, without_loss: bool) -> str:
-    """Return what to do where one more step would lower the cost, by percent of it."""
+    """Return a verdict and an advice where one more step would lower the cost by a percentage."""
     sentence = (
         f"Not converged under these options: one more step would lower the cost by about "
         f"{number(percent)} %. "
@@ -59,14 +59,14 @@ def not_converged(percent: float, without_loss: bool) -> str:
 
 
 def pixels(value: float) -> str:
-    """Return pixels to a ten-thousandth; "-" where there is none."""
+    """Format pixels with four decimals; "-" if not finite."""
     if not math.isfinite(value):
         return "-"
     return f"{value:.4f}" if value < 1e6 else f"{value:.4e}"
 
 
 def seconds(value: float) -> str:
-    """Return a time to the millisecond; "-" where it was not measured (Ceres' -1)."""
+    """Format seconds with three decimals; "-" if not measured (Ceres' -1)."""
     return "-" if value < 0 or not math.isfinite(value) else f"{value:.3f}"
 
 
@@ -76,7 +76,7 @@ def change(before: float, after: float) -> str:
 
 
 def duration(value: float) -> str:
-    """Return "55 ms" or "1.2 s", in three digits; "-" where there is none."""
+    """Format a duration as "55 ms" or "1.2 s", with three digits; "-" if there is none."""
     if not math.isfinite(value) or value < 0:
         return "-"
     if value < 0.9995:
@@ -85,7 +85,7 @@ def duration(value: float) -> str:
 
 
 def span(time: float) -> str:
-    """Return a duration from "5 ms" to "3 days"; "-" where there is none."""
+    """Format a duration from "5 ms" to "3 days"; "-" if there is none."""
     if not math.isfinite(time) or time < 0:
         return "-"
     if time >= 2 * 86400:
@@ -104,7 +104,7 @@ def plural(count: int, singular: str, many: str | None = None, *, grouped: bool 
 
 
 class Counts(Protocol):
-    """Whatever has the sizes of a problem."""
+    """The sizes of a problem."""
 
     @property
     def num_images(self) -> int:
@@ -130,5 +130,5 @@ def contents(of: Counts) -> str:
 
 
 def format_name(name: str) -> str:
-    """Return a format as people write it: "COLMAP", "BAL", "COLMAP text"."""
+    """Return the name of a file format in text: "COLMAP", "BAL", "COLMAP text"."""
     return name.replace("-", " ").replace("colmap", "COLMAP").replace("bal", "BAL")

@@ -2,9 +2,9 @@
 
 A BAL camera is COLMAP's RADIAL model with principal point (0, 0), its frame turned by
 diag(1, -1, -1) and the image's y negated; ``cpp/core/io/bal.h`` derives it. Reading and
-writing again gives every number back, bit by bit. The way from a rotation vector over the
-quaternion and back would cost its last bits, and whole turns: so a problem keeps the vectors of its
-file, and those whose quaternion did not change are written as they were.
+writing preserves every bit. Converting a rotation vector to a quaternion and back would lose its
+last bits and whole turns: a problem therefore keeps the vectors of its file, and writes those whose
+quaternion has not changed.
 
 Format: https://grail.cs.washington.edu/projects/bal/
 """
@@ -29,7 +29,7 @@ __all__ = ["check_refined", "load", "losses", "problem_of", "radial_params", "sa
 
 
 class _Layout(NamedTuple):
-    """Where a model keeps what BAL has, and what must be zero for the rest to be all of it."""
+    """Columns of a camera model that BAL stores, and columns that must be zero."""
 
     focal: tuple[int, ...]
     principal_point: tuple[int, int]
@@ -47,14 +47,14 @@ _LAYOUTS = {
 
 
 def load(path: Path, progress: Callable[[int], None] | None = None) -> Problem:
-    """Read a BAL file; compression is told from the content.
+    """Read a BAL file; compression is detected automatically.
 
-    Observations keep the file's order; a repeated one stays repeated. ``progress`` is called now
-    and then with the bytes of text so far.
+    Observations keep the order of the file, repeated ones included. ``progress`` is called
+    repeatedly with the number of bytes read.
 
     Raises:
-        InputError: the file is not what the format says; the message has path and line, or for
-            damaged compression path and byte.
+        InputError: the file violates the format; the message has path and line, or for damaged
+            compression path and byte.
         OSError: the file cannot be read.
     """
     return problem_of(*_core.read_bal(path, progress))
@@ -69,7 +69,7 @@ def problem_of(
     point: NDArray[np.int32],
     xy: NDArray[np.float64],
 ) -> Problem:
-    """Return the problem of what the core read."""
+    """Return the problem of the arrays that the core read."""
     return Problem(
         cam_from_world=poses,
         camera_models=("RADIAL",) * len(poses),
@@ -92,7 +92,7 @@ def save(
     """Write a BAL file, compressed by "gzip", "bzip2" or "" (not at all).
 
     Every image gets a camera of its own and principal points are subtracted from the observations.
-    ``progress`` is called now and then with the bytes of text so far.
+    ``progress`` is called repeatedly with the number of bytes written.
 
     Raises:
         InputError: see ``radial_params``.
@@ -119,7 +119,7 @@ def save_like(
 ) -> None:
     """Write the cameras of a problem, these points and the observations of a BAL file.
 
-    Observations pass from file to file; those of the problem are not looked at.
+    Observations are copied from file to file; those of the problem are ignored.
 
     Raises:
         InputError: see ``radial_params``; or the file has changed.
@@ -140,7 +140,7 @@ def save_like(
 
 
 def _source_rotations(problem: Problem) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the rotation of each image in the source, and whether the problem still has it."""
+    """Return the rotation of each image in the source, and a mask of the unchanged ones."""
     rotations = np.zeros((problem.num_images, 3))
     keeps = np.zeros(problem.num_images, bool)
     if isinstance(problem.source, BalSource):
@@ -182,15 +182,15 @@ def radial_params(problem: Problem) -> NDArray[np.float64]:
 def check_refined(
     problem: Problem, refined: Collection[str], fixed_camera_ids: Collection[int] = ()
 ) -> None:
-    """Raise now what ``radial_params`` would raise once these kinds of parameters are refined.
+    """Raise the error of ``radial_params`` that refining these kinds of parameters would cause.
 
     Args:
         problem: before the solve.
-        refined: "focal", "principal_point", "extra", others without effect.
-        fixed_camera_ids: cameras whose parameters stay.
+        refined: "focal", "principal_point", "extra"; others have no effect.
+        fixed_camera_ids: cameras with constant parameters.
 
     Raises:
-        InputError: a camera is, or may become, more than a BAL file can hold.
+        InputError: a camera has, or may get, parameters that a BAL file cannot store.
     """
     radial_params(problem)
     for image, camera in enumerate(problem.image_camera.tolist()):
@@ -214,7 +214,7 @@ def _unsupported(problem: Problem, image: int, expected: str) -> InputError:
 
 
 def losses(problem: Problem) -> tuple[str, ...]:
-    """Return what a BAL file does not keep of this problem, one sentence each; () if nothing.
+    """Return the information of a problem that a BAL file loses, one sentence each.
 
     Raises:
         InputError: see ``radial_params``.

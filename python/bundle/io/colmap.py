@@ -42,7 +42,7 @@ __all__ = [
     "write",
 ]
 
-# What a problem shares with its source where only numbers that a solve changes are other ones.
+# Fields that a solve does not change.
 _SHARED_ARRAYS = (
     "image_ids",
     "image_camera",
@@ -70,12 +70,12 @@ def load(path: str | os.PathLike[str]) -> Problem:
     """Read the model in a folder, the binary one if there are two, as COLMAP does.
 
     Raises:
-        InputError: it is no model, or there is something wrong with it. The message has the file
-            and the line (of text) or byte (of binary), what was expected and what was found.
+        InputError: it is no model, or an invalid one. The message has the file, the line (of text)
+            or byte (of binary), the expected and the actual value.
     """
     folder = Path(path)
     if not folder.is_dir():
-        found = "something else" if folder.exists() else "nothing"
+        found = "no folder" if folder.exists() else "no such path"
         raise InputError(f"{folder}: expected the folder of a COLMAP model, found {found}")
     check_rig_files(folder)
     try:
@@ -85,8 +85,8 @@ def load(path: str | os.PathLike[str]) -> Problem:
         if place is None:
             raise
         raise InputError(
-            f"{place}: expected the keypoints of the image before, in a line that is blank if "
-            "there are none, found another image"
+            f"{place}: expected the keypoints of the previous image, in a line that is blank if "
+            "there are none, found the next image"
         ) from None
     problem = problem_of(folder, model, fields)
     if hasattr(model, "image_poses"):
@@ -95,10 +95,10 @@ def load(path: str | os.PathLike[str]) -> Problem:
 
 
 def problem_of(folder: Path, model: _core.ColmapModel, fields: dict[str, Any]) -> Problem:
-    """Return the problem of what the core read.
+    """Return the problem of a model that the core read.
 
     Raises:
-        InputError: there is something wrong with it.
+        InputError: a value is invalid.
     """
     fields["cam_from_world"] = rig_arrays.placed(fields)
     source = DeferredSource(model, fields, folder)
@@ -109,12 +109,12 @@ def problem_of(folder: Path, model: _core.ColmapModel, fields: dict[str, Any]) -
 
 
 def can_rewrite(problem: Problem, *, binary: bool) -> bool:
-    """Tell whether a problem is its source with other poses, camera parameters and points."""
+    """Tell whether a problem differs from its source in poses, camera parameters, points only."""
     return _model(problem, binary=binary) is not None
 
 
 def check_save(problem: Problem, *, binary: bool) -> None:
-    """Raise now the InputError that :func:`save` would raise."""
+    """Raise the InputError that :func:`save` would raise."""
     if _model(problem, binary=binary) is not None:
         problem.check_padding()
         return
@@ -125,17 +125,17 @@ def check_save(problem: Problem, *, binary: bool) -> None:
 
 
 def save(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
-    """Write the files of a model into an existing folder; return what they do not hold.
+    """Write the files of a model into an existing folder.
 
-    Text has enough digits for every number to be read back as it was.
+    Text has enough digits to read every number back unchanged.
 
     Args:
-        problem: what to write.
-        folder: an existing folder, best a fresh one: files of the other format stay in it.
-        binary: the format.
+        problem: the problem.
+        folder: an existing folder, preferably an empty one: files of the other format stay in it.
+        binary: True for the binary format, False for text.
 
     Returns:
-        What the files do not hold of the problem and its source, one sentence each.
+        The information of the problem and its source that the files lose, one sentence each.
 
     Raises:
         OSError: the files could not be written, or not whole.
@@ -156,14 +156,14 @@ def rewrite_like(
 ) -> None:
     """Write cameras and images of a problem and these points beside the keypoints of its source.
 
-    Keypoints and tracks pass from file to file; the points of the problem are not looked at.
+    Keypoints and tracks are copied from file to file; the points of the problem are ignored.
 
     Args:
-        problem: its source is a part of a binary model (``_core.read_colmap_part``).
-        point_ids: (num_points,) of all points of the source, ascending.
-        points: (num_points, 3).
-        errors: (num_points,) as :func:`point_errors` returns them.
-        folder: an existing one.
+        problem: a problem whose source is a part of a binary model (``_core.read_colmap_part``).
+        point_ids: (num_points,) ids of all points of the source, ascending.
+        points: (num_points, 3) world coordinates.
+        errors: (num_points,) errors as returned by :func:`point_errors`.
+        folder: an existing folder.
 
     Raises:
         OSError: the files could not be written, or not whole.
@@ -184,7 +184,7 @@ def rewrite_like(
 
 
 def _rewrite(problem: Problem, folder: Path, model: _core.ColmapModel) -> tuple[str, ...]:
-    """Write the files of the source with the numbers of a problem."""
+    """Write the files of the source with the poses, parameters and points of a problem."""
     problem.check_padding()
     model.write(
         folder,
@@ -199,7 +199,7 @@ def _rewrite(problem: Problem, folder: Path, model: _core.ColmapModel) -> tuple[
 
 
 def write(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
-    """As :func:`save`, record by record also where numbers of the source could be replaced."""
+    """Write every record of a model; see :func:`save`."""
     source = vars(problem)["source"]
     records = model_records(problem, source)
     if not binary:
@@ -225,19 +225,19 @@ def write(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
 def _check_names(image_ids: NDArray[np.int64], names: tuple[str, ...]) -> None:
     if not all(names):
         raise InputError(
-            f"image {image_ids[names.index('')]}: expected a name, which COLMAP's text format "
-            "needs, found none"
+            f"image {image_ids[names.index('')]}: expected a name, as COLMAP's text format "
+            "requires, found an empty one"
         )
 
 
 def _lost(problem: Problem, *, binary: bool) -> tuple[str, ...]:
-    """Return what no COLMAP model of this format keeps of a problem, one sentence each."""
+    """Return the information that every COLMAP model of this format loses, one sentence each."""
     sigmas = () if problem.observation_sigma is None else (LOST_SIGMAS,)
     return (*sigmas, *(() if binary else _lost_in_text(problem)))
 
 
 def _lost_in_text(problem: Problem) -> tuple[str, ...]:
-    """Return what COLMAP does not read back from text files that hold everything."""
+    """Return the information in text files that COLMAP's reader loses."""
     spaces = sum(" " in name for name in problem.image_names)
     if not spaces:
         return ()
@@ -248,7 +248,7 @@ def _lost_in_text(problem: Problem) -> tuple[str, ...]:
 
 
 def _model(problem: Problem, *, binary: bool) -> _core.ColmapModel | None:
-    """Return the model whose files a problem can be written by, None if there is none."""
+    """Return the model whose files need other numbers only; None if other edits were made."""
     source: Any = vars(problem)["source"]
     model = source.model if isinstance(source, DeferredSource) else None
     if model is None or model.is_binary != binary:
@@ -271,13 +271,13 @@ def point_errors(
     point: NDArray[np.int32],
     num_points: int,
 ) -> NDArray[np.float64]:
-    """Return the mean reprojection error of each point as COLMAP has it, -1 without observation.
+    """Return the mean reprojection error of each point in COLMAP's definition; -1 if unobserved.
 
     Args:
         errors: (num_observations,) ||r|| in pixels; nan without a projection.
-        behind: (num_observations,) whether the point is behind the camera.
+        behind: (num_observations,) True if the point is behind the camera.
         point: (num_observations,) index of the point.
-        num_points: how many there are.
+        num_points: number of points.
     """
     errors = np.where(behind | np.isnan(errors), _NO_PROJECTION, errors)
     counts = np.bincount(point, minlength=num_points)

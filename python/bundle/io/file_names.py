@@ -1,6 +1,6 @@
-"""Names of files: which suffixes an output may have, and which belong to another format.
+"""Suffixes of output files, and suffixes that belong to other formats.
 
-A name without a suffix, or with one that no format claims (``run.v2``), is free.
+A name without a suffix, or with an unknown one (``run.v2``), is accepted.
 """
 
 from __future__ import annotations
@@ -45,23 +45,23 @@ _OWNERS = {suffix: format for format, names in _FORMATS.items() for suffix in na
 
 
 def format_of_name(path: str | os.PathLike[str]) -> str | None:
-    """Return the format that the suffix of a name claims, such as "an NVM model", or None."""
+    """Return the format of a suffix, such as "an NVM model", or None."""
     return _OWNERS.get(PurePath(path).suffix.lower())
 
 
 def check_name(
     path: str | os.PathLike[str], what: str, own: str = "", compressed: str = ""
 ) -> None:
-    """Refuse a name that says another format.
+    """Refuse a name with the suffix of another format.
 
     Args:
-        path: of the output; a slash at its end says that it is a folder, whatever its name is.
-        what: what is going to stand there, such as "a page (.html)".
-        own: suffixes that it may have, blanks between them.
-        compressed: those that it may have before ".gz" or ".bz2".
+        path: output path; with a trailing slash it is a folder, and any name is accepted.
+        what: kind of the output, such as "a page (.html)".
+        own: accepted suffixes, separated by blanks.
+        compressed: suffixes that are accepted before ".gz" or ".bz2".
 
     Raises:
-        InputError: the suffix is that of another format, or of a compression that is not done.
+        InputError: the suffix is that of another format, or of an unsupported compression.
     """
     name = os.fspath(path)
     if name.endswith("/"):

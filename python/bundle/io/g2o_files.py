@@ -21,10 +21,10 @@ _SUFFIXES = (".g2o", ".g2o.gz", ".g2o.bz2")
 
 
 def load_g2o(path: str | os.PathLike[str]) -> PoseGraph:
-    """Read a pose graph, plain or compressed by gzip or bzip2, told by the content.
+    """Read a pose graph; compression by gzip or bzip2 is detected automatically.
 
     Raises:
-        InputError: the content is not what the format says: unknown or duplicate vertices, a wrong
+        InputError: the content violates the format: unknown or duplicate vertices, a wrong
             number of fields, numbers that are not finite, zero quaternions, edges of a vertex with
             itself; one line with file and line.
         OSError: the file cannot be read.
@@ -50,8 +50,8 @@ def load_g2o(path: str | os.PathLike[str]) -> PoseGraph:
 def save_g2o(graph: PoseGraph, path: str | os.PathLike[str]) -> tuple[str, ...]:
     """Write a pose graph; ".gz" and ".bz2" at the end of the name compress.
 
-    What stood at ``path`` is replaced only when the new content is whole on the disk. Numbers are
-    the shortest that read back as the same. Returns what the format does not keep: nothing.
+    An existing file is replaced only when the new one is complete on the disk. Numbers are the
+    shortest that read back as the same. Returns (): the format loses nothing.
 
     Raises:
         InputError: the path is a folder.
@@ -64,10 +64,10 @@ def save_g2o(graph: PoseGraph, path: str | os.PathLike[str]) -> tuple[str, ...]:
 
 
 def check_g2o_target(path: str | os.PathLike[str]) -> None:
-    """Refuse now what :func:`save_g2o` would refuse later.
+    """Raise the error that :func:`save_g2o` would raise.
 
     Raises:
-        InputError: the path is a folder, or its name says another format.
+        InputError: the path is a folder, or has the suffix of another format.
         OSError: there is no permission to write.
     """
     path = as_path(path)

@@ -1,8 +1,8 @@
-"""The file that says where a model is, ``georeference.json``: in its folder, or beside its file.
+"""``georeference.json``, the georeference of a model: in its folder, or beside its file.
 
-It is of one model. Beside a file it has the name of that file under "model"; without it, it is of
-the model in the folder, or where there is none of whatever file is asked about. When another model
-takes the place of the one that it is of, it goes.
+It belongs to one model. Beside a file it has the name of that file under "model". Without a name it
+belongs to the model in the folder, or if there is none to any file in it. It is removed when
+another model replaces the one that it belongs to.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ OWNER = "model"
 
 
 def path_beside(model: Path, *, is_folder: bool) -> Path:
-    """Return where the file of a model stands, whether or not there is one."""
+    """Return the path of the georeference of a model; the file need not exist."""
     return (model if is_folder else model.parent) / GEOREFERENCE
 
 
 def georeference_of(model: Path, *, is_folder: bool) -> dict[str, Any] | None:
-    """Return what the file of a model says; None where there is none, or something else."""
+    """Return the georeference of a model; None if the file is missing or has other content."""
     path = path_beside(model, is_folder=is_folder)
     found = _content(path)
     if found is None or owner_of(path, found) not in (None, "" if is_folder else model.name):
@@ -34,10 +34,10 @@ def georeference_of(model: Path, *, is_folder: bool) -> dict[str, Any] | None:
 
 
 def owner_of(path: Path, content: dict[str, Any] | None = None) -> str | None:
-    """Return the name of the file that a georeference.json is of.
+    """Return the name of the model file that a georeference.json belongs to.
 
     Returns:
-        "" where it is of the folder that it is in, None where it does not say.
+        "" if it belongs to the model in its folder, None if it names no model.
     """
     found = _content(path) if content is None else content
     if found is None:
@@ -48,7 +48,7 @@ def owner_of(path: Path, content: dict[str, Any] | None = None) -> str | None:
 
 
 def remove_georeference(model: Path, *, is_folder: bool) -> None:
-    """Remove the file of a model that is not there any more."""
+    """Remove the georeference of a model that was replaced."""
     if georeference_of(model, is_folder=is_folder) is not None:
         path_beside(model, is_folder=is_folder).unlink(missing_ok=True)
 

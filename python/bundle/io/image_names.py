@@ -1,4 +1,4 @@
-"""Images of a reconstruction on the disk, read without its keypoints and points."""
+"""Names of the images of a model on the disk, read without keypoints and points."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _KEYPOINT = 24  # bytes: x, y, point
 
 
 def has_same_images(path: Path, names: Sequence[str]) -> bool:
-    """Tell whether a COLMAP model has images of these names, or a BAL file as many.
+    """Tell whether a COLMAP model has images of these names, or a BAL file the same number.
 
-    Where names are empty, and of BAL files, which have none, the number counts.
+    Only the number is compared where names are empty, and for BAL files, which have no names.
 
     Raises:
-        InputError, OSError: what stands there cannot be read.
+        InputError, OSError: the model cannot be read.
     """
     if path.is_file():
         return _bal_images(path) == len(names)

@@ -1,4 +1,4 @@
-"""Checks of the files of a COLMAP model: missing ones, contradictions."""
+"""Checks of the files of a COLMAP model: missing files, contradictory poses."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ __all__ = ["check_rig_files", "lacks_keypoint_lines", "note_contradiction"]
 
 _Poses = NDArray[np.float64]
 
-_ANGLE = 1e-3  # rad: more than poses of six digits differ
-_SHIFT = 1e-4  # of the size of the numbers
-_FIELDS = 10  # of the line of an image
+_ANGLE = 1e-3  # rad; rounding to six digits causes less
+_SHIFT = 1e-4  # relative to the largest distance from the origin
+_FIELDS = 10  # number of fields in the line of an image
 
 
 def check_rig_files(folder: Path) -> None:
     """Refuse a model with rigs but no frames, or with frames but no rigs.
 
     Raises:
-        InputError: that.
+        InputError: one of the two files is missing.
     """
     suffix = _suffix(folder)
     files = [folder / f"{stem}{suffix}" for stem in ("rigs", "frames")]
@@ -39,7 +39,7 @@ def check_rig_files(folder: Path) -> None:
 
 
 def lacks_keypoint_lines(folder: Path) -> str | None:
-    """Return the place of an image where the line of keypoints after another one should be."""
+    """Return file and line of an image record in place of the keypoints of the previous image."""
     path = folder / "images.txt"
     if not is_text_model(folder):
         return None
@@ -57,12 +57,12 @@ def lacks_keypoint_lines(folder: Path) -> str | None:
 
 
 def note_contradiction(folder: Path, image_poses: _Poses, poses: _Poses) -> None:
-    """Warn where the images' own poses are others than those that frames and rigs give them.
+    """Warn about images whose own poses differ from those of frames and rigs.
 
     Args:
         folder: of the model.
-        image_poses: (num_images, 7) as the images file has them.
-        poses: (num_images, 7) as they count.
+        image_poses: (num_images, 7) poses in the images file.
+        poses: (num_images, 7) poses of frames and rigs, which are used.
     """
     angle, shift, spread = pose_differences(poses, image_poses)
     other = (angle > _ANGLE) | (shift > _SHIFT * spread)

@@ -1,4 +1,4 @@
-"""Camera models: what there is, and projection with derivatives."""
+"""Camera models: names, parameters, and projection with derivatives."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class ProjectionResult(NamedTuple):
 
     Attributes:
         xy: (N, 2) pixels; NaN where the projection does not exist.
-        valid: (N,) whether the camera sees the point, by COLMAP's rules: for most models what lies
-            in front of it, for SIMPLE_DIVISION, DIVISION and EQUIRECTANGULAR whatever projects.
+        valid: (N,) True where the camera sees the point by COLMAP's rules: for most models in front
+            of it; for SIMPLE_DIVISION, DIVISION and EQUIRECTANGULAR wherever it projects.
         d_point: (N, 2, 3) pixels per length unit, by the point in the camera frame.
         d_params: (N, 2, num_params), by the parameters in COLMAP's order.
     """
@@ -59,10 +59,10 @@ def camera_models() -> dict[str, tuple[str, ...]]:
 
 
 def reach(model: str) -> str:
-    """Return how far from the optical axis the formula of a model goes without a break.
+    """Return the range of angles from the optical axis in which a model has no discontinuity.
 
-    "front": to less than 90 degrees, or the model is unknown. "beyond": farther, to where it
-    breaks. "all": to everything that has a value.
+    "front": less than 90 degrees, or the model is unknown. "beyond": more, up to a discontinuity.
+    "all": every direction that has a value.
     """
     return _REACH.get(model, "front")
 
@@ -101,9 +101,9 @@ def project(
 
     Returns:
         Pixels (N, 2) and validity (N,), or with ``jacobians=True`` a :class:`ProjectionResult`.
-        A point that the camera does not see may have pixels, by the formula: that of the mirrored
-        point behind a perspective camera, that of an angle beyond 90 degrees for a fisheye. It is
-        not valid.
+        A point that the camera does not see may still have pixels, by the formula: behind a
+        perspective camera those of the mirrored point, for a fisheye those of an angle beyond 90
+        degrees. It is not valid.
 
     Raises:
         InputError: unknown model, or arrays of the wrong shape.

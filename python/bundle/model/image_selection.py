@@ -1,4 +1,4 @@
-"""Images named by ids, ranges of ids and patterns of names."""
+"""Selections of images by ids, ranges of ids and name patterns."""
 
 from __future__ import annotations
 
@@ -14,22 +14,23 @@ from bundle.model.problem import Problem
 __all__ = ["MOST_IDS", "ImageSelection", "find_images", "id_range", "named_images"]
 
 MOST_IDS = 10_000_000
-"""Ids that a list may hold: a slip in a range must not fill the memory."""
+"""Largest number of ids in a list: a typing error in a range must not fill the memory."""
 
 ImageSelection = str | Iterable[int | str]
 """A list such as "1,5-9,left/*.jpg", or its entries one by one."""
 
 
 def find_images(argument: str, problem: Problem, selection: Any) -> tuple[int, ...]:
-    """Return the ids of the images that a selection names, sorted, each once.
+    """Return the sorted ids of the images in a selection, each once.
 
-    An entry is an id (12), a range of ids (5-9), or the name of an image, in which ``*`` stands for
-    any characters, ``?`` for one and ``[ab]`` for one of some; case matters. A string is split at
-    its commas; a name with a comma has to be an entry of a list, or to have a ``?`` there.
+    An entry is an id (12), a range of ids (5-9), or a name of an image with wildcards: ``*`` for
+    any characters, ``?`` for one and ``[ab]`` for one of a set. Case matters. A string is split at
+    its commas; a name with a comma must be an entry of a list, or have a ``?`` in place of the
+    comma.
 
     Raises:
-        InputError: an id does not exist, no name is like the pattern, or this is no selection; the
-            message begins with the argument.
+        InputError: an id does not exist, no name matches the pattern, or the selection has another
+            type; the message begins with the argument.
     """
     if isinstance(selection, str):
         entries: list[Any] = [entry.strip() for entry in selection.split(",")]
@@ -57,7 +58,7 @@ def find_images(argument: str, problem: Problem, selection: Any) -> tuple[int, .
 
 
 def _ids(argument: str, entry: Any) -> Iterable[int] | None:
-    """Return the ids that an entry stands for, None if it is a name."""
+    """Return the ids of an entry, None if it is a name."""
     if isinstance(entry, int | np.integer) and not isinstance(entry, bool):
         return (int(entry),)
     if not isinstance(entry, str):
@@ -72,7 +73,7 @@ def _ids(argument: str, entry: Any) -> Iterable[int] | None:
 
 
 def id_range(text: str) -> range | None:
-    """Return the ids that "5" or "5-9" names, None for other text.
+    """Parse "5" or "5-9" to ids; return None for other text.
 
     Raises:
         ValueError: the range ends before it starts.
@@ -91,10 +92,10 @@ def _is_id(text: str) -> bool:
 
 
 def named_images(argument: str, problem: Problem, pattern: str) -> list[int]:
-    """Return the id of the image with a name, or the ids of those with names like a pattern.
+    """Return the id of the image with a name, or the ids of images whose names match a pattern.
 
     Raises:
-        InputError: there are none, or several of the same name; the message begins with the
+        InputError: no name matches, or several images have the name; the message begins with the
             argument.
     """
     names, ids = problem.image_names, problem.image_ids.tolist()

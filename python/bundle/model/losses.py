@@ -1,7 +1,7 @@
-"""Robust losses: their values, and what a solver makes of a residual under one.
+"""Robust losses (M-estimators): values, and the correction of residuals and Jacobians.
 
-A residual r of the problem costs 1/2 rho(||r||^2). Names and scales are those of
-:class:`bundle.SolveOptions`; everything is computed by the core, as in a solve.
+A residual r costs 1/2 rho(||r||^2). Names and scales are those of :class:`bundle.SolveOptions`. The
+core computes everything, with the code of a solve.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SECOND_ORDER_TERMS = ("full", "clamped", "ceres")
 
 
 class Corrected(NamedTuple):
-    """A residual (m,) and its Jacobian (m, n) as a least-squares solver is to see them."""
+    """A residual (m,) and its Jacobian (m, n), corrected for a least-squares solver."""
 
     residual: NDArray[np.float64]
     jacobian: NDArray[np.float64]
@@ -34,7 +34,7 @@ def evaluate_loss(loss: str, scale: float, squared_norms: ArrayLike) -> NDArray[
 
     Args:
         loss: a name out of SolveOptions.
-        scale: the norm at which the loss bends, in the unit of r.
+        scale: norm from which the loss departs from the quadratic, in the unit of r.
         squared_norms: (N,), not negative.
 
     Returns:
@@ -64,7 +64,7 @@ def second_order_block(
         jacobian: (m, n) J.
 
     Raises:
-        InputError: shapes do not fit each other.
+        InputError: shapes are inconsistent.
     """
     return _core.second_order_block(*_checked(rho, residual, jacobian))
 
@@ -72,22 +72,21 @@ def second_order_block(
 def correct(
     rho: ArrayLike, residual: ArrayLike, jacobian: ArrayLike, second_order_term: str = "ceres"
 ) -> Corrected | None:
-    """Return the residual and Jacobian that a least-squares solver is given in place of r and J.
+    """Return the corrected residual and Jacobian that replace r and J in a least-squares solver.
 
     Args:
         rho: (3,) rho, rho', rho'' at ||r||^2, with rho' > 0 where rho'' is not zero.
         residual: (m,) r.
         jacobian: (m, n) J.
-        second_order_term: "full" (Triggs'), "clamped" (left out where rho'' <= 0, by our formulas)
-            or "ceres" (what Ceres itself makes of it).
+        second_order_term: "full" (Triggs'), "clamped" (no second-order term where rho'' <= 0) or
+            "ceres" (Ceres' own code).
 
     Returns:
         The corrected pair; None where the full correction does not exist because the block is
         singular or indefinite.
 
     Raises:
-        InputError: shapes do not fit each other, rho' is out of its range, or there is no such
-            term.
+        InputError: shapes are inconsistent, rho' is out of range, or the term is unknown.
     """
     arrays = _checked(rho, residual, jacobian)
     _, first, second = arrays[0]

@@ -18,7 +18,7 @@ from bundle.errors import InputError, brief
 __all__ = ["PoseGraph"]
 
 TANGENT = {3: 3, 7: 6}
-"""Tangent coordinates of a pose by its numbers."""
+"""Number of tangent coordinates of a pose by the length of its row."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -37,16 +37,16 @@ class PoseGraph(Displayed):
         measurements: (m, 3) or (m, 7), as poses.
         information: (m, d, d) with d = 3 or 6; symmetric positive semidefinite for a solve.
         ids: (n,) of the poses, 0 or above, each once; positions if not given.
-        fixed: (n,) True where a pose is known (FIX) and stays; none if not given.
+        fixed: (n,) True where a pose is constant (FIX in g2o); by default nowhere.
         edge_lines: (m,) lines of the file that the edges come from; 0: none.
         path: of that file; "" from memory.
         has_poses: False if the file had edges alone, so that the poses are those of odometry, or
             of a spanning tree where the chain of ids is broken.
         format: of that file, "g2o" or "toro"; "" from memory.
-        notes: sentences on what was read in another way than it stands there.
+        notes: sentences on entries that were interpreted.
 
     Raises:
-        InputError: shapes or values contradict each other.
+        InputError: shapes or values are inconsistent.
     """
 
     poses: NDArray[np.float64]
@@ -102,7 +102,7 @@ class PoseGraph(Displayed):
                     f"{name}: expected shape {shape}, found {getattr(self, name).shape}"
                 )
         if n == 0:
-            raise InputError("poses: expected at least one, found none")
+            raise InputError("poses: expected at least one, found an empty array")
 
     def _check_values(self, n: int) -> None:
         for name in ("poses", "measurements"):
@@ -177,7 +177,7 @@ class PoseGraph(Displayed):
         return dataclasses.replace(self, **changes)
 
     def edge_name(self, position: int) -> str:
-        """Return what messages call an edge: file and line where there are some, and its ids."""
+        """Return the name of an edge in messages: its ids, after file and line where known."""
         line = int(self.edge_lines[position])
         place = f"{self.path}:{line}: " if line and self.path else ""
         first, second = self.ids[self.edges[position]]

@@ -47,11 +47,11 @@ def _by_default() -> Any:
 class Problem(Displayed):
     """A bundle adjustment problem.
 
-    Poses, camera models and parameters, points and observations have to be given; all else has a
-    default. Arrays are C-contiguous and nothing can write to them. An array is shared, not copied,
-    if its memory is as safe: the arrays of other problems are, those that NumPy makes are not.
+    Poses, camera models and parameters, points and observations are required; all else has a
+    default. Arrays are C-contiguous and immutable. An immutable array, such as one of another
+    problem, is shared; others are copied.
 
-    Only registered images are in a problem: what a reconstruction holds besides stays in ``source``
+    A problem has registered images only: everything else of a reconstruction stays in ``source``
     and is written back by ``bundle.save``. To edit a problem, make another one with
     ``dataclasses.replace`` or :meth:`replace`. ``bundle.save`` writes every edit, refuses it, or
     returns a sentence for what the format cannot hold.
@@ -93,21 +93,21 @@ class Problem(Displayed):
             its image in the source; -1 (the default) where it is none of them.
         observation_sigma: (num_observations,) standard deviation of each measured position, in
             pixels, or None (the default): 1 each. A solve divides the residual r by it, before the
-            loss: its cost is 1/2 sum rho(||r / sigma||^2), and ``loss_scale`` counts in sigmas.
-            Statistics of reprojection errors stay in pixels. No file format keeps it.
-        format: "bal", "colmap" or "memory" (the default): where it came from. Decides the defaults
-            of ``gauge`` and, with the camera models, of ``cheirality``, and what ``bundle.save``
-            writes when the path does not say.
-        source: what was read, kept so that writing back loses nothing: a pycolmap.Reconstruction
-            for COLMAP models, the rotations as they stood in the file for BAL, None (the default)
-            for problems from memory. Never changed.
+            loss: its cost is 1/2 sum rho(||r / sigma||^2), and ``loss_scale`` is in sigmas.
+            Statistics of reprojection errors stay in pixels. No file format stores it.
+        format: "bal", "colmap" or "memory" (the default): origin of the problem. It determines the
+            defaults of ``gauge`` and, with the camera models, of ``cheirality``, and the format of
+            ``bundle.save`` where the path leaves it open.
+        source: the data that was read, kept so that writing back loses nothing: a
+            pycolmap.Reconstruction for COLMAP models, the rotations of the file for BAL, None (the
+            default) for problems from memory. It is never modified.
 
     Raises:
         InputError: an array has the wrong shape or type, holds a value that is not finite, an index
             out of range, a repeated id, a zero quaternion, a focal length that is not positive or a
-            negative size; a name cannot be printed; a camera model does not exist; an image is not
-            where its rig says that it is. The message names the field, or the image, camera, point,
-            observation, frame or sensor.
+            negative size; a name has characters that cannot be printed; a camera model does not
+            exist; the pose of an image differs from that of its rig. The message names the field,
+            or the image, camera, point, observation, frame or sensor.
     """
 
     cam_from_world: NDArray[np.float64]
@@ -163,7 +163,7 @@ class Problem(Displayed):
 
     @property
     def num_cameras(self) -> int:
-        """Number of cameras, used by an image or not."""
+        """Number of cameras, with or without an image."""
         return len(self.camera_params)
 
     @property
@@ -178,7 +178,7 @@ class Problem(Displayed):
 
     @property
     def num_rigs(self) -> int:
-        """Number of rigs of several sensors that have a frame; images beside them have none."""
+        """Number of rigs of several sensors that have a frame."""
         return len(np.unique(self.frame_rig_ids))
 
     @property
@@ -188,7 +188,7 @@ class Problem(Displayed):
 
     @property
     def num_sensors(self) -> int:
-        """Number of sensors with a sensor_from_rig: reference sensors do not count."""
+        """Number of sensors with a sensor_from_rig; reference sensors are not included."""
         return len(self.sensor_from_rig)
 
     @property
@@ -203,9 +203,9 @@ class Problem(Displayed):
         return centers
 
     def check_padding(self) -> None:
-        """Raise an InputError for numbers beyond a camera's parameters, which no file can hold.
+        """Raise an InputError for numbers beyond a camera's parameters, which no file can store.
 
-        They are left over where a model with fewer parameters took another one's place.
+        They remain where a model with fewer parameters replaced another one.
         """
         models = camera_models()
         lengths = np.array([len(models[name]) for name in self.camera_models], dtype=np.int64)
@@ -232,9 +232,9 @@ class Problem(Displayed):
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some arrays replaced; the others are shared, not copied.
 
-        Where frames or sensors of rigs change and ``cam_from_world`` is not given, it is computed
-        anew for the images of what has moved. A ``cam_from_world`` that does not fit the rigs is
-        refused: to move images of rigs, replace ``rig_from_world`` or ``sensor_from_rig``.
+        If frames or sensors of rigs change and ``cam_from_world`` is not given, it is recomputed
+        for the images that move. A ``cam_from_world`` that contradicts the rigs is refused: to move
+        images of rigs, replace ``rig_from_world`` or ``sensor_from_rig``.
         """
         poses = rig_arrays.recomputed_poses(self, changes)
         if poses is not None:
@@ -271,18 +271,18 @@ class Problem(Displayed):
         )
 
     def without_rigs(self) -> Self:
-        """Return a copy in which each image has a pose of its own, where it is now."""
+        """Return a copy in which each image has a pose of its own, with the same value."""
         return self.replace(**dict.fromkeys(rig_arrays.DTYPES))
 
     def _moved(self, **state: Any) -> Self:
-        """Return a copy in another state, whose arrays are immutable and which the core checked."""
+        """Return a copy with other arrays, which are immutable and valid already."""
         moved = object.__new__(type(self))
         vars(moved).update(vars(self), **state)
         return moved
 
     @staticmethod
     def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
-        """Take over the registered images of a reconstruction, which is copied and kept as source.
+        """Make a problem of the registered images of a reconstruction; its source is a copy.
 
         Raises:
             InputError: a camera with images has no sensor_from_rig, or references do not resolve.
@@ -294,9 +294,9 @@ class Problem(Displayed):
     def to_pycolmap(self) -> pycolmap.Reconstruction:
         """Return a reconstruction: a copy of the source with the numbers of this problem in it.
 
-        Per-point errors are recomputed; ``observation_sigma`` has no place in it. A problem that
-        did not come from COLMAP gives a new reconstruction with one trivial rig and frame an image
-        where it has no rigs.
+        The errors of points are recomputed; ``observation_sigma`` is lost. A problem that did not
+        come from COLMAP gives a new reconstruction, with a trivial rig and frame for each image
+        without a rig.
         """
         from bundle.model.pycolmap.write_back import to_pycolmap
 
@@ -306,7 +306,7 @@ class Problem(Displayed):
         return f"Problem({self.format}: {contents(self)}{self._rigs(', ')})"
 
     def _rigs(self, before: str = "") -> str:
-        """Return "26 frames of 1 rig", nothing where there are no rigs."""
+        """Return "26 frames of 1 rig", or "" without rigs."""
         if not self.num_frames:
             return ""
         return f"{before}{plural(self.num_frames, 'frame')} of {plural(self.num_rigs, 'rig')}"
@@ -324,7 +324,7 @@ class Problem(Displayed):
 
 
 class _Source:
-    """The field ``source``: a model that was read is made a reconstruction when it is asked for."""
+    """The field ``source``, which becomes a reconstruction on first access."""
 
     def __get__(self, problem: Problem | None, owner: type[Problem]) -> Any:
         if problem is None:
@@ -340,5 +340,5 @@ setattr(Problem, "source", _Source())  # noqa: B010 (the checker knows the field
 
 
 def _unpacked(cls: type[Problem], fields: dict[str, Any]) -> Problem:
-    """Return what was pickled, checked anew: the file may have changed."""
+    """Return a problem from a pickle, checked again: the file may have changed."""
     return cls(**fields | {"source": unpacked(fields["source"])})

@@ -1,7 +1,7 @@
-"""The arrays of a problem, for what a :class:`bundle.Problem` is made with.
+"""The arrays of a problem as a protocol.
 
-Defaults of fields, rigs, and the records of COLMAP's files stand below the class: they know its
-arrays alone. The class documents each.
+Modules that :class:`bundle.Problem` imports (defaults of fields, rigs, records of COLMAP's files)
+use this protocol in place of the class, which documents each array.
 """
 
 from __future__ import annotations

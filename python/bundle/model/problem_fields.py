@@ -14,7 +14,7 @@ from bundle.model.problem_arrays import ProblemArrays
 
 __all__ = ["DTYPES", "check_values", "default", "sigmas_or_none", "strings"]
 
-# Those without a default first: the others' defaults depend on how many there are.
+# Fields without a default first: the defaults of others depend on their lengths.
 DTYPES: dict[str, type] = {
     "cam_from_world": np.float64,
     "camera_params": np.float64,
@@ -31,7 +31,7 @@ DTYPES: dict[str, type] = {
     **rig_arrays.DTYPES,
 }
 
-# What has a default has one entry for each of these.
+# Fields with a default, and the count that is their length.
 _ONE_FOR_EACH = {
     "image_ids": "num_images",
     "image_camera": "num_images",
@@ -43,7 +43,7 @@ _ONE_FOR_EACH = {
 
 
 def default(problem: ProblemArrays, name: str) -> NDArray[Any]:
-    """Return the default of an array; those that it depends on are there."""
+    """Return the default of an array; the arrays that it depends on are set."""
     if name in rig_arrays.DTYPES:
         return rig_arrays.default(problem, name)
     if name not in _ONE_FOR_EACH:
@@ -57,14 +57,14 @@ def default(problem: ProblemArrays, name: str) -> NDArray[Any]:
         if problem.num_cameras != 1:
             raise InputError(
                 "image_camera: expected the index of each image's camera, as there are "
-                f"{count} images and {problem.num_cameras} cameras, found nothing"
+                f"{count} images and {problem.num_cameras} cameras, found None"
             )
         return filled((count,), 0, dtype)
     return freeze(np.arange(count, dtype=dtype))
 
 
 def sigmas_or_none(given: Any) -> NDArray[np.float64] | None:
-    """Return the sigmas of observations; None where none are given."""
+    """Convert the sigmas of observations; return None for None or an empty array."""
     if given is None:
         return None
     sigmas = immutable("observation_sigma", given, np.float64)
@@ -72,7 +72,7 @@ def sigmas_or_none(given: Any) -> NDArray[np.float64] | None:
 
 
 def strings(field_name: str, names: Any) -> tuple[str, ...]:
-    """Return names as a tuple of plain strings; whether they can be printed is checked later."""
+    """Return names as a tuple of plain strings; the core checks their characters."""
     if isinstance(names, (str, bytes)):
         raise InputError(f"{field_name}: expected a sequence of strings, found a single one")
     try:
@@ -90,7 +90,7 @@ def strings(field_name: str, names: Any) -> tuple[str, ...]:
 
 
 def check_values(problem: ProblemArrays) -> None:
-    """Check what the core does not look at."""
+    """Check the values that the core does not check."""
     negative = (problem.camera_sizes < 0).any(axis=1)
     if negative.any():
         camera = int(np.argmax(negative))

@@ -20,12 +20,12 @@ KINDS = ("image", "camera", "point", "frame", "sensor")
 
 
 class ProblemKeys:
-    """What keys name in a problem.
+    """A table from keys to variables of a problem.
 
     Args:
-        problem: whose variables they name.
-        kinds: the first members that a key may have.
-        what: what a key is to the caller, in messages.
+        problem: problem with the variables.
+        kinds: first members that a key may have.
+        what: role of a key for the caller, in messages.
     """
 
     def __init__(self, problem: Problem, kinds: tuple[str, ...], what: str) -> None:
@@ -35,10 +35,10 @@ class ProblemKeys:
         self._indices: dict[str, dict[Any, int]] = {}
 
     def find(self, argument: str, key: Any) -> tuple[str, int]:
-        """Return the kind and the index in the problem's arrays.
+        """Return the kind of a key and its index in the problem's arrays.
 
         Raises:
-            InputError: this is no such key, or names nothing of the problem.
+            InputError: it is no such key, or the problem does not have the variable.
         """
         if (
             not isinstance(key, tuple)

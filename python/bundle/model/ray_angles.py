@@ -1,4 +1,4 @@
-"""Whether the rays of a point enclose a large enough angle: the largest over all pairs counts.
+"""Triangulation angles of points: the largest angle over all pairs of rays, against a limit.
 
 The angle of two rays is that of the lines along them, min(a, 180 - a) degrees (COLMAP,
 ``CalculateTriangulationAngle``): rays from opposite sides determine a point as badly as parallel
@@ -35,11 +35,11 @@ _Vectors = tuple[_Array, _Array, _Array]
 
 
 def enclose_angle(problem: Problem, observations: _Indices, min_angle: float) -> _Mask:
-    """Return whether two rays of a point enclose at least an angle, for each point.
+    """Return a mask of the points of which two rays enclose at least an angle.
 
     Args:
-        problem: where the rays are.
-        observations: indices of those that count; a point with fewer than two encloses none.
+        problem: poses, points and observations.
+        observations: indices of observations that count; a point with fewer than two fails.
         min_angle: degrees, from above 0 to 90.
 
     Returns:
@@ -68,7 +68,7 @@ def enclose_angle(problem: Problem, observations: _Indices, min_angle: float) ->
 
 
 def _runs(begin: _Indices, lengths: _Indices) -> tuple[_Indices, _Indices]:
-    """Return the places in some runs one after the other, and where each run begins among them."""
+    """Return the positions in some runs, concatenated, and the begin of each run among them."""
     begins = np.cumsum(lengths) - lengths
     return np.arange(lengths.sum()) + np.repeat(begin - begins, lengths), begins
 
@@ -126,7 +126,7 @@ def _squared_sines(a: _Vectors, b: _Vectors) -> _Array:
 
 
 def _enclose(rays: _Rays, angle: float) -> _Mask:
-    """Return whether some pair of rays encloses the angle in radians, for each run of rays."""
+    """Return a mask of the runs in which some pair of rays encloses the angle in radians."""
     limit, half = np.sin(angle) ** 2, np.sin(angle / 2) ** 2
     # 2, 3: the first ray.
     sines = rays.squared_sines(rays.at(rays.begin))
@@ -156,7 +156,7 @@ def _enclose(rays: _Rays, angle: float) -> _Mask:
 
 
 def _all_pairs(rays: _Rays, limit: float) -> _Mask:
-    """Return whether sin^2 of some pair of a point's rays reaches the limit."""
+    """Return a mask of the points of which sin^2 of some pair of rays reaches the limit."""
     kept = np.zeros(len(rays.begin), bool)
     run = np.repeat(np.arange(len(rays.begin)), rays.lengths)
     place = np.arange(len(run))

@@ -63,13 +63,13 @@ class Linearization(NamedTuple):
 
 
 def resolve_cheirality(problem: Problem, cheirality: str) -> str:
-    """Return what "auto" means for this problem.
+    """Return the cheirality that "auto" stands for in this problem.
 
-    "algebraic" for BAL and where the formula of every lens goes on past 90 degrees, "zero" where
-    that of none does. "auto" where it depends on the lens or on the angle, for the core to decide.
+    "algebraic" for BAL, and if the formula of every lens is defined beyond 90 degrees; "zero" if
+    that of none is; "auto" if it depends on the lens or the angle: the core decides.
 
     Raises:
-        InputError: there is no such cheirality.
+        InputError: the cheirality is unknown.
     """
     cheirality = choice("cheirality", cheirality, CHEIRALITIES)
     if cheirality != "auto":
@@ -107,7 +107,7 @@ def reprojection_error(
 def counted_errors(
     errors: NDArray[np.float64], behind: NDArray[np.bool_], cheirality: str
 ) -> NDArray[np.bool_]:
-    """Return which of the errors count; `behind` and `cheirality` go together, as resolved."""
+    """Return a mask of the errors that count; `cheirality` is the resolved one of `behind`."""
     counted = ~np.isnan(errors)
     if cheirality != "algebraic":
         counted &= ~behind
@@ -117,9 +117,9 @@ def counted_errors(
 def summarize_errors(
     errors: NDArray[np.float64], behind: NDArray[np.bool_], cheirality: str
 ) -> ReprojectionError:
-    """Return the statistics of what `reprojection_errors` returns, which is reordered.
+    """Return statistics of the output of `reprojection_errors`; the errors are reordered.
 
-    `cheirality` is that of `behind`, resolved.
+    `cheirality` is the resolved one that `behind` belongs to.
     """
     counted = counted_errors(errors, behind, cheirality)
     if not counted.all():
@@ -128,13 +128,13 @@ def summarize_errors(
         nan = float("nan")
         statistics = {"rmse": nan, "mean": nan, "median": nan, "p95": nan, "max": nan}
     else:
-        with np.errstate(over="ignore"):  # a legal problem may be that far off
+        with np.errstate(over="ignore"):  # valid problems may overflow
             statistics = {
                 "rmse": float(np.sqrt(np.mean(errors**2))),
                 "mean": float(errors.mean()),
                 "max": float(errors.max()),
             }
-        # Last, as they are found by reordering the errors.
+        # Last, as quantiles reorder the errors.
         statistics["median"], statistics["p95"] = _quantiles(errors, [0.5, 0.95])
     return ReprojectionError(
         **statistics, num_observations=len(errors), num_behind_camera=int(behind.sum())
@@ -142,9 +142,9 @@ def summarize_errors(
 
 
 def _quantiles(values: NDArray[np.float64], shares: list[float]) -> list[float]:
-    """Return np.quantile(values, shares), without the 25 ms that its first call takes to import.
+    """Return np.quantile(values, shares) without its imports, which take 25 ms.
 
-    The values are left in another order.
+    The values are reordered.
     """
     last = len(values) - 1
     positions = [share * last for share in shares]
@@ -157,19 +157,19 @@ def _quantiles(values: NDArray[np.float64], shares: list[float]) -> list[float]:
 
 
 def between(low: float, high: float, share: float) -> float:
-    """Return low + share (high - low), also where these are infinite."""
+    """Return low + share (high - low), also for infinite values."""
     return low if low == high or share == 0 else low + share * (high - low)
 
 
 def linearize(
     problem: Problem, cheirality: str = "auto", *, rotation_offsets: ArrayLike | None = None
 ) -> Linearization:
-    """Return residuals and analytic Jacobians of all observations, the ones a solve uses.
+    """Return residuals and analytic Jacobians of all observations, those of a solve.
 
     Args:
-        problem: where to evaluate.
+        problem: values at which to evaluate.
         cheirality: as in a solve; observations that do not count are zero.
-        rotation_offsets: (num_images, 3) evaluate at w instead of 0.
+        rotation_offsets: (num_images, 3) values of w at which to evaluate; 0 by default.
 
     Raises:
         InputError: an observed image has a camera model that is not supported, or the offsets have

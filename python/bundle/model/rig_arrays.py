@@ -1,11 +1,11 @@
-"""Rigs of several sensors: where their images are, defaults of their arrays, and what must hold.
+"""Rigs of several sensors: poses of their images, defaults and checks of their arrays.
 
-A frame is where a rig was at one time. Sensor s of the rig took an image in it at
+A frame is a rig at one time. Sensor s of the rig took an image in frame f at
 
     cam_from_world = sensor_from_rig[s] * rig_from_world[f],    R = R_s R_f,  t = R_s t_f + t_s,
 
-and the rig's reference sensor at rig_from_world itself. So the pose of such an image is no variable
-of its own: to move it, move its frame or its sensor.
+and the rig's reference sensor at rig_from_world itself. The pose of such an image is therefore no
+variable of its own: to move it, move its frame or its sensor.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ DTYPES: dict[str, type] = {
     "image_sensor": np.int32,
     "frame_rig_ids": np.int64,  # the last: its default depends on the others
 }
-"""The fields of a problem that are about rigs, in an order in which their defaults are known."""
+"""The fields of a problem for rigs, in an order in which their defaults can be computed."""
 
 TOLERANCE = 1e-6
-"""Difference of a pose from that of its rig: in entries of the rotation, and of the translation
-relative to the larger one of frame and sensor. The poses of rigs count; this is what files round
-away."""
+"""Largest difference of a pose from that of its rig: in entries of the rotation, and of the
+translation relative to the larger one of frame and sensor. The poses of rigs are used; files round
+those of images."""
 
 
-# What is wrong with a pose is told by who checks it.
+# The caller checks the poses.
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
 def compose(sensor_from_rig: _Poses, rig_from_world: _Poses) -> _Poses:
     """Return (n, 7) poses of the cameras of (n, 7) sensors on rigs at (n, 7) poses."""
@@ -64,9 +64,9 @@ def compose(sensor_from_rig: _Poses, rig_from_world: _Poses) -> _Poses:
 
 
 def placed(fields: Mapping[str, Any]) -> _Poses:
-    """Return cam_from_world of a problem's fields, those of images with a frame as rigs have it.
+    """Return cam_from_world of a problem's fields; images with a frame get the pose of their rig.
 
-    An image of a reference sensor has the pose of its frame, bit by bit.
+    An image of a reference sensor gets the pose of its frame, bit for bit.
     """
     poses: _Poses = fields["cam_from_world"]
     images = np.flatnonzero(fields["image_frame"] >= 0)
@@ -84,7 +84,7 @@ def placed(fields: Mapping[str, Any]) -> _Poses:
 def pose_differences(
     poses: _Poses, others: _Poses
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Return by which angles [rad] and shifts of the centre poses (n, 7) differ from others.
+    """Return angles [rad] and shifts of the centres between poses (n, 7) and others.
 
     The last value is the largest distance of a centre from the origin.
     """
@@ -96,9 +96,9 @@ def pose_differences(
 
 
 def recomputed_poses(problem: ProblemArrays, changes: Mapping[str, Any]) -> _Poses | None:
-    """Return cam_from_world after changes of rigs; None where that is not for us to say.
+    """Return cam_from_world after changes of rigs; None if it is given, or arrays are invalid.
 
-    Poses of images whose frame and sensor stay where they are keep their bits.
+    Poses of images whose frame and sensor do not move keep their bits.
     """
     names = ("rig_from_world", "sensor_from_rig", "image_frame", "image_sensor")
     given = [name for name in names if changes.get(name) is not None]
@@ -116,17 +116,17 @@ def recomputed_poses(problem: ProblemArrays, changes: Mapping[str, Any]) -> _Pos
         poses = placed(after)
         moved = _differ(before, after)
     except (TypeError, ValueError, IndexError):
-        return None  # the new problem says what is wrong with its arrays
+        return None  # the checks of the new problem name the error
     if not np.isfinite(poses).all():
         return None
     return np.where(moved[:, None], poses, problem.cam_from_world)
 
 
 def default(problem: ProblemArrays, name: str) -> NDArray[Any]:
-    """Return the default of a field; those before it in DTYPES are there.
+    """Return the default of a field; fields before it in DTYPES are set.
 
     Raises:
-        InputError: there is none.
+        InputError: the field has no default.
     """
     if name in ("rig_from_world", "sensor_from_rig"):
         return filled((0, 7), 0, np.float64)
@@ -145,10 +145,10 @@ def default(problem: ProblemArrays, name: str) -> NDArray[Any]:
 
 
 def settle(problem: ProblemArrays) -> None:
-    """Drop rows of -1 where there are no frames to refer to.
+    """Drop rows of -1 where there are no frames.
 
     Raises:
-        InputError: there are sensors or rows of sensors, but no frames.
+        InputError: there are sensors or indices of sensors, but no frames.
     """
     if len(problem.rig_from_world):
         return
@@ -171,11 +171,11 @@ def settle(problem: ProblemArrays) -> None:
 
 
 def check(problem: ProblemArrays) -> None:
-    """Check what the core does not look at: that frames, sensors and rigs belong together.
+    """Check that frames, sensors and rigs are consistent; the core checks the rest.
 
     Raises:
-        InputError: rigs that do not fit the sensors of their frames, a
-            sensor with two images in a frame, a rig with two reference cameras.
+        InputError: a rig does not have the sensors of its frames, a sensor has two images in a
+            frame, or a rig has two reference cameras.
     """
     if len(problem.frame_rig_ids) != problem.num_frames:
         raise InputError(
@@ -216,13 +216,13 @@ def rig_of_image(problem: ProblemArrays) -> NDArray[np.int64]:
 
 
 def sensor_names(problem: ProblemArrays) -> list[str]:
-    """Return "RIG:CAMERA" of each sensor, as ``--fix-sensors`` takes it."""
+    """Return "RIG:CAMERA" of each sensor, the syntax of ``--fix-sensors``."""
     pairs = zip(problem.sensor_rig_ids.tolist(), problem.sensor_camera_ids.tolist(), strict=True)
     return [f"{rig}:{camera}" for rig, camera in pairs]
 
 
 def reference_cameras(problem: ProblemArrays) -> dict[int, int]:
-    """Return the id of the reference camera by rig id, of rigs whose reference took images."""
+    """Return the reference camera by rig id, for rigs whose reference camera took images."""
     rig = rig_of_image(problem)
     known: dict[int, int] = {}
     if problem.num_frames:
@@ -233,7 +233,7 @@ def reference_cameras(problem: ProblemArrays) -> dict[int, int]:
 
 
 def _differ(before: Mapping[str, Any], after: Mapping[str, Any]) -> NDArray[np.bool_]:
-    """Return which images have another frame pose or another pose on the rig than before."""
+    """Return a mask of images whose frame or whose pose on the rig has changed."""
     differ: NDArray[np.bool_] = np.zeros(len(before["cam_from_world"]), bool)
     for poses, rows in (("rig_from_world", "image_frame"), ("sensor_from_rig", "image_sensor")):
         old, new = before[rows], after[rows]
@@ -244,7 +244,7 @@ def _differ(before: Mapping[str, Any], after: Mapping[str, Any]) -> NDArray[np.b
 
 
 def _rigs_of_frames(problem: ProblemArrays) -> NDArray[np.int64]:
-    """Return the rig of each frame: that of its sensors, or the only one, else of its camera."""
+    """Return the rig of each frame: that of its sensors, the only rig, or that of its camera."""
     num_frames = len(problem.rig_from_world)
     rig = np.full(num_frames, -1, np.int64)
     if not num_frames or problem.image_frame.shape != (problem.num_images,):
@@ -278,7 +278,7 @@ def _rigs_of_frames(problem: ProblemArrays) -> NDArray[np.int64]:
 
 
 def _check_poses(problem: ProblemArrays, images: Any) -> None:
-    """Check that images are where their rigs say, as closely as files are rounded."""
+    """Check that images have the poses of their rigs, up to the rounding of files."""
     names = ("cam_from_world", "image_frame", "image_sensor", "rig_from_world", "sensor_from_rig")
     expected = placed({name: getattr(problem, name) for name in names})[images]
     given = problem.cam_from_world[images]

@@ -33,8 +33,8 @@ def multiply_poses(a: Array, b: Array) -> Array:
 def multiply_as_colmap(a: Array, b: Array) -> Array:
     """Return the motions (n, 7) b, then a, to the last bit as COLMAP computes them.
 
-    The same operations in the same order as those of Eigen's quaternions on any x86-64: a product
-    that is normalised, and a vector turned by a quaternion as it is.
+    The operations and their order are those of Eigen's quaternions on x86-64: the product is
+    normalised; the rotation of the vector uses the quaternion without normalising it.
     """
     x, y, z, w = a.T[:4]
     bx, by, bz, bw = b.T[:4]

@@ -1,7 +1,7 @@
 """Rotations of many images at once, as matrices and as COLMAP's quaternions.
 
-Everything is spelled out element by element: matrix products through BLAS would differ in the last
-bit from machine to machine, and with them the scene of a seed.
+Every product is written out element by element: BLAS would give other last bits on other machines,
+and with them another scene for the same seed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where the solve of a pose graph starts."""
+"""Initial poses of pose graphs: file, odometry, spanning tree, chordal relaxation."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """Poses to start from.
+    """Initial poses.
 
     Attributes:
         poses: as those of a graph.
         init: "file", "odometry", "spanning_tree" or "chordal".
-        reason: why, where that was chosen; "" where it was asked for.
-        starts: poses of all starts by name, where the choice looked at them.
+        reason: reason of the choice; "" if the user chose.
+        starts: poses of all starts by name, if they were compared.
     """
 
     poses: Floats
@@ -61,7 +61,7 @@ class Start:
 
 
 def start_without_poses(graph: PoseGraph) -> PoseGraph:
-    """Return a graph whose file has no poses with those of odometry, or of a spanning tree."""
+    """Return a graph without poses in its file with those of odometry or a spanning tree."""
     held, _, _ = _core.hold_poses(graph)
     joined = _core.odometry_gap(graph)[0] < 0
     init = "odometry" if joined and not graph.fixed.any() else "spanning_tree"
@@ -72,7 +72,7 @@ def started(graph: PoseGraph, held: NDArray[np.bool_], init: str, num_threads: i
     """Return the start of one kind.
 
     Raises:
-        InputError: odometry was asked for, but consecutive ids without an edge break its chain.
+        InputError: odometry was requested, but consecutive ids have no edge.
     """
     if init == "file":
         return Start(poses=graph.poses, init=init)
@@ -87,17 +87,17 @@ def started(graph: PoseGraph, held: NDArray[np.bool_], init: str, num_threads: i
 
 
 def choose_start(graph: PoseGraph, held: Flags, doubted: Flags, options: PoseGraphOptions) -> Start:
-    """Return the start from which a few steps reach the least cost; of equal ones the soonest.
+    """Return the start from which a few steps reach the least cost; on a tie the earliest.
 
-    Costs before any step say little: a start may be far away and in the right valley. All starts
-    take a few steps, and those that are then above the least some more, each from its beginning, so
-    that what is seen here is the beginning of the solve.
+    The initial cost is a poor criterion: a start may be far away, but in the basin of the right
+    minimum. All starts take a few steps; those above the least cost then take more, each from its
+    beginning, so that the comparison is the beginning of the solve.
 
     Args:
-        graph: its information as a solve takes it.
-        held: (n,) poses that stay.
-        doubted: (m,) edges that the loss applies to.
-        options: of the solve; losses that try others are compared without one.
+        graph: the graph, with the information matrices of the solve.
+        held: (n,) mask of constant poses.
+        doubted: (m,) mask of edges that the loss applies to.
+        options: of the solve; losses that run several solves are compared without a loss.
     """
     if options.loss in ("gnc_tls", "auto"):
         options = options.replace(loss="trivial", loss_scale=1.0, loss_on="closures")
@@ -126,18 +126,19 @@ def lower_start(
     solved: dict[str, Any],
     cost: Callable[[Floats], float],
 ) -> str:
-    """Return which start has a lower cost than the end of a solve; "" if none has.
+    """Return the name of a start with a lower cost than the end of a solve; "" if there is none.
 
-    Costs before any step are free. After a slow solve each other start takes some steps, too.
+    Initial costs are compared at no cost. After a slow solve each other start takes some steps,
+    too.
 
     Args:
-        graph: its information as a solve takes it.
-        held: (n,) poses that stay.
-        doubted: (m,) edges that the loss applies to.
+        graph: the graph, with the information matrices of the solve.
+        held: (n,) mask of constant poses.
+        doubted: (m,) mask of edges that the loss applies to.
         start: of the solve.
         options: of the solve, with the loss that it ended with.
-        solved: what the solve returned.
-        cost: of chi2 (m,).
+        solved: output of the solve.
+        cost: function of chi2 (m,).
     """
     end = float(solved["summary"]["final_cost"])
     starts = start.starts or _starts(graph, held, options.num_threads)
@@ -163,7 +164,7 @@ def lower_start(
 
 
 def _comparison(graph: PoseGraph, end: float) -> Callable[[dict[str, float]], bool]:
-    """Return what tells whether one of some costs is below an end by more than rounding."""
+    """Return a function that tells whether a cost is below an end by more than rounding."""
     size = max(1.0, float(np.abs(graph.poses).max()))
     trace = float(np.trace(graph.information, axis1=1, axis2=2).sum())
     least = max(NOT_LOWER * end, trace * (ROUNDING * size) ** 2)
@@ -173,7 +174,7 @@ def _comparison(graph: PoseGraph, end: float) -> Callable[[dict[str, float]], bo
 def _reached(
     there: PoseGraph, held: Flags, doubted: Flags, options: PoseGraphOptions, steps: int
 ) -> float:
-    """Return the cost that so many steps reach."""
+    """Return the cost after a number of steps."""
     few = options.replace(max_num_iterations=min(steps, options.max_num_iterations))
     solved = _core.solve_pose_graph(there, held, doubted, few.asdict(), None)
     cost = float(solved["summary"]["final_cost"])
@@ -181,7 +182,7 @@ def _reached(
 
 
 def _starts(graph: PoseGraph, held: Flags, num_threads: int) -> dict[str, Floats]:
-    """Return the poses of every start that there is, the file's first."""
+    """Return the poses of every available start, those of the file first."""
     found = {"file": graph.poses} if graph.has_poses else {}
     for init in ("chordal", "odometry", "spanning_tree"):
         try:

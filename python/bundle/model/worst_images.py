@@ -21,13 +21,13 @@ __all__ = [
 WORST = 5
 """Images that are named."""
 
-# Observations that are copied at a time: of hundreds of millions, copies are gigabytes.
+# Observations copied at a time: a copy of hundreds of millions takes gigabytes.
 _BLOCK = 1 << 20
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageError:
-    """Reprojection errors of one image, in pixels, over its observations that count.
+    """Reprojection errors of one image, in pixels, over the observations that count.
 
     Attributes:
         image_id: of the source.
@@ -50,7 +50,7 @@ def worst_images(
     """Return the images of largest RMSE, at most `most`, the worst first.
 
     Args:
-        problem: at whose values the errors are taken.
+        problem: the errors are those at its values.
         cheirality: as in a solve; observations that do not count are left out.
         most: images to return.
         num_threads: 0 for all cores.
@@ -70,7 +70,7 @@ def worst_of_errors(
     *,
     most: int = WORST,
 ) -> tuple[ImageError, ...]:
-    """Return the same from what `reprojection_errors` returns."""
+    """Return the worst images from the output of `reprojection_errors`."""
     cheirality = resolve_cheirality(problem, cheirality)
     return worst_of_sums(
         problem,
@@ -86,9 +86,9 @@ def sums_of_images(
     behind: NDArray[np.bool_],
     cheirality: str,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return count, sum of squares and maximum of the errors that count, of each image.
+    """Return for each image the number, sum of squares and maximum of the errors that count.
 
-    `cheirality` is that of `behind`, resolved.
+    `cheirality` is the resolved one that `behind` belongs to.
     """
     count = np.zeros(num_images, dtype=np.int64)
     total, largest = np.zeros(num_images), np.zeros(num_images)
@@ -111,7 +111,7 @@ def worst_of_sums(
     largest: NDArray[np.float64],
     most: int = WORST,
 ) -> tuple[ImageError, ...]:
-    """Return the images of largest RMSE from what `sums_of_images` returns."""
+    """Return the images of largest RMSE from the output of `sums_of_images`."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         rmse = np.sqrt(total / count)
     seen = np.flatnonzero(count)

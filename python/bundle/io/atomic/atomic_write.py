@@ -1,21 +1,21 @@
 """Output that appears whole or not at all.
 
 Everything is written beside its destination under a name ``.bundle-XXXX.tmp``, flushed to the disk,
-and only then put into place. Whatever goes wrong before (a full disk, an exception, Ctrl-C) leaves
-what stood at the destination as it was and removes the temporary files. A killed process or a power
+and only then put into place. An error before that (a full disk, an exception, Ctrl-C) leaves the
+destination unchanged and removes the temporary files. A killed process or a power
 failure leaves the old or the new, never a mixture:
 
 * A file, and a folder that did not exist, appear by one rename.
-* A folder that exists is exchanged with the new one in one step, after links to everything in it
-  that is no model file were made in the new one (``bundle.io.atomic.exchange``).
-* Where the system cannot do that, the model files are exchanged one by one, an error is rolled
-  back, and a killed process leaves a trace from which the next command that reads or writes there
-  finishes the work (``bundle.io.atomic.in_place``).
+* An existing folder is exchanged with the new one in one step, after everything in it that is no
+  model file was linked into the new one (``bundle.io.atomic.exchange``).
+* Where the system cannot exchange folders, the model files are replaced one by one. An error is
+  rolled back; a killed process leaves a record from which the next command that reads or writes
+  there finishes the work (``bundle.io.atomic.in_place``).
 
-A killed process may leave a temporary file; the next one that writes there removes it
-(``bundle.io.atomic.temporary``). Two processes that write to one place do not disturb each other:
-the last one wins. Symbolic links to the destination are followed, so a link stays a link; owner and
-permissions stay too, as far as the system lets us set them.
+A killed process may leave a temporary file; the next process that writes there removes it
+(``bundle.io.atomic.temporary``). Two processes may write to one place at the same time: the
+last one wins. Symbolic links to the destination are followed, so a link stays a link. Owner and
+permissions stay, as far as the system allows.
 """
 
 from __future__ import annotations
@@ -57,17 +57,17 @@ __all__ = [
 
 
 def recover(path: Path) -> tuple[str, ...]:
-    """Finish what a killed process has left unfinished in a folder; return a sentence on each.
+    """Complete the replacements that killed processes left in a folder; return a sentence on each.
 
     Raises:
-        InputError: that is not possible.
+        InputError: a replacement cannot be completed.
     """
     target = Path(os.path.realpath(path))
     return in_place.recover(target) if target.is_dir() else ()
 
 
 def check_file(path: Path) -> None:
-    """Raise what ``replace_file`` would raise before it lets anything be written.
+    """Raise the errors that ``replace_file`` raises before anything is written.
 
     Raises:
         InputError: the path is a folder, a device or a pipe, or its parent folder does not exist.
@@ -88,7 +88,7 @@ def check_file(path: Path) -> None:
 
 
 def check_folder(path: Path) -> None:
-    """Raise what ``replace_folder`` would raise before it lets anything be written.
+    """Raise the errors that ``replace_folder`` raises before anything is written.
 
     Raises:
         InputError: the path is a file or device, or a folder that is neither empty nor a COLMAP
@@ -121,7 +121,7 @@ def check_folder(path: Path) -> None:
 
 @contextmanager
 def replace_file(path: Path) -> Iterator[Path]:
-    """Give a temporary path to write to; on leaving without an error it becomes ``path``.
+    """Yield a temporary path to write to; it becomes ``path`` when the block ends without error.
 
     Raises:
         InputError: see ``check_file``.
@@ -143,10 +143,10 @@ def replace_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def replace_folder(path: Path) -> Iterator[Path]:
-    """Give a temporary folder to write a COLMAP model to; on leaving it becomes that of ``path``.
+    """Yield a temporary folder for a COLMAP model; its files replace those of ``path`` at the end.
 
-    Model files that stood in ``path`` are removed even if the new model has none of that name;
-    everything else in ``path`` stays.
+    Model files of ``path`` are removed even if the new model has no file of that name; everything
+    else in ``path`` stays.
 
     Raises:
         InputError: see ``check_folder``.
@@ -205,7 +205,7 @@ def _locked(folder: Path) -> Iterator[None]:
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         try:
             lock(descriptor)
-            if is_same(folder, descriptor):  # else it was exchanged while we waited
+            if is_same(folder, descriptor):  # otherwise it was exchanged while this process waited
                 yield
                 return
         finally:
@@ -213,14 +213,14 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _take_over_file(old: Path, new: Path) -> None:
-    """Give a new file owner and permissions of the file that it replaces, if there is one."""
+    """Copy owner and permissions of the replaced file, if there is one, to the new file."""
     try:
         status = old.stat()
     except OSError:
         return
     if not stat.S_ISREG(status.st_mode):
         return
-    with contextlib.suppress(OSError):  # only root may give files away
+    with contextlib.suppress(OSError):  # only root may change owners
         os.chown(new, status.st_uid, status.st_gid)
     new.chmod(stat.S_IMODE(status.st_mode))
 
@@ -228,7 +228,7 @@ def _take_over_file(old: Path, new: Path) -> None:
 def _check_parent(path: Path, target: Path) -> None:
     if not target.parent.is_dir():
         raise InputError(
-            f"{shown(path)}: expected a folder {shown(target.parent)} to write into, found none"
+            f"{shown(path)}: expected a folder {shown(target.parent)} to write into; it is missing"
         )
 
 
@@ -239,7 +239,7 @@ def _check_writable(path: Path, target: Path) -> None:
 
 @contextmanager
 def _blaming(path: Path) -> Iterator[None]:
-    """Let system errors about a temporary name the path that the user gave."""
+    """Replace the temporary path in system errors by the user's path."""
     try:
         yield
     except OSError as error:

@@ -4,9 +4,9 @@ Linux can exchange two names atomically (renameat2 with RENAME_EXCHANGE). So tha
 model files changes, the new folder first gets hard links to everything else in the old one,
 subfolders included. At every moment either the old or the new folder stands there, complete.
 
-This takes a parent folder on the same file system that may be written, and links. A folder that is
-the current one, or holds it, is not exchanged: the shell would be left standing in the old one. Nor
-is one in which another file system is mounted.
+Requirements: a writable parent folder on the same file system, and hard links. The current folder
+and its parents are not exchanged: the shell would stay in the old folder. Nor are folders with a
+mount point inside.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _RENAME_EXCHANGE = 2
 
 
 def can_exchange(target: Path) -> bool:
-    """Tell whether a folder can be exchanged, as far as that shows before trying."""
+    """Tell whether a folder can be exchanged, as far as this is known before trying."""
     parent = target.parent
     if parent == target or not os.access(parent, os.W_OK | os.X_OK):
         return False
@@ -53,7 +53,7 @@ def can_exchange(target: Path) -> bool:
 
 
 def take_over_folder(old: Path, new: Path) -> bool:
-    """Give a new folder owner, permissions and attributes of an old one; False if that fails."""
+    """Copy owner, permissions and attributes to a new folder; return False on failure."""
     status, mine = old.stat(), new.stat()
     try:
         if (status.st_uid, status.st_gid) != (mine.st_uid, mine.st_gid):
@@ -66,7 +66,7 @@ def take_over_folder(old: Path, new: Path) -> bool:
 
 
 def move_new_folder(new: Path, target: Path) -> bool:
-    """Rename a folder to a name that was free; False if another process has taken it."""
+    """Rename a folder to a free name; return False if another process has taken the name."""
     try:
         new.rename(target)
     except OSError as error:
@@ -77,15 +77,15 @@ def move_new_folder(new: Path, target: Path) -> bool:
 
 
 def exchange_folder(target: Path, new: Path) -> bool:
-    """Exchange ``new`` with ``target`` and link over what is no model file.
+    """Exchange ``new`` with ``target``, and link all files but those of the model.
 
-    Afterwards ``new`` is the old folder, in which nothing is left that is needed.
+    Afterwards ``new`` is the old folder and holds nothing that is needed.
 
     Returns:
-        False if that is not possible here; then ``new`` is as it was.
+        False if the system cannot exchange; then ``new`` is unchanged.
 
     Raises:
-        OSError: as above, and what was linked into ``new`` cannot be removed from it.
+        OSError: the system cannot exchange, and the links in ``new`` cannot be removed.
     """
     linked: dict[str, tuple[int, int]] = {}
     try:
@@ -104,7 +104,7 @@ def exchange_folder(target: Path, new: Path) -> bool:
 
 
 def _link(source: Path, copy: Path, below: str, linked: dict[str, tuple[int, int]]) -> None:
-    """Link what is in source into copy, folder by folder, and note which files these are."""
+    """Link the content of source into copy, folder by folder, and record the files."""
     for entry in sorted(os.scandir(source / below), key=lambda entry: entry.name):
         if not below and entry.name in MODEL_FILES:
             continue
@@ -128,7 +128,7 @@ def _link(source: Path, copy: Path, below: str, linked: dict[str, tuple[int, int
 
 
 def _unlink(new: Path) -> None:
-    """Remove from a new folder what was linked into it."""
+    """Remove the links from a new folder."""
     for entry in os.scandir(new):
         if entry.is_dir(follow_symlinks=False):
             shutil.rmtree(entry.path, ignore_errors=True)
@@ -139,7 +139,7 @@ def _unlink(new: Path) -> None:
 def _bring_latecomers(
     old: Path, target: Path, below: str, linked: dict[str, tuple[int, int]]
 ) -> None:
-    """Move over what another program made in the old folder after its files were linked."""
+    """Move files that another program created in the old folder after its files were linked."""
     for entry in list(os.scandir(old / below)):
         if not below and entry.name in MODEL_FILES:
             continue
@@ -156,7 +156,7 @@ def _exchange(first: Path, second: Path) -> None:
     """Exchange two names in one step.
 
     Raises:
-        OSError: the kernel or the file system cannot (EINVAL, ENOSYS), or must not.
+        OSError: the kernel or the file system cannot exchange (EINVAL, ENOSYS), or refuses.
     """
     rename = _renameat2()
     if rename is None:

@@ -1,4 +1,4 @@
-"""Waiting until files are on the disk."""
+"""Flushing of files and folders to the disk (fsync)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["flush", "flush_folder", "flush_with_files"]
 
 
 def flush(path: Path) -> None:
-    """Wait until a file is on the disk; a full disk may show only here."""
+    """Wait until a file is on the disk; a full disk may raise its error only here."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -20,7 +20,7 @@ def flush(path: Path) -> None:
 
 
 def flush_folder(folder: Path) -> None:
-    """Wait until names are on the disk, where the file system can tell."""
+    """Wait until the names of a folder are on the disk, where the file system supports it."""
     with contextlib.suppress(OSError):
         flush(folder)
 
@@ -28,11 +28,11 @@ def flush_folder(folder: Path) -> None:
 def flush_with_files(folder: Path) -> None:
     """Wait until a folder and the few files in it are on the disk.
 
-    All are flushed at the same time: a file system with a journal then commits once or twice, not
-    once per file, and each commit waits for the disk.
+    All are flushed in parallel: a journaling file system then commits once or twice instead of once
+    per file, and each commit waits for the disk.
 
     Raises:
-        OSError: of the first file by name that could not be flushed, after all have been tried.
+        OSError: a file could not be flushed: the first by name, after all have been tried.
     """
     files = sorted(folder.iterdir())
     failures: dict[Path, OSError] = {}

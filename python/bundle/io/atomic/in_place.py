@@ -1,7 +1,7 @@
-"""Replacing the files of a folder one by one, where the whole folder cannot be exchanged.
+"""Replacement of model files one by one, where the whole folder cannot be exchanged.
 
-The temporary folder, inside the folder, is also the trace that makes this safe. Its subfolders
-tell how far the replacement has come:
+The temporary folder, inside the folder, is also the record that makes this safe. Its subfolders
+name the phase of the replacement:
 
 ========= =====================================================================================
 new       being written; the old files stand in place, and the temporary folder may be removed
@@ -9,8 +9,8 @@ whole     the new files are whole on the disk; the old ones are being moved to `
 entering  all old files are in ``old``; the new ones are being moved into place
 ========= =====================================================================================
 
-A process killed in the last two phases leaves a folder that no program can load. Every file is
-there, though, and the phase says which is which: ``recover`` finishes the work from any point.
+A process killed in the last two phases leaves a folder that no program can load. All files exist,
+however, and the phase identifies them: ``recover`` completes the work from any point.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ PATIENCE = 10.0  # seconds to wait for another process that is replacing the fil
 def replace_in_place(target: Path, temporary: Temporary) -> None:
     """Replace the model files of ``target`` by those in ``new`` of a temporary folder.
 
-    An error is rolled back. If that fails too, the trace stays for ``recover``.
+    An error is rolled back. If that fails too, the record stays for ``recover``.
     """
     if temporary.path.parent != target:
         temporary.move_into(target)
@@ -56,10 +56,10 @@ def replace_in_place(target: Path, temporary: Temporary) -> None:
 
 
 def recover(target: Path) -> tuple[str, ...]:
-    """Finish what a killed process has begun in a folder; return a sentence each.
+    """Complete the replacements that killed processes began in a folder; return a sentence each.
 
     Raises:
-        InputError: that is not possible; it names the folders that hold the files.
+        InputError: a replacement cannot be completed; it names the folders with the files.
     """
     return tuple(
         f"{shown(target)}: finished the replacement of this model that a killed run had begun"
@@ -73,7 +73,7 @@ def _recover(target: Path, folder: Path) -> bool:
         descriptor = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW)
         try:
             if not _wait_for(descriptor) or not _is_begun(folder):
-                return False  # a running process is at it, or was
+                return False  # a running process works on it, or did
             _finish(target, folder, [])
             Temporary(folder, os.dup(descriptor)).remove()
         finally:
@@ -96,7 +96,7 @@ def _is_begun(folder: Path) -> bool:
 
 
 def _wait_for(descriptor: int) -> bool:
-    """Wait until no process works on the folder; where there are no locks, none does."""
+    """Wait until no process works on the folder; without locks, return at once."""
     deadline = time.monotonic() + PATIENCE
     while lock(descriptor, wait=False) is False:
         if time.monotonic() > deadline:
@@ -122,6 +122,6 @@ def _finish(target: Path, folder: Path, done: list[tuple[Path, Path]]) -> None:
 
 
 def _rename(source: Path, destination: Path, done: list[tuple[Path, Path]]) -> None:
-    """Rename, and note it first: an interruption may come right after it has happened."""
+    """Record a rename, then perform it: an interruption may come right after it."""
     done.append((source, destination))
     source.rename(destination)

@@ -8,9 +8,9 @@ from pathlib import Path
 __all__ = ["MODEL_FILES", "is_text_model", "missing_model_files", "models_below"]
 
 DEPTH = 3
-"""Levels below a folder where models are looked for: a project has them in dense/0/sparse/."""
+"""Levels below a folder to search for models: projects have them in dense/0/sparse/."""
 MOST_FOLDERS = 1000
-"""Folders that are looked into: a hint is worth no more."""
+"""Largest number of folders to search for a hint."""
 
 _REQUIRED = ("cameras", "images", "points3D")
 _OPTIONAL = ("rigs", "frames")
@@ -20,10 +20,9 @@ MODEL_FILES = frozenset(stem + suffix for stem in _REQUIRED + _OPTIONAL for suff
 
 
 def missing_model_files(folder: Path) -> tuple[str, ...]:
-    """Return what the folder lacks to be a COLMAP model: () if it is one, binary or text.
+    """Return the files that a folder lacks to be a COLMAP model; () if it is one, binary or text.
 
-    Of the two kinds the one that is nearer to complete is meant; binary where they tie, as COLMAP
-    prefers it.
+    The format with fewer missing files counts; on a tie the binary one, which COLMAP prefers.
     """
     return min((_missing(folder, suffix) for suffix in _SUFFIXES), key=len)
 
@@ -41,7 +40,7 @@ def _missing(folder: Path, suffix: str) -> tuple[str, ...]:
 def models_below(folder: Path) -> list[Path]:
     """Return the models inside a folder, the nearest first.
 
-    Links are not followed; hidden folders, such as leftovers of killed runs, are not looked into.
+    Links are not followed. Hidden folders, such as leftovers of killed runs, are skipped.
     """
     found: list[Path] = []
     level, seen = [folder], 0
@@ -50,7 +49,7 @@ def models_below(folder: Path) -> list[Path]:
         for parent in level:
             try:
                 children = sorted(entry.path for entry in os.scandir(parent) if _is_folder(entry))
-            except OSError:  # not ours to read
+            except OSError:  # no permission to read
                 continue
             below += [Path(child) for child in children[: max(MOST_FOLDERS - seen, 0)]]
             seen += len(children)

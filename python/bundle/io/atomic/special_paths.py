@@ -1,4 +1,4 @@
-"""Paths that renaming cannot replace: streams, and places where something is mounted.
+"""Paths that renaming cannot replace: streams and mount points.
 
 Devices, pipes and descriptors of this process are written into. Renaming works neither across a
 mount point nor onto one.
@@ -19,8 +19,8 @@ _TABLE = Path("/proc/self/mountinfo")
 def is_stream(path: str | os.PathLike[str]) -> bool:
     """Tell whether a path is a device, a pipe or a descriptor such as /dev/stdout.
 
-    A descriptor is one even where it was redirected to a file: replacing that file would take it
-    from under what else is written there.
+    A descriptor counts even if it was redirected to a file: replacing that file would lose other
+    output to it.
     """
     if _DESCRIPTOR.fullmatch(os.path.abspath(path)):  # noqa: PTH100 (links are not followed)
         return True
@@ -29,7 +29,7 @@ def is_stream(path: str | os.PathLike[str]) -> bool:
 
 
 def append(path: str | os.PathLike[str], text: str) -> None:
-    """Write text into a stream, after what was written there before.
+    """Append text to a stream.
 
     Raises:
         OSError: the system refuses; it names the path.
@@ -43,9 +43,9 @@ def append(path: str | os.PathLike[str], text: str) -> None:
 
 
 def mount_points() -> frozenset[Path]:
-    """Return where something is mounted, bind mounts and mounted files included.
+    """Return the mount points, bind mounts and mounted files included.
 
-    Renaming does not work across these, nor onto them. Empty where the system does not tell.
+    Empty where the system does not list them.
 
     Format: proc_pid_mountinfo(5); the fifth column, with odd characters as octal escapes.
     """

@@ -1,9 +1,9 @@
-"""Temporary files and folders that survive no crash for long.
+"""Temporary files and folders that are removed even after a crash.
 
-Each is called ``.bundle-XXXXXXXXXXXX.tmp`` and stands beside what it is going to replace. Its
-process holds a lock on it (flock), which the kernel drops when the process ends, however it ends.
-So a later run can tell the leftover of a killed process, which it removes, from the temporary of a
-running one, which it never touches. Where a file system has no locks, leftovers stay.
+Each has the name ``.bundle-XXXXXXXXXXXX.tmp`` and stands beside its destination. Its process holds
+a lock on it (flock), which the kernel releases when the process ends in any way. A later run can
+therefore remove the leftovers of killed processes and leave the temporaries of running ones alone.
+On file systems without locks, leftovers stay.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ class Temporary:
     """A temporary file or folder and its lock.
 
     Attributes:
-        path: where it is; follows when the folder is moved.
-        keep: leave it where it is: it holds files of the user that stand nowhere else.
+        path: current path, also after a move of the folder.
+        keep: do not remove it: it holds files of the user that exist nowhere else.
     """
 
     def __init__(self, path: Path, descriptor: int) -> None:
@@ -61,7 +61,7 @@ class Temporary:
         self.path = moved
 
     def remove(self) -> None:
-        """Remove what is left of it, unless it is to be kept, and drop the lock."""
+        """Remove the remaining files, unless they must be kept, and release the lock."""
         if self.descriptor < 0:
             return
         if not self.keep and is_same(self.path, self.descriptor):
@@ -71,12 +71,12 @@ class Temporary:
 
 
 def is_temporary(name: str) -> bool:
-    """Tell whether a file or folder of this name is one of ours."""
+    """Tell whether a name is that of a temporary of this package."""
     return _NAME.fullmatch(name) is not None
 
 
 def temporaries_in(folder: Path) -> list[Path]:
-    """Return the temporaries in a folder, sorted; none where it cannot be read."""
+    """Return the temporaries in a folder, sorted; empty if it cannot be read."""
     with contextlib.suppress(OSError):
         return sorted(file for file in folder.iterdir() if is_temporary(file.name))
     return []
@@ -84,7 +84,7 @@ def temporaries_in(folder: Path) -> list[Path]:
 
 @contextmanager
 def temporary_file(folder: Path, mode: int) -> Iterator[Temporary]:
-    """Give a new empty file; on leaving it is removed unless it was renamed."""
+    """Yield a new empty file, which is removed at the end unless it was renamed."""
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
 
     def make(path: Path) -> None:
@@ -96,7 +96,7 @@ def temporary_file(folder: Path, mode: int) -> Iterator[Temporary]:
 
 @contextmanager
 def temporary_folder(folder: Path) -> Iterator[Temporary]:
-    """Give a new empty folder that only its owner may enter; on leaving it is removed."""
+    """Yield a new empty folder that only its owner may enter; it is removed at the end."""
     with _made(folder, lambda path: path.mkdir(0o700), os.O_RDONLY) as temporary:
         yield temporary
 
@@ -109,7 +109,7 @@ def _made(folder: Path, make: Callable[[Path], None], flags: int) -> Iterator[Te
         try:
             temporary = Temporary(path, os.open(path, flags))
         except FileNotFoundError:
-            continue  # another process has taken it for a leftover
+            continue  # another process removed it as a leftover
         try:
             lock(temporary.descriptor)
             if is_same(path, temporary.descriptor):  # else as above
@@ -120,7 +120,7 @@ def _made(folder: Path, make: Callable[[Path], None], flags: int) -> Iterator[Te
 
 
 def lock(descriptor: int, *, wait: bool = True) -> bool | None:
-    """Lock an open file or folder: True; False if a process has it; None if there are no locks."""
+    """Lock an open file or folder. Return False if another process holds it, None without locks."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except OSError as error:
@@ -129,7 +129,7 @@ def lock(descriptor: int, *, wait: bool = True) -> bool | None:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove the temporaries of killed processes from a folder, as far as nothing is lost."""
+    """Remove temporaries of killed processes from a folder, unless a user's file would be lost."""
     for path in temporaries_in(folder):
         with contextlib.suppress(OSError):
             descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
@@ -144,7 +144,7 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def is_same(path: Path, descriptor: int) -> bool:
-    """Tell whether an open file still has this path."""
+    """Tell whether an open file is still the one at this path."""
     try:
         return os.path.samestat(path.lstat(), os.fstat(descriptor))
     except OSError:
@@ -152,12 +152,12 @@ def is_same(path: Path, descriptor: int) -> bool:
 
 
 def holds_only_copies(path: Path) -> bool:
-    """Tell whether a temporary folder holds files of a user that exist nowhere else.
+    """Tell whether all files of a temporary folder are unfinished or replaced, or links to others.
 
-    Model files in ``new`` are none: they were never finished, or have been replaced. Other files
-    there are further links to files that stand in place. Everything else is left alone: ``old`` and
-    the phases of an unfinished replacement (see ``bundle.io.atomic.in_place``), and what another
-    program wrote into a folder at the moment in which it was exchanged.
+    Model files in ``new`` were never finished, or have been replaced. Other files there are further
+    links to files in place. Anything else must stay: ``old`` and the phases of an unfinished
+    replacement (see ``bundle.io.atomic.in_place``), and files that another program wrote into a
+    folder while it was exchanged.
     """
     if not stat.S_ISDIR(path.lstat().st_mode):
         return False
@@ -174,10 +174,10 @@ def holds_only_copies(path: Path) -> bool:
 
 
 def _remove(path: Path) -> None:
-    """Remove a file or folder; what cannot be removed is the next run's leftover."""
+    """Remove a file or folder; if that fails, it is left to the next run."""
     with contextlib.suppress(OSError):
         if not stat.S_ISDIR(path.lstat().st_mode):
             path.unlink()
             return
-        shutil.rmtree(path / OLD, ignore_errors=True)  # first: without the rest it looks like data
+        shutil.rmtree(path / OLD, ignore_errors=True)  # first: alone it would look like data
         shutil.rmtree(path, ignore_errors=True)

@@ -1,7 +1,7 @@
-"""Tables of whole nanoseconds and numbers in CSV files: read with the line of each row, written.
+"""CSV tables of integers (nanoseconds) and numbers, read with the line of each row, and written.
 
-Stamps of today have 19 digits, more than a double holds, so that they are parsed as integers.
-Numbers are written with as many digits as read back as the same.
+Time stamps have 19 digits, more than a double holds, and are parsed as integers. Numbers are
+written with enough digits to read back unchanged.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class CsvTable:
         whole: (n, number of integer columns) int64.
         numbers: (n, number of other columns).
         lines: (n,) lines of the file, from 1.
-        name: of the file, to be shown.
+        name: of the file, for messages.
     """
 
     whole: NDArray[np.int64]
@@ -51,7 +51,7 @@ def read_csv(
     delimiter: str | None = ",",
     extra: bool = False,
 ) -> CsvTable:
-    """Read a table: integer columns, then numbers. Empty lines, comments and a head are skipped.
+    """Read integer columns, then numbers; skip empty lines, comments and a header.
 
     Args:
         path: of the file.
@@ -73,7 +73,7 @@ def read_csv(
             lines.append(number)
             rows.append(text)
     if rows and rows[0][0].isalpha() and rows[0][:3].lower() not in ("nan", "inf"):
-        del lines[0], rows[0]  # a head
+        del lines[0], rows[0]  # a header
     columns = [*whole, *numbers]
     kind = np.dtype([("whole", np.int64, (len(whole),)), ("numbers", np.float64, (len(numbers),))])
     wanted = range(len(columns)) if extra else None
@@ -96,7 +96,7 @@ def read_csv(
 
 
 def csv_lines(head: str, *columns: Any) -> str:
-    """Return the text of a file: a head, then a row per entry of the columns, each of them 1-D."""
+    """Return the text of a file: a header, then a row per entry of the 1-D columns."""
     cells = [[repr(value) for value in np.asarray(column).tolist()] for column in columns]
     rows: Iterable[str] = (",".join(row) for row in zip(*cells, strict=True))
     return "\n".join([head, *rows, ""])

@@ -51,11 +51,11 @@ TRACKS_HEAD = "timestamp_ns,track_id,x,y"
 
 
 def load_sequence(path: str | os.PathLike[str]) -> Sequence:
-    """Read a sequence folder, or the csv of GTSAM's examples, that an odometry can run on.
+    """Read a sequence folder, or the CSV file of GTSAM's examples; refuse one with fatal gaps.
 
     Raises:
-        InputError: the content is not what the formats say, or the IMU has a gap in which images
-            lie; one line with file, line, expected and found.
+        InputError: the content violates the formats, or images fall into a gap of the IMU; one line
+            with file, line, expected and found.
         OSError: a file cannot be read.
     """
     sequence, findings = read_sequence(path)
@@ -64,7 +64,7 @@ def load_sequence(path: str | os.PathLike[str]) -> Sequence:
 
 
 def refuse_fatal(findings: Iterable[SequenceFinding]) -> None:
-    """Refuse a sequence over which an odometry would go wrong.
+    """Refuse a sequence on which odometry would fail.
 
     Raises:
         InputError: a finding is fatal.
@@ -77,7 +77,7 @@ def refuse_fatal(findings: Iterable[SequenceFinding]) -> None:
 def read_sequence(
     path: str | os.PathLike[str],
 ) -> tuple[Sequence, tuple[SequenceFinding, ...]]:
-    """Read a sequence folder, or the csv of GTSAM's examples; tell what looks wrong in it.
+    """Read a sequence folder, or the CSV file of GTSAM's examples; return findings as well.
 
     Raises:
         InputError: as :func:`load_sequence`, gaps aside.
@@ -115,7 +115,7 @@ def read_sequence(
 
 
 def save_sequence(sequence: Sequence, path: str | os.PathLike[str]) -> None:
-    """Write a sequence folder; its numbers read back as the same.
+    """Write a sequence folder; numbers read back unchanged.
 
     Raises:
         InputError: the path is a file, or its parent folder does not exist.
@@ -137,7 +137,7 @@ def save_sequence(sequence: Sequence, path: str | os.PathLike[str]) -> None:
 
 
 def check_sequence_target(path: str | os.PathLike[str]) -> None:
-    """Refuse now what :func:`save_sequence` would refuse later.
+    """Raise the error that :func:`save_sequence` would raise.
 
     Raises:
         InputError: the path is a file or a folder with other content, its name is that of a file,
@@ -162,12 +162,12 @@ def check_sequence_target(path: str | os.PathLike[str]) -> None:
 
 
 def _by_time(tracks: CsvTable) -> CsvTable:
-    """Return the observations by time, then id, if they are sorted by time or by track."""
+    """Sort observations by time, then id, if they are sorted by time or by track."""
     stamps, ids = tracks.whole[:, 0], tracks.whole[:, 1]
     later, same = np.diff(stamps), np.diff(ids) == 0
     by_time = bool((later >= 0).all())
     by_track = bool((np.diff(ids) >= 0).all() and (later[same] >= 0).all())
     if not by_time and not by_track:
-        return tracks  # check_tracks says where time goes back
+        return tracks  # check_tracks names the row where time decreases
     order = np.lexsort((ids, stamps))
     return CsvTable(tracks.whole[order], tracks.numbers[order], tracks.lines[order], tracks.name)

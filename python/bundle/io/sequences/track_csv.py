@@ -1,12 +1,12 @@
-"""The CSV file in which GTSAM's examples keep EuRoC's flights: samples and tracks, row by row.
+"""CSV files of GTSAM's examples with EuRoC's flights: samples and tracks, row by row.
 
 Every row begins with its type: ``meta`` (key and value), ``imu`` (time in seconds, rates, specific
 forces), ``vision_feature`` (time, frame, track, normalised coordinates).
 
-The pose that its meta rows call T_ci is that of the camera in the IMU's frame (imu_from_camera),
-whatever its name suggests: with it, and not with its inverse, EuRoC's ground truth reproduces the
-tracks to a pixel. Its noise figures are those of a tuned filter; for EuRoC (``source_mode`` asl)
-the data sheet of the ADIS16448, as EuRoC's ``sensor.yaml`` has it, takes their place.
+The pose T_ci of its meta rows is that of the camera in the IMU's frame (imu_from_camera): with it,
+and not with its inverse, EuRoC's ground truth reproduces the tracks to a pixel. Its noise values
+are those of a tuned filter; for EuRoC (``source_mode`` asl) they are replaced by the data sheet of
+the ADIS16448, as in EuRoC's ``sensor.yaml``.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def read_track_csv(path: str | os.PathLike[str]) -> Sequence:
     needed = ("row_type", "t_abs", "landmark_id", "gx", "gy", "gz", "ax", "ay", "az", "u_norm")
     for title in (*needed, "v_norm", "key", "value"):
         if title not in column:
-            raise InputError(f"{name}: line 1: expected a column {title}, found none")
+            raise InputError(f"{name}: line 1: expected a column {title}; it is missing")
 
     meta: dict[str, str] = {}
     imu: list[list[str]] = []
@@ -107,8 +107,9 @@ def _calibration(
             raise InputError(f"{name}: meta {key}: expected a number, found {found}") from None
 
     imu_from_camera = np.array([[value(key) for key in _POSE]])
-    if not 0.99 < np.linalg.norm(imu_from_camera[0, :4]) < 1.01:
-        raise InputError(f"{name}: meta T_ci: expected a quaternion of norm 1, found another")
+    norm = np.linalg.norm(imu_from_camera[0, :4])
+    if not 0.99 < norm < 1.01:
+        raise InputError(f"{name}: meta T_ci: expected a quaternion of norm 1, found norm {norm:g}")
     camera_from_imu = inverse_poses(unit_poses(imu_from_camera))[0]
     if meta.get("source_mode") == "asl":
         noise = _ADIS16448
@@ -124,12 +125,12 @@ def _calibration(
 
 
 def _rate(stamps: np.ndarray) -> float:
-    """Return stamps per second, rounded to what two of a thousand would show."""
+    """Return the rate of time stamps in Hz, rounded to 0.2 %."""
     step = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 1e9
     return round(1e9 / step, 2) if step > 0 else 1.0
 
 
 def _nanoseconds(seconds: np.ndarray) -> np.ndarray:
     if not (np.abs(seconds) < LATEST).all():
-        raise InputError("t_abs: expected finite times in seconds, found others")
+        raise InputError("t_abs: expected finite times in seconds, found inf or nan")
     return np.rint(1e9 * seconds).astype(np.int64)

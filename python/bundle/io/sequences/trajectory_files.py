@@ -1,6 +1,6 @@
-"""Trajectories in files: TUM's, and EuRoC's ground truth with velocities and biases.
+"""Trajectory files: TUM's, and EuRoC's ground truth with velocities and biases.
 
-A TUM line is ``timestamp tx ty tz qx qy qz qw``, the stamp in seconds. A line of EuRoC's is the
+A TUM line is ``timestamp tx ty tz qx qy qz qw`` with the stamp in seconds. An EuRoC line is the
 stamp in nanoseconds, position, quaternion **qw first**, velocity, gyroscope and accelerometer bias.
 Both are the IMU's pose in the world.
 """
@@ -66,21 +66,21 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     """Read either format: lines with commas are EuRoC's, others TUM's.
 
     Raises:
-        InputError: a line is neither; one line with file, line, expected and found.
+        InputError: a line has neither format; one line with file, line, expected and found.
         OSError: the file cannot be read.
     """
     for _, line in numbered_lines(as_path(path)):
         if line.strip() and not line.startswith("#"):
             return load_ground_truth(path) if "," in line else load_tum(path)
-    raise InputError(f"{shown(as_path(path))}: expected poses, found none")
+    raise InputError(f"{shown(as_path(path))}: expected poses, found an empty file")
 
 
 def load_ground_truth(path: str | os.PathLike[str]) -> Trajectory:
-    """Read EuRoC's ground truth; velocities and biases are nan in a file that ends with the poses.
+    """Read EuRoC's ground truth; velocities and biases are nan in a file with poses only.
 
     Raises:
         InputError: a line has too few columns, a word in place of a number, or no quaternion, or
-            time does not go on.
+            time does not increase.
         OSError: the file cannot be read.
     """
     path = as_path(path)
@@ -98,7 +98,7 @@ def load_tum(path: str | os.PathLike[str]) -> Trajectory:
 
     Raises:
         InputError: a line has too few columns, a word in place of a number, or no quaternion, a
-            stamp is not finite or in another unit, or time does not go on.
+            stamp is not finite or in another unit, or time does not increase.
         OSError: the file cannot be read.
     """
     names = ["timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
@@ -117,7 +117,7 @@ def load_tum(path: str | os.PathLike[str]) -> Trajectory:
 
 
 def save_tum(path: str | os.PathLike[str], timestamps_ns: ArrayLike, states: ArrayLike) -> None:
-    """Write a TUM trajectory: stamps in seconds with nine decimals, numbers that read back.
+    """Write a TUM trajectory: stamps in seconds with nine decimals; numbers read back unchanged.
 
     Args:
         path: of the file.

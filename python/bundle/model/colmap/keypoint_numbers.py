@@ -22,7 +22,7 @@ _Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class KeypointNumbers:
-    """Where the observations of a problem go.
+    """Keypoints of the observations of a problem.
 
     Attributes:
         keypoint: (num_observations,) index of each observation in its image.

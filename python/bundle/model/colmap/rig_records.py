@@ -62,7 +62,7 @@ def check_rigs(problem: ProblemArrays, source: SourceRecords) -> None:
         if rig_id not in references and not _fits(problem, source):
             raise InputError(
                 f"frame_rig_ids: rig {rig_id}: expected an image of its reference sensor, which "
-                "COLMAP has to know, found none"
+                "COLMAP requires; the problem has none"
             )
 
 

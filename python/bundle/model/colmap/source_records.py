@@ -1,4 +1,4 @@
-"""What the source of a problem holds beside it: rigs, frames, keypoints, colours, tracks.
+"""Records of a problem's source that the problem lacks: rigs, frames, keypoints, colours, tracks.
 
 COLMAP puts every image into a frame of a rig. The sensors of a rig are cameras and IMUs, the first
 of them its reference sensor; the data of a frame name the images (of cameras) that it took.
@@ -53,7 +53,7 @@ class Sensor(NamedTuple):
 
 
 class Datum(NamedTuple):
-    """Something that a sensor took: an image id where it is a camera."""
+    """A measurement of a sensor; of a camera, ``id`` is the id of the image."""
 
     type: int
     sensor_id: int
@@ -116,7 +116,7 @@ class SourceRecords:
         image_ids: (num_images,) in any order.
         image_camera_ids: (num_images,) camera of each image.
         num_keypoints: (num_images,) of each image.
-        contents: reads the rest, which takes a while for large models.
+        contents: function that reads the rest; slow for large models.
     """
 
     rigs: dict[int, list[Sensor]] = field(default_factory=dict)
@@ -130,8 +130,8 @@ class SourceRecords:
 def records_of_model(model: _core.ColmapModel) -> SourceRecords:
     """Return the records of a model that was read.
 
-    A model from before there were rigs and frames gets those that COLMAP makes of it: a rig a
-    camera and a frame an image, of the same ids.
+    A model without rigs and frames gets those that COLMAP creates: a rig for each camera and a
+    frame for each image, of the same ids.
     """
     views: dict[str, Any] = _core.colmap_views(model)
     rigs = {rig_id: [Sensor(*sensor) for sensor in sensors] for rig_id, sensors in views["rigs"]}

@@ -1,9 +1,9 @@
 """Rigs of a ``pycolmap.Reconstruction`` as the arrays of a problem.
 
-COLMAP puts every image into a frame of a rig. A rig whose only camera is its reference sensor is no
-rig to a problem, whatever IMUs it has: its images have poses of their own. Of the other rigs, those
-with an image in the problem are in it: their frames with an image, and their cameras with a known
-sensor_from_rig, observed or not. Everything else of them stays in the source.
+COLMAP puts every image into a frame of a rig. A problem ignores rigs whose only camera is their
+reference sensor, with or without IMUs: their images have poses of their own. A problem has the
+other rigs that have an image in it: their frames with an image, and their cameras with a known
+sensor_from_rig, observed or not. Everything else stays in the source.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ __all__ = ["RigFields", "as_row", "cameras_of", "is_trivial", "rigs_of"]
 
 @dataclass(frozen=True)
 class RigFields:
-    """What a problem has of the rigs of a reconstruction.
+    """Fields of a problem for the rigs of a reconstruction.
 
     Attributes:
         fields: by name.
-        framed: of each image whether it is in a frame of a rig of several sensors.
+        framed: for each image, True if it is in a frame of a rig of several sensors.
     """
 
     fields: dict[str, Any]
@@ -34,7 +34,7 @@ class RigFields:
 
 
 def rigs_of(reconstruction: pycolmap.Reconstruction, images: list[pycolmap.Image]) -> RigFields:
-    """Return what a problem of these images has of the rigs.
+    """Return the fields for the rigs of these images.
 
     Raises:
         InputError: a frame has several images of one camera, or an image of a camera whose

@@ -1,8 +1,8 @@
 """A COLMAP model that was read, and becomes a ``pycolmap.Reconstruction`` on first use.
 
-Importing pycolmap and building a reconstruction takes longer than solving a small problem, and
-commands need neither: our own reader gives the arrays, and our own writer takes what a problem does
-not have from the files, which stay in memory for that.
+Importing pycolmap and building a reconstruction takes longer than solving a small problem. No
+command needs either: our reader returns arrays, and our writer takes the records that a problem
+lacks from the files, which stay in memory.
 """
 
 from __future__ import annotations
@@ -68,9 +68,9 @@ class DeferredSource:
 def _read_by_pycolmap(model: _core.ColmapModel, folder: Path) -> pycolmap.Reconstruction:
     """Read a model by pycolmap, from its files as they were read."""
     address_space.require("pycolmap", address_space.PYCOLMAP)
-    import tempfile  # takes a while to import
+    import tempfile  # slow to import
 
-    with interrupts_deferred():  # pycolmap takes a while to import and cannot be interrupted
+    with interrupts_deferred():  # the import of pycolmap cannot be interrupted
         import pycolmap
     reconstruction = pycolmap.Reconstruction()
     # The files as they were read: those on the disk may have changed.
@@ -83,7 +83,7 @@ def _read_by_pycolmap(model: _core.ColmapModel, folder: Path) -> pycolmap.Recons
             else:
                 reconstruction.read_text(temporary)
         except (ValueError, LookupError, RuntimeError, MemoryError) as error:
-            # Nothing known comes here, but older versions lack the newest camera models.
+            # Older versions lack the newest camera models.
             raise InputError(
                 f"{folder}: expected a model that pycolmap {pycolmap.__version__} reads, "
                 f"found: {first_line(error)}"

@@ -1,7 +1,7 @@
-"""What a problem keeps of the file or reconstruction that it comes from.
+"""Sources of problems: the file or reconstruction that a problem comes from.
 
-A COLMAP model's source is a ``pycolmap.Reconstruction``, which does not pickle: it travels as the
-bytes of its binary files, beside what these do not hold.
+A ``pycolmap.Reconstruction`` does not pickle. It is pickled as the bytes of its binary files and
+the information that these lose.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ __all__ = [
 ]
 
 LOST_SIGMAS = "Sigmas of observations are left out."
-"""Of what is lost when a problem is written: no format has a place for them."""
+"""Sentence on a loss of every file format."""
 
 
 @dataclass(frozen=True, eq=False)
 class BalSource:
-    """The rotations of a BAL file: the way over quaternions and back costs their last bits.
+    """The rotations of a BAL file: quaternions would lose their last bits.
 
     Attributes:
         rotations: (num_images, 3) angle-axis in radians, as in the file.
@@ -63,7 +63,7 @@ class BalSource:
 
 
 def is_source(source: object) -> bool:
-    """Tell whether a problem can have this as its source."""
+    """Tell whether an object can be the source of a problem."""
     return source is None or isinstance(source, BalSource) or is_reconstruction(source)
 
 
@@ -79,7 +79,7 @@ def is_reconstruction(source: object) -> bool:
 
 
 def beside_the_problem(source: Any) -> list[str]:
-    """Return what a source has that its problem has not."""
+    """Return the kinds of information in a source that its problem lacks."""
     if source is None or isinstance(source, BalSource):
         return []
     is_known = is_reconstruction(source)
@@ -112,7 +112,7 @@ class _Image(NamedTuple):
 
 
 class Packed(NamedTuple):
-    """A reconstruction that pickles: its binary files, and what they do not hold."""
+    """A reconstruction that pickles: its binary files, and the information that they lose."""
 
     files: dict[str, bytes]
     frames: list[_Frame]
@@ -121,7 +121,7 @@ class Packed(NamedTuple):
 
 
 def packed(source: Any) -> Any:
-    """Return the source of a problem as something that pickles; see :func:`unpacked`."""
+    """Return a picklable copy of a source; see :func:`unpacked`."""
     if not is_reconstruction(source):
         return source
     with _written({}) as folder:
@@ -141,7 +141,7 @@ def packed(source: Any) -> Any:
 
 
 def unpacked(source: Any) -> Any:
-    """Return the source that :func:`packed` was given."""
+    """Return the source of a copy by :func:`packed`."""
     if not isinstance(source, Packed):
         return source
     import pycolmap  # not at start-up: takes longer than solving a small problem
@@ -166,14 +166,13 @@ def unpacked(source: Any) -> Any:
 
 
 def source_records(source: Any) -> SourceRecords | None:
-    """Return what a source holds beside its problem; None where it is no COLMAP model.
+    """Return the records of a source that its problem lacks; None if it is no COLMAP model.
 
     Args:
         source: as the problem keeps it, also a model that is not yet a reconstruction.
 
     Raises:
-        InputError: it cannot be the source of a problem, or is a reconstruction that contradicts
-            itself.
+        InputError: it cannot be the source of a problem, or is an inconsistent reconstruction.
     """
     if isinstance(source, DeferredSource):
         if source.model is not None:
@@ -226,8 +225,8 @@ def _records(source: Packed) -> SourceRecords:
 
 @contextmanager
 def _written(files: dict[str, bytes]) -> Iterator[str]:
-    """Write files into a folder for a while."""
-    import tempfile  # takes a while to import
+    """Yield a temporary folder with files."""
+    import tempfile  # slow to import
 
     with tempfile.TemporaryDirectory(prefix="bundle-") as folder:
         for name, content in files.items():

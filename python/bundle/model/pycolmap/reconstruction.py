@@ -1,8 +1,8 @@
 """From ``pycolmap.Reconstruction`` to the fields of a problem; ``write_back`` goes the other way.
 
-A rig of one camera has ``rig_from_world = cam_from_world``, so a pose is read from the image and
-written to its frame; for other rigs see ``bundle.model.rig_arrays``. Setting a pose, parameters or
-a point in pycolmap keeps every bit; what a problem did not change comes out as it went in.
+A rig of one camera has ``rig_from_world = cam_from_world``: the pose is read from the image. For
+other rigs see ``bundle.model.rig_arrays``. pycolmap keeps every bit of poses, parameters and
+points.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def _size(camera: pycolmap.Camera) -> tuple[int, int]:
 
 
 def _params(camera: pycolmap.Camera) -> NDArray[np.float64]:
-    # A model that does not exist is for Problem to refuse.
+    # Problem refuses unknown models.
     expected = len(camera_models().get(camera.model.name, camera.params))
     if len(camera.params) != expected:
         raise InputError(
@@ -194,7 +194,7 @@ def _check_tracks(
 
 
 def _is_valid(reconstruction: pycolmap.Reconstruction) -> bool:
-    """Ask pycolmap, which is fast, without the lines that it logs of what it finds."""
+    """Run pycolmap's check, which is fast, without its log messages."""
     level = pycolmap.logging.minloglevel
     pycolmap.logging.minloglevel = 3  # fatal errors only
     try:

@@ -1,7 +1,7 @@
 """A problem as a ``pycolmap.Reconstruction``: the model that is written of it, read by pycolmap.
 
-What files do not hold stays with what the problem still has: images and frames without a pose, and
-which cameras have a prior focal length.
+Information of the source that files lose is added for the records that the problem still has:
+images and frames without a pose, and the flags of prior focal lengths.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ __all__ = ["to_pycolmap"]
 def to_pycolmap(problem: ProblemArrays) -> pycolmap.Reconstruction:
     """Return a reconstruction: a copy of the source with every edit of the problem in it.
 
-    The errors of the points are computed anew. A problem that did not come from COLMAP gives a new
-    reconstruction: the same ids, the rigs of the problem and else a trivial rig a camera and a
-    trivial frame an image, keypoints in the order of the problem, and names such as image_000007
-    for images that have none.
+    The errors of the points are recomputed. A problem that did not come from COLMAP gives a new
+    reconstruction: the same ids, the rigs of the problem, a trivial rig and frame for each other
+    image, keypoints in the order of the problem, and names such as image_000007 for images without
+    one.
 
     Raises:
         InputError: an id that COLMAP cannot hold, or a keypoint index that does not exist or is

@@ -1,4 +1,4 @@
-"""What a visual-inertial sequence says of its sensors, and the file that keeps it.
+"""Calibration of the sensors of a visual-inertial sequence, and its file.
 
 ``calibration.yaml`` is flat; every key is a field of :class:`Calibration` or of its noise::
 
@@ -15,7 +15,7 @@
     gyro_bias_random_walk: 1.9e-5    # rad/s^2/sqrt(Hz)
     accel_bias_random_walk: 3.0e-3   # m/s^3/sqrt(Hz)
 
-YAML reads ``1e-4``, without a point, as a word; we read it as the number that was meant.
+YAML reads ``1e-4``, without a point, as a word; it is converted to a number here.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def load_calibration(path: Path) -> Calibration:
     """Read ``calibration.yaml``.
 
     Raises:
-        InputError: it is no YAML, lacks a key, or has one that does not exist or a wrong value.
+        InputError: it is no YAML, lacks a key, or has an unknown key or an invalid value.
         OSError: it cannot be read.
     """
     import yaml
@@ -135,7 +135,7 @@ def load_calibration(path: Path) -> Calibration:
     missing += ["camera_params"] * (model is not None and "camera_params" not in content)
     missing += ["focal"] * (model is None and "focal" not in content)
     if missing:
-        raise InputError(f"{shown(path)}: expected the key {missing[0]}, found none of that name")
+        raise InputError(f"{shown(path)}: expected the key {missing[0]}; it is missing")
     try:
         noise = {name: _number(name, content.pop(name)) for name in _NOISE}
         return Calibration(noise=ImuNoise(**noise), **content)
@@ -167,7 +167,7 @@ def _pose(name: str, value: Any) -> tuple[float, ...]:
             or np.linalg.det(rotation) < 0
             or np.abs(found[3] - [0, 0, 0, 1]).max() > 1e-9
         ):
-            raise InputError(f"{name}: expected a rigid motion, found another 4x4 matrix")
+            raise InputError(f"{name}: expected a rigid motion, found a 4x4 matrix that is not one")
         found = np.r_[quaternion_from_matrix(rotation[None])[0], found[:3, 3]]
     if found.shape != (7,):
         raise InputError(
@@ -176,7 +176,7 @@ def _pose(name: str, value: Any) -> tuple[float, ...]:
     norm = math.sqrt(float(found[:4] @ found[:4]))
     if not 0.99 < norm < 1.01:
         raise InputError(f"{name}: expected a quaternion of norm 1, found norm {norm:g}")
-    if abs(norm - 1) > 1e-15:  # what is as good as one stays as it is written
+    if abs(norm - 1) > 1e-15:  # a quaternion of norm 1 up to rounding keeps its digits
         found[:4] /= norm
     return tuple(found.tolist())
 

@@ -1,4 +1,4 @@
-"""How noisy an IMU is."""
+"""Noise densities of an IMU."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ImuNoise(Displayed):
         accel_noise_density: m/s^2/sqrt(Hz), above 0.
         gyro_bias_random_walk: rad/s^2/sqrt(Hz).
         accel_bias_random_walk: m/s^3/sqrt(Hz).
-        integration_covariance: m^2/s per axis, what integrating velocity to position leaves out.
+        integration_covariance: m^2/s per axis, the error of integrating velocity to position.
 
     Raises:
         InputError: a value is no finite number, or out of its range.
@@ -43,11 +43,11 @@ class ImuNoise(Displayed):
     def scaled(self, scale: float, *, walks: bool = True) -> ImuNoise:
         """Return the noise with its four densities times a number.
 
-        Data sheets are optimistic: an estimator takes 3 to 10 times what they say.
+        Data sheets are optimistic: estimators use 3 to 10 times their values.
 
         Args:
             scale: the number.
-            walks: the random walks, too; vibration adds to the white noises alone.
+            walks: scale the random walks, too; vibration adds to the white noises only.
 
         Raises:
             InputError: the scale is no number above 0.

@@ -1,4 +1,4 @@
-"""What is wrong with samples of an IMU: units, range, values that are none."""
+"""Checks of IMU samples: units, range, finite values."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bundle.errors import InputError
 __all__ = ["check_imu_samples", "suspected_units"]
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
-# A device that is not in free fall measures about |g|, whatever it does, in the mean of a second.
+# Averaged over a second, a device that is not in free fall measures about |g|.
 LEAST_MEAN, MOST_MEAN = 0.7, 1.3
 DEGREES_SUSPECTED = 2 * np.pi * 5  # rad/s in the median: five turns per second all the time
 
@@ -23,7 +23,7 @@ def check_imu_samples(
     gyro_range: float | None = None,
     accel_range: float | None = None,
 ) -> None:
-    """Refuse samples that cannot be what they are taken for.
+    """Refuse samples with wrong units, saturated or invalid values.
 
     Args:
         gyro: (n, 3) rad/s.
@@ -58,7 +58,7 @@ def check_imu_samples(
 
 
 def suspected_units(gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> str:
-    """Return in one sentence which of the samples (n, 3) are in g or degrees; "" for neither."""
+    """Return a sentence on samples (n, 3) that seem to be in g or degrees; "" if none do."""
     if not len(gyro):
         return ""
     mean = float(np.linalg.norm(accel, axis=1).mean())

@@ -21,7 +21,7 @@ __all__ = ["Sequence", "check_imu", "check_overlap", "check_tracks"]
 
 Place = Callable[[int], str]
 
-FREE_FALL = 3.0  # m/s^2; no vehicle falls freely for half of a sequence
+FREE_FALL = 3.0  # m/s^2; no vehicle is in free fall for half of a sequence
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -88,11 +88,11 @@ class Sequence(Displayed):
 
     @property
     def num_frames(self) -> int:
-        """Images with observations."""
+        """Number of images with observations."""
         return 1 + int(np.count_nonzero(np.diff(self.track_timestamps_ns)))
 
     def frames(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the stamps of the images (f,), as the camera gave them, and where they begin.
+        """Return the stamps of the images (f,) on the camera's clock, and their first observations.
 
         Observations of image i are rows ``begin[i]`` to ``begin[i + 1]``, ``begin`` is (f + 1,).
         """
@@ -165,11 +165,11 @@ def check_tracks(stamps: Any, ids: Any, xy: Any, place: Place) -> None:
     """Refuse observations that are not sorted by time and id; ``place`` names a row.
 
     Raises:
-        InputError: there are none, a number is not finite, the order is wrong, or an image has a
-            track twice.
+        InputError: there are no observations, a number is not finite, the order is wrong, or an
+            image has a track twice.
     """
     if not len(stamps):
-        raise InputError(f"{place(0)}: expected observations, found none")
+        raise InputError(f"{place(0)}: expected observations, found an empty table")
     wrong = np.flatnonzero(~np.isfinite(xy).all(axis=1))
     if len(wrong):
         row = int(wrong[0])
@@ -200,7 +200,7 @@ def check_overlap(imu_stamps: Any, image_stamps: Any, where: str) -> None:
     """Refuse images and samples that have no time in common.
 
     Raises:
-        InputError: that; it begins with ``where``.
+        InputError: no image lies between two samples; the message begins with ``where``.
     """
     inside = (image_stamps >= imu_stamps[0]) & (image_stamps <= imu_stamps[-1])
     if not inside.any():

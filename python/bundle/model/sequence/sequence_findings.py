@@ -1,4 +1,4 @@
-"""What looks wrong in a sequence: gaps, saturated samples, tracks with one view."""
+"""Findings in a sequence: gaps, saturated samples, tracks with one view."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ __all__ = ["SequenceFinding", "sequence_findings"]
 Array = NDArray[np.float64]
 
 GAP = 2.5  # sampling periods without a sample that count as a gap
-LONGEST_GAP = 0.1  # s: integration across more than that is a guess
+LONGEST_GAP = 0.1  # s; integration across longer gaps is unreliable
 SATURATED_RUN = 4  # equal samples in a row at the largest value of an axis
-SATURATED_SIGMAS = 3.0  # from the mean, so that a quantised sensor at rest is none
+SATURATED_SIGMAS = 3.0  # from the mean, to exclude a quantised sensor at rest
 FASTEST = math.radians(2000)  # rad/s: the widest range of usual gyroscopes
-ONE_VIEW = 0.5  # share of tracks with one view from which it is worth a word
+ONE_VIEW = 0.5  # share of tracks with one view from which it is reported
 
 
 @dataclass(frozen=True)
 class SequenceFinding:
-    """One thing that looks wrong.
+    """A finding.
 
     Attributes:
         kind: "imu gap", "image gap", "saturated", "one view", "no samples", "rate".
         sentence: with file and line, or the row.
-        count: how often it occurs.
-        is_fatal: an odometry that runs over it would give a wrong trajectory.
+        count: number of occurrences.
+        is_fatal: True if odometry would give a wrong trajectory.
     """
 
     kind: str
@@ -43,7 +43,7 @@ class SequenceFinding:
 def sequence_findings(
     sequence: Sequence, imu_place: Place, track_place: Place
 ) -> tuple[SequenceFinding, ...]:
-    """Return what looks wrong; ``imu_place`` and ``track_place`` name rows."""
+    """Return the findings; ``imu_place`` and ``track_place`` name rows."""
     findings: list[SequenceFinding] = []
     stamps = sequence.imu_timestamps_ns
     _imu_gaps(sequence, imu_place, findings)
@@ -99,7 +99,7 @@ def _imu_gaps(sequence: Sequence, place: Place, findings: list[SequenceFinding])
 
 
 def _saturated(sequence: Sequence, place: Place, findings: list[SequenceFinding]) -> None:
-    """Find runs of one value, the largest of its axis: the sensor's range ends there."""
+    """Find runs of the largest value of an axis, where the range of the sensor ends."""
     rows = []
     for values in (*sequence.gyro.T, *sequence.accel.T):
         spread = float(values.std())

@@ -1,8 +1,8 @@
-"""Units of stamps: told by the rates of a calibration, and by what 64 bits hold.
+"""Units of time stamps, detected by the rates of a calibration and the range of 64 bits.
 
-All stamps are nanoseconds. A sensor of a rate f has one every 1e9 / f; where they are some thousand
-or million times closer, they are microseconds or milliseconds. Rates that are off by less than half
-a unit, a factor of 316, tell nothing of the unit.
+All stamps are nanoseconds. A sensor with rate f has a stamp every 1e9 / f; if stamps are a thousand
+or a million times closer, they are microseconds or milliseconds. Rates that are off by less than
+half a unit, a factor of 316, give no information on the unit.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _UNITS = {3: "microseconds", 6: "milliseconds", 9: "seconds"}
 """By the power of ten that nanoseconds have more of."""
 
 LATEST = 2**63 / 1e9  # s
-_EARLIEST_NOW, _LATEST_NOW = 1e8, 5e9  # s since 1970 that a clock of today may show
+_EARLIEST_NOW, _LATEST_NOW = 1e8, 5e9  # s since 1970 of plausible clocks
 
 
 def check_stamp_unit(
@@ -34,10 +34,10 @@ def check_stamp_unit(
         stamps: (n,), not necessarily sorted; those that repeat count once.
         rate: of the sensor [Hz].
         name: of the rate in the calibration.
-        place: names a row.
+        place: function that names a row.
 
     Raises:
-        InputError: they are far too close to each other for the rate.
+        InputError: the stamps are far too close to each other for the rate.
     """
     times = np.unique(stamps)
     if len(times) < 2:
@@ -53,10 +53,10 @@ def check_stamp_unit(
 
 
 def stamp_of_seconds(word: str, place: str) -> int:
-    """Return the nanoseconds of a stamp in seconds, without rounding.
+    """Convert a stamp in seconds to nanoseconds without rounding.
 
     Raises:
-        InputError: it is not finite, or no 64 bits hold its nanoseconds.
+        InputError: it is not finite, or its nanoseconds exceed 64 bits.
     """
     seconds = Decimal(word)
     if seconds.is_finite() and abs(seconds) <= LATEST:
@@ -72,7 +72,7 @@ def stamp_of_seconds(word: str, place: str) -> int:
 
 
 def other_unit(stamps: NDArray[np.int64], others: NDArray[np.int64]) -> str:
-    """Return what a message adds if stamps times a power of a thousand are among others, or ""."""
+    """Return a hint if stamps times a power of a thousand fall into the range of others, or ""."""
     first, last = float(others.min()), float(others.max())
     for power in (-9, -6, -3, 3, 6, 9):
         scaled = stamps * 10.0**power
