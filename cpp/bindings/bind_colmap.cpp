@@ -283,8 +283,6 @@ py::object ImagePoses(const ColmapModel& model) {
 
 void BindColmap(py::module_& m) {
   using bundle::ColmapModel;
-  m.def("check_colmap_model", &bundle::CheckColmapModel, py::arg("folder"),
-        py::call_guard<py::gil_scoped_release>());
   m.def("read_colmap_model", &bundle::ReadModel, py::arg("folder"),
         py::arg("may_be_empty") = false);
   py::class_<ColmapModel>(m, "ColmapModel")

@@ -37,14 +37,12 @@ std::string MissingFiles(const std::string& folder, const ColmapScanner& scanner
   return missing;
 }
 
-/// Scans one file after the other; unless they are kept, none stays longer than its scan.
-ColmapIndex ScanFiles(const std::string& folder, const ColmapScanner& scanner, bool keep_contents) {
+ColmapIndex ScanFiles(const std::string& folder, const ColmapScanner& scanner) {
   ColmapIndex index;
   index.kind = scanner.kind;
   const auto scan = [&](const char* stem, ModelFile* file, void (*scan_file)(ColmapIndex*)) {
     *file = ModelFile(JoinPath(folder, stem, scanner.extension), scanner.kind);
     scan_file(&index);
-    if (!keep_contents) file->Release();
   };
   if (Exists(folder, "rigs", scanner)) scan("rigs", &index.rigs_file, scanner.scan_rigs);
   scan("cameras", &index.cameras_file, scanner.scan_cameras);
@@ -62,7 +60,7 @@ void CheckNotEmpty(const ColmapIndex& index) {
 
 }  // namespace
 
-ColmapIndex ScanColmapModel(const std::string& folder, bool keep_contents) {
+ColmapIndex ScanColmapModel(const std::string& folder) {
   const std::string missing_binary = MissingFiles(folder, kColmapBinaryScanner);
   const std::string missing_text = MissingFiles(folder, kColmapTextScanner);
   if (!missing_binary.empty() && !missing_text.empty()) {
@@ -70,13 +68,8 @@ ColmapIndex ScanColmapModel(const std::string& folder, bool keep_contents) {
                      missing_binary + " (binary) and no " + missing_text + " (text)");
   }
   const bool binary = missing_binary.empty();
-  ColmapIndex index =
-      ScanFiles(folder, binary ? kColmapBinaryScanner : kColmapTextScanner, keep_contents);
+  ColmapIndex index = ScanFiles(folder, binary ? kColmapBinaryScanner : kColmapTextScanner);
   return index;
-}
-
-void CheckColmapModel(const std::string& folder) {
-  CheckColmapReferences(ScanColmapModel(folder, /*keep_contents=*/false));
 }
 
 namespace {

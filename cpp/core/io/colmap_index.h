@@ -45,9 +45,6 @@ class ModelFile {
   /// it was opened.
   void ReadAt(uint64_t position, char* buffer, size_t count) const;
 
-  /// Frees the contents; `Fail` goes on working.
-  void Release();
-
   /// What `Fail` throws.
   std::string Complaint(uint64_t position, const std::string& message) const;
 

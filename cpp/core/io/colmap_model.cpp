@@ -66,7 +66,7 @@ std::vector<double> ColmapModel::CamFromWorld() const {
 
 ColmapModel ReadColmapModel(const std::string& folder, bool may_be_empty) {
   ColmapModel model;
-  model.index = ScanColmapModel(folder, /*keep_contents=*/true);
+  model.index = ScanColmapModel(folder);
   const std::vector<int64_t> point_of_keypoint = CheckColmapReferences(model.index, may_be_empty);
   model.cameras_by_id = OrderById(model.index.cameras);
   model.images_by_id = OrderById(model.index.images);
@@ -276,11 +276,6 @@ void ModelFile::ReadAt(uint64_t position, char* buffer, size_t count) const {
   const size_t done = ReadBytes(*descriptor_, path_, position, buffer, count);
   if (done == count && ChangedAt(StatusOf(*descriptor_, path_)) == changed_at_) return;
   FailAsChanged(Printable(path_));
-}
-
-void ModelFile::Release() {
-  contents_.reset();
-  size_ = 0;
 }
 
 std::string ModelFile::Complaint(uint64_t position, const std::string& message) const {

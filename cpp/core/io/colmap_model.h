@@ -53,23 +53,22 @@ struct ColmapModel {
   std::vector<double> SensorFromRig() const;  ///< of `rigs.sensors`
 };
 
-/// Reads a model as CheckColmapModel does, and keeps it; `may_be_empty`: also one without cameras
-/// or images. Throws InputError as that does, and for two images of one camera in a frame and
-/// images of a camera whose sensor_from_rig is not known, which our problem does not have.
+/// Reads the files of a COLMAP model from end to end, and keeps them. `may_be_empty`: accept a
+/// model without cameras or images.
+///
+/// Throws InputError at the first error, naming file and line (or byte). COLMAP's own reader may
+/// accept such a file silently, allocate what a corrupt count says, or name no place. Also throws
+/// for two images of one camera in a frame and for images of a camera whose sensor_from_rig is not
+/// known, which a problem cannot represent.
+///
+/// Everything that COLMAP writes is accepted, and so is unusual valid data: points with one
+/// observation or none, several keypoints of one image in one track, models without rigs and
+/// frames.
 ColmapModel ReadColmapModel(const std::string& folder, bool may_be_empty = false);
 
-/// Reads the files of a COLMAP model from end to end and throws InputError at the first thing that
-/// is wrong with them, naming file and line (or byte). COLMAP's own reader, for which this stands
-/// guard, may take such a file silently, allocate what a corrupt count says, or give up without
-/// saying where.
-///
-/// What COLMAP writes passes, and so does what is strange but legal: points without or with one
-/// observation, several keypoints of one image in one track, models without rigs and frames.
-void CheckColmapModel(const std::string& folder);
-
-/// The scan alone, without the check of references, of the format that COLMAP reads where the
-/// folder holds both; the index may keep the contents of the files.
-ColmapIndex ScanColmapModel(const std::string& folder, bool keep_contents);
+/// The scan alone, without the check of references; binary files where the folder holds both
+/// formats, as COLMAP.
+ColmapIndex ScanColmapModel(const std::string& folder);
 
 /// Fills `image_of_frame` and `rigs` from the index and its order. Throws InputError as
 /// ReadColmapModel does.

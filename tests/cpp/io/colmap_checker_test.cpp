@@ -59,9 +59,8 @@ ColmapObservations Observations(const ColmapIndex& index) {
 /// Checks a model that may be damaged; what comes back has to be in order.
 bool Accepts(const TemporaryFolder& folder) {
   try {
-    CheckColmapModel(folder.path().string());
-    const ColmapObservations observations =
-        Observations(ScanColmapModel(folder.path().string(), /*keep_contents=*/false));
+    ReadColmapModel(folder.path().string());
+    const ColmapObservations observations = Observations(ScanColmapModel(folder.path().string()));
     EXPECT_EQ(observations.image.size(), observations.point.size());
     EXPECT_EQ(observations.image.size(), observations.keypoint.size());
     EXPECT_EQ(2 * observations.image.size(), observations.xy.size());
@@ -94,7 +93,7 @@ TEST(ColmapChecker, GivesTheObservationsOfASoundModel) {
   for (const Files& files : BothFormats(scene)) {
     const TemporaryFolder folder;
     Write(files, folder);
-    const ColmapIndex index = ScanColmapModel(folder.path().string(), /*keep_contents=*/false);
+    const ColmapIndex index = ScanColmapModel(folder.path().string());
     EXPECT_EQ(index.kind == ModelFile::Kind::kBinary, files.count("cameras.bin") == 1);
     const ColmapObservations observations = Observations(index);
     std::vector<Row> found;
@@ -164,8 +163,8 @@ TEST(ColmapChecker, SeveralFilesDamagedAtOnce) {
 TEST(ColmapChecker, AFolderWithoutAModelIsNamed) {
   const TemporaryFolder folder;
   EXPECT_FALSE(Accepts(folder));
-  EXPECT_THROW(CheckColmapModel((folder.path() / "none").string()), InputError);
-  EXPECT_THROW(CheckColmapModel(""), InputError);
+  EXPECT_THROW(ReadColmapModel((folder.path() / "none").string()), InputError);
+  EXPECT_THROW(ReadColmapModel(""), InputError);
 }
 
 }  // namespace
