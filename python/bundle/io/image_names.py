@@ -72,4 +72,6 @@ def _bal_images(path: Path) -> int:
     try:
         return int(start.split()[0])
     except (IndexError, ValueError):
-        raise InputError(f"{shown(path)}: expected counts, found something else") from None
+        raise InputError(
+            f"{shown(path)}: expected a BAL file, which begins with counts, found other content"
+        ) from None

@@ -1,4 +1,4 @@
-"""What stands at a path, told by its content."""
+"""Recognition of files and folders by their content."""
 
 from __future__ import annotations
 

@@ -80,8 +80,8 @@ def started(graph: PoseGraph, held: NDArray[np.bool_], init: str, num_threads: i
         first, second = _core.odometry_gap(graph)
         if first >= 0:
             raise InputError(
-                "init: expected an edge between all consecutive ids for odometry, found none "
-                f"between {graph.ids[first]} and {graph.ids[second]}; spanning_tree needs no such"
+                "init: expected an edge between all consecutive ids for odometry, found a gap "
+                f"between {graph.ids[first]} and {graph.ids[second]}; use spanning_tree"
             )
     return Start(poses=_core.initial_poses(graph, held, init, num_threads), init=init)
 

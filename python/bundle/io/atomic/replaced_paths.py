@@ -1,7 +1,7 @@
 """Record of the paths that were replaced, and warnings that a user should read.
 
-An error names the files that a command had written before. This module imports next to nothing: the
-command line needs it before it knows what it is asked for.
+An error names the files that a command had written before. This module imports almost nothing: the
+command line needs it before it has parsed its arguments.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _records: list[list[Path]] = []
 
 @contextmanager
 def recording() -> Iterator[list[Path]]:
-    """Give a list to which every path is added once it has been replaced."""
+    """Yield a list that collects the paths that are replaced in the block."""
     record: list[Path] = []
     _records.append(record)
     try:

@@ -154,7 +154,7 @@ def _checked(
     stamps: NDArray[np.int64], states: NDArray[np.float64], place: Callable[[int], str]
 ) -> Trajectory:
     if not len(stamps):
-        raise InputError(f"{place(0)}: expected poses, found none")
+        raise InputError(f"{place(0)}: expected poses, found an empty file")
     norm = np.linalg.norm(states[:, :4], axis=1)
     wrong = np.flatnonzero(~(np.abs(norm - 1) < 0.01) | ~np.isfinite(states[:, :7]).all(axis=1))
     if len(wrong):

@@ -1,12 +1,14 @@
-"""Images, cameras and points of model B put into model A, which lies in the same frame.
+"""Joining of model B to model A, in the same coordinate frame: images, cameras, points.
 
-What A has stays as it is: ids, poses, cameras, points. B's ids are kept where A has them free.
+Everything of A stays unchanged: ids, poses, cameras, points. B's ids are kept where they are free
+in A. Two points meet if they have observations at the same keypoint of a shared image. Points of B
+are handled in the order of their ids:
 
-Points, in the order of their ids. One that meets no point of A at a keypoint of a shared image
-becomes a new point. One that meets points of A is joined to one of those that agree with it, the
-one that it meets most often (of several, the least id): its track continues A's, in images that A's
-track does not see yet. One that agrees with none of them stays apart, and A keeps the keypoints at
-which they met; it is dropped if fewer than two observations are left.
+* A point that meets no point of A becomes a new point.
+* A point that meets points of A is joined to one that agrees with it: the one with most meetings,
+  and of several the one with the least id. Its track extends A's in images that A's track lacks.
+* A point that agrees with none of them becomes a new point without the keypoints of the meetings,
+  which A keeps. It is dropped if fewer than two observations are left.
 """
 
 from __future__ import annotations
@@ -17,28 +19,28 @@ from dataclasses import dataclass
 
 import pycolmap
 
-from bundle.model.pycolmap.frames import Rigs
+from bundle.model.pycolmap.colmap_rigs import is_trivial
 
 __all__ = ["Joined", "join"]
 
 FEWEST = 2
-"""Observations of a point that stays apart."""
+"""Least observations of a point of B that meets points of A and agrees with none."""
 
 
 @dataclass
 class Joined:
-    """What became of B.
+    """Numbers of images, cameras, points and observations of B by outcome.
 
     Attributes:
-        num_images: images that A did not have.
-        num_cameras: cameras that A did not have.
-        num_points_added: points of B that meet none of A.
-        num_points_joined: points of B whose tracks continue tracks of A.
-        num_points_apart: points of B that disagree with those that they meet, and stay.
-        num_points_dropped: those of which fewer than two observations were left.
+        num_images: images that were added to A.
+        num_cameras: cameras that were added to A.
+        num_points_added: points of B without a meeting.
+        num_points_joined: points of B whose tracks extend tracks of A.
+        num_points_apart: points of B that agree with none that they meet, and were added.
+        num_points_dropped: points of B with fewer than two observations left.
         num_observations: observations that were added.
-        num_observations_dropped: observations of B that were not: at keypoints that A keeps, in
-            images that a track sees already, and of dropped points.
+        num_observations_dropped: observations of B that were not added: at keypoints that A keeps,
+            in images that a track has already, and of dropped points.
     """
 
     num_images: int = 0
@@ -61,16 +63,16 @@ def join(
     agreeing: set[tuple[int, int]],
     cameras: dict[int, int],
 ) -> Joined:
-    """Put B into A.
+    """Join B to A.
 
     Args:
         a: changed in place.
         b: in the frame of A.
         images: ids in A and in B of each shared image.
-        keypoints: for each of them, from keypoints of B that see a point to those of A or None.
-        meetings: for points of B, how often they meet which point of A.
-        agreeing: ids in B and in A of points that are one.
-        cameras: from ids of B to the cameras of A that take their images over.
+        keypoints: for each shared image, table from observed keypoints of B to those of A or None.
+        meetings: for points of B, numbers of meetings by point of A.
+        agreeing: ids in B and in A of points that agree.
+        cameras: table from cameras of B to cameras of A that replace them.
     """
     joined = Joined()
     places = _shared_places(a, b, images, keypoints)
@@ -104,7 +106,7 @@ def join(
             else:
                 joined.num_points_added += 1
         joined.num_observations += added
-        # Meetings of points that are one are no loss: A has the observation.
+        # A meeting of points that agree loses nothing: A has the observation.
         kept = met[chosen] if same else 0
         joined.num_observations_dropped += len(elements) - added - kept
     a.update_point_3d_errors()
@@ -117,7 +119,7 @@ def _shared_places(
     images: list[tuple[int, int]],
     keypoints: tuple[dict[int, int | None], ...],
 ) -> dict[tuple[int, int], tuple[int, int]]:
-    """Return image and keypoint in A of those in B; keypoints that A has not are appended."""
+    """Return image and keypoint in A of those in B; append keypoints that A lacks."""
     places = {}
     for (id_a, id_b), same in zip(images, keypoints, strict=True):
         image = a.image(id_a)
@@ -137,7 +139,7 @@ def _add_images(
     places: dict[tuple[int, int], tuple[int, int]],
     joined: Joined,
 ) -> None:
-    rigs = Rigs(a)
+    rigs = _Rigs(a)
     cameras = dict(cameras)
     spare_image = max([*a.images, *b.images], default=0)
     spare_camera = max([*a.cameras, *b.cameras], default=0)
@@ -168,7 +170,7 @@ def _add_images(
 
 
 def _continue(a: pycolmap.Reconstruction, point_id: int, free: list[tuple[int, int]]) -> int:
-    """Lengthen a track by what is in images that it does not see; return by how much."""
+    """Extend a track in images that it lacks; return the number of added observations."""
     seen = {element.image_id for element in a.point3D(point_id).track.elements}
     count = 0
     for image_id, keypoint in free:
@@ -177,3 +179,41 @@ def _continue(a: pycolmap.Reconstruction, point_id: int, free: list[tuple[int, i
             seen.add(image_id)
             count += 1
     return count
+
+
+class _Rigs:
+    """Frames and rigs for images that are added: a rig of one camera for each, made if missing."""
+
+    def __init__(self, reconstruction: pycolmap.Reconstruction) -> None:
+        self._reconstruction = reconstruction
+        self._rig_of_camera: dict[int, int] = {}
+        for rig_id, rig in sorted(reconstruction.rigs.items()):
+            is_camera = rig.num_sensors() and rig.ref_sensor_id.type == pycolmap.SensorType.CAMERA
+            if is_camera and is_trivial(rig):
+                self._rig_of_camera.setdefault(rig.ref_sensor_id.id, rig_id)
+
+    def free_frame_id(self, wanted: int) -> int:
+        """Return a frame id that is not taken, the wanted one where possible."""
+        taken = self._reconstruction.frames
+        return wanted if wanted not in taken else max(taken) + 1
+
+    def add(self, image: pycolmap.Image, frame_id: int, pose: pycolmap.Rigid3d) -> None:
+        """Add an image in a frame of its own."""
+        frame = pycolmap.Frame()
+        frame.frame_id = frame_id
+        frame.rig_id = self._rig(image.camera_id)
+        frame.add_data_id(image.data_id)
+        frame.rig_from_world = pose
+        self._reconstruction.add_frame(frame)
+        image.frame_id = frame_id
+        self._reconstruction.add_image(image)
+
+    def _rig(self, camera_id: int) -> int:
+        if camera_id not in self._rig_of_camera:
+            rigs = self._reconstruction.rigs
+            rig = pycolmap.Rig()
+            rig.rig_id = camera_id if camera_id not in rigs else max(rigs) + 1
+            rig.add_ref_sensor(self._reconstruction.camera(camera_id).sensor_id)
+            self._reconstruction.add_rig(rig)
+            self._rig_of_camera[camera_id] = rig.rig_id
+        return self._rig_of_camera[camera_id]

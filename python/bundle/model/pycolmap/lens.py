@@ -21,9 +21,10 @@ def normalized(model: str, params: Sequence[float], xy: NDArray[np.float64]) -> 
 
     Args:
         model: COLMAP's name of the camera model.
-        params: its parameters, without padding.
+        params: parameters of the model in COLMAP's order, without padding.
         xy: (N, 2) pixels.
     """
+    # The size of the image has no effect.
     lens = pycolmap.Camera(model=model, width=1, height=1, params=list(params))
     rays: NDArray[np.float64] = np.asarray(lens.cam_from_img(xy), np.float64)
     return rays
@@ -32,5 +33,8 @@ def normalized(model: str, params: Sequence[float], xy: NDArray[np.float64]) -> 
 def pixel_directions(
     model: str, params: Sequence[float], xy: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the directions (N, 3) of pixels in the frame of the camera, with z = 1."""
+    """Return the directions (N, 3) of pixels in the frame of the camera, with z = 1.
+
+    Args: see :func:`normalized`.
+    """
     return np.column_stack([normalized(model, params, xy), np.ones(len(xy))])

@@ -1,4 +1,4 @@
-"""What two models share: images of one name, their keypoints, and points that meet at them."""
+"""Shared images of two models: their common keypoints, and the points that meet there."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 __all__ = ["SAME_KEYPOINT", "SharedView", "shared_keypoints"]
 
 SAME_KEYPOINT = 0.01
-"""Pixels, in x and in y, that keypoints of one index may differ by: what single precision and text
-files do to coordinates."""
+"""Largest difference in x and y, in pixels, of keypoints with the same index: single precision and
+text files round coordinates."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class SharedView:
         image: (n,) index of the shared image, in the order given.
         point_a: (n,) id of the point of A.
         point_b: (n,) id of the point of B.
-        keypoints: for each shared image, from keypoints of B that see a point to those of A; None
+        keypoints: for each shared image, table from observed keypoints of B to those of A; None
             where A's image has no such keypoint.
     """
 
@@ -36,7 +36,7 @@ class SharedView:
 def shared_keypoints(
     a: pycolmap.Reconstruction, b: pycolmap.Reconstruction, images: list[tuple[int, int]]
 ) -> SharedView:
-    """Return the keypoints that are the same, and the points that meet there.
+    """Return the common keypoints of shared images, and the points that meet there.
 
     Args:
         a: the first model.
@@ -61,11 +61,11 @@ def shared_keypoints(
 
 
 def _same_keypoints(a: pycolmap.Image, b: pycolmap.Image) -> dict[int, int | None]:
-    """Return A's keypoint of each of B's that see a point: of the same index, else of the same xy.
+    """Return A's keypoint for each observed keypoint of B: by index, else by coordinates.
 
-    Models of one database agree in the index. Lists that were cut down, as by writing observed
-    keypoints only, agree in the coordinates alone; those that several keypoints of A have tell
-    nothing.
+    Models from one database agree in the index. Lists that were reduced, as by writing observed
+    keypoints only, agree in the coordinates; coordinates that several keypoints of A have are
+    ambiguous and ignored.
     """
     xy = np.array([point.xy for point in a.points2D]).reshape(-1, 2)
     places: dict[tuple[float, float], int] = {}
