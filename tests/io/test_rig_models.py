@@ -13,7 +13,7 @@ import bundle
 from bundle import InputError, Problem
 from bundle.io.colmap import can_rewrite
 from bundle.model.rig_arrays import DTYPES
-from tests.io.colmap_models import ARRAYS, fields, synthesize, write_model
+from tests.io.colmap_models import ARRAYS, fields, pose_of, synthesize, write_model
 from tests.rig_scenes import FIVE, STEREO, rig_problem
 
 BOTH = pytest.mark.parametrize("binary", [True, False], ids=["binary", "text"])
@@ -398,3 +398,33 @@ def test_kitti(bundle_data: Path, tmp_path: Path) -> None:
         out = tmp_path / str(binary)
         bundle.save(moved(problem), out, "colmap" if binary else "colmap-text")
         assert_agrees(moved(problem), pycolmap.Reconstruction(out))
+
+
+def without_second_rig(problem: Problem) -> Problem:
+    """Return the images and frames of the first rig alone, with all sensors."""
+    frames = problem.frame_rig_ids == problem.frame_rig_ids[0]
+    kept = frames[problem.image_frame]
+    left = without_images(problem, np.flatnonzero(~kept).tolist())
+    row = np.cumsum(frames) - 1
+    names = ("rig_from_world", "frame_ids", "frame_rig_ids")
+    return left.replace(
+        cam_from_world=left.cam_from_world,
+        image_frame=row[left.image_frame],
+        **{name: getattr(problem, name)[frames] for name in names},
+    )
+
+
+def test_a_rig_without_images_needs_a_source(tmp_path: Path) -> None:
+    problem = rig_problem(rigs=(STEREO, FIVE))
+    with pytest.raises(InputError, match=r"^sensor_rig_ids: rig 2: expected an image of its ref"):
+        bundle.save(without_second_rig(problem), tmp_path / "none", "colmap")
+    bundle.save(problem, tmp_path / "in")
+    read = without_second_rig(bundle.load(tmp_path / "in"))
+    moved_sensors = read.sensor_from_rig.copy()
+    moved_sensors[-1, 4:] += 1
+    bundle.save(read.replace(sensor_from_rig=moved_sensors), tmp_path / "out", "colmap")
+    written = pycolmap.Reconstruction(tmp_path / "out")
+    assert {frame.rig_id for frame in written.frames.values()} == {1}
+    sensor = pycolmap.sensor_t(CAMERA, int(read.sensor_camera_ids[-1]))
+    found = written.rigs[2].sensor_from_rig(sensor)
+    assert pose_of(found) == moved_sensors[-1].tolist()

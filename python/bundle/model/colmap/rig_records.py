@@ -58,12 +58,13 @@ def check_rigs(problem: ProblemArrays, source: SourceRecords) -> None:
             f"{problem.sensor_camera_ids[unknown][0]}"
         )
     references = rig_arrays.reference_cameras(problem)
-    for rig_id in np.unique(problem.frame_rig_ids).tolist():
-        if rig_id not in references and not _fits(problem, source):
-            raise InputError(
-                f"frame_rig_ids: rig {rig_id}: expected an image of its reference sensor, which "
-                "COLMAP requires; the problem has none"
-            )
+    for name in ("frame_rig_ids", "sensor_rig_ids"):
+        for rig_id in np.unique(getattr(problem, name)).tolist():
+            if rig_id not in references and not _fits(problem, source):
+                raise InputError(
+                    f"{name}: rig {rig_id}: expected an image of its reference sensor, which "
+                    "COLMAP requires; the problem has none"
+                )
 
 
 def edited_rigs(problem: ProblemArrays, source: SourceRecords) -> tuple[_Rigs, _Frames]:
@@ -87,7 +88,7 @@ def _fits(problem: ProblemArrays, source: SourceRecords) -> bool:
     """Tell whether the rigs of a problem are the source's, with other poses and fewer images."""
     known: set[tuple[int, int]] = set()
     camera_ids = set(problem.camera_ids.tolist())
-    for rig_id in set(problem.frame_rig_ids.tolist()):
+    for rig_id in {*problem.frame_rig_ids.tolist(), *problem.sensor_rig_ids.tolist()}:
         sensors = source.rigs.get(rig_id)
         if sensors is None or is_trivial(sensors):
             return False
@@ -176,7 +177,7 @@ def _kept(problem: ProblemArrays, source: SourceRecords) -> tuple[_Rigs, _Frames
 
 
 def _move(frames: _Frames, frame_id: int, pose: Pose) -> None:
-    """Give a frame a pose; one that had none is registered, after the others."""
+    """Set the pose of a frame; a frame without one is registered after the others."""
     moved = frames[frame_id]._replace(pose=pose)
     if frames[frame_id].pose is None:
         del frames[frame_id]
