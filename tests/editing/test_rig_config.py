@@ -213,7 +213,9 @@ def test_models_that_do_not_fit(tmp_path):
     with pytest.raises(InputError, match=r"^rig 1: expected a camera for each sensor"):
         apply_rig_config(problem.replace(image_camera=np.zeros(problem.num_images)), path)
     apart = scattered(rig_problem(missing={(0, 0, 0), (0, 1, 0), (0, 2, 1), (0, 3, 1)}))
-    with pytest.raises(InputError, match=r"^rig 1: expected cam_from_rig of the images of prefix"):
+    with pytest.raises(
+        InputError, match=r"^rig 1: the pose of the sensor with prefix .* is undetermined"
+    ):
         apply_rig_config(apart, path)
     both = config(2)
     both[0]["cameras"][1]["image_prefix"] = "a/0"

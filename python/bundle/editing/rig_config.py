@@ -1,4 +1,4 @@
-"""Rigs made out of images with poses of their own, as COLMAP's ``rig_config.json`` describes them.
+"""Rigs from images with their own poses, as described by COLMAP's ``rig_config.json``.
 
 A file is a list of rigs, each an object with a list ``cameras`` of
 
@@ -7,12 +7,12 @@ A file is a list of rigs, each an object with a list ``cameras`` of
 * ``cam_from_rig_rotation`` (w x y z) and ``cam_from_rig_translation``: its pose on the rig;
 * ``camera_model_name`` and ``camera_params``: intrinsics in place of the model's.
 
-Images of a rig whose names differ in their prefix only are a frame. What the file does not say is
-taken from the poses, as ``pycolmap.apply_rig_config`` does: a sensor's rotation is the mean of
-those of its images relative to the reference images of their frames (the eigenvector of the largest
-eigenvalue of sum q q^T; Markley et al., "Averaging Quaternions", 2007), its position on the rig the
-mean of their positions. A frame is where its reference image is, or else the image of its camera
-with the smallest id.
+Images of a rig whose names differ only in their prefix form a frame. Missing values are computed
+from the poses, as in ``pycolmap.apply_rig_config``: a sensor's rotation is the mean of the
+rotations of its images relative to the reference images of their frames (the eigenvector of the
+largest eigenvalue of sum q q^T; Markley et al., "Averaging Quaternions", 2007), and its position on
+the rig is the mean of their positions. The pose of a frame comes from its reference image, or
+otherwise from the image of its camera with the smallest id.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ _Pose = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SensorConfig:
-    """A camera of a rig.
+    """Camera of a rig.
 
     Attributes:
-        image_prefix: how the names of its images begin.
-        is_reference: whether the pose of the rig is this camera's.
-        sensor_from_rig: (7,) qx qy qz qw tx ty tz; None: from the poses of the images.
-        camera_model: COLMAP's name; None: what the images have.
+        image_prefix: prefix of the names of its images.
+        is_reference: True if the pose of the rig is that of this camera.
+        sensor_from_rig: (7,) qx qy qz qw tx ty tz; None: computed from the poses of the images.
+        camera_model: COLMAP's name; None: that of the images.
         camera_params: parameters of this model in COLMAP's order.
     """
 
@@ -63,24 +63,24 @@ class SensorConfig:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RigConfig:
-    """A rig: its cameras, one of them the reference sensor."""
+    """Rig: its cameras, one of which is the reference sensor."""
 
     sensors: tuple[SensorConfig, ...]
 
 
 def read_rig_config(path: str | os.PathLike[str]) -> tuple[RigConfig, ...]:
-    """Read COLMAP's rig_config.json; keys that mean nothing to COLMAP are passed over.
+    """Read COLMAP's rig_config.json; keys that COLMAP does not use are ignored.
 
     Raises:
-        InputError: it is no such file; one line that names the rig and the camera by their places.
+        InputError: the format is wrong; one line that gives rig and camera by position.
         OSError: the file cannot be read.
     """
     try:
         content = json.loads(Path(path).read_bytes().decode("utf-8-sig"))
-    except ValueError as error:  # UnicodeDecodeError is one
+    except ValueError as error:  # includes UnicodeDecodeError
         raise InputError(f"{shown(path)}: expected JSON, found {first_line(error)}") from None
     except RecursionError:
-        raise InputError(f"{shown(path)}: expected JSON, found too deep a nesting") from None
+        raise InputError(f"{shown(path)}: expected JSON, found nesting that is too deep") from None
     if not isinstance(content, list) or not content:
         raise InputError(f"{shown(path)}: expected a list of rigs, found {brief(content)}")
     return tuple(_rig(f"{shown(path)}: rig {i}", rig) for i, rig in enumerate(content, 1))
@@ -89,19 +89,19 @@ def read_rig_config(path: str | os.PathLike[str]) -> tuple[RigConfig, ...]:
 def apply_rig_config(
     problem: Problem, config: str | os.PathLike[str] | Sequence[RigConfig]
 ) -> Problem:
-    """Return the problem with its images in frames of the rigs that a file describes.
+    """Return the problem with its images in frames of the rigs of a file.
 
-    Rigs that the problem had are gone; images that no prefix fits have poses of their own. Rigs are
-    numbered from 1, a frame has the smallest id of its images.
+    Existing rigs are removed; images without a matching prefix get their own poses. Rigs are
+    numbered from 1, and a frame has the smallest id of its images.
 
     Args:
-        problem: whose images have names.
-        config: the path of a rig_config.json, or what :func:`read_rig_config` returned.
+        problem: problem with image names.
+        config: path of a rig_config.json, or result of :func:`read_rig_config`.
 
     Raises:
-        InputError: the file is none, an image fits two prefixes, images of a prefix have different
-            cameras or sensors the same one, no image fits a rig, or nothing says where a sensor is
-            on its rig.
+        InputError: the file is invalid, an image matches two prefixes, images of a prefix have
+            different cameras or sensors share one, no image matches a rig, or the pose of a sensor
+            on its rig is undetermined.
         OSError: the file cannot be read.
     """
     check_type("problem", problem, Problem)
@@ -115,9 +115,9 @@ def _rig(place: str, rig: Any) -> RigConfig:
         raise InputError(f"{place}: expected an object with a list 'cameras', found {brief(rig)}")
     if "ref_camera_id" in rig:
         raise InputError(
-            f"{place}: expected the form of COLMAP 3.12 (image_prefix, ref_sensor: true, "
-            "cam_from_rig_rotation and cam_from_rig_translation of each camera), found the older "
-            "one with ref_camera_id"
+            f"{place}: expected the format of COLMAP 3.12 (image_prefix, ref_sensor: true, "
+            "cam_from_rig_rotation and cam_from_rig_translation of each camera), found the "
+            "older one with ref_camera_id"
         )
     sensors = tuple(_sensor(f"{place}, camera {i}", camera) for i, camera in enumerate(cameras, 1))
     count = sum(sensor.is_reference for sensor in sensors)
@@ -142,7 +142,10 @@ def _sensor(place: str, camera: Any) -> SensorConfig:
         )
     pose = _pose(place, camera)
     if is_reference and pose is not None:
-        raise InputError(f"{place}: expected no cam_from_rig of the reference sensor, found one")
+        raise InputError(
+            f"{place}: expected no cam_from_rig for the reference sensor, whose pose is "
+            "that of the rig"
+        )
     model = camera.get("camera_model_name")
     params: tuple[float, ...] = ()
     if model is not None:
@@ -152,7 +155,7 @@ def _sensor(place: str, camera: Any) -> SensorConfig:
             )
         params = _numbers(place, camera, "camera_params", len(camera_models()[model]))
     elif camera.get("camera_params") is not None:
-        raise InputError(f"{place}: expected camera_model_name beside camera_params, found none")
+        raise InputError(f"{place}: expected camera_model_name together with camera_params")
     return SensorConfig(
         image_prefix=prefix,
         is_reference=is_reference,
@@ -169,12 +172,12 @@ def _pose(place: str, camera: Mapping[str, Any]) -> _Pose | None:
         return None
     if len(given) == 1:
         other = next(name for name in names if name not in given)
-        raise InputError(f"{place}: expected {other} beside {given[0]}, found none")
+        raise InputError(f"{place}: expected {other} together with {given[0]}")
     w, *xyz = _numbers(place, camera, names[0], 4)
     rotation = np.array([*xyz, w])
     norm = float(np.linalg.norm(rotation))
     if not 0 < norm < math.inf:
-        raise InputError(f"{place}: {names[0]}: expected a quaternion, found one of norm {norm:g}")
+        raise InputError(f"{place}: {names[0]}: expected a quaternion, found norm {norm:g}")
     return np.array([*(rotation / norm), *_numbers(place, camera, names[1], 3)])
 
 
@@ -187,13 +190,13 @@ def _numbers(place: str, camera: Mapping[str, Any], name: str, count: int) -> tu
 
 
 class _Assembly:
-    """Images sorted into frames, and the arrays that come of it."""
+    """Images sorted into frames, and the resulting arrays."""
 
     def __init__(self, problem: Problem, rigs: tuple[RigConfig, ...]) -> None:
         self._problem, self._rigs = problem, rigs
         self._models = list(problem.camera_models)
         self._params = problem.camera_params.copy()
-        self._taken: dict[int, str] = {}  # prefix by image
+        self._taken: dict[int, str] = {}  # prefix of each image
         self._poses: list[_Pose] = []  # of frames
         self._frame_ids: list[int] = []
         self._frame_rigs: list[int] = []
@@ -269,20 +272,20 @@ class _Assembly:
                 suffix = name[len(prefix) :]
                 if index in frames[suffix]:
                     raise InputError(
-                        f"rig {rig_id}: expected names that differ, found {shown(name)} twice"
+                        f"rig {rig_id}: expected unique names, found {shown(name)} twice"
                     )
                 frames[suffix][index] = image
         if not frames:
             prefixes = ", ".join(repr(sensor.image_prefix) for sensor in rig.sensors)
             raise InputError(
-                f"rig {rig_id}: expected images whose names begin with {prefixes}, found none"
+                f"rig {rig_id}: expected images whose names begin with {prefixes}, found 0"
             )
         return frames
 
     def _cameras(
         self, rig_id: int, rig: RigConfig, frames: Mapping[str, Mapping[int, int]]
     ) -> dict[int, int]:
-        """Return the row of each sensor's camera, if it took an image, and set its intrinsics."""
+        """Return the row of each sensor's camera if it has images, and set its intrinsics."""
         ids, cameras = self._problem.camera_ids, dict[int, int]()
         for images in frames.values():
             for index, image in images.items():
@@ -325,9 +328,9 @@ class _Assembly:
         both = [images for images in frames.values() if index in images and reference in images]
         if not both:
             raise InputError(
-                f"rig {rig_id}: expected cam_from_rig of the images of prefix "
-                f"{sensor.image_prefix!r}, or a frame with one of them and a reference image, "
-                "found neither"
+                f"rig {rig_id}: the pose of the sensor with prefix {sensor.image_prefix!r} is "
+                "undetermined: expected cam_from_rig, or a frame with one of its images and a "
+                "reference image"
             )
         poses = self._problem.cam_from_world
         sensors = poses[[images[index] for images in both]]
@@ -339,6 +342,6 @@ class _Assembly:
 
 
 def _relative(arm: _Pose, pose: _Pose) -> _Pose:
-    """Return the frame whose sensor at `arm` is at `pose`."""
+    """Return the frame whose sensor at `arm` has the pose `pose`."""
     frame: _Pose = compose(inverse_poses(unit_poses(arm[None])), pose[None])[0]
     return frame

@@ -172,7 +172,7 @@ def test_sensors_of_rigs_keep_their_cameras():
 
 def test_misuse():
     problem = make_problem(num_images=3)
-    with pytest.raises(InputError, match="camera_ids: there is no camera 5"):
+    with pytest.raises(InputError, match="camera_ids: camera 5 is not in the problem"):
         bundle.share_cameras(problem, [1, 5])
     with pytest.raises(InputError, match="at least two cameras to share, found 1"):
         bundle.share_cameras(problem, [2, 2])

@@ -190,7 +190,7 @@ def test_misuse():
     problem = scene()
     with pytest.raises(InputError, match=r"model: .*did you mean OPENCV"):
         bundle.change_camera_model(problem, "OPENC")
-    with pytest.raises(InputError, match="camera_ids: there is no camera 77"):
+    with pytest.raises(InputError, match="camera_ids: camera 77 is not in the problem"):
         bundle.change_camera_model(problem, "OPENCV", camera_ids=[0, 77])
 
 

@@ -1,7 +1,7 @@
-"""Which images see common points: the graph behind the reduced camera matrix S.
+"""Covisibility graph of images: the structure of the reduced camera matrix S.
 
-Block (i, j) of S is filled exactly where images i and j observe a common point (as long as no two
-images share a camera that is refined), so that the density of this graph is the fill of S.
+Block (i, j) of S is nonzero exactly if images i and j observe a common point (as long as no two
+images share a refined camera). The density of this graph is therefore the fill of S.
 """
 
 from __future__ import annotations
@@ -17,22 +17,21 @@ from bundle.model.problem import Problem
 
 __all__ = ["Covisibility", "components", "covisibility", "shared_points"]
 
-# Cells of the adjacency matrix held at once: 128 MB of booleans.
+# Entries of the adjacency matrix in memory at once: 128 MB of booleans.
 _CELLS = 2**27
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Covisibility:
-    """The covisibility graph of the images.
+    """Covisibility graph of the images.
 
     Attributes:
         neighbours: (num_images,) number of other images that share a point with each image.
         num_pairs: pairs of images with a common point.
-        schur_fill: share of the image blocks of S, diagonal included, that are not zero; NaN
-            without images.
-        component: (num_images,) number of the connected component of each image, the largest
-            component first; -1 for an image without observations.
-        component_sizes: images of each component.
+        schur_fill: share of nonzero image blocks of S, including the diagonal; NaN without images.
+        component: (num_images,) connected component of each image, the largest component first; -1
+            for an image without observations.
+        component_sizes: number of images of each component.
     """
 
     neighbours: NDArray[np.int64]
@@ -43,7 +42,7 @@ class Covisibility:
 
 
 def covisibility(problem: Problem) -> Covisibility:
-    """Return the covisibility graph; time is linear in the pairs of images that points connect."""
+    """Return the covisibility graph in time linear in the pairs of images that points connect."""
     images, points = _by_point(problem)
     neighbours = _neighbours(images, points, problem.num_images)
     component, sizes = components(images, points, problem.num_images)
@@ -60,7 +59,7 @@ def covisibility(problem: Problem) -> Covisibility:
 def shared_points(
     problem: Problem,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return (low, high, number of common points) of each pair of images that has any, ascending.
+    """Return (low, high, number of common points) of each pair of covisible images, ascending.
 
     Time is linear in the pairs of images that points connect, memory in the distinct ones.
     """
@@ -81,7 +80,7 @@ def components(
 ) -> tuple[NDArray[np.int64], tuple[int, ...]]:
     """Return the component of each image (-1: no observation) and the sizes, largest first.
 
-    Observations come sorted by point.
+    Observations must be sorted by point.
     """
     starts = np.flatnonzero(np.diff(points, prepend=-1))
     root = component_roots(images, starts, num_images)
@@ -99,7 +98,7 @@ def components(
 
 
 def _by_point(problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return image and point of each observation, sorted by point, then image, each pair once."""
+    """Return the distinct (image, point) of observations, sorted by point, then image."""
     size = max(problem.num_images, 1)
     code = np.sort(problem.observation_point.astype(np.int64) * size + problem.observation_image)
     points, images = np.divmod(code[np.diff(code, prepend=-1) != 0], size)
@@ -109,7 +108,7 @@ def _by_point(problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 def _neighbours(
     images: NDArray[np.int64], points: NDArray[np.int64], num_images: int
 ) -> NDArray[np.int64]:
-    """Return the number of neighbours of each image, a block of rows of the adjacency at a time."""
+    """Return the number of neighbours of each image, computed in blocks of adjacency rows."""
     neighbours = np.zeros(num_images, np.int64)
     rows = max(_CELLS // max(num_images, 1), 1)
     for first in range(0, num_images, rows):

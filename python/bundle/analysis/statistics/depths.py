@@ -1,8 +1,8 @@
-"""Depths of observed points before their cameras, and points that sit on a camera.
+"""Depths of observed points in their cameras, and points collapsed onto a camera.
 
 A depth is the third coordinate of R X + t, in the reconstruction's length unit. A solve can pull
-points onto a camera's centre, where any direction fits: their depths are then many orders of
-magnitude below the others, and their derivatives as many above.
+points onto a projection centre, where any direction fits. Their depths are then many orders of
+magnitude smaller than others, and their derivatives as many larger.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from bundle.model.problem import Problem
 __all__ = ["COLLAPSED", "Depths", "collapsed_observations", "depths_of_observations", "summarize"]
 
 COLLAPSED = 1e-4
-"""Of the median: a depth below is no depth that the images show."""
+"""Share of the median below which a depth is not determined by images."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Depths:
-    """Depths over all observations; every number is NaN where there is none.
+    """Depths over all observations; every number is NaN without observations.
 
     Attributes:
-        min: smallest, negative for a point behind its camera.
+        min: smallest depth, negative for a point behind its camera.
         p5: 5th percentile.
         median: 50th percentile.
         p95: 95th percentile.
-        max: largest.
-        num_behind: observations whose depth is not above zero.
-        num_collapsed: observations whose depth is nearer to zero than 1e-4 of the median.
+        max: largest depth.
+        num_behind: observations with a depth of at most zero.
+        num_collapsed: observations with an absolute depth below 1e-4 of the median.
     """
 
     min: float
@@ -46,7 +46,7 @@ class Depths:
 def depths_of_observations(problem: Problem) -> NDArray[np.float64]:
     """Return the depth of each observation's point, (num_observations,)."""
     x, y, z, w = problem.cam_from_world[:, :4].T
-    # The third row of the rotation by a quaternion of any norm.
+    # Third row of the rotation for a quaternion of any norm.
     row = np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), w * w + z * z - x * x - y * y])
     row /= (problem.cam_from_world[:, :4] ** 2).sum(axis=1, keepdims=True)
     image = problem.observation_image
@@ -73,9 +73,9 @@ def summarize(depths: NDArray[np.float64]) -> Depths:
 
 
 def collapsed_observations(problem: Problem, depths: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which observations, (num_observations,), see a point that sits on their camera.
+    """Return the mask (num_observations,) of observations of points collapsed onto their camera.
 
-    A wide lens also sees points far away at a depth of zero: the distance must be as small.
+    A wide lens also observes distant points at a depth of zero, so the distance must be as small.
     """
     near: NDArray[np.bool_] = np.zeros(len(depths), bool)
     if not len(depths):

@@ -30,10 +30,10 @@ __all__ = ["CameraGroup", "Description", "Distribution", "describe"]
 
 @dataclass(frozen=True, kw_only=True)
 class Distribution:
-    """How whole numbers are distributed; every statistic is NaN where there is none.
+    """Distribution of whole numbers; every statistic is NaN without numbers.
 
-    ``histogram`` holds (low, high, count) with both ends inside; each bin is twice as wide as the
-    one before it: 0, 1, 2, 3-4, 5-8, 9-16, ... Empty bins outside the range are left out.
+    ``histogram`` holds (low, high, count), both ends inclusive; each bin is twice as wide as the
+    previous one: 0, 1, 2, 3-4, 5-8, 9-16, ... Empty bins outside the range are left out.
     """
 
     min: float
@@ -45,15 +45,15 @@ class Distribution:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraGroup:
-    """The cameras of one model.
+    """Cameras of one model.
 
     Attributes:
         model: COLMAP's name.
         num_cameras: cameras of this model.
         num_images: images that use one of them.
         images_per_camera: min and max number of images that share one of them.
-        focal: smallest and largest focal length in pixels; None for a model bundle does not know.
-        supported: whether bundle can refine this model.
+        focal: smallest and largest focal length in pixels; None for an unknown model.
+        supported: True if bundle can refine this model.
     """
 
     model: str
@@ -66,20 +66,20 @@ class CameraGroup:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Description(Displayed):
-    """What is in a problem.
+    """Description of a problem.
 
     Attributes:
-        cameras: one entry per camera model, the most used first.
-        track_length: observations per point.
-        observations_per_image: observations per image.
-        covisibility: which images see common points.
-        reprojection_error: pixels, at the problem's values; None where a camera model is unknown.
-        depths: of observed points before their cameras, in the reconstruction's length unit.
-        num_repeated_observations: those whose track visited the same image before; COLMAP makes
-            such tracks, and they are no fault.
-        worst_images: those with the largest errors; empty where a camera model is unknown.
-        suspicions: what looks wrong, gravest first.
-        rigs: those of several sensors, by id.
+        cameras: one entry per camera model, the most frequent first.
+        track_length: distribution of observations per point.
+        observations_per_image: distribution of observations per image.
+        covisibility: covisibility graph of the images.
+        reprojection_error: pixels, at the problem's values; None for an unknown camera model.
+        depths: depths of observed points in their cameras, in the reconstruction's length unit.
+        num_repeated_observations: observations whose track contains the same image before; COLMAP
+            creates such tracks, and they are no error.
+        worst_images: images with the largest errors; empty for an unknown camera model.
+        suspicions: possible errors, most severe first.
+        rigs: rigs of several sensors, by id.
     """
 
     cameras: tuple[CameraGroup, ...]
@@ -117,19 +117,20 @@ class Description(Displayed):
         return Display(title="Description", facts=tuple(facts))
 
 
-# Numbers of a legal problem may be as large as a double: what overflows is infinite, and said so.
+# Numbers of a valid problem may be as large as a double: an overflow becomes infinite and is
+# reported.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def describe(problem: Source) -> Description:
-    """Describe a problem: what `bundle info` says.
+    """Describe a problem, as `bundle info` does.
 
     Args:
-        problem: also one that cannot be refined, the path of one, or a pycolmap.Reconstruction.
+        problem: Problem, also one that cannot be refined, path of one, or pycolmap.Reconstruction.
 
     Returns:
-        A :class:`Description`; nothing of the problem is changed or kept.
+        A :class:`Description`; it keeps no reference to the problem.
 
     Raises:
-        InputError: this is no problem.
+        InputError: the argument is no problem.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
@@ -140,7 +141,7 @@ def describe(problem: Source) -> Description:
         errors, behind = reprojection_errors(problem)
         error = summarize_errors(errors.copy(), behind, resolve_cheirality(problem, "auto"))
         worst = worst_of_errors(problem, errors, behind)
-    except InputError:  # an unsupported camera model, which `suspicions` names
+    except InputError:  # an unsupported camera model, which `suspicions` reports
         errors, error, worst = None, None, ()
         behind = np.zeros(problem.num_observations, bool)
     return Description(

@@ -1,9 +1,9 @@
-"""What an image asks of its camera, and where the camera's radial distortion folds.
+"""Demands of images on their cameras, and the fold of radial distortion.
 
-The radial part of SIMPLE_RADIAL, RADIAL and OPENCV maps the undistorted radius r to
-``r (1 + k1 r^2 + k2 r^4)``. It folds at the first zero of its derivative ``1 + 3 k1 s + 5 k2 s^2``,
-s = r^2: ``s = 2 / (-3 k1 + sqrt(9 k1^2 - 20 k2))`` where that is a positive number; no image point
-lies beyond the distorted radius reached there. Other models are not looked at for folds.
+The radial part of SIMPLE_RADIAL, RADIAL and OPENCV maps the undistorted radius r to ``r (1 + k1 r^2
++ k2 r^4)``. It folds at the first zero of its derivative ``1 + 3 k1 s + 5 k2 s^2``, s = r^2: ``s =
+2 / (-3 k1 + sqrt(9 k1^2 - 20 k2))`` if that is a positive number. No image point lies beyond the
+distorted radius reached there. Folds of other models are not computed.
 """
 
 from __future__ import annotations
@@ -18,18 +18,20 @@ from bundle.model.problem import Problem
 
 __all__ = ["Lens", "fold_radius", "lenses"]
 
-# Columns of k1 and of k2, if any, where the radial part is as above.
+# Columns of k1 and of k2, if any, for models with this radial part.
 _COEFFICIENTS = {"SIMPLE_RADIAL": (3, None), "RADIAL": (3, 4), "OPENCV": (4, 5)}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Lens:
-    """Every array is (num_cameras,), NaN where unknown.
+    """Values per camera.
+
+    Every array is (num_cameras,), NaN if unknown.
 
     Attributes:
         focal: focal length in pixels, the mean of two.
-        size: the longer side of the image in pixels; where it is not recorded, twice the distance
-            of the farthest observation from the principal point along an axis.
+        size: longer side of the image in pixels; if not recorded, twice the distance of the
+            farthest observation from the principal point along an axis.
         farthest: distorted radius of the farthest observation, in focal lengths.
         fold: distorted radius at which the distortion folds, in focal lengths; infinite if never.
     """
@@ -41,7 +43,7 @@ class Lens:
 
 
 def lenses(problem: Problem) -> Lens:
-    """Return what is known of every camera of a problem."""
+    """Return the values of every camera of a problem."""
     focal, fold = np.full((2, problem.num_cameras), np.nan)
     centre = np.full((problem.num_cameras, 2), np.nan)
     models = np.array(problem.camera_models, dtype=str)
@@ -73,10 +75,10 @@ def lenses(problem: Problem) -> Lens:
 
 
 def fold_radius(k1: NDArray[np.float64], k2: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the largest distorted radius, in focal lengths, infinite where it only grows."""
+    """Return the largest distorted radius in focal lengths, infinite if it increases for ever."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         root = np.sqrt(9.0 * k1**2 - 20.0 * k2)
-        # The same number both ways; the second form loses no digits where k1 > 0.
+        # Both forms give the same number; the second loses no digits for k1 > 0.
         divisor = np.where(k1 > 0, -20.0 * k2 / (3.0 * k1 + root), root - 3.0 * k1)
         square = np.where(divisor > 0, 2.0 / divisor, np.inf)
         radius = np.sqrt(square) * (1.0 + k1 * square + k2 * square**2)

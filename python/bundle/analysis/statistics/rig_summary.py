@@ -1,4 +1,4 @@
-"""Rigs of several sensors: what they are made of, how far apart their sensors are."""
+"""Rigs of several sensors: their sensors and baselines."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ __all__ = ["RigSummary", "SensorSummary", "rig_summaries"]
 
 @dataclass(frozen=True, kw_only=True)
 class SensorSummary:
-    """One camera of a rig.
+    """Camera of a rig.
 
     Attributes:
-        camera_id: of the source.
-        is_reference: whether the pose of the rig is this camera's.
-        baseline: distance from the rig's origin, where the reference sensor is, in the
-            reconstruction's length unit.
-        num_images: images that it took.
-        num_observations: observations in these; a sensor without any is not refined.
+        camera_id: id in the source.
+        is_reference: True if the pose of the rig is that of this camera.
+        baseline: distance from the rig's origin (the reference sensor) in the reconstruction's
+            length unit.
+        num_images: number of its images.
+        num_observations: observations in these images; a sensor without any is not refined.
     """
 
     camera_id: int
@@ -34,13 +34,13 @@ class SensorSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class RigSummary:
-    """One rig.
+    """Rig of several sensors.
 
     Attributes:
-        rig_id: of the source.
-        num_frames: frames with an image.
-        num_images: images in these.
-        sensors: the reference sensor first if it took an image, then those with a known
+        rig_id: id in the source.
+        num_frames: number of frames with an image.
+        num_images: number of images in these frames.
+        sensors: the reference sensor first if it has images, then those with a known
             sensor_from_rig.
     """
 
@@ -51,7 +51,7 @@ class RigSummary:
 
 
 def rig_summaries(problem: Problem) -> tuple[RigSummary, ...]:
-    """Return the rigs of a problem by id; () where every image has a pose of its own."""
+    """Return the rigs of a problem by id; () if every image has its own pose."""
     if not problem.num_frames:
         return ()
     rig = rig_of_image(problem)

@@ -1,4 +1,4 @@
-"""What looks wrong with a problem: each check one function, each finding one sentence."""
+"""Possible errors of a problem: one function per check, one sentence per finding."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from bundle.model.problem import Problem
 __all__ = ["Suspicion", "count_repeated", "suspicions"]
 
 FEW_OBSERVATIONS = 10
-"""An image with fewer observations hardly holds its pose."""
+"""Images with fewer observations have a poorly determined pose."""
 GROSS_ERROR_PIXELS, GROSS_ERROR_MEDIANS = 10.0, 20.0
-"""An error is gross beyond both: so many pixels, and so many times the median error."""
+"""An error is gross above both: this many pixels, and this multiple of the median error."""
 FAR_POINT = 1000.0
-"""A point is far beyond so many times the median distance from the middle of the scene."""
+"""A point is far beyond this multiple of the median distance from the middle of the scene."""
 FAR_SCENE = 1e5
-"""A scene is far from its origin beyond so many times its own size."""
+"""A scene is far from its origin beyond this multiple of its own size."""
 FOCAL_RATIO = 0.1, 10.0
-"""Believable focal lengths, in image sizes: COLMAP's min_ and max_focal_length_ratio."""
+"""Plausible focal lengths in image sizes: COLMAP's min_ and max_focal_length_ratio."""
 QUATERNION_TOLERANCE = 1e-6
 NAMED = 5
-"""Ids that a sentence names."""
+"""Number of ids in a sentence."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Suspicion:
-    """One thing that looks wrong.
+    """Possible error of a problem.
 
     Attributes:
-        kind: a stable name for programs, such as "points_seen_once".
-        count: how many there are.
-        of: what ``ids`` are: "image", "point" or "camera".
-        ids: the first few ids concerned, at most 5.
-        sentence: the finding in words.
+        kind: stable name for programs, such as "points_seen_once".
+        count: number of occurrences.
+        of: meaning of ``ids``: "image", "point" or "camera".
+        ids: first ids concerned, at most 5.
+        sentence: finding in words.
     """
 
     kind: str
@@ -59,14 +59,14 @@ def suspicions(
     behind: NDArray[np.bool_],
     depths: NDArray[np.float64],
 ) -> tuple[Suspicion, ...]:
-    """Return what looks wrong, gravest first.
+    """Return the possible errors, most severe first.
 
     Args:
         problem: the problem.
-        graph: its covisibility.
-        errors: (num_observations,) reprojection errors in pixels; None where they do not exist.
-        behind: (num_observations,) whether the point is behind the camera.
-        depths: (num_observations,) of the points before their cameras.
+        graph: its covisibility graph.
+        errors: (num_observations,) reprojection errors in pixels; None if unavailable.
+        behind: (num_observations,) mask of points behind the camera.
+        depths: (num_observations,) depths of the points in their cameras.
     """
     return (
         *_empty(problem),
@@ -115,7 +115,7 @@ def _images(problem: Problem, graph: Covisibility) -> Iterator[Suspicion]:
             "image",
             problem.image_ids[empty],
             ("image has", "images have"),
-            "no observation: nothing holds the pose",
+            "no observation: the pose is undetermined",
         )
     few = ~empty & (observations < FEW_OBSERVATIONS)
     if few.any():
@@ -134,7 +134,7 @@ def _images(problem: Problem, graph: Covisibility) -> Iterator[Suspicion]:
             "image",
             problem.image_ids[twice],
             ("image has", "images have"),
-            "the name of another one: what names an image means neither",
+            "the name of another image: names do not identify images",
         )
     if len(graph.component_sizes) > 1:
         sizes = ", ".join(map(str, graph.component_sizes[:NAMED]))
@@ -145,8 +145,10 @@ def _images(problem: Problem, graph: Covisibility) -> Iterator[Suspicion]:
             count=len(graph.component_sizes),
             of="image",
             ids=_first(apart),
-            sentence=f"The images fall into {len(graph.component_sizes)} pieces without common "
-            f"points (of {sizes}{more} images): their relative position and scale are arbitrary.",
+            sentence=(
+                f"The images form {len(graph.component_sizes)} components without common points "
+                f"(of {sizes}{more} images): their relative position and scale are arbitrary."
+            ),
         )
 
 
@@ -210,7 +212,10 @@ def _observations(
 
 
 def _gross(errors: NDArray[np.float64]) -> tuple[float, NDArray[np.bool_]]:
-    """Return the limit and what exceeds it; NaN is no error, and infinity no usual one."""
+    """Return the limit and the mask of gross errors.
+
+    NaN is no error, and infinity is no typical one.
+    """
     known = errors[np.isfinite(errors)]
     median = float(np.median(known)) if len(known) else 0.0
     limit = max(GROSS_ERROR_PIXELS, GROSS_ERROR_MEDIANS * median)
@@ -218,7 +223,7 @@ def _gross(errors: NDArray[np.float64]) -> tuple[float, NDArray[np.bool_]]:
 
 
 def count_repeated(problem: Problem) -> int:
-    """Return how many observations have the image and point of an earlier one."""
+    """Return the number of observations with the image and point of an earlier one."""
     size = max(problem.num_images, 1)
     code = problem.observation_point.astype(np.int64) * size + problem.observation_image
     return len(code) - len(np.unique(code))
@@ -298,7 +303,7 @@ def _suspicion(
     *,
     count: int | None = None,
 ) -> Suspicion:
-    """Return "3 images have no observation (images 4, 7, 9)."; `ids` are all that are concerned."""
+    """Return "3 images have no observation (images 4, 7, 9)."; `ids` are all concerned ids."""
     total = len(ids) if count is None else count
     named = _first(ids)
     noun = of if len(ids) == 1 else f"{of}s"

@@ -1,4 +1,4 @@
-"""Several cameras become one, and one camera becomes several."""
+"""Shared cameras: merge several cameras into one, or split one into several."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from bundle.model.problem import Problem
 __all__ = ["share_cameras", "split_cameras"]
 
 MAX_ID = 2**32 - 2
-"""COLMAP's largest id of a camera."""
+"""COLMAP's largest camera id."""
 
 
 def share_cameras(problem: Source, camera_ids: Iterable[int] | None = None) -> Problem:
-    """Make several cameras one: that with the lowest id, which all of their images get.
+    """Merge several cameras into the one with the lowest id, which all of their images get.
 
-    Its parameters are the means of theirs, weighted by the numbers of their observations; where no
-    camera has one, all count the same. Poses and points stay, so that errors grow where cameras
-    differed: solve again.
+    Its parameters are the means of theirs, weighted by the numbers of observations (equally if
+    there are none). Poses and points do not change, so errors grow where cameras differed: solve
+    again.
 
     Args:
-        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
+        problem: Problem, path of one, or pycolmap.Reconstruction; not modified.
         camera_ids: at least two; None: all.
 
     Raises:
-        InputError: there is no such camera, they differ in model or image size, there are fewer
+        InputError: a camera does not exist, they differ in model or image size, there are fewer
             than two, or one is a sensor of a rig of several.
         OSError: the path cannot be read.
     """
@@ -56,15 +56,15 @@ def share_cameras(problem: Source, camera_ids: Iterable[int] | None = None) -> P
 def split_cameras(problem: Source) -> Problem:
     """Give every image a camera of its own.
 
-    The first image of a camera keeps it; each other one gets a copy, whose id is the next above all
-    ids there are, or the lowest that is free where COLMAP has none above. Cameras without an image
-    stay.
+    The first image of a camera keeps it. Each other image gets a copy, whose id is the next above
+    all existing ids, or the lowest unused one if COLMAP allows none above. Cameras without an image
+    are kept.
 
     Args:
-        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
+        problem: Problem, path of one, or pycolmap.Reconstruction; not modified.
 
     Raises:
-        InputError: a rig of several sensors took an image: its sensors are cameras.
+        InputError: an image belongs to a rig of several sensors, whose sensors are cameras.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
@@ -86,7 +86,7 @@ def split_cameras(problem: Source) -> Problem:
 def _cameras(
     problem: Problem, rows: NDArray[np.int64], params: NDArray[np.float64]
 ) -> dict[str, Any]:
-    """Return what a problem has of some cameras."""
+    """Return the fields of a problem for some cameras."""
     return {
         "camera_ids": problem.camera_ids[rows],
         "camera_models": tuple(problem.camera_models[row] for row in rows.tolist()),
@@ -101,7 +101,7 @@ def _chosen(problem: Problem, camera_ids: Iterable[int] | None) -> NDArray[np.in
     ids = np.unique(wanted)
     unknown = ids[~np.isin(ids, problem.camera_ids)]
     if len(unknown):
-        raise InputError(f"camera_ids: there is no camera {unknown[0]} in the problem")
+        raise InputError(f"camera_ids: camera {unknown[0]} is not in the problem")
     if len(ids) < 2:
         raise InputError(f"camera_ids: expected at least two cameras to share, found {len(ids)}")
     order = np.argsort(problem.camera_ids)
@@ -109,14 +109,14 @@ def _chosen(problem: Problem, camera_ids: Iterable[int] | None) -> NDArray[np.in
 
 
 def _check_rigs(problem: Problem, images: NDArray[np.int64]) -> None:
-    """Refuse images whose camera a rig says."""
+    """Refuse images whose camera is determined by a rig."""
     if not len(problem.image_frame):
         return
     framed = images[problem.image_frame[images] >= 0]
     if len(framed):
         raise InputError(
-            f"image {problem.image_ids[framed[0]]}: expected an image of no rig of several "
-            f"sensors to get another camera, found one of frame "
+            f"image {problem.image_ids[framed[0]]}: expected an image outside of rigs to "
+            "get another camera, found one of frame "
             f"{problem.frame_ids[problem.image_frame[framed[0]]]}"
         )
 
@@ -137,7 +137,7 @@ def _check_alike(problem: Problem, cameras: NDArray[np.int64]) -> None:
 
 
 def _mean(problem: Problem, cameras: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the mean of parameters, bit for bit where all are the same."""
+    """Return the mean of parameters, bit for bit the same if all are equal."""
     params = problem.camera_params[cameras]
     camera_of = problem.image_camera[problem.observation_image]
     weights = np.bincount(camera_of, minlength=problem.num_cameras)[cameras].astype(float)
@@ -149,16 +149,17 @@ def _mean(problem: Problem, cameras: NDArray[np.int64]) -> NDArray[np.float64]:
     if (params[:, metadata] != first[metadata]).any():
         names = camera_models()[problem.camera_models[int(cameras[0])]]
         raise InputError(
-            f"camera {problem.camera_ids[cameras[0]]}: expected cameras to share with the same "
-            f"{' and '.join(names[index] for index in metadata)}, found others"
+            f"camera {problem.camera_ids[cameras[0]]}: expected cameras to share with the "
+            f"same {' and '.join(names[index] for index in metadata)}, found different "
+            "values"
         )
-    # About the first, so that what is equal stays.
+    # Relative to the first, so that equal values are exact.
     mean: NDArray[np.float64] = first + weights @ (params - first) / weights.sum()
     return mean
 
 
 def _free_ids(taken: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """Return ids above all that are taken; where there is no room, the lowest that are free."""
+    """Return ids above all used ones; if there is no room, the lowest unused ones."""
     start = int(taken.max(initial=0)) + 1
     if start + count - 1 <= MAX_ID:
         return np.arange(start, start + count, dtype=np.int64)

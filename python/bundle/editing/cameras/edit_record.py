@@ -1,4 +1,4 @@
-"""What the command line does to the cameras of its input before anything else."""
+"""Camera edits of the command line, which precede everything else."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ __all__ = ["CameraEdits", "edit_cameras"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraEdits:
-    """A problem with other cameras.
+    """Problem with edited cameras.
 
     Attributes:
         problem: the new problem.
-        model: that all cameras got; None: they kept theirs.
-        changes: what became of those that had another one.
-        shared_camera_id: the camera that others became; None: none did.
-        shared_camera_ids: all of these, itself included.
-        num_copies: cameras that images got for themselves; None: nothing was split.
-        before: reprojection errors of the problem that was given.
-        after: of the new one.
-        warnings: of fits that are bad, one sentence each.
+        model: model that all cameras got; None: unchanged.
+        changes: results for the cameras that had another model.
+        shared_camera_id: camera into which others were merged; None: none were merged.
+        shared_camera_ids: all merged cameras, including that one.
+        num_copies: cameras created for single images; None: nothing was split.
+        before: reprojection errors of the given problem.
+        after: reprojection errors of the new problem.
+        warnings: bad fits, one sentence each.
     """
 
     problem: Problem
@@ -42,7 +42,7 @@ class CameraEdits:
     warnings: tuple[str, ...]
 
     def asdict(self) -> dict[str, Any]:
-        """Return all but the problem, for JSON."""
+        """Return all fields except the problem, for JSON."""
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         errors = {name: dataclasses.asdict(fields.pop(name)) for name in ("before", "after")}
         del fields["problem"]
@@ -58,16 +58,16 @@ def edit_cameras(
     share: Iterable[int] | bool = False,
     split: bool = False,
 ) -> CameraEdits | None:
-    """Change models, then share or split cameras; None where nothing is asked for.
+    """Change models, then share or split cameras; return None if no edit is requested.
 
     Args:
-        problem: left untouched.
-        model: of all cameras; None: as they are.
-        share: ids of cameras that become one; True: all.
-        split: give each image a camera of its own.
+        problem: problem to edit; not modified.
+        model: model of all cameras; None: unchanged.
+        share: ids of cameras to merge; True: all.
+        split: give each image its own camera.
 
     Raises:
-        InputError: see the functions that do it.
+        InputError: see the functions that it calls.
     """
     if model is None and share is False and not split:
         return None

@@ -1,20 +1,20 @@
-"""Which lenses one camera model has in common with another, and with which parameters.
+"""Exact conversions: lenses that one camera model has in common with another.
 
-Most models are a special case of larger ones. A lens is described here by what is left of it when
-the names of its model are taken away: how rays become coordinates (``perspective``, u = X / Z, or
-``equidistant``, u = theta X / r), two focal lengths, a principal point and coefficients, of which
-those that do nothing are left out:
+Most models are a special case of larger ones. A lens is described here independently of its model:
+the mapping of rays to coordinates (``perspective``, u = X / Z, or ``equidistant``, u = theta X /
+r), two focal lengths, a principal point, and the coefficients that have an effect:
 
 - ``r1`` ... ``r6``: radial polynomial 1 + r1 s + r2 s^2 + ... with s = u^2 + v^2,
-- ``d1`` ... ``d3``: its denominator in FULL_OPENCV,
+- ``d1`` ... ``d3``: denominator of FULL_OPENCV,
 - ``p1, p2, sx, sy``: tangential and thin prism terms of (u, v),
 - ``P1, P2, Sx, Sx2, Sy, Sy2``: those of RAD_TAN_THIN_PRISM_FISHEYE, which are functions of the
-  coordinates after the radial polynomial; without one, the same,
-- ``division``, ``omega``, ``alpha`` and ``beta``: of the models that are alone with them.
+  coordinates after the radial polynomial; without a polynomial they are the same,
+- ``division``, ``omega``, ``alpha`` and ``beta``: those of models that no other model contains.
 
-A model can be this lens if it has the same rays and all of its coefficients. EUCM with alpha = 0
-and the division models with k = 0 are perspective. FOV with omega = 0 is too, but derivatives by
-omega are zero there, which would stop other solvers: perspective lenses become FOV by a fit.
+A model can represent this lens if it has the same rays and all of its coefficients. EUCM with alpha
+= 0 and the division models with k = 0 are perspective. FOV with omega = 0 is too, but its
+derivatives by omega are zero there, which would stall other solvers: perspective lenses become FOV
+by a fit.
 """
 
 from __future__ import annotations
@@ -73,19 +73,19 @@ class _Lens(NamedTuple):
 
 
 def extras_of(model: str, params: NDArray[np.float64] | None = None) -> dict[str, float]:
-    """Return the coefficients of a model in the order of its parameters; 0 without these."""
+    """Return the coefficients of a model in the order of its parameters; 0 without coefficients."""
     names = _EXTRAS[model]
     values = [0.0] * len(names) if params is None else params[len(params) - len(names) :].tolist()
     return dict(zip(names, values, strict=True))
 
 
 def is_symmetric(model: str, params: NDArray[np.float64]) -> bool:
-    """Tell whether a lens is symmetric about its axis."""
+    """Return True if a lens is symmetric about its axis."""
     return not params[asymmetric_params(model)[2:]].any()
 
 
 def asymmetric_params(model: str) -> list[int]:
-    """Return the indices of the principal point, and of what makes a lens asymmetric about it."""
+    """Return the indices of the principal point and of asymmetric coefficients."""
     num_focal = param_kinds(model).count("focal")
     extras = enumerate(_EXTRAS[model], start=num_focal + 2)
     return [num_focal, num_focal + 1, *(index for index, name in extras if name[0] in "pPsS")]
@@ -101,12 +101,12 @@ def focal_and_center(model: str, params: NDArray[np.float64]) -> tuple[float, fl
 def exact_params(
     model: str, params: NDArray[np.float64], target: str
 ) -> NDArray[np.float64] | None:
-    """Return the parameters with which a model has the pixels of another; None if there are none.
+    """Return the parameters with which a model equals another lens; None if there are none.
 
     Args:
-        model: of the lens, any but EQUIRECTANGULAR.
+        model: model of the lens, any but EQUIRECTANGULAR.
         params: its parameters, without padding.
-        target: model that is wanted, likewise.
+        target: new model, likewise.
     """
     if model == target:
         return params

@@ -1,17 +1,17 @@
-"""The lens of one model that is nearest to given pixels of given rays.
+"""Least-squares fit of a camera model to given pixels of given rays.
 
     min over p  sum_i |project(p, ray_i) - xy_i|^2,
 
-by Levenberg and Marquardt's method with the columns scaled by their norms (Marquardt 1963; Moré
-1978). Each step is the least-squares solution of
+The minimiser is Levenberg-Marquardt with columns scaled by their norms (Marquardt 1963; Moré 1978).
+Each step is the least-squares solution of
 
     [J; sqrt(lambda) D] step = [-r; 0],
 
-by orthogonal factorisation: polynomials of a high degree are too ill-conditioned for the normal
-equations. Of [J r] only the triangle R of its factor QR is needed for that. A lens that is
-symmetric about its axis is nearest to one that is so too: then the principal point and the
-coefficients of the others stay. Some models are far from linear, or have derivatives that vanish,
-at their neutral parameters, so that a fit starts from several lenses and the best one counts.
+by orthogonal factorisation, because polynomials of high degree are too ill-conditioned for the
+normal equations. Of [J r] only the triangle R of its QR factorisation is needed. A lens that is
+symmetric about its axis is fitted best by a symmetric lens, so the principal point and the
+asymmetric coefficients stay constant. Some models are strongly nonlinear, or have zero derivatives,
+at their neutral parameters. Therefore a fit starts from several lenses, and the best result counts.
 """
 
 from __future__ import annotations
@@ -34,24 +34,26 @@ __all__ = ["LensFit", "fit_lens"]
 MAX_ITERATIONS = 200
 
 TOLERANCE = 1e-6
-"""Share of the cost below which a gain is none."""
+"""Relative decrease of the cost below which the fit has converged."""
 
 SMALLEST = 1e-6
-"""Pixels that do not matter."""
+"""Negligible error in pixels."""
 
 _STARTS: dict[str, tuple[tuple[float, ...], ...]] = {
     "omega": ((0.1,), (0.5,), (0.9,), (1.5,)),
     "division": ((0.0,), (-0.2,)),
     "alpha": ((0.2, 1.0), (0.5, 1.0), (0.7, 1.5)),
 }
-"""Coefficients of the models whose first coefficient has this name, to start from."""
+"""Start values of the coefficients, by the name of the first one."""
 
 _BOUNDS = {"omega": (0.0101, 3.1), "alpha": (0.0, 1.0), "beta": (1e-3, np.inf)}
-"""COLMAP's formula of FOV jumps at 0.01 and has other signs below (see ``fov.h``)."""
+"""Bounds of parameters. COLMAP's formula of FOV is discontinuous at 0.01 and has other signs below
+(see ``fov.h``).
+"""
 
 
 class LensFit(NamedTuple):
-    """Parameters, and whether they are a minimum to the precision of the numbers."""
+    """Parameters, and True if they are a minimum to the precision of the numbers."""
 
     params: NDArray[np.float64]
     converged: bool
@@ -66,13 +68,13 @@ def fit_lens(
     """Fit a lens to pixels of rays.
 
     Args:
-        model: of the lens that is wanted, any but EQUIRECTANGULAR.
-        lens: model and parameters of the lens whose pixels these are, to start from.
-        rays: (N, 3) directions that the wanted model sees.
-        xy: (N, 2) their pixels.
+        model: model to fit, any but EQUIRECTANGULAR.
+        lens: model and parameters of the given lens, for the start.
+        rays: (N, 3) directions within the field of view of the model.
+        xy: (N, 2) pixels of these rays.
 
     Returns:
-        The fit; None if no start has an image of all rays.
+        Fit; None if no start projects all rays.
     """
     free = np.arange(len(param_kinds(model)))
     if is_symmetric(*lens):
@@ -88,7 +90,7 @@ def fit_lens(
 def _starts(
     model: str, old_model: str, old_params: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
-    """Return lenses of a model that have the focal length and the principal point of another."""
+    """Return lenses of a model with the focal length and the principal point of another lens."""
     fx, fy, cx, cy = focal_and_center(old_model, old_params)
     num_focal = param_kinds(model).count("focal")
     focal = (fx, fy) if num_focal == 2 else (np.sqrt(fx * fy),)
@@ -101,7 +103,7 @@ def _starts(
     starts = []
     for extras in choices:
         scale = 1.0
-        if names[:1] == ("omega",):  # the focal length of the lens on its axis
+        if names[:1] == ("omega",):  # focal length on the axis
             scale = extras[0] / (2 * np.tan(extras[0] / 2))
         starts.append(np.array([*(scale * f for f in focal), cx, cy, *extras]))
     return starts
@@ -114,7 +116,7 @@ def _minimize(
     xy: NDArray[np.float64],
     free: NDArray[np.int64],
 ) -> tuple[float, LensFit]:
-    """Return the cost at the end, infinite where the start has no image, and the fit."""
+    """Return the final cost and the fit; the cost is infinite if the start does not project."""
     lower, upper = _bounds(model)
     cost, triangle = _linearized(model, params, rays, xy, free)
     smallest = len(xy) * SMALLEST**2
@@ -143,7 +145,7 @@ def _step(
     lower: NDArray[np.float64],
     upper: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return a step; parameters on a bound beyond which it would go do not take part in it."""
+    """Return a step; parameters that would leave their bounds stay constant."""
     scale = np.linalg.norm(triangle[:, :-1], axis=0)
     scale[scale == 0] = 1.0
     rows = np.vstack([triangle[:, :-1], np.diag(np.sqrt(damping) * scale)])
@@ -172,7 +174,7 @@ def _linearized(
     xy: NDArray[np.float64],
     free: NDArray[np.int64],
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return the cost sum |r|^2, infinite where there is none, and the triangle of [J -r]."""
+    """Return the cost sum |r|^2, infinite without a projection, and the triangle of [J -r]."""
     focal = np.array(param_kinds(model)) == "focal"
     projected = project(model, params, rays, jacobians=True)
     residual = (projected.xy - xy).ravel()

@@ -1,13 +1,15 @@
-"""Pixels to which a lens is fitted, and those at which the fit is judged.
+"""Image region of a lens fit: pixels to fit, and pixels at which to judge the fit.
 
-It is judged at the pixels of the observations. It is fitted to a grid of pixels, so that crowded
-parts of the image do not count more: over the image, as far from the principal point as there are
-observations, since farther out nothing has told what the old lens does. Where there are few
-observations it is the whole image; for a perspective lens, up to 80 degrees from the axis.
+The fit is judged at the pixels of the observations. It uses a grid of pixels, so that crowded parts
+of the image do not dominate. The grid covers the image up to the distance of the farthest
+observation from the principal point, because nothing has determined the old lens farther out. If
+there are few observations it is the whole image; for a perspective lens, up to 80 degrees from the
+axis.
 
-The image is its size; observations outside it, gross errors, do not count. Where there is no size,
-or most observations are outside, as the origin is elsewhere, it is the box of the observations;
-where there are few of these, with half a focal length to each side of the principal point.
+The image is given by its size, and observations outside it are gross errors and do not count. If
+there is no size, or most observations are outside because the origin is elsewhere, the bounding box
+of the observations is used; with few observations, it is extended to half a focal length on each
+side of the principal point.
 """
 
 from __future__ import annotations
@@ -35,9 +37,9 @@ _SEES_BEHIND = ("SIMPLE_DIVISION", "DIVISION")
 
 
 class LensRegion(NamedTuple):
-    """Pixels (N, 2) and the unit vectors (N, 3) that the old lens has there.
+    """Pixels (N, 2), and unit vectors (N, 3) of the old lens at these pixels.
 
-    Those of the grid, and those of the observations, but for a number of these without a ray.
+    There is one set for the grid and one for the observations, without those that have no ray.
     """
 
     grid: NDArray[np.float64]
@@ -55,19 +57,18 @@ def lens_region(
     size: NDArray[np.int64],
     observed: NDArray[np.float64],
 ) -> LensRegion:
-    """Return where a lens of another model is to be like the old one.
+    """Return the pixels at which a lens of another model must agree with the old one.
 
     Args:
-        what: the camera, in messages.
-        old_model: of the old lens.
+        what: name of the camera for messages.
+        old_model: model of the old lens.
         old: its parameters.
         model: of the new lens.
-        size: width and height of the image, 0 where unknown.
+        size: width and height of the image, 0 if unknown.
         observed: (N, 2) pixels of the observations.
 
     Raises:
-        InputError: the new model has no image of rays that are observed, or the old lens has no
-            rays at all.
+        InputError: the new model cannot project observed rays, or the old lens has no rays.
     """
     rays, seen = pixel_rays(old_model, old, observed)
     num_without_ray = int((~seen).sum())
@@ -80,20 +81,22 @@ def lens_region(
         widest = angles(rays).max() if enough else WIDEST
         seen &= angles(grid_rays) <= widest
     if not seen.any():
-        raise InputError(f"{what}: expected a lens with rays, found none at any pixel of its image")
+        raise InputError(
+            f"{what}: expected a lens with rays, found 0 rays at the pixels of its image"
+        )
     return LensRegion(grid[seen], grid_rays[seen], observed, rays, num_without_ray)
 
 
 def _check_field_of_view(what: str, old_model: str, model: str, rays: NDArray[np.float64]) -> None:
-    """Refuse rays that the old lens sees and no lens of the new model can."""
+    """Refuse rays of the old lens that no lens of the new model can project."""
     both_bend = model not in PERSPECTIVE and old_model not in PERSPECTIVE
     if model in _SEES_BEHIND or both_bend:
         return
     behind = rays[:, 2] <= 0
     if behind.any():
         raise InputError(
-            f"{what}: expected observations less than 90 degrees from the axis, as {model} has no "
-            f"image of others, found {plural(int(behind.sum()), 'observation')} at up to "
+            f"{what}: expected observations less than 90 degrees from the axis, the limit "
+            f"of {model}, found {plural(int(behind.sum()), 'observation')} at up to "
             f"{np.degrees(angles(rays).max()):.1f} degrees"
         )
 

@@ -1,7 +1,7 @@
-"""Cameras that go on with another model, from the same pixels as before.
+"""Change of camera models with the same pixels as before.
 
-Where the new model can be the old lens, it is (``exact_image``). Elsewhere its parameters are
-fitted (``lens_fit``) to the part of the image that has observations (``lens_region``).
+The conversion is exact if the new model contains the old lens (``exact_image``). Otherwise its
+parameters are fitted (``lens_fit``) in the part of the image with observations (``lens_region``).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from bundle.model.problem import Problem
 __all__ = ["CameraModelChange", "ChangedModels", "change_camera_model"]
 
 BAD_FIT = 1.0
-"""Pixels of an observation above which a fit is warned of."""
+"""Largest error in pixels of an observation without a warning."""
 
 MOST_WARNINGS = 5
 
@@ -36,21 +36,21 @@ _SPHERE = "EQUIRECTANGULAR"
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraModelChange:
-    """What became of one camera.
+    """Result for one camera.
 
     Attributes:
-        camera_id: of the problem.
+        camera_id: id in the problem.
         old_model: COLMAP's name.
         new_model: likewise.
         before: old parameters by name.
         after: new ones.
-        exact: the new lens is the old one; otherwise it was fitted.
-        converged: the fit ended in a minimum; True where nothing was fitted.
-        rms: root mean square of the distance of old and new pixels, over the pixels of the
-            camera's observations, or over those it was fitted to if it has none. 0 where exact.
-        max: the largest distance.
-        num_observations: observations compared; 0: pixels of the grid were.
-        num_without_ray: further observations, at pixels that no ray of the old lens has.
+        exact: the new lens equals the old one; otherwise it was fitted.
+        converged: the fit ended in a minimum; True for exact conversions.
+        rms: root mean square distance of old and new pixels at the camera's observations, or at the
+            fitted pixels if it has none. 0 if exact.
+        max: largest distance.
+        num_observations: number of compared observations; 0: pixels of the grid were compared.
+        num_without_ray: further observations at pixels where the old lens has no ray.
     """
 
     camera_id: int
@@ -68,13 +68,13 @@ class CameraModelChange:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ChangedModels(Displayed):
-    """A problem whose cameras have another model.
+    """Problem with other camera models.
 
     Attributes:
-        problem: the new problem; the one that was given if no camera changed.
-        changes: one for each camera that had another model.
-        warnings: one sentence for each of the worst fits that are off by more than a pixel or
-            did not converge.
+        problem: new problem; the given one if no camera changed.
+        changes: one per camera that had another model.
+        warnings: one sentence for each of the worst fits that are off by more than a pixel or did
+            not converge.
     """
 
     problem: Problem
@@ -98,21 +98,22 @@ class ChangedModels(Displayed):
 def change_camera_model(
     problem: Source, model: str, camera_ids: Iterable[int] | None = None
 ) -> ChangedModels:
-    """Give cameras another model whose pixels are those of the old one, as far as it can.
+    """Give cameras another model that reproduces the pixels of the old one as well as possible.
 
-    Exact wherever the new model can be the old lens: a larger model of the same family, or a
-    smaller one if what it lacks is zero. Elsewhere fitted over the image, as far out as there are
-    observations, with the error of the fit. Poses and points stay. See docs/lenses.md.
+    The conversion is exact if the new model contains the old lens: a larger model of the same
+    family, or a smaller one if the missing coefficients are zero. Otherwise it is fitted over the
+    image up to the farthest observation, and the error of the fit is reported. Poses and points do
+    not change. See docs/lenses.md.
 
     Args:
-        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
-        model: COLMAP's name, of ``bundle.camera_models()``.
-        camera_ids: of the cameras that change; None: all.
+        problem: Problem, path of one, or pycolmap.Reconstruction; not modified.
+        model: COLMAP's name, from ``bundle.camera_models()``.
+        camera_ids: ids of the cameras to change; None: all.
 
     Raises:
-        InputError: there is no such model or camera; the model, or the old one, is EQUIRECTANGULAR,
-            which is no lens; observations lie 90 degrees and more from the axis, where the new
-            model has no image; or no fit exists.
+        InputError: a model or camera does not exist; a model is EQUIRECTANGULAR, which is no lens;
+            observations are 90 degrees or more from the axis, where the new model has no
+            projection; or no fit exists.
         OSError: the path cannot be read.
 
     Example:
@@ -147,7 +148,7 @@ def change_camera_model(
 
 
 class _ObservedPixels:
-    """The pixels of the observations of each camera."""
+    """Pixels of the observations of each camera."""
 
     def __init__(self, problem: Problem) -> None:
         camera = problem.image_camera[problem.observation_image]
@@ -164,7 +165,7 @@ def _cameras(problem: Problem, camera_ids: Iterable[int] | None) -> list[int]:
     """Return the indices of cameras by their ids.
 
     Raises:
-        InputError: there is no such camera.
+        InputError: a camera does not exist.
     """
     if camera_ids is None:
         return list(range(problem.num_cameras))
@@ -172,19 +173,19 @@ def _cameras(problem: Problem, camera_ids: Iterable[int] | None) -> list[int]:
     found = dict.fromkeys(as_integers("camera_ids", camera_ids).ravel().tolist())
     for key in found:
         if key not in index:
-            raise InputError(f"camera_ids: there is no camera {key} in the problem")
+            raise InputError(f"camera_ids: camera {key} is not in the problem")
     return [index[key] for key in found]
 
 
 def _changed(
     problem: Problem, camera: int, model: str, observed: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], CameraModelChange]:
-    """Return new parameters of a camera and what became of it."""
+    """Return the new parameters of a camera and its result record."""
     old_model, camera_id = problem.camera_models[camera], int(problem.camera_ids[camera])
     if _SPHERE in (model, old_model):
         raise InputError(
-            f"camera {camera_id}: expected models of lenses, found {old_model} to become {model}: "
-            f"{_SPHERE} is an image of the whole sphere"
+            f"camera {camera_id}: expected lens models, found {old_model} to become "
+            f"{model}: {_SPHERE} is an image of the whole sphere"
         )
     names = camera_models()
     old = problem.camera_params[camera, : len(names[old_model])]
@@ -196,7 +197,7 @@ def _changed(
         region = lens_region(what, old_model, old, model, problem.camera_sizes[camera], observed)
         fit = fit_lens(model, (old_model, old), region.grid_rays, region.grid)
         if fit is None:
-            raise InputError(f"{what}: found no lens of model {model} that is near to it")
+            raise InputError(f"{what}: no lens of model {model} is close to it")
         new, converged = fit
         num_observations, num_without_ray = len(region.observed), region.num_without_ray
         rays, xy = region.grid_rays, region.grid
@@ -205,8 +206,8 @@ def _changed(
         errors = np.linalg.norm(project(model, new, rays)[0] - xy, axis=1)
         if np.isnan(errors).any():
             raise InputError(
-                f"{what}: expected {model} to have an image of "
-                f"{plural(len(xy), 'observation')}, found none of {np.isnan(errors).sum()}"
+                f"{what}: expected {model} to project {plural(len(xy), 'observation')}, but it "
+                f"cannot project {np.isnan(errors).sum()}"
             )
     return new, CameraModelChange(
         camera_id=camera_id,
@@ -227,12 +228,14 @@ def _warnings(changes: list[CameraModelChange]) -> tuple[str, ...]:
     bad = [change for change in changes if change.max > BAD_FIT or not change.converged]
     bad.sort(key=lambda change: -change.max)
     sentences = [
-        f"Camera {change.camera_id}: {change.new_model} is off from {change.old_model} by up to "
-        f"{pixels(change.max)} px (rms {pixels(change.rms)} px)"
-        f"{'' if change.converged else '; the fit did not converge'}."
+        (
+            f"Camera {change.camera_id}: {change.new_model} differs from {change.old_model} "
+            f"by up to {pixels(change.max)} px (rms {pixels(change.rms)} "
+            f"px){'' if change.converged else '; the fit did not converge'}."
+        )
         for change in bad[:MOST_WARNINGS]
     ]
     if len(bad) > MOST_WARNINGS:
         others = plural(len(bad) - MOST_WARNINGS, "other camera")
-        sentences.append(f"{others} as well: off by more than {BAD_FIT:g} px or not converged.")
+        sentences.append(f"{others} likewise: differences above {BAD_FIT:g} px, or no convergence.")
     return tuple(sentences)

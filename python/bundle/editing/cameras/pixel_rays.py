@@ -1,6 +1,6 @@
-"""The rays that a camera sees at given pixels: the inverse of a projection.
+"""Inverse projection: rays of a camera at given pixels, to machine precision.
 
-No model but the simplest has one in closed form. A ray at the angle theta to the axis is sought by
+Only the simplest models have a closed form. A ray at the angle theta to the axis is found by
 Newton's method in the chart
 
     w = theta (cos phi, sin phi),   d(w) = (S w_1, S w_2, cos theta),   S = sin(theta) / theta,
@@ -10,10 +10,10 @@ which is regular on the axis and beyond 90 degrees. With e = (cos theta - S) / t
     dd/dw_j = (S e_j + e w_j w, -S w_j),
 
 where e_j is the j-th unit vector, and the chain rule gives the 2x2 Jacobian of the pixels. A step
-is halved until it lowers the distance to the pixel and stays where the lens is unfolded. Beyond
-the fold the determinant of the Jacobian is not positive: images of rays are mirrored there, and a
-pixel that only such rays have counts as without a ray. It starts at the angle that the undistorted
-lens has, nearer to the axis where that is beyond the fold.
+is halved until it reduces the distance to the pixel and stays where the lens is not folded. Beyond
+the fold the determinant of the Jacobian is not positive and images are mirrored; a pixel with only
+such rays counts as without a ray. The iteration starts at the angle of the undistorted lens, or
+nearer to the axis if that is beyond the fold.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ __all__ = ["angles", "pixel_rays"]
 MAX_ITERATIONS = 60
 MAX_HALVINGS = 12
 MAX_STEP = 0.3
-"""Radians that one step may go."""
+"""Largest step in radians."""
 
 PRECISION = 1e-9
-"""Focal lengths by which the projection of a ray may miss its pixel."""
+"""Largest distance of a ray's projection from its pixel, in focal lengths."""
 
 
 def pixel_rays(
     model: str, params: NDArray[np.float64], xy: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the unit vectors that a camera sees at pixels.
+    """Return the unit vectors of a camera at pixels.
 
     Args:
-        model: any but EQUIRECTANGULAR.
+        model: camera model, any but EQUIRECTANGULAR.
         params: its parameters, without padding.
         xy: (N, 2) pixels.
 
     Returns:
-        Rays (N, 3), and whether there is one (N,); where there is none the ray has no meaning.
+        Rays (N, 3), and mask of pixels that have one (N,); other rays have no meaning.
     """
     fx, fy, cx, cy = focal_and_center(model, params)
     chart = (xy - (cx, cy)) / (fx, fy)
@@ -85,7 +85,7 @@ def _newton_step(
     jacobian: NDArray[np.float64],
     active: NDArray[np.int64],
 ) -> bool:
-    """Move the rays of `active` pixels in place; return whether any came closer."""
+    """Move the rays of `active` pixels in place; return True if some came closer."""
     active = active[_unfolded(error[active], jacobian[active])]
     step = -np.linalg.solve(jacobian[active], error[active][:, :, None])[:, :, 0]
     length = np.linalg.norm(step, axis=1)
@@ -111,7 +111,7 @@ def _newton_step(
 
 
 def _unfolded(error: NDArray[np.float64], jacobian: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell whether rays have an image, and one that is not mirrored."""
+    """Return the mask of rays that project and are not mirrored."""
     unfolded: NDArray[np.bool_] = np.isfinite(error).all(axis=1) & (np.linalg.det(jacobian) > 0)
     return unfolded
 
@@ -122,7 +122,7 @@ def _distance(
     xy: NDArray[np.float64],
     chart: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return projection minus pixel, nan where the lens does not see, and the 2x2 Jacobian."""
+    """Return projection minus pixel, nan without a projection, and the 2x2 Jacobian."""
     rays, by_chart = _directions(chart), _chart_jacobian(chart)
     projected = project(model, params, rays, jacobians=True)
     error = projected.xy - xy
@@ -138,7 +138,7 @@ def _directions(chart: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _chart_jacobian(chart: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the derivatives of the rays by the chart, (N, 3, 2)."""
+    """Return the derivatives of the rays with respect to the chart, (N, 3, 2)."""
     square = (chart**2).sum(axis=1)
     angle = np.sqrt(square)
     ratio = np.sinc(angle / np.pi)

@@ -1,21 +1,21 @@
-"""The similarity that puts model B into the frame of model A, from what both see.
+"""Similarity from the frame of model B to that of model A, from shared images and points.
 
-Two models without a gauge have 7 free degrees each. One shared image determines 6 of the 7 between
-them: with its poses R_a, C_a and R_b, C_b (camera from world, and centre),
+Two models without a common gauge have 7 degrees of freedom each. One shared image determines 6 of
+the 7 between them: with its poses R_a, C_a and R_b, C_b (camera from world, and centre),
 
     R = R_a^T R_b,   t = C_a - s R C_b,
 
-and the scale s is the median of |X_a - C_a| / |X_b - C_b| over all else that both have: points that
-meet at a keypoint of a shared image, and centres of other shared images. Without any such pair the
-scale stays open.
+and the scale s is the median of |X_a - C_a| / |X_b - C_b| over all other common places: points that
+meet at a keypoint of a shared image, and centres of other shared images. Without such a pair the
+scale is undetermined.
 
-Every shared image (of many, some) makes such a candidate. Another is the weighted fit to points and
-centres that agree with each other (``georeference.consensus``, ``georeference.similarity_fit``),
-where these do not lie on one line. The candidate with the least median residual wins, in sigmas:
-one sigma is what the width of an image shows a point with an error of one width as, so far points
-count less. This needs no third image, which ``pycolmap.align_reconstructions_via_reprojections``
-does, and no threshold in length units of the model, which ``..._via_points`` does; wrong tracks
-and misplaced images, up to half of all, do not move it.
+Every shared image (of many, some) gives such a candidate. Another candidate is the weighted fit to
+consistent points and centres (``georeference.consensus``, ``georeference.similarity_fit``), unless
+they lie on one line. The candidate with the least median residual in sigmas wins. One sigma is the
+error of a point that appears as large as the width of an image, so far points count less. Unlike
+``pycolmap.align_reconstructions_via_reprojections`` this needs no third image, and unlike
+``..._via_points`` no threshold in length units of the model. Wrong tracks and misplaced images, up
+to half of all, have no influence.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ __all__ = ["DEGREES", "find_similarity"]
 DEGREES = 7
 MOST_CANDIDATES = 50
 SAME_PLACE = 1e-9
-"""Distance over the largest one below which two places are one."""
+"""Distance, relative to the largest, below which two places are the same."""
 
 Array = NDArray[np.float64]
 
@@ -48,16 +48,16 @@ def find_similarity(
     images: NDArray[np.int64],
     meetings: NDArray[np.int64],
 ) -> Similarity:
-    """Return the map from the frame of B to that of A.
+    """Return the similarity from the frame of B to that of A.
 
     Args:
         a: the first model.
         b: the second.
         images: (n, 2) indices in A and B of the shared images.
-        meetings: (m, 3) row of ``images``, index of a point of A, index of one of B.
+        meetings: (m, 3) row of ``images``, index of a point of A, index of a point of B.
 
     Raises:
-        InputError: what is shared leaves the similarity open.
+        InputError: the shared images and points leave the similarity undetermined.
     """
     centers_a, centers_b = a.projection_centers[images[:, 0]], b.projection_centers[images[:, 1]]
     _, first = np.unique(meetings[:, 1:], axis=0, return_index=True)
@@ -77,10 +77,10 @@ def find_similarity(
             candidates.append(Similarity(scale, rotation, shift))
     if not candidates:
         raise InputError(
-            f"b: expected shared images or points that determine {DEGREES} degrees of freedom, "
-            f"found {plural(len(images), 'shared image')} in one place and "
-            f"{plural(len(point_a), 'shared point')}, which determine {DEGREES - 1}: the scale "
-            "stays open"
+            f"b: expected shared images or points that determine {DEGREES} degrees of "
+            f"freedom, found {plural(len(images), 'shared image')} in one place and "
+            f"{plural(len(point_a), 'shared point')}, which determine {DEGREES - 1}: the "
+            "scale is undetermined"
         )
     fitted = _fitted(source, target, sigmas)
     if fitted is not None:
@@ -105,7 +105,7 @@ def _sigmas(
 
 
 def _scale(target: Array, source: Array) -> float | None:
-    """Return the median ratio of lengths; None where all are zero in one of the models."""
+    """Return the median ratio of lengths; None if all are zero in one of the models."""
     there, here = np.linalg.norm(target, axis=1), np.linalg.norm(source, axis=1)
     known = (there > SAME_PLACE * there.max()) & (here > SAME_PLACE * here.max())
     if not known.any():
@@ -114,7 +114,7 @@ def _scale(target: Array, source: Array) -> float | None:
 
 
 def _fitted(source: Array, target: Array, sigmas: Array) -> Similarity | None:
-    """Return the weighted fit to what agrees; None where that leaves a degree open."""
+    """Return the weighted fit to consistent places; None if a degree of freedom is undetermined."""
     chosen = agreeing(source, target, np.tile(sigmas[:, None], 3))
     rows = Correspondences(
         source[chosen], target[chosen], sigmas[chosen, None, None] ** 2 * np.eye(3)

@@ -1,15 +1,14 @@
-"""Two reconstructions of partly the same images made one.
+"""Merge of two reconstructions with common images into one.
 
-Each model has a gauge of its own, 7 free degrees; what both see determines the 7 between them
-(``frame_of_a``), so that the merged model has one gauge again. Models with rigs, whose scale may be
-known, are refused.
+Each model has its own gauge of 7 degrees of freedom. Shared images and points determine the 7
+between them (``frame_of_a``), so that the merged model has one gauge. Models with rigs, whose scale
+may be known, are refused.
 
-By how many pixels two points that should be one differ, in the images that see either.
+Two points that may be the same are compared in the images that observe either of them.
 
-The distance between the projections of both, not to the keypoints: what it tells is whether the
-points are one, not whether they were measured well. The median over the images of both tracks, so
-that a misplaced image decides nothing. An image in front of which only one of them is counts as
-infinitely far.
+The distance is between their projections, not to the keypoints: it shows if the points are the
+same, not if they were measured well. The median over the images of both tracks makes single
+misplaced images irrelevant. An image with only one of the points in front counts as infinitely far.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ def disagreements(a: Problem, b: Problem, pairs: Indices) -> Array:
     row, distance = np.concatenate(rows), np.concatenate(distances)
     order = np.lexsort((distance, row))
     counts = np.bincount(row, minlength=len(pairs))
-    # The lower of the two in the middle, as the mean of them may be infinite.
+    # The lower of the two middle values, because their mean may be infinite.
     middle = np.cumsum(counts) - counts + (counts - 1) // 2
     median: Array = distance[order][middle]
     return median
@@ -78,7 +77,7 @@ def _views(problem: Problem, points: Indices) -> tuple[Indices, Indices]:
 
 
 def _pixels(problem: Problem, image: Indices, points: Array) -> Array:
-    """Return (n, 2) projections, nan where the camera cannot see the point."""
+    """Return (n, 2) projections, nan for points that the camera cannot see."""
     turned = np.einsum("nij,nj->ni", rotation_matrices(problem.cam_from_world[image, :4]), points)
     in_camera = turned + problem.cam_from_world[image, 4:]
     pixels = np.full((len(image), 2), np.nan)
@@ -93,26 +92,26 @@ def _pixels(problem: Problem, image: Indices, points: Array) -> Array:
 
 
 MAX_ERROR = 8.0
-"""Pixels. Larger than what a filter allows, as models that meet bend each in its own way."""
+"""Pixels. Larger than in a filter, because both models are distorted where they meet."""
 
 
 def merge(a: Source, b: Source, *, max_error: float = MAX_ERROR) -> Merge:
-    """Make two reconstructions of partly the same images one, without adjusting anything.
+    """Merge two reconstructions with common images, without adjusting anything.
 
     Images of the same name are the same. They keep A's pose and camera, and B's other images of
-    such a camera take A's. B moves into the frame of A by the similarity that shared points and
-    centres of shared images agree on. Points that meet at a keypoint of a shared image are joined,
-    A's coordinates staying, if their projections differ by at most ``max_error``; others stay apart
-    and leave such keypoints to A. Follow it with bundle adjustment.
+    such a camera take that of A. B moves into the frame of A by the similarity on which shared
+    points and centres of shared images agree. Points that meet at a keypoint of a shared image are
+    joined at A's coordinates if their projections differ by at most ``max_error``; others stay
+    separate and leave such keypoints to A. Run bundle adjustment afterwards.
 
     Args:
-        a: a Problem, the path of a COLMAP model, or a pycolmap.Reconstruction; left untouched.
-        b: the same; its ids change where A has them.
-        max_error: pixels, the median over the images of both tracks.
+        a: a Problem, the path of a COLMAP model, or a pycolmap.Reconstruction; not modified.
+        b: likewise; its ids change where A has the same ones.
+        max_error: largest median distance in pixels over the images of both tracks.
 
     Raises:
-        InputError: a model is none of COLMAP's or has rigs, the shared images leave the similarity
-            open, or no shared points agree.
+        InputError: a model is no COLMAP model or has rigs, the shared images leave the similarity
+            undetermined, or no shared points agree.
         OSError: a path cannot be read.
 
     Example:
@@ -144,9 +143,9 @@ def merge(a: Source, b: Source, *, max_error: float = MAX_ERROR) -> Merge:
     one = distance <= limit
     if len(pairs) and not one.any():
         raise InputError(
-            f"b: expected points within {limit:g} pixels of those of the first model once it is "
-            f"aligned, found none among {len(pairs)} that shared images see in both models; "
-            f"the nearest differs by {distance.min():.4g}"
+            f"b: expected points within {limit:g} pixels of those of the first model after "
+            f"alignment, found 0 among {len(pairs)} that shared images observe in both "
+            f"models; the nearest differs by {distance.min():.4g}"
         )
     meetings: dict[int, Counter[int]] = defaultdict(Counter)
     for other, point in zip(shared.point_a.tolist(), shared.point_b.tolist(), strict=True):
@@ -185,8 +184,8 @@ def _rows(name: str, problem: Problem) -> dict[str, int]:
     """Return the images by name."""
     if problem.num_images and not any(problem.image_names):
         raise InputError(
-            f"{name}: expected images with names, by which the same image is found in both "
-            "models, found a model without, as BAL files are"
+            f"{name}: expected images with names, which identify the same image in both "
+            "models; BAL files have no names"
         )
     if problem.num_frames:
         raise InputError(
@@ -197,7 +196,7 @@ def _rows(name: str, problem: Problem) -> dict[str, int]:
     for row, image in enumerate(problem.image_names):
         if image and rows.setdefault(image, row) != row:
             raise InputError(
-                f"{name}: expected images with names of their own, found {image} for images "
+                f"{name}: expected unique image names, found {image} for images "
                 f"{problem.image_ids[rows[image]]} and {problem.image_ids[row]}"
             )
     return rows
@@ -207,9 +206,9 @@ def _shared_images(a: dict[str, int], b: dict[str, int]) -> list[tuple[int, int]
     shared = [(row, b[name]) for name, row in a.items() if name in b]
     if not shared:
         raise InputError(
-            "b: expected images of the same names as in the first model, found none among "
-            f"{len(a)} and {len(b)}, which determine 0 of the {DEGREES} degrees of freedom "
-            "between the models"
+            "b: expected images with the same names as in the first model, found 0 common "
+            f"names among {len(a)} and {len(b)} images, which determine 0 of the {DEGREES} "
+            "degrees of freedom between the models"
         )
     return shared
 
@@ -221,10 +220,10 @@ def _indices(ids: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.in
 
 
 def _cameras(a: Problem, b: Problem, images: NDArray[np.int64]) -> tuple[dict[int, int], list[str]]:
-    """Return which cameras of A take over images of B, by ids, and what to say of that.
+    """Return the cameras of A for images of B, by ids, and notes on them.
 
-    A camera of B goes to the one that most of its shared images have in A, the least id of several;
-    not to one of another image size.
+    A camera of B is replaced by the one that most of its shared images have in A (ties: the lowest
+    id), unless the image size differs.
     """
     votes: dict[int, Counter[int]] = defaultdict(Counter)
     for row_a, row_b in images.tolist():
@@ -237,19 +236,21 @@ def _cameras(a: Problem, b: Problem, images: NDArray[np.int64]) -> tuple[dict[in
         new = min(found, key=lambda camera: (-found[camera], int(a.camera_ids[camera])))
         names = f"camera {b.camera_ids[old]} of B", f"camera {a.camera_ids[new]} of A"
         if (a.camera_sizes[new] != b.camera_sizes[old]).any():
-            notes.append(f"Of another image size than {names[1]}, {names[0]} stays.")
+            notes.append(
+                f"{names[0]} stays, because its image size differs from that of {names[1]}."
+            )
             continue
         taken[int(b.camera_ids[old])] = int(a.camera_ids[new])
         models = b.camera_models[old], a.camera_models[new]
         if models[0] != models[1]:
             notes.append(
-                f"Images of {names[0]} ({models[0]}) take {names[1]}, another model "
+                f"Images of {names[0]} ({models[0]}) get {names[1]} of another model "
                 f"({models[1]}): adjust before judging errors."
             )
         if len(found) > 1:
             notes.append(
                 f"Shared images of {names[0]} have {len(found)} cameras in A; its other images "
-                f"take {names[1]}."
+                f"get {names[1]}."
             )
     return taken, notes
 

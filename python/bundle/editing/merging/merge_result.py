@@ -1,4 +1,4 @@
-"""What a merge found and did."""
+"""Result of a merge."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ __all__ = ["Merge"]
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Merge(Displayed):
-    """Two models made one, in the frame and the length unit of the first, A.
+    """Merged model in the frame and the length unit of the first model, A.
 
     Attributes:
-        problem: the merged model, for bundle adjustment.
-        similarity: from the frame of B to that of A.
-        shared_images: names of the images that both have.
+        problem: merged model, ready for bundle adjustment.
+        similarity: similarity from the frame of B to that of A.
+        shared_images: names of the images in both models.
         num_pairs: pairs of points that meet at keypoints of shared images.
-        free_before: degrees of freedom of the gauges of both models, 14.
-        determined: of these, what the shared images take away, 7.
-        rms_points: of the joined points, B's moved minus A's, in length units of A; nan without.
-        rms_pixels: of the same as they differ in images: see ``disagreements``; nan without.
-        rms_centers: of the centres of the shared images, in length units of A.
-        counts: what became of B's images, cameras, points and observations.
-        notes: what else there is to know, a sentence each.
+        free_before: gauge degrees of freedom of both models, 14.
+        determined: degrees of freedom that the shared images remove, 7.
+        rms_points: rms distance of joined points, B's moved minus A's, in length units of A; nan
+            without.
+        rms_pixels: the same as projected into images, see ``disagreements``; nan without.
+        rms_centers: rms distance of the centres of shared images, in length units of A.
+        counts: results for B's images, cameras, points and observations.
+        notes: remarks, one sentence each.
     """
 
     problem: Problem
@@ -46,7 +47,7 @@ class Merge(Displayed):
     notes: tuple[str, ...]
 
     def asdict(self) -> dict[str, Any]:
-        """Return all but the problem by name; lengths in units of A."""
+        """Return all fields except the problem by name; lengths in units of A."""
         return {
             "shared_images": list(self.shared_images),
             "num_shared_images": len(self.shared_images),
