@@ -48,7 +48,7 @@ def test_an_error_along_the_normal_is_seen_in_the_ambient_space_only():
     manifolds = ["quaternion_wxyz", None]
     report = bundle.check_gradients(function, [UNIT, POINT], manifolds)
     assert report.kinds == {"normal"}
-    assert "does not look" in " ".join(str(report).split())
+    assert "does not test" in " ".join(str(report).split())
     assert bundle.check_gradients(function, [UNIT, POINT], manifolds, ambient=False)
 
 
@@ -294,7 +294,7 @@ def good(blocks):
         (good, [], None, {}, "at least one block"),
         (good, [[1, 2]], ["se3"], {}, "se3 expects a block of 7 numbers, found 2"),
         (good, [[1, 2]], ["so3"], {}, "found 'so3'"),
-        (good, [[1, 2]], [None, None], {}, "manifolds: expected one per block, 1, found 2"),
+        (good, [[1, 2]], [None, None], {}, "manifolds: expected 1, one per block, found 2"),
         (good, [[1, 2]], [("subset", [2])], {}, "entries from 0 to 1"),
         (good, [[1, 2]], ["angle_axis"], {}, "3 numbers, found 2"),
         (good, [[1, 2]], None, {"names": [("a", ["x"])]}, "expected 2 names for a, found 1"),

@@ -87,7 +87,7 @@ def test_parts_are_tied_together():
 def test_what_cannot_be_tied_together_is_said():
     seen = np.zeros((600, 20))
     seen[:300, :10] = seen[300:, 10:] = 1
-    with pytest.raises(InputError, match="falls into 2 parts"):
+    with pytest.raises(InputError, match="falls into 2 components"):
         select(pairs_of(seen), 4.0, 20)
 
 
@@ -95,7 +95,7 @@ def test_an_image_with_next_to_nothing_is_said():
     seen = np.ones((300, 6))
     seen[3:, 4] = 0
     with pytest.raises(
-        InputError, match=r"num_points: expected about 375 .*found 300, of which image 5 sees 3"
+        InputError, match=r"num_points: expected about 375 .*found 300, of which image 5 observes 3"
     ):
         select(pairs_of(seen), 3.0, 6)
 

@@ -1,4 +1,4 @@
-"""Assembly of a report from counts and findings."""
+"""Report of a check from counts and findings."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ REASONS = {
 }
 
 SAYS_NOTHING = ("undecided", "unstable")
-"""Kinds of findings after which the Jacobians cannot be judged."""
+"""Kinds of findings that leave the Jacobians undecided."""
 
 NAMED = 3
-"""Number of places that a sentence names."""
+"""Number of places in a sentence."""
 
 CHECKER_PRECISION = 1e-6
-"""Tolerance of ceres::GradientChecker: its differences are not everywhere better."""
+"""Precision requested from ceres::GradientChecker; its own differences are not always better."""
 
 
 def make_report(
@@ -52,9 +52,9 @@ def make_report(
 ) -> GradientReport:
     """Return the report.
 
-    Groups of parameters that the reference cannot decide become findings of their own, as does a
-    check in which no point could be decided. A residual without a value (a finding without columns)
-    is undecided as well.
+    Groups of parameters that the reference cannot decide become findings, and so does a check
+    without a decided point. A residual without a value, a finding without columns, decides nothing
+    either.
     """
     groups, parameters = verdicts(tallies)
     found = [*findings, *_undecided(groups)]
@@ -92,12 +92,12 @@ def make_report(
 def undecided_points(
     noun: str, points: Mapping[str, Sequence[int]], place: Callable[[int], str]
 ) -> list[Undecided]:
-    """Return an entry for each reason, the most frequent first.
+    """Return one entry per reason, the most frequent first.
 
     Args:
-        noun: what a point is.
-        points: the numbers of the points, by reason.
-        place: names a point.
+        noun: name of a point.
+        points: numbers of the points, by reason.
+        place: function that names a point.
     """
     entries = []
     for reason, found in sorted(points.items(), key=lambda item: -len(item[1])):

@@ -1,4 +1,4 @@
-"""Signatures of several columns: wrong order, a transpose, a missing product."""
+"""Signatures of several columns: their order, a transpose, a missing product."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["order", "rank_one", "shifted", "swapped", "transposed"]
 
 
 def transposed(evidence: Evidence) -> None:
-    """Blocks written column by column, while Ceres reads row by row."""
+    """Find blocks written column by column that Ceres reads row by row."""
     for block in evidence.blocks:
         columns = list(block.columns)
         num_points, num_residuals = evidence.analytic.shape[:2]
@@ -33,7 +33,7 @@ def transposed(evidence: Evidence) -> None:
 
 
 def swapped(evidence: Evidence) -> None:
-    """Pairs of exchanged columns."""
+    """Find pairs of exchanged columns."""
     matches = _matches(evidence)
     for i in list(evidence.wrong):
         for j in list(evidence.wrong):
@@ -43,7 +43,7 @@ def swapped(evidence: Evidence) -> None:
 
 
 def shifted(evidence: Evidence) -> None:
-    """Blocks whose columns hold the derivatives by the next parameter, or by the previous one."""
+    """Find blocks whose columns each hold the derivative by the next or the previous parameter."""
     matches = _matches(evidence)
     for block in evidence.blocks:
         columns = [j for j in block.columns if j in evidence.wrong]
@@ -65,7 +65,7 @@ def shifted(evidence: Evidence) -> None:
 
 
 def order(evidence: Evidence) -> None:
-    """Columns that hold the derivative by another parameter."""
+    """Find columns that hold the derivative by some other parameter."""
     matches = _matches(evidence)
     columns = [j for j in evidence.wrong if matches[j].any()]
     if columns:
@@ -77,7 +77,7 @@ def order(evidence: Evidence) -> None:
 
 
 def rank_one(evidence: Evidence) -> None:
-    """Blocks whose error is the product of a column and a row: one term of the chain rule."""
+    """Find blocks whose error is a column times a row: one term of the chain rule."""
     for block in evidence.blocks:
         columns = [j for j in block.columns if j in evidence.wrong]
         if len(columns) < 2 or evidence.analytic.shape[1] < 2:
@@ -96,7 +96,7 @@ def rank_one(evidence: Evidence) -> None:
 
 
 def _matches(evidence: Evidence) -> NDArray[np.bool_]:
-    """Return (N, N): true if the wrong column i holds the values of column j."""
+    """Return (N, N): True if wrong column i equals the correct column j."""
     count = len(evidence.columns)
     matches = np.zeros((count, count), bool)
     raw = evidence.deviations.reference

@@ -1,7 +1,7 @@
-"""Classification of wrong Jacobians: signatures, tried from the most to the least specific.
+"""Classification of wrong Jacobians: signatures of mistakes, from specific to general.
 
-A signature predicts the wrong columns from the correct ones. It is accepted if it leaves at most a
-thousandth of the deviation. A deviation that no signature explains is described by its size.
+A signature is a hypothesis on the wrong columns, computed from the correct ones. It is accepted if
+it leaves at most a thousandth of the deviation. Errors without a signature are classified by size.
 """
 
 from __future__ import annotations
@@ -82,12 +82,12 @@ def classify(evidence: Evidence) -> list[Finding]:
 def stale(
     deviations: JacobianDeviation, repeated: JacobianDeviation, tolerance: float
 ) -> Finding | None:
-    """Return a finding if the Jacobians are those of points that were evaluated before.
+    """Return a finding if Jacobians belong to previously evaluated points.
 
     Args:
-        deviations: at K points, evaluated one after the other.
-        repeated: at the same points, each evaluated twice in a row.
-        tolerance: relative error from which on a point is wrong.
+        deviations: deviations at K points, evaluated one after the other.
+        repeated: deviations at the same points, each evaluated twice in a row.
+        tolerance: relative error above which a point is wrong.
     """
     wrong = np.flatnonzero(np.any(deviations.error > tolerance, axis=(1, 2)))
     if not len(wrong):
@@ -116,7 +116,7 @@ def float_precision(deviations: JacobianDeviation, names: tuple[str, ...]) -> Fi
     analytic, reference = deviations.analytic, deviations.reference
     with np.errstate(over="ignore", invalid="ignore"):
         single = analytic.astype(np.float32).astype(np.float64) == analytic
-        # Numbers such as 0, 1 and 0.5 are single in any precision.
+        # Numbers such as 0, 1 and 0.5 are exact in any precision.
         plain = np.round(analytic * 2**10) == analytic * 2**10
     telling = ~plain & np.isfinite(analytic) & (np.abs(reference) > 0)
     if telling.sum() < 5 or not single[telling].all():
@@ -133,7 +133,7 @@ def float_precision(deviations: JacobianDeviation, names: tuple[str, ...]) -> Fi
 
 
 def _hold(deviations: JacobianDeviation, wrong: np.ndarray, source: np.ndarray) -> bool:
-    """Return whether the Jacobians at the wrong points are those of the source points."""
+    """Return True if the Jacobians at the wrong points equal those of the source points."""
     scale = deviations.scale[wrong]
     columns = (deviations.error[wrong] > 0).any(axis=(0, 1))
     left = (deviations.analytic[wrong] - deviations.reference[source]) / scale
@@ -149,7 +149,7 @@ def _not_finite(evidence: Evidence) -> None:
 
 
 def _by_size(evidence: Evidence) -> None:
-    """Describe the remaining columns by their typical error."""
+    """Name the remaining columns by their typical error."""
     sizes = {j: float(np.median(_largest(evidence, j))) for j in evidence.wrong}
     fine = [j for j in evidence.wrong if evidence.deviations.error[..., j].max() < 1e-4]
     small = [j for j, size in sizes.items() if size < 0.3 and j not in fine]

@@ -1,4 +1,4 @@
-"""Signatures of single columns: zero, sign, factor, a missing term."""
+"""Signatures of single columns: zero, sign, factor, missing term."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ DEGREE = np.pi / 180
 NEGLIGIBLE = 1e-12
 
 LEAST_FACTOR = 1e-4
-"""From 1: smaller factors may be rounding."""
+"""Smallest difference of a factor from 1: smaller ones may be rounding errors."""
 
 
 def zeros(evidence: Evidence) -> None:
-    """Columns that are zero although the residual depends on them."""
+    """Find columns that are wrongly zero."""
     wrong = [j for j in evidence.wrong if not evidence.analytic[..., j].any()]
     if wrong:
         evidence.found(
@@ -31,7 +31,7 @@ def zeros(evidence: Evidence) -> None:
 
 
 def factors(evidence: Evidence) -> None:
-    """Columns with a constant wrong factor, in all rows or in some."""
+    """Find columns that are a constant times the correct one, as a whole or in some rows."""
     by_factor: dict[tuple[float, ...], list[int]] = {}
     where: dict[int, str] = {}
     for j in evidence.wrong:
@@ -66,7 +66,7 @@ def factors(evidence: Evidence) -> None:
 
 
 def parameter_factors(evidence: Evidence) -> None:
-    """Columns with a wrong factor that is the value of a parameter."""
+    """Find columns that are correct except for a factor that is the value of a parameter."""
     for j in list(evidence.wrong):
         analytic, reference = evidence.analytic[..., j], evidence.reference[..., j]
         ratios = _ratios(analytic, reference, axis=1)
@@ -92,7 +92,7 @@ def parameter_factors(evidence: Evidence) -> None:
 
 
 def terms_of_a_parameter(evidence: Evidence) -> None:
-    """Columns without the terms of a parameter: they are correct where its value is zero."""
+    """Find columns that are correct for a parameter of value zero: its terms are missing."""
     if not evidence.wrong:
         return
     deviation = np.linalg.norm(
@@ -119,7 +119,7 @@ def terms_of_a_parameter(evidence: Evidence) -> None:
 
 
 def zero_entries(evidence: Evidence) -> None:
-    """Columns with rows that are zero, and otherwise correct."""
+    """Find columns that are correct except for rows that are zero."""
     for j in list(evidence.wrong):
         analytic, reference = evidence.analytic[..., j], evidence.reference[..., j]
         zero_rows = ~analytic.any(axis=0)
@@ -134,14 +134,14 @@ def zero_entries(evidence: Evidence) -> None:
 
 
 def _num_used(evidence: Evidence) -> int:
-    """Return the number of columns that the residual depends on."""
+    """Return the number of columns on which the residual depends."""
     return int(evidence.reference.any(axis=(0, 1)).sum())
 
 
 def _ratios(analytic: Array, reference: Array, axis: int | None) -> Array:
     """Return the least-squares factors from reference to analytic along an axis."""
     square = np.sum(reference * reference, axis=axis)
-    counts = square > NEGLIGIBLE**2 * np.sum(reference * reference)  # the others are rounding
+    counts = square > NEGLIGIBLE**2 * np.sum(reference * reference)  # others are rounding errors
     ratio: Array = np.sum(analytic * reference, axis=axis) / np.where(counts, square, 1.0)
     return np.where(counts, ratio, 1.0)
 

@@ -1,4 +1,4 @@
-"""Description of the columns of a Jacobian: names, groups, blocks."""
+"""Columns of a Jacobian: names, groups, blocks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["Block", "Column"]
 
 @dataclass(frozen=True)
 class Column:
-    """One parameter: its name in reports, and the group that shares its verdict."""
+    """Parameter: its name in reports, and the group of its verdict."""
 
     name: str
     group: str
@@ -20,11 +20,11 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Columns that lie side by side in memory, `start` to `stop`.
+    """Adjacent columns, `start` to `stop`.
 
-    ``rotation`` is "" or the parameterisation of a rotation: "tangent" (increment of a manifold),
-    "vector" (a rotation vector, whose values are in the points) or "quaternion". ``conventions``
-    are other tangent coordinates that a user may differentiate by: a description, and for each
+    ``rotation`` is "" or the kind of rotation: "tangent" (a manifold's increment), "vector" (the
+    numbers of a rotation vector, with its values in the points) or "quaternion". ``conventions``
+    are other tangent coordinates that users may differentiate by: a description, and for each
     sample the matrix from the correct columns to these (samples, size, size).
     """
 

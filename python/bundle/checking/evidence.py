@@ -1,4 +1,4 @@
-"""Evidence for signatures: the wrong columns, and the test of a prediction."""
+"""Evidence for signatures: wrong columns, and a test of hypotheses."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 __all__ = ["Evidence", "Finding"]
 
 EXPLAINED = 1e-3
-"""Share of a deviation that an accepted prediction may leave."""
+"""Largest share of a deviation that an accepted hypothesis leaves."""
 
 ReferenceAt = Callable[[int, int], Array | None]
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A mistake, and its description.
+    """Mistake, and its description.
 
     Attributes:
-        kind: the signature, one of ``bundle.checking.classify.KINDS``.
+        kind: signature, one of ``bundle.checking.classify.KINDS``.
         columns: names of the parameters concerned.
-        sentence: the explanation.
+        sentence: explanation.
         error: largest relative error of these columns.
-        factor: analytic / correct, where that is constant.
+        factor: analytic / correct, if that is constant.
     """
 
     kind: str
@@ -40,18 +40,19 @@ class Finding:
 
 @dataclass(eq=False)
 class Evidence:
-    """Points with errors, and the errors that are not explained yet.
+    """Wrong points, and columns that are not yet explained.
 
     Attributes:
-        deviations: the Jacobians at K points, those with errors only.
+        deviations: Jacobians at K points, all of them wrong.
         columns: N columns.
-        blocks: blocks to look at, which may overlap.
+        blocks: blocks to test, which may overlap.
         points: (K, N) the parameters at these points.
-        reference_at: (k, j) gives the reference at point k with parameter j set to zero, or None.
-        wrong: indices of the columns that are wrong and not explained; signatures remove theirs.
-        tolerance: relative error from which on an entry is wrong.
-        numbers: (K,) of the points among the samples, where blocks know something of these.
-        residuals: (K, R) the residuals there, where a signature may look at them.
+        reference_at: function of (k, j) that returns the reference at point k with parameter j set
+            to zero, or None.
+        wrong: indices of wrong columns without explanation; signatures remove theirs.
+        tolerance: relative error above which an entry is wrong.
+        numbers: (K,) sample numbers of the points, for blocks with data per sample.
+        residuals: (K, R) residuals at the points, if available to signatures.
     """
 
     deviations: JacobianDeviation
@@ -75,10 +76,10 @@ class Evidence:
     def explains(
         self, guess: Array, columns: Sequence[int], points: NDArray[np.intp] | None = None
     ) -> bool:
-        """Return whether a prediction (K, R, len(columns)), in units of scale, fits the columns.
+        """Return True if a hypothesis (K, R, len(columns)), in units of scale, equals the Jacobian.
 
-        The remainder is compared with the deviation and with the columns: a column of a thousandth
-        of the right size is not explained by any other small number.
+        The remainder is compared with the deviation and with the Jacobian itself: a thousandth of
+        the correct size is not explained by any other small number.
         """
         chosen = slice(None) if points is None else points
         analytic = self.analytic[chosen][..., columns]
@@ -90,18 +91,18 @@ class Evidence:
         return bool(deviation > 4 * doubt and left <= EXPLAINED * size + 2 * doubt)
 
     def points_wrong_in(self, column: int) -> NDArray[np.intp]:
-        """Return the points at which a column is wrong: a mistake can be in a single branch."""
+        """Return the points at which a column is wrong: a mistake may be in one branch only."""
         errors = self.deviations.error[..., column].max(axis=1)
         return np.flatnonzero(errors > self.tolerance)
 
     def names(self, columns: Sequence[int]) -> str:
-        """Return joined names, such as "rotation x, y and z", with a common first word once."""
+        """Return "rotation x, y and z": joined names with a common first word written once."""
         return join_names([self.columns[j].name for j in columns])
 
     def found(
         self, kind: str, columns: Sequence[int], sentence: str, factor: float | None = None
     ) -> None:
-        """Record a finding that explains columns."""
+        """Add a finding that explains columns."""
         error = float(np.max(self.deviations.error[..., list(columns)], initial=0.0))
         names = tuple(self.columns[j].name for j in columns)
         self.findings.append(Finding(kind, names, sentence, error, factor))

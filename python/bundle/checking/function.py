@@ -1,4 +1,4 @@
-"""Calls of a user's residual, with checks of shapes."""
+"""User-defined residual: calls, checks of shapes, flattening."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ ResidualFunction = Callable[[list[Array]], tuple[Any, Sequence[Any]]]
 
 
 class UserFunction:
-    """A function of parameter blocks that returns a residual and its Jacobians.
+    """Function of parameter blocks that returns residual and Jacobians.
 
-    It is called once at the blocks for the number of residuals, unless that is known.
+    It is called once at the blocks to find the number of residuals, unless that is known.
     """
 
     def __init__(
@@ -34,19 +34,19 @@ class UserFunction:
         """Return the residual (R,) and all Jacobians side by side (R, N).
 
         Raises:
-            InputError: a returned array has the wrong shape.
+            InputError: the returned values have wrong shapes.
         """
         residual, jacobians = self._call(blocks)
         values = self._residual(residual)
         if len(values) != self.num_residuals:
             raise InputError(
-                f"function: expected {plural(self.num_residuals, 'residual')} as before, "
-                f"found {len(values)}"
+                f"function: expected {plural(self.num_residuals, 'residual')} as in earlier "
+                f"calls, found {len(values)}"
             )
         return values, np.hstack(self._jacobians(jacobians))
 
     def core(self, blocks: list[Array], jacobians: bool) -> tuple[Array, list[Array] | None] | None:
-        """Return the arrays for ``_core``; None if the residual is not finite."""
+        """Return the values for ``_core``: None if the residual is not finite."""
         residual, matrices = self._call(blocks)
         values = self._residual(residual)
         if not np.isfinite(values).all():
@@ -72,7 +72,7 @@ class UserFunction:
     def _residual(residual: Any) -> Array:
         values = as_array("function: residual", residual).reshape(-1).copy()
         if not len(values):
-            raise InputError("function: expected at least one residual, found an empty array")
+            raise InputError("function: expected at least one residual, found 0")
         return values
 
     def _jacobians(self, jacobians: Sequence[Any]) -> list[Array]:

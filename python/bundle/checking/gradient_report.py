@@ -1,4 +1,4 @@
-"""Report of a check of Jacobians, as data and as text."""
+"""Result of a check of Jacobians, as data and as text."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ SHOWN = 5
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on a parameter or on a group of parameters.
+    """Verdict on a parameter, or on a group of parameters.
 
     Attributes:
         name: "camera RADIAL k1", "rotation".
-        verdict: "correct", "wrong", or "undecided" where the reference is not good enough for most
-            entries, of most parameters; those that are certain to be zero do not count.
-        num_entries: entries of the Jacobians compared.
-        num_wrong: those beyond the tolerance.
-        num_undecided: entries whose reference is less certain than the tolerance.
-        max_error: the largest relative error; of entries that are undecided, only the part that
-            the reference's uncertainty does not explain.
+        verdict: "correct", "wrong", or "undecided" if the reference is not accurate enough for most
+            entries, of most parameters; entries that are certainly zero do not count.
+        num_entries: number of compared entries of the Jacobians.
+        num_wrong: entries above the tolerance.
+        num_undecided: entries whose reference is less accurate than the tolerance.
+        max_error: largest relative error; for undecided entries, only the part that exceeds the
+            reference's uncertainty.
     """
 
     name: str
@@ -56,17 +56,18 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Offender:
-    """One entry of a Jacobian.
+    """Entry of a Jacobian.
 
     Attributes:
-        place: where in words: "image IMG_17.jpg, point 12", "sample 3".
-        parameter: the column: "camera 3 k1", "image IMG_17.jpg rotation y".
-        residual: the row.
-        analytic: as given.
-        reference: as it should be.
-        error: relative, near-zero-safe (``JacobianDeviation.scale``), less the uncertainty of the
-            reference.
-        details: the same for programs: image_id, image_name, camera_id, model, point_id, or sample.
+        place: place in words: "image IMG_17.jpg, point 12", "sample 3".
+        parameter: column: "camera 3 k1", "image IMG_17.jpg rotation y".
+        residual: row.
+        analytic: given value.
+        reference: correct value.
+        error: relative error, safe near zero (``JacobianDeviation.scale``), minus the uncertainty
+            of the reference.
+        details: the place for programs: image_id, image_name, camera_id, model, point_id, or
+            sample.
     """
 
     place: str
@@ -80,13 +81,13 @@ class Offender:
 
 @dataclass(frozen=True)
 class Undecided:
-    """Points without a sufficiently accurate reference.
+    """Points at which no reference is accurate enough.
 
     Attributes:
-        reason: "camera_center" (the point is so close to the camera's centre that the rounding of
+        reason: "camera_center" (the point is so close to the projection centre that the rounding of
             point and pose changes the derivatives), "rough" (a kink, a jump or noise), or
             "no_value" (the residual has no value on both sides of the point).
-        count: how many.
+        count: number of points.
         places: the first few of them: "image IMG_17.jpg, point 12", "sample 3".
         sentence: the same in words.
     """
@@ -102,11 +103,11 @@ class GradientCheckerSummary:
     """Results of ceres::GradientChecker at the same points.
 
     Attributes:
-        num_probes: number of checks.
-        num_agreed: checks without an error.
-        num_false_alarms: errors in Jacobians that the second reference finds correct.
-        num_gave_up: checks that met a point without a value.
-        num_overlooked: checks without an error in Jacobians that are wrong.
+        num_probes: number of probes.
+        num_agreed: probes without a complaint.
+        num_false_alarms: complaints about Jacobians that the second reference finds correct.
+        num_gave_up: probes that stepped on a point without a value.
+        num_overlooked: wrong Jacobians that it accepted.
     """
 
     num_probes: int = 0
@@ -118,24 +119,24 @@ class GradientCheckerSummary:
 
 @dataclass(frozen=True, eq=False)
 class GradientReport:
-    """Result of a check. True if all is correct; printing it explains the findings.
+    """Result of a check. True if all is correct; printing it explains.
 
     Attributes:
-        ok: the verdict is "correct".
-        verdict: "correct", "wrong", or "undecided" where nothing is wrong and nothing certain: some
-            parameter has no good reference at most points, or the point that was given has none.
-        subject: what was checked, in words.
-        noun: what a point is: "sample", "observation".
-        tolerance: relative error from which on an entry is wrong.
-        num_checked: points (observations) checked.
-        num_skipped: points left out: no finite residual there, or one that does not count.
-        undecided: points, out of those checked, of which nothing can be said, by reason.
-        findings: what is wrong or undecided, worst first.
-        groups: a verdict on each group of parameters.
-        parameters: a verdict on each parameter.
-        worst: the entries with the largest errors, worst first.
+        ok: True if the verdict is "correct".
+        verdict: "correct", "wrong", or "undecided" if nothing is wrong but not all is certain: some
+            parameter has no accurate reference at most points, or the given point has none.
+        subject: checked function in words.
+        noun: name of a point: "sample", "observation".
+        tolerance: relative error above which an entry is wrong.
+        num_checked: number of checked points (observations).
+        num_skipped: points left out: without a finite residual, or without weight.
+        undecided: checked points without a verdict, by reason.
+        findings: mistakes and undecided parameters, worst first.
+        groups: verdict on each group of parameters.
+        parameters: verdict on each parameter.
+        worst: entries with the largest errors, worst first.
         histogram: (low, high, count) of the relative errors of all entries, by decades.
-        gradient_checker: how ceres::GradientChecker fared.
+        gradient_checker: results of ceres::GradientChecker.
     """
 
     ok: bool
@@ -155,12 +156,12 @@ class GradientReport:
 
     @property
     def num_undecided(self) -> int:
-        """Number of undecided points."""
+        """Number of checked points without a verdict."""
         return sum(entry.count for entry in self.undecided)
 
     @property
     def kinds(self) -> frozenset[str]:
-        """The kinds of all findings; {"correct"} if there are none."""
+        """Kinds of all findings; {"correct"} if there are none."""
         return frozenset(finding.kind for finding in self.findings) or frozenset({"correct"})
 
     def __bool__(self) -> bool:
@@ -190,7 +191,7 @@ class GradientReport:
 
 
 def outcome(report: GradientReport) -> str:
-    """Return the verdict as one sentence."""
+    """Return the verdict in one sentence."""
     if report.ok:
         undecided = f"; {report.num_undecided} undecided" if report.num_undecided else ""
         return (
@@ -200,12 +201,12 @@ def outcome(report: GradientReport) -> str:
     if not report.num_checked and not report.findings:
         return "Nothing to check."
     if report.verdict == "undecided":
-        return "UNDECIDED: nothing is wrong as far as can be seen, and that is not far enough."
+        return "UNDECIDED: no mistake found, but the accuracy of the reference is not sufficient."
     return f"WRONG: {plural(len(report.findings), 'finding')}, the worst first."
 
 
 def explanation(report: GradientReport) -> list[RenderableType]:
-    """Return the verdict, the mistakes and their numbers."""
+    """Return verdict, findings, and the numbers behind them."""
     skipped = f", {report.num_skipped} skipped" if report.num_skipped else ""
     count = plural(report.num_checked, report.noun)
     parts: list[RenderableType] = [

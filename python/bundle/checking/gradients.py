@@ -1,4 +1,4 @@
-"""Check of the Jacobians of a user's residual."""
+"""Check of the Jacobians of a user-defined residual."""
 
 from __future__ import annotations
 
@@ -34,38 +34,38 @@ def check_gradients(
     tolerance: float = TOLERANCE,
     ambient: bool = True,
 ) -> GradientReport:
-    """Check analytic Jacobians and name their mistakes.
+    """Check analytic Jacobians, and identify the mistake in wrong ones.
 
-    At the given point and at others around it the Jacobians are compared with two references:
+    At the given point and at points around it, the Jacobians are compared with two references:
     ceres::GradientChecker, and central differences with Richardson extrapolation that bound their
     own error. In a test::
 
         assert bundle.check_gradients(residual, [pose, intrinsics, point], ["se3", None, None])
 
     Args:
-        function: takes a list of arrays, one per block, and returns (residual, list of Jacobians),
+        function: function from a list of arrays, one per block, to (residual, list of Jacobians),
             Jacobian i of shape (num_residuals, size of block i). It is called some hundred times
-            for each sample and block. The C++ header bundle/check.h (``bundle.get_include()``)
-            makes one of a compiled ceres cost function.
-        blocks: the parameters, one array a block.
-        manifolds: one per block, or None where all are Euclidean: None or "euclidean"; "angle_axis"
-            (a rotation vector: its numbers are a vector space, but they are sampled and named as a
-            rotation); "quaternion_wxyz", "quaternion_xyzw"; "se3" (qx qy qz qw tx ty tz, as COLMAP
-            stores a pose); "sphere"; ("subset", entries that stay constant).
+            per sample and block. The C++ header bundle/check.h (``bundle.get_include()``) makes one
+            of a compiled ceres cost function.
+        blocks: parameters, one array per block.
+        manifolds: one per block, or None if all are Euclidean: None or "euclidean"; "angle_axis" (a
+            rotation vector: its numbers are a vector space, but samples and names are those of a
+            rotation); "quaternion_wxyz", "quaternion_xyzw"; "se3" (qx qy qz qw tx ty tz, COLMAP's
+            pose); "sphere"; ("subset", constant entries).
         names: one per block, for the report: a name, or (name, names of its parameters).
-        num_samples: points to check, the given one included.
-        radius: how far the others are, relative to each parameter; radians for rotations.
-        seed: of the sampling.
-        tolerance: relative error from which on an entry is wrong.
-        ambient: also compare along the normals of manifolds, which affect no solve and which
-            GradientChecker does not check.
+        num_samples: number of points to check, including the given one.
+        radius: distance of the other points, relative to each parameter; radians for rotations.
+        seed: seed of the sampling.
+        tolerance: relative error above which an entry is wrong.
+        ambient: also compare along the normals of manifolds, which do not affect a solve and which
+            GradientChecker does not test.
 
     Returns:
-        A report that is true if all Jacobians are correct; printing it explains the findings.
+        Report that is true if all Jacobians are right, and readable when printed.
 
     Raises:
-        InputError: blocks, manifolds or names do not fit each other, or the function answers with
-            wrong shapes. Exceptions of the function are passed on.
+        InputError: blocks, manifolds or names do not fit each other, or the function returns wrong
+            shapes. Exceptions of the function are passed on.
     """
     if not callable(function):
         raise InputError(f"function: expected a function, found {brief(function)}")
@@ -77,7 +77,7 @@ def check_gradients(
         raise InputError("blocks: expected at least one block, none of them empty")
     for b, block in enumerate(start):
         if not np.isfinite(block).all():
-            raise InputError(f"blocks: expected finite numbers, found others in block {b}")
+            raise InputError(f"blocks: expected finite numbers, found nan or infinity in block {b}")
     num_samples = number("num_samples", num_samples, minimum=1, whole=True)
     radius = number("radius", radius, minimum=0)
     ambient = as_flag("ambient", ambient)

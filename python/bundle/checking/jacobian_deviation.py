@@ -1,4 +1,4 @@
-"""Jacobians and their reference, with relative errors that are defined near zero."""
+"""Jacobians with their reference, and relative errors that are safe near zero."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["JacobianDeviation"]
 Array = NDArray[np.float64]
 
 FLOOR = 1e-3
-"""Share of a column's usual size; smaller columns are measured by the usual size."""
+"""Share of the column's usual size, which replaces smaller ones as the divisor of errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,9 +21,9 @@ class JacobianDeviation:
     """Jacobians of one residual at K points, each num_residuals x num_columns.
 
     Attributes:
-        analytic: (K, R, N) the Jacobians to check.
-        reference: (K, R, N) the second reference.
-        uncertainty: (K, R, N) a bound on the reference's own error, infinite where it has no value.
+        analytic: (K, R, N) Jacobians to check.
+        reference: (K, R, N) second reference.
+        uncertainty: (K, R, N) bound on the reference's own error, infinite without a value.
     """
 
     analytic: Array
@@ -32,12 +32,11 @@ class JacobianDeviation:
 
     @cached_property
     def scale(self) -> Array:
-        """(K, 1, N) the size that an entry's error is divided by.
+        """Divisor of the error of each entry, (K, 1, N).
 
-        It is the norm of the entry's column. Where that is unusually small (a point on the axis of
-        its camera has no derivative by the distortion) or zero, relative errors mean nothing, and
-        the usual size of the column takes its place; where the whole column is zero, that of the
-        others.
+        It is the norm of the entry's column. If that is unusually small (a point on the axis of its
+        camera has no derivative by the distortion) or zero, relative errors are meaningless and the
+        usual size of the column is used; if the whole column is zero, that of the others.
         """
         norms = np.linalg.norm(np.nan_to_num(self.reference), axis=1, keepdims=True)
         nonzero = np.where(norms > 0, norms, np.nan)
@@ -51,7 +50,10 @@ class JacobianDeviation:
 
     @cached_property
     def deviation(self) -> Array:
-        """(K, R, N) |analytic - reference| / scale; infinite where the analytic is not finite."""
+        """Deviation |analytic - reference| / scale, (K, R, N).
+
+        Infinite if the analytic is not finite.
+        """
         with np.errstate(invalid="ignore", over="ignore"):
             deviation = np.abs(self.analytic - self.reference) / self.scale
         deviation = np.where(np.isinf(self.uncertainty), 0.0, deviation)
@@ -59,13 +61,13 @@ class JacobianDeviation:
 
     @cached_property
     def doubt(self) -> Array:
-        """(K, R, N) uncertainty / scale."""
+        """Relative uncertainty of the reference, (K, R, N): uncertainty / scale."""
         doubt: Array = self.uncertainty / self.scale
         return doubt
 
     @cached_property
     def error(self) -> Array:
-        """(K, R, N) the part of the deviation that the reference's uncertainty does not explain."""
+        """Part of the deviation that exceeds the reference's uncertainty, (K, R, N)."""
         bad = ~np.isfinite(self.deviation)
         with np.errstate(invalid="ignore"):
             error = np.maximum(self.deviation - self.doubt, 0.0)

@@ -1,4 +1,4 @@
-"""Check of the analytic Jacobians on a user's problem."""
+"""Check of bundle's own Jacobians on a user's problem."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ __all__ = ["check_jacobians"]
 
 CHUNK = 16384
 CENTER = 1e-3
-"""Relative rounding of derivatives above which they are not checked."""
+"""Relative rounding error of the derivatives above which a point is not checked."""
 ROUNDING_UNITS = 16
-"""Rounding errors that add up in a residual and its Jacobian."""
+"""Number of rounding errors that accumulate in a residual and its Jacobian."""
 CLOSE_UNITS = 1024
-"""Rounding errors that differences of a residual over a fraction of the depth multiply."""
+"""Factor by which differences over a fraction of the depth amplify rounding errors."""
 TURN = 0.3
-"""Rotation in radians from the start of the chart at which every other observation is checked."""
+"""Radians from the start of its chart at which every other observation is checked."""
 
 POSE = tuple(f"{part} {axis}" for part in ("rotation", "translation") for axis in "xyz")
 POINT = ("point x", "point y", "point z")
@@ -56,21 +56,21 @@ def check_jacobians(
 ) -> GradientReport:
     """Check the analytic Jacobians that a solve of this problem would use.
 
-    Every residual is checked as Ceres sees it, with all of pose, intrinsics and point free, by
+    Every residual is checked as Ceres evaluates it, with pose, intrinsics and point free, by
     ceres::GradientChecker and by Richardson extrapolation; every other observation away from the
     start of its rotation's chart.
 
     Args:
-        problem: checked at its own values; also the path of one, or a pycolmap.Reconstruction.
-        samples_per_image: observations to check of each image (an image has one camera); None: all.
-        seed: of the sampling.
-        tolerance: relative error from which on an entry is wrong.
+        problem: Problem at whose values to check, path of one, or pycolmap.Reconstruction.
+        samples_per_image: number of observations to check per image; None: all.
+        seed: seed of the sampling.
+        tolerance: relative error above which an entry is wrong.
         cheirality: as in a solve; observations that do not count are skipped.
         num_threads: 0: all cores.
-        progress: called with the observations done and all of them.
+        progress: called with the numbers of finished and of all observations.
 
     Raises:
-        InputError: a camera model that is not supported, or an argument out of range.
+        InputError: a camera model is not supported, or an argument is out of range.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
@@ -107,7 +107,7 @@ class _Settings:
 
 @dataclass(eq=False)
 class _Model:
-    """Everything on the observations of one camera model."""
+    """Check of the observations of one camera model."""
 
     name: str
     source: NDArray[np.intp]
@@ -179,7 +179,7 @@ class _Check:
                 ("rough", rows[~decided & ~close[rows]]),
             ):
                 self.undecided[reason] += np.sort(observations[group]).tolist()
-            # Of a rough residual the entries are counted as undecided; a close point has no say.
+            # Entries of a rough residual count as undecided; close points do not count.
             kept = np.flatnonzero(decided | ~close[rows])
             rows, deviations = rows[kept], deviations.take(kept)
             found = model.tally.add(deviations, observations[rows].astype(np.intp))
@@ -198,7 +198,7 @@ class _Check:
         ]
 
     def report(self) -> GradientReport:
-        """Classify and name the mistakes."""
+        """Classify the mistakes and name them."""
         findings = [finding for model in self.models.values() for finding in self._classify(model)]
         if self.unstable:
             findings.append(
@@ -228,7 +228,7 @@ class _Check:
         )
 
     def _decide(self, deviations: JacobianDeviation) -> NDArray[np.bool_]:
-        """Return the points with an error or with mostly confirmed entries."""
+        """Return the mask of points with a mistake, or with most entries known to be correct."""
         tolerance = self.settings.tolerance
         wrong = (deviations.error > tolerance).any(axis=(1, 2))
         known = (deviations.doubt <= tolerance).mean(axis=(1, 2)) > 0.5
@@ -261,14 +261,14 @@ class _Check:
         def reference_at(k: int, parameter: int) -> Array | None:
             column = parameter - 6
             if not 0 <= column < len(model.tally.columns) - 9:
-                return None  # poses and points have no terms that one could forget
+                return None  # poses and points have no terms that could be missing
             observation = np.array([numbers[k]], np.int64)
             image = self.problem.observation_image[observation[0]]
             params = self.problem.camera_params.copy()
             params[self.problem.image_camera[image], column] = 0.0
             try:
                 changed = self.problem.replace(camera_params=params)
-            except InputError:  # a focal length of zero
+            except InputError:  # focal length of zero
                 return None
             answer = self._ask(changed, observation, model.offsets[int(observation[0])][None])
             reference: Array = answer[1][0][:, model.source]
@@ -342,14 +342,14 @@ class _Check:
 
 
 def _rounding_errors(jacobians: Array, rounding: Array) -> Array:
-    """Return the possible rounding of the entries (K, 2, N) of Jacobians.
+    """Return the rounding errors of the entries (K, 2, N) of Jacobians.
 
-    Entries by rotation, translation and point are sums that may cancel: they are measured by the
-    largest column of their kind.
+    Entries by rotation, translation and point are sums that may cancel: their error is relative to
+    the largest column of their kind.
 
     Args:
         jacobians: (K, 2, N).
-        rounding: (K,) relative, of the derivatives by the point in its camera.
+        rounding: (K,) relative rounding error of the derivatives by the point in its camera.
     """
     size = np.linalg.norm(jacobians, axis=1, keepdims=True)
     for kind in (slice(0, 3), slice(3, 6), slice(-3, None)):

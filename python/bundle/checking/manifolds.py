@@ -1,4 +1,4 @@
-"""Manifolds of parameter blocks, as users name them."""
+"""Manifolds of parameter blocks, by the names in the interface."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ _TANGENT = {
 
 @dataclass(frozen=True)
 class Manifold:
-    """The manifold of one block.
+    """Manifold of one block.
 
     Attributes:
         name: in lower case.
-        constant: entries that stay, of "subset".
-        size: of the block.
-        tangent_size: of the tangent space.
+        constant: constant entries of "subset".
+        size: size of the block.
+        tangent_size: dimension of the tangent space.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Manifold:
         """Return the manifold of a name.
 
         Raises:
-            InputError: there is no such manifold, or it does not fit a block of this size.
+            InputError: the manifold does not exist, or it does not fit a block of this size.
         """
         pair = given if isinstance(given, tuple) else (given or "euclidean", ())
         if len(pair) != 2:
@@ -74,7 +74,7 @@ class Manifold:
             entries = tuple(operator.index(entry) for entry in pair[1])
         except TypeError:
             raise InputError(
-                f"manifolds: expected the entries that stay constant, found {brief(pair[1])}"
+                f"manifolds: expected the constant entries, found {brief(pair[1])}"
             ) from None
         for entry in entries:
             if not 0 <= entry < size:
@@ -86,12 +86,12 @@ class Manifold:
 
     @property
     def core(self) -> tuple[str, list[int]]:
-        """Manifold for ``_core``: to Ceres, rotation vectors are a vector space."""
+        """Arguments of ``_core``: to Ceres a rotation vector's numbers are a vector space."""
         return _core_name(self.name), list(self.constant)
 
     @property
     def is_curved(self) -> bool:
-        """True if the tangent space differs from the parameter space."""
+        """True if the tangent space differs from that of the parameters."""
         return self.core[0] != "euclidean"
 
     def plus(self, x: Array, delta: Array) -> Array:

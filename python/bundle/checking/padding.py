@@ -1,8 +1,8 @@
-"""Tangent Jacobians padded with a column of zeros to the size of the block.
+"""Signature: tangent Jacobians padded with a column of zeros to the size of the block.
 
-Ceres takes a Jacobian by the numbers of a block, 4 of a quaternion, and multiplies it by that of
-the manifold's Plus. If Plus has the Jacobian (I, 0)^T, a Jacobian by tangent coordinates with an
-additional zero column is correct. With any other manifold it is wrong.
+Older solvers expect a Jacobian by the numbers of a block, 4 for a quaternion, and multiply it by
+that of the manifold's Plus. If this Jacobian is (I, 0)^T, the tangent Jacobian with a zero column
+is correct; for any other manifold it is wrong.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ SCALES = (1.0, 2.0, 0.5)
 def padded(
     layout: Layout, space: JacobianDeviation, tangent: JacobianDeviation, tolerance: float
 ) -> list[Finding]:
-    """Return one finding per padded block if no other block is wrong.
+    """Return one finding per padded block, if there is no other mistake.
 
     Args:
-        layout: of the blocks.
-        space: the Jacobians by the numbers of the blocks.
-        tangent: those by the tangent coordinates, at the same points.
-        tolerance: relative error from which on an entry is wrong.
+        layout: layout of the blocks.
+        space: Jacobians by the numbers of the blocks.
+        tangent: Jacobians by the tangent coordinates, at the same points.
+        tolerance: relative error above which an entry is wrong.
     """
     wrong = set(np.flatnonzero((space.error > tolerance).any(axis=(0, 1))).tolist())
     findings = []
@@ -50,8 +50,8 @@ def padded(
                     "padded",
                     tuple(names),
                     f"{join_names(names)}: the Jacobian by the {manifold.tangent_size} tangent "
-                    f"coordinates, padded with a zero column ({names[place]}), where that by the "
-                    f"{manifold.size} numbers of the block belongs",
+                    f"coordinates, padded with a zero column ({names[place]}), instead of that by "
+                    f"the {manifold.size} numbers of the block",
                     float(space.error[..., columns].max()),
                 )
             )
@@ -60,10 +60,10 @@ def padded(
 
 
 def _is_tangent(given: Array, reference: Array) -> bool:
-    """Return whether columns are by tangent coordinates, possibly scaled or rotated.
+    """Return True if columns are by tangent coordinates, in a common scale or rotation.
 
-    Rotations and translations have three columns each, possibly by the perturbation on the other
-    side: A Q has the same products A A^T as A.
+    Rotations and translations have three columns each, possibly perturbed from the other side: A Q
+    has the products A A^T of A.
     """
     parts = [slice(j, j + 3) for j in range(0, given.shape[2], 3)]
     for part in parts:

@@ -1,4 +1,4 @@
-"""Parameter blocks of a user's residual: manifolds, column names, samples around a point."""
+"""Parameter blocks of a user-defined residual: manifolds, column names, sample points."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ class Layout:
     blocks: list[Block]
     tangent_blocks: list[Block]
     is_step: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
-    """(N,) the columns whose numbers are steps from a value, not the value itself; () for none."""
+    """Mask (N,) of columns whose numbers are steps from a value instead of the value itself; () for
+    none.
+    """
 
     @staticmethod
     def make(
@@ -50,7 +52,7 @@ class Layout:
         names = [f"block {b}" for b in range(count)] if names is None else list(names)
         for what, given in (("manifolds", manifolds), ("names", names)):
             if len(given) != count:
-                raise InputError(f"{what}: expected one per block, {count}, found {len(given)}")
+                raise InputError(f"{what}: expected {count}, one per block, found {len(given)}")
         layout = Layout([], [], [], [], [])
         for block, manifold, name in zip(start, manifolds, names, strict=True):
             layout._add(Manifold.parse(manifold, len(block)), name)
@@ -82,12 +84,12 @@ class Layout:
 
     @property
     def core(self) -> list[tuple[str, list[int]]]:
-        """Manifolds for ``_core``."""
+        """Manifolds in the format of ``_core``."""
         return [manifold.core for manifold in self.manifolds]
 
     @property
     def is_curved(self) -> bool:
-        """True if some tangent space differs from the parameter space."""
+        """True if some tangent space differs from that of the parameters."""
         return any(manifold.is_curved for manifold in self.manifolds)
 
 

@@ -1,10 +1,10 @@
-"""Signatures of rotations: another perturbation, frame or order of the tangent space.
+"""Signatures of rotations: another perturbation, frame, or order of the tangent space.
 
-The numbers w of a rotation vector move by d as Exp(w + d) = Exp(J_l(w) d) Exp(w): a derivative by a
-perturbation from the left times J_l, or by one from the right times J_r(w) = J_l(-w), is that by w.
-Of any Lie algebra J_l = sum ad^k / (k + 1)!, with ad the matrix of the bracket with w. A block of
-six numbers is a rotation vector and a translation, in either order, or an element of se(3): all
-layouts are tried, and at any place of a longer block.
+The numbers w of a rotation vector change by d as Exp(w + d) = Exp(J_l(w) d) Exp(w). The derivative
+by w is that by a perturbation from the left times J_l, or by one from the right times J_r(w) =
+J_l(-w). For any Lie algebra J_l = sum ad^k / (k + 1)!, with ad the matrix of the bracket with w. A
+block of six numbers is a rotation vector and a translation, in either order, or an element of
+se(3): all layouts are tested, at any position of a longer block.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ BY_RIGHT = "the derivative by d of Exp(w) Exp(d), not by w: J_r is missing"
 
 
 def conventions(evidence: Evidence) -> None:
-    """Columns by other tangent coordinates than those of the manifold."""
+    """Find columns by other tangent coordinates of the manifold than the required ones."""
     for block in evidence.blocks:
         columns = list(block.columns)
         for (kind, words), changes in block.conventions.items():
@@ -36,7 +36,7 @@ def conventions(evidence: Evidence) -> None:
 
 
 def rotation_vectors(evidence: Evidence) -> None:
-    """Columns of a rotation vector by another perturbation of the rotation."""
+    """Find columns of a rotation vector that belong to another perturbation of the rotation."""
     for columns, left, what in _algebras(evidence):
         if not set(columns) & set(evidence.wrong):
             continue
@@ -49,8 +49,8 @@ def rotation_vectors(evidence: Evidence) -> None:
                 np.linalg.inv(right),
                 "the derivative by d of Exp(w) Exp(d), not by w: J_r is missing",
             ),
-            (np.linalg.solve(left, right), f"the right Jacobian of {what} where the left belongs"),
-            (np.linalg.solve(right, left), f"the left Jacobian of {what} where the right belongs"),
+            (np.linalg.solve(left, right), f"the right Jacobian of {what} instead of the left"),
+            (np.linalg.solve(right, left), f"the left Jacobian of {what} instead of the right"),
         ):
             guess = raw @ change / evidence.deviations.scale[..., columns]
             if set(columns) & set(evidence.wrong) and evidence.explains(guess, columns):
@@ -61,9 +61,10 @@ def rotation_vectors(evidence: Evidence) -> None:
 
 
 def turned(evidence: Evidence) -> None:
-    """Three columns that are rotated.
+    """Find three columns that are a rotation of the correct ones.
 
-    A' = A Q keeps A A^T for any rotation Q. Three of four columns of a quaternion do not rotate.
+    A' = A Q with a rotation Q keeps A A^T, whatever Q is. Three of four columns of a quaternion are
+    no rotation vector.
     """
     quaternions = {j for b in evidence.blocks if b.rotation == "quaternion" for j in b.columns}
     for block in evidence.blocks:
@@ -78,20 +79,20 @@ def turned(evidence: Evidence) -> None:
                 evidence.found(
                     "perturbation",
                     columns,
-                    f"{names}: right in size, turned by the rotation: "
-                    "left for right perturbation, R Exp(d) for Exp(d) R",
+                    f"{names}: right in size, but rotated: left for right perturbation, R Exp(d) "
+                    "for Exp(d) R",
                 )
             else:
                 evidence.found(
                     "frame",
                     columns,
-                    f"{names}: right in size, turned by a rotation: in the wrong frame, "
-                    "R (or its transpose) is missing or applied once too often",
+                    f"{names}: right in size, but rotated: in the wrong frame, R (or its "
+                    "transpose) is missing or applied once too often",
                 )
 
 
 def _algebras(evidence: Evidence) -> Iterator[tuple[list[int], Array, str]]:
-    """Yield columns that can be a Lie algebra, with ad (K, n, n) of their values."""
+    """Yield columns of a possible Lie algebra, and ad (K, n, n) of their values."""
     for block in evidence.blocks:
         if block.rotation == "vector":
             columns = list(block.columns)
@@ -115,7 +116,7 @@ def _algebras(evidence: Evidence) -> Iterator[tuple[list[int], Array, str]]:
 
 
 def _turns(w: Array) -> bool:
-    """Return whether vectors (K, 3) may be rotations, less than a turn, that differ from zero."""
+    """Return True if vectors (K, 3) may be rotations: less than a turn, and nonzero."""
     return bool(w.any() and np.linalg.norm(w, axis=1).max() < 6)
 
 

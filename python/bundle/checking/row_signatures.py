@@ -1,10 +1,10 @@
 """Signatures of rows: the correct Jacobian multiplied from the left, A = M J.
 
 - Rows in a wrong order: M is a permutation.
-- The square root L^T of the information applied to the residual alone, or to the Jacobian alone: M
-  is one matrix at all points, in all columns.
-- The residual is a logarithm, r = W Log(E), whose derivative is W J_r^-1(e) times that of E. Where
-  J_r^-1 was left out, M = W J_r(e) W^-1, and as J_r(e) e = e, M r = r for any W.
+- The square root L^T of the information applied only to the residual, or only to the Jacobian: M is
+  the same at all points, in all columns.
+- The residual is a logarithm, r = W Log(E), whose derivative is W J_r^-1(e) times that of E.
+  Without J_r^-1, M = W J_r(e) W^-1, and since J_r(e) e = e, M r = r for any W.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["logarithm", "rows", "whitening"]
 
 
 def rows(evidence: Evidence) -> None:
-    """Exchanged rows, of all columns or of a block."""
+    """Find exchanged rows, of all columns or of a block."""
     num_residuals = evidence.analytic.shape[1]
     if num_residuals < 2:
         return
@@ -47,14 +47,14 @@ def rows(evidence: Evidence) -> None:
 
 
 def whitening(evidence: Evidence) -> None:
-    """All columns multiplied by one matrix: weights of only the residual or only the Jacobian."""
+    """Find a common matrix factor of all columns: weights applied to one side only."""
     analytic, reference = evidence.deviations.analytic, evidence.deviations.reference
     used = [j for j in range(analytic.shape[2]) if reference[..., j].any()]
     if analytic.shape[1] < 2 or len(used) < 2 or not set(used) <= set(evidence.wrong):
         return
     ratios = _row_ratios(analytic[..., used], reference[..., used])
     if _is_number(np.diag(ratios)):
-        return  # a factor, which has a name of its own
+        return  # a scalar factor has its own name
     everything = np.linalg.norm(analytic[..., used] - reference[..., used])
     off = np.abs(ratios - 1) > EXPLAINED
     left = np.linalg.norm(analytic[..., used] - ratios[:, None] * reference[..., used])
@@ -67,13 +67,14 @@ def whitening(evidence: Evidence) -> None:
     evidence.found(
         "whitening",
         used,
-        f"every column is multiplied {by}: the square root of the information, the weights of the "
-        "residual, is applied to the residual alone or to the Jacobians alone",
+        f"every column is multiplied {by}: the square root of the information, the "
+        "weights of the residual, is applied only to the residual or only to the "
+        "Jacobians",
     )
 
 
 def logarithm(evidence: Evidence) -> None:
-    """Columns of a logarithmic residual without the inverse Jacobian of the logarithm."""
+    """Find columns without the inverse Jacobian of the residual's logarithm."""
     num_residuals = evidence.analytic.shape[1]
     if num_residuals < 2 or evidence.residuals is None:
         return
@@ -94,7 +95,7 @@ def logarithm(evidence: Evidence) -> None:
 
 
 def _keeps_residual(evidence: Evidence, columns: list[int], size: int) -> bool:
-    """Return whether A = M J with M r = r, in blocks of `size` rows, at all points."""
+    """Return True if A = M J with M r = r, in blocks of `size` rows, at all points."""
     raw = evidence.deviations
     left, deviation = 0.0, 0.0
     assert evidence.residuals is not None
@@ -119,9 +120,9 @@ def _keeps_residual(evidence: Evidence, columns: list[int], size: int) -> bool:
 
 
 def _sources(given: Array, right: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the row of the right Jacobian that each given row is a multiple of, and the multiple.
+    """Return the row of the correct Jacobian of which each given row is a multiple, and the factor.
 
-    A row that is a multiple of itself is kept.
+    A row that is a multiple of its own row is kept.
     """
     products = np.einsum("kin,kjn->ij", given, right)
     square = np.einsum("kjn,kjn->j", right, right)
@@ -145,7 +146,7 @@ def _is_number(matrix: Array) -> bool:
 
 
 def _is_one_matrix(given: Array, right: Array) -> bool:
-    """Return whether A = M J with one M, found without a column, in that column too."""
+    """Return True if a single M, fitted without a column, gives A = M J in that column too."""
     num_residuals, num_columns = given.shape[1:]
 
     def stacked(matrices: Array, columns: list[int]) -> Array:

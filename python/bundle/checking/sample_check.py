@@ -27,17 +27,17 @@ from bundle.interface.check_options import TOLERANCE
 __all__ = ["SamplePoint", "check_samples"]
 
 SAME_RESIDUAL = 1e-9
-"""Share of its largest entry by which a residual may differ between two calls at one point."""
+"""Largest difference, relative to the largest entry, of residuals of two calls at one point."""
 
 ROUGH = 1e-3
-"""Relative uncertainty of the reference at the given point that no rounding explains."""
+"""Relative uncertainty of the reference at the given point that rounding does not explain."""
 
 _Probe = tuple[bool, Array | None, Array | None, str]
 
 
 @dataclass(frozen=True, eq=False)
 class SamplePoint:
-    """The blocks of one sample; each sample can have its own function."""
+    """Blocks at which a function is checked; each point may have its own function."""
 
     user: UserFunction
     blocks: list[Array]
@@ -47,7 +47,7 @@ class SamplePoint:
         return self.user.evaluate(self.blocks)
 
     def reference(self, manifolds: list[tuple[str, list[int]]]) -> Any:
-        """Return the derivatives by Richardson extrapolation."""
+        """Return the result of Richardson extrapolation."""
         return _core.richardson_jacobian(
             self.user.core, self.user.num_residuals, self.blocks, manifolds
         )
@@ -59,7 +59,7 @@ class SamplePoint:
         )
 
     def without(self, parameter: int) -> SamplePoint | None:
-        """Return the point with a parameter of value zero; None if there is no residual."""
+        """Return the point with one parameter set to zero; None if there is no residual."""
         flat = np.concatenate(self.blocks)
         flat[parameter] = 0.0
         blocks = np.split(flat, np.cumsum(self.user.sizes)[:-1])
@@ -69,12 +69,12 @@ class SamplePoint:
 def check_samples(
     samples: Sequence[SamplePoint], layout: Layout, *, tolerance: float, ambient: bool = True
 ) -> GradientReport:
-    """Check Jacobians at sample points; the first is the given point."""
+    """Check Jacobians at points; the first is the given one."""
     return _Check(samples, layout, tolerance, ambient).run()
 
 
 class _Check:
-    """One check; its methods run in their order."""
+    """Single check, in the order of its methods."""
 
     def __init__(
         self, samples: Sequence[SamplePoint], layout: Layout, tolerance: float, ambient: bool
@@ -82,7 +82,7 @@ class _Check:
         self.layout, self.tolerance = layout, tolerance
         self.user = samples[0].user
         self.ambient = ambient or not layout.is_curved
-        # One after the other, so that a cache that lags behind shows, and before anything else.
+        # Evaluated in sequence and first, so that a stale cache becomes visible.
         first = [at.evaluate() for at in samples]
         finite = [bool(np.isfinite(residual).all()) for residual, _ in first]
         self.num_skipped = finite.count(False)
@@ -138,14 +138,14 @@ class _Check:
             Finding(
                 "undecided",
                 tuple(rough),
-                f"{join_names(rough)}: the point given is on a kink, a jump or the border of where "
-                "the residual has a value: nothing can be said of the derivative there",
+                f"{join_names(rough)}: the given point is on a kink, a jump or the border of "
+                "the residual's domain: the derivative there is undecided",
             )
         ]
 
     @staticmethod
     def _roughness(deviations: JacobianDeviation) -> Array:
-        """Return the uncertainty (R, N) at the first point, relative to the scale or the row."""
+        """Return uncertainty / scale (R, N) at the first point; the scale is at least the row's."""
         row = np.abs(deviations.reference[0]).max(axis=1, keepdims=True)
         rough: Array = deviations.uncertainty[0] / np.maximum(deviations.scale[0], row)
         return rough
@@ -153,7 +153,7 @@ class _Check:
     def _undecided(
         self, deviations: JacobianDeviation, samples: Sequence[int]
     ) -> dict[str, list[int]]:
-        """Return the samples at which most entries have no good reference and none is wrong."""
+        """Return the samples without a mistake at which most entries have no accurate reference."""
         found: dict[str, list[int]] = {"no_value": [], "rough": []}
         for k, index in enumerate(samples):
             doubt = deviations.doubt[k]
@@ -242,8 +242,8 @@ class _Check:
         return Finding(
             "normal",
             names,
-            f"{join_names(names)}: right along the manifold, wrong along its normal, where "
-            "ceres::GradientChecker does not look; a solve does not feel it "
+            f"{join_names(names)}: right along the manifold, wrong along its normal, which "
+            "ceres::GradientChecker does not test and which does not affect a solve "
             "(ambient=False accepts it)",
             float(outer.max_error.max()),
         )
@@ -304,7 +304,7 @@ def _no_value() -> Finding:
 
 
 def _unstable(first: Sequence[Array], again: Sequence[Array]) -> Finding | None:
-    """Return a finding if two calls at one point differ by more than rounding."""
+    """Return a finding if two calls at one point differ by more than rounding explains."""
     for k, (one, other) in enumerate(zip(first, again, strict=True)):
         with np.errstate(invalid="ignore"):
             same = np.abs(one - other) <= SAME_RESIDUAL * np.abs(one).max()
@@ -313,14 +313,14 @@ def _unstable(first: Sequence[Array], again: Sequence[Array]) -> Finding | None:
             return Finding(
                 "unstable",
                 (),
-                f"the function is not deterministic: two calls at sample {k} give residual {row} "
-                f"as {one[row]:.9g} and {other[row]:.9g}; nothing can be said of its Jacobians",
+                f"the function is not deterministic: two calls at sample {k} give residual "
+                f"{row} as {one[row]:.9g} and {other[row]:.9g}; its Jacobians are undecided",
             )
     return None
 
 
 def _vagueness(findings: Sequence[Finding]) -> int:
-    """Return the number of unspecific findings."""
+    """Return the number of findings that state only that something is wrong."""
     if not findings:
         return 100
     return sum(f.kind in ("small_part", "large_part", "order", "missing_term") for f in findings)

@@ -1,4 +1,4 @@
-"""Counts over many points: verdicts, histogram, worst entries, and samples for classification."""
+"""Statistics over many points: verdicts, histogram, worst entries, points to classify."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EDGES = (0.0, *(10.0**exponent for exponent in range(-14, 2)), np.inf)
 """Limits of the histogram's bins."""
 
 MOST_KEPT = 200
-"""Number of wrong points that suffice to recognise a mistake."""
+"""Wrong points that suffice to identify a mistake."""
 
 MOST_WORST = 10
 MOST_OF_A_COLUMN = 3
@@ -26,7 +26,7 @@ MOST_OF_A_COLUMN = 3
 
 @dataclass(frozen=True)
 class Worst:
-    """An entry with a large error: the point's number, row, column, and the numbers."""
+    """Entry with a large error: number of its point, row, column, and values."""
 
     point: int
     residual: int
@@ -38,7 +38,7 @@ class Worst:
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """Wrong points for the classification: their numbers and Jacobians."""
+    """Wrong points for the classifier: their numbers, and their Jacobians."""
 
     points: NDArray[np.intp]
     deviations: JacobianDeviation
@@ -46,7 +46,7 @@ class Kept:
 
 @dataclass(eq=False)
 class Tally:
-    """Statistics of one kind of residual."""
+    """Statistics of one kind of residual with its columns."""
 
     columns: Sequence[Column]
     tolerance: float
@@ -64,7 +64,7 @@ class Tally:
         self._kept: list[Kept] = []
 
     def add(self, deviations: JacobianDeviation, points: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Add points by their numbers and return the wrong ones."""
+        """Add points, `points` are their numbers; return the wrong ones."""
         if not len(deviations):
             return np.zeros(0, bool)
         error = deviations.error
@@ -74,7 +74,7 @@ class Tally:
         self.num_wrong += wrong.sum(axis=(0, 1))
         self.num_entries += error.shape[0] * error.shape[1]
         self.num_undecided += undecided.sum(axis=(0, 1))
-        # That a derivative is zero can be certain where no other is.
+        # A derivative can be known to be zero where no other is known.
         is_something = np.abs(deviations.reference) > deviations.uncertainty
         self.num_telling += (undecided | is_something).sum(axis=(0, 1))
         clear = np.where(deviations.doubt <= self.tolerance, deviations.deviation, error)
@@ -89,7 +89,7 @@ class Tally:
         return wrong_points
 
     def is_undecided(self, column: int) -> bool:
-        """Return whether most entries of a column are undecided, certain zeros excepted."""
+        """Return True if most of a column is undecided, without entries that are surely zero."""
         return bool(2 * self.num_undecided[column] > self.num_telling[column])
 
     @property
@@ -108,7 +108,7 @@ class Tally:
         return [int(j) for j in np.flatnonzero(self.num_wrong)]
 
     def _note_worst(self, deviations: JacobianDeviation, points: NDArray[np.intp]) -> None:
-        """Keep the worst entries of each column, at most one of a point."""
+        """Store the worst entries of each column, at most one per point."""
         score: Array = deviations.error + 1e-6 * np.minimum(deviations.deviation, 1e9)
         rows = score.argmax(axis=1)
         by_column = score.max(axis=1)
@@ -136,7 +136,7 @@ class Tally:
 
 
 def verdicts(tallies: Sequence[Tally]) -> tuple[tuple[Verdict, ...], tuple[Verdict, ...]]:
-    """Return verdicts on groups and on parameters; parameters of one name are combined."""
+    """Return verdicts on groups and on parameters; equal names are combined."""
     entries = [(column, tally, j) for tally in tallies for j, column in enumerate(tally.columns)]
     named = [(column.group, tally, j) for column, tally, j in entries]
     return _verdicts(named), _verdicts([(column.name, tally, j) for column, tally, j in entries])

@@ -1,11 +1,10 @@
-"""A scene block by block: its images and cameras first, then its points with their observations.
+"""Scene in blocks: images and cameras first, then blocks of points with their observations.
 
 A scene of at most a million points is one block. A larger one has blocks of about equal size, each
-with random numbers of its own: whatever images share, they share in each block. So blocks are
-made side by side, and no more of them are in memory than are being made. The scene does not depend
-on the number of threads.
+with its own random numbers. All images share points within each block. Blocks are made in parallel,
+and only the blocks in progress are in memory. The scene does not depend on the number of threads.
 
-Measurements: what is wrong with them, as asked for.
+Measurements get noise and outliers as requested.
 """
 
 from __future__ import annotations
@@ -40,15 +39,15 @@ Array = NDArray[np.float64]
 def measure(
     rng: np.random.Generator, xy: Array, sizes: NDArray[np.int64], options: SceneOptions
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return measured positions (M, 2) in pixels, and which of them are outliers (M,).
+    """Return measured positions (M, 2) in pixels, and the mask of outliers (M,).
 
-    Noise that would lead out of the image is taken the other way, which keeps its magnitude.
+    Noise that would leave the image is reversed, which preserves its magnitude.
 
     Args:
         rng: source of noise and outliers.
         xy: (M, 2) exact positions.
         sizes: (M, 2) width and height of the image of each observation.
-        options: how much of it.
+        options: amount of noise and outliers.
     """
     noise = options.pixel_noise * rng.standard_normal(xy.shape)
     measured = xy + noise
@@ -61,11 +60,11 @@ def measure(
 
 
 LARGEST_SINGLE = 1 << 20
-"""Points of the largest scene that is one block."""
+"""Points of the largest scene that is a single block."""
 POINTS_PER_BLOCK = 1 << 18
-"""Points of the blocks of others, but more where many images look for their own in each."""
+"""Points per block of larger scenes; more if many images need their own points in each."""
 _POINTS_PER_IMAGE = 40
-# A block takes some hundred megabytes while it is made.
+# Blocks take some hundred megabytes while they are made.
 _MOST_AT_A_TIME = 8
 _MAX_ROUNDS = 12
 
@@ -85,7 +84,7 @@ class Block:
         points: (n, 3) true positions.
         image: (M,) image index of each observation; sorted by point, then image.
         point: (M,) index of its point in the scene.
-        xy: (M, 2) measured, in pixels.
+        xy: (M, 2) measured positions in pixels.
         is_outlier: (M,)
     """
 
@@ -98,17 +97,17 @@ class Block:
 
 
 class SceneInBlocks:
-    """The true images and cameras of a scene, and what makes its blocks.
+    """True images and cameras of a scene, and the generator of its blocks.
 
     Attributes:
-        options: what to make.
+        options: options of the scene.
         cameras: the true cameras.
-        start_seed: of the start.
-        num_blocks: how many there are.
+        start_seed: seed of the start.
+        num_blocks: number of blocks.
     """
 
     def __init__(self, options: SceneOptions) -> None:
-        # One independent stream a purpose: more noise leaves the structure as it is.
+        # One independent stream per purpose: more noise does not change the structure.
         layout, structure, measurement, self.start_seed = np.random.SeedSequence(
             options.seed
         ).spawn(4)
@@ -150,10 +149,10 @@ class SceneInBlocks:
         )
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the blocks in their order; some are made ahead, on other threads.
+        """Yield the blocks in order; some are made ahead on other threads.
 
         Raises:
-            InputError: the scene cannot be made, see ``synthesize``.
+            InputError: the scene is impossible, see ``synthesize``.
         """
         count = self.num_blocks
         if count == 1:
@@ -177,7 +176,7 @@ class SceneInBlocks:
 
     @staticmethod
     def part(images: Problem, block: Block) -> Problem:
-        """Return the images with the points of a block, these alone, and their observations."""
+        """Return the images with only the points of a block and their observations."""
         return images.replace(
             points=block.points,
             point_ids=None,
@@ -219,14 +218,14 @@ def _observe(
     num_points: int,
     num_threads: int,
 ) -> tuple[Points, Pairs]:
-    """Draw points until enough of them are visible from two images, then choose observations."""
+    """Draw points until enough are visible in two images, then choose observations."""
     parts: list[tuple[Points, Array, Pairs]] = []
     found, drawn = 0, 0
     while found < num_points:
         if len(parts) == _MAX_ROUNDS:
             raise InputError(
-                f"num_points: expected at most {found}, as many are visible from two images, "
-                f"found {num_points}"
+                f"num_points: expected at most {found}, the number that is visible in two "
+                f"images, found {num_points}"
             )
         missing = num_points - found
         share = max(found / drawn, 0.02) if drawn else 1.0
@@ -258,11 +257,11 @@ def _draw_visible(
     count: int,
     num_threads: int,
 ) -> tuple[Points, Array, Pairs, int]:
-    """Draw ``count`` points, of which at most ``wanted`` that two images see are kept.
+    """Draw ``count`` points; keep at most ``wanted`` of those that two images observe.
 
     Returns:
-        The points kept, how long their tracks want to be, who could observe them, and how many
-        points had to be drawn for that.
+        Kept points, their wanted track lengths, their possible observers, and the number of points
+        drawn for them.
     """
     points = scene.draw_points(rng, count)
     weights = scene.draw_lengths(rng, len(points))

@@ -1,11 +1,11 @@
-"""Star-shaped bodies: bumpy balls and boxes, stretched along the axes.
+"""Star-shaped bodies: rough balls and boxes, stretched along the axes.
 
 The surface is ``center + half_axes * d * radius(d)`` for unit directions ``d``, with
 
     radius(d) = norm(d)^-1 * (1 + sum_k amplitude_k * cos(frequency_k . d + phase_k)),
 
-where the norm is the p-norm: a ball for p = 2, the closer to a box the larger p. Before the
-stretch, the surface is the zero set of ``F(y) = |y| - radius(y / |y|)``, whose gradient
+where the norm is the p-norm: a ball for p = 2, closer to a box for larger p. Before the stretch,
+the surface is the zero set of ``F(y) = |y| - radius(y / |y|)``, whose gradient
 
     d - (I - d d^T) grad radius(d) / |y|
 
@@ -26,7 +26,7 @@ _NUM_WAVES = 12
 
 
 class Body:
-    """A body of given center (3,), half axes (3,) in length units, and exponent of the norm."""
+    """Body with a center (3,), half axes (3,) in length units, and the exponent of its norm."""
 
     def __init__(
         self, rng: np.random.Generator, center: Array, half_axes: Array, exponent: int
@@ -67,7 +67,7 @@ class Body:
         return self.center + self.half_axes * d * radius[:, None], normals
 
     def toward(self, positions: Array) -> Array:
-        """Return directions (n, 3), not normalised, whose surface points lie below positions."""
+        """Return directions (n, 3), not normalised, of the surface points below given positions."""
         return (positions - self.center) / self.half_axes
 
 

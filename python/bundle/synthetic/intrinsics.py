@@ -1,4 +1,4 @@
-"""Cameras: true parameters for the images of a scene, and where distortion makes sense."""
+"""Intrinsics: true camera parameters of a scene, and reasonable distortion."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TANGENTIAL_PARAMS = ("p1", "p2")
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """The cameras of a scene, all of one model.
+    """Cameras of a scene, all of one model.
 
     Attributes:
         model: COLMAP's name.
@@ -41,22 +41,23 @@ class Intrinsics:
         return row
 
     def columns(self, names: tuple[str, ...]) -> list[int]:
-        """Return the columns of ``params`` that hold any of the named parameters."""
+        """Return the columns of ``params`` that contain any of the named parameters."""
         return [column for column, name in enumerate(self.names) if name in names]
 
 
 def draw_intrinsics(
     rng: np.random.Generator, images: Images, model: str, *, shared: bool
 ) -> Intrinsics:
-    """Draw one camera for all images, which then must agree in size and focal length, or one each.
+    """Draw one camera for all images (of equal size and focal length), or one each.
 
     The principal point is the centre of the image. Distortion is that of ordinary lenses: mild
-    barrel, less the longer the focal length, monotonic well beyond the corners of the image.
+    barrel distortion, smaller for longer focal lengths, monotonic well beyond the corners of the
+    image.
     """
     count = 1 if shared else len(images.focal)
     sizes, focal = images.sizes[:count], images.focal[:count]
     pixels = focal * sizes.max(axis=1)
-    # A coefficient acts on the squared field angle, hence the scale by the corner's.
+    # A coefficient multiplies the squared field angle, so it is scaled by that of the corner.
     corner = 0.25 * (sizes**2).sum(axis=1) / pixels**2
     k1 = rng.uniform(-0.05, -0.01, count) / np.maximum(corner, 0.3)
     k2 = rng.uniform(0.0, 0.01, count) / np.maximum(corner, 0.3) ** 2

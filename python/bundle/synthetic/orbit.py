@@ -1,8 +1,9 @@
 """Rings of cameras around an object.
 
-The object is a bumpy ball of about unit radius; surface normals limit who sees a point, so that it
-is observed over an arc of each ring. Where a track is much shorter than that arc, as when thousands
-of images surround the object, points are recognised under smaller changes of view only.
+The object is a rough ball of about unit radius. Surface normals limit the cameras that see a point,
+so that it is observed over an arc of each ring. If tracks are much shorter than that arc, as with
+thousands of images around the object, points are recognised only under smaller changes of the
+viewing angle.
 
 Length unit: the mean radius of the object; z is up.
 """
@@ -29,7 +30,7 @@ LOWEST, HIGHEST = np.radians(8.0), np.radians(55.0)  # elevation of the rings
 
 
 class Orbit(Scene):
-    """See the head of the file."""
+    """Scene of this kind; see the head of the file."""
 
     min_cosine = float(np.cos(WIDEST_ANGLE))
 
@@ -51,14 +52,14 @@ class Orbit(Scene):
         )
 
     def draw_points(self, rng: np.random.Generator, count: int) -> Points:
-        """Draw points all over the object but its underside."""
+        """Draw points all over the object except its underside."""
         directions = random_directions(rng, 2 * count)
         directions = directions[directions[:, 2] > -0.55][:count]
         positions, normals = self.body.surface(directions)
         return Points(positions, normals, np.full(len(positions), np.inf), normals)
 
     def draw_lengths(self, rng: np.random.Generator, count: int) -> Array:
-        """Track lengths of a ring are fairly even: a gamma distribution of shape 2."""
+        """Draw fairly even track lengths: a gamma distribution of shape 2."""
         return rng.standard_gamma(2.0, count) / 2.0
 
     def preference(self, rng: np.random.Generator, points: Points, pairs: Pairs) -> Array:

@@ -1,9 +1,9 @@
-"""Photographs of landmarks around a square, as visitors take them.
+"""Photographs of landmarks around a square, as tourists take them.
 
-A few landmarks have most of the images. Visitors take a few shots each, and stand where their lens
-frames anything from the whole building to a detail through a telephoto lens; some step back
-and take two neighbouring landmarks at once, which ties the clusters together. Track lengths are
-heavy-tailed: most points are seen by a few images, some by a good share of their cluster.
+A few landmarks have most of the images. Visitors take a few shots each, from positions where their
+lens frames anything from the whole building to a detail through a telephoto lens. Some step back
+and take two neighbouring landmarks at once, which connects the clusters. Track lengths are
+heavy-tailed: most points are observed in few images, some in a large share of their cluster.
 
 Length unit: metre; z is up; the square is at z = 0.
 """
@@ -34,13 +34,13 @@ SHOTS_PER_VISITOR = 3
 PARETO_SHAPE = 2.3
 # Landmarks are boxes with rounded edges; the exponent of their norm.
 _SQUARENESS = 6
-# Nobody aims at a surface steeper than this, as the cosine between normal and line of sight.
+# No image aims at a steeper surface (cosine between normal and line of sight).
 _STEEPEST_AIM = 0.5
 
 
 @dataclass(frozen=True)
 class _Shots:
-    """Where images are taken from, what they aim at, and the radius around it that they show."""
+    """Positions, targets, and visible radii around the targets, of images."""
 
     centers: Array
     aims: Array
@@ -48,7 +48,7 @@ class _Shots:
 
 
 class PhotoCollection(Scene):
-    """See the head of the file."""
+    """Scene of this kind; see the head of the file."""
 
     min_cosine = 0.25
 
@@ -74,7 +74,7 @@ class PhotoCollection(Scene):
         )
 
     def draw_points(self, rng: np.random.Generator, count: int) -> Points:
-        """Draw points where images aim, so that what is popular is also densely reconstructed."""
+        """Draw points where images aim, so that popular places are densely reconstructed."""
         close_ups = np.flatnonzero(~self._is_panorama)
         image = close_ups[rng.integers(0, len(close_ups), count)]
         spread = 0.5 * self.images.ball_radii[image, None]
@@ -85,11 +85,11 @@ class PhotoCollection(Scene):
         return points.take(above_ground)
 
     def draw_lengths(self, rng: np.random.Generator, count: int) -> Array:
-        """Heavy-tailed: a Pareto (Lomax) distribution."""
+        """Draw heavy-tailed track lengths: a Pareto (Lomax) distribution."""
         return rng.pareto(PARETO_SHAPE, count) * (PARETO_SHAPE - 1.0)
 
     def preference(self, rng: np.random.Generator, points: Points, pairs: Pairs) -> Array:
-        """Prefer images rich in observations, otherwise whichever."""
+        """Prefer images rich in observations, otherwise at random."""
         del points
         return rng.standard_exponential(len(pairs)) / self.images.richness[pairs.image]
 
@@ -103,7 +103,7 @@ class PhotoCollection(Scene):
         )
 
     def _close_up(self, rng: np.random.Generator, focal: Array) -> _Shots:
-        """Aim at a landmark: a visitor first at all of it, then at details that may be anywhere."""
+        """Aim at a landmark: first at all of it, then at random details."""
         count = len(focal)
         centers = np.array([body.center for body in self.bodies])[self._landmark]
         radius = np.array([body.radius for body in self.bodies])[self._landmark]
@@ -155,7 +155,7 @@ class PhotoCollection(Scene):
 
 
 def _landmarks(rng: np.random.Generator, count: int) -> list[Body]:
-    """Build landmarks on a circle about the origin, none of them touching its neighbour."""
+    """Build landmarks on a circle about the origin, without contact between neighbours."""
     circle = max(60.0, 5.0 * MEDIAN_RADIUS * count / (2 * np.pi))
     bodies = []
     for index in range(count):
@@ -170,16 +170,16 @@ def _landmarks(rng: np.random.Generator, count: int) -> list[Body]:
 def _subjects(
     rng: np.random.Generator, count: int, num_landmarks: int
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
-    """Return landmark, by Zipf's law, whether it is a panorama, and time of each image (count,).
+    """Return landmark (by Zipf's law), panorama flag, and time of each image (count,).
 
-    Panoramas visit every pair of neighbours in turn; images come in no order.
+    Panoramas visit every pair of neighbours in turn; images are in random order.
     """
     num_panoramas = 0 if num_landmarks == 1 else max(
         2 * (num_landmarks - 1), round(PANORAMA_SHARE * count)
     )  # fmt: skip
     popularity = 1.0 / (np.arange(num_landmarks) + 1.0)
     cumulative = np.cumsum(popularity / popularity.sum())
-    # Even quantiles rather than draws: no landmark is forgotten.
+    # Even quantiles instead of draws, so that every landmark has images.
     quantiles = (np.arange(count - num_panoramas) + 0.5) / (count - num_panoramas)
     landmark = np.searchsorted(cumulative[:-1], quantiles)
     pairs = np.arange(num_panoramas) % max(num_landmarks - 1, 1)
@@ -191,7 +191,7 @@ def _subjects(
 def _vary(
     rng: np.random.Generator, sizes: NDArray[np.int64], is_panorama: NDArray[np.bool_]
 ) -> NDArray[np.int64]:
-    """Return sizes as of many devices: some much larger, a quarter upright but for panoramas."""
+    """Return sizes of various devices: some much larger, a quarter upright except panoramas."""
     factor = np.clip(np.exp(rng.normal(0.0, 0.45, len(sizes))), 0.4, 4.0)
     varied = np.maximum(np.round(sizes * factor[:, None]), 64).astype(np.int64)
     upright = (rng.random(len(sizes)) < 0.25) & ~is_panorama

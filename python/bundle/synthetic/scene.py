@@ -1,8 +1,8 @@
-"""What the kinds of scenes have in common: images, points, and who may see whom.
+"""Base of all kinds of scenes: images, points, and their possible observations.
 
-A scene answers one question twice, roughly and exactly. Roughly: every point has a *key* and every
-image a *ball*, and only points whose key lies in the ball can be seen; grid cells over the keys
-keep large scenes from testing every image with every point. Keys are whatever makes the balls
+Visibility is tested approximately and then exactly. Approximately: every point has a *key* and
+every image a *ball*, and an image can only observe points with their key in its ball. Grid cells
+over the keys avoid testing every image with every point. Keys are chosen so that the balls are
 tight: positions in a street, surface normals around an object. Exactly: see :mod:`.visibility`.
 """
 
@@ -21,14 +21,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Images:
-    """The true images.
+    """True images.
 
     Attributes:
         centers: (N, 3) projection centres in the world, length units.
         rotations: (N, 3, 3) camera-from-world.
         focal: (N,) focal length relative to the longer side of the image.
         sizes: (N, 2) width and height in pixels.
-        richness: (N,) how readily an image yields observations, relative to others.
+        richness: (N,) relative number of observations that an image tends to yield.
         ball_centers: (N, 3) in the space of the points' keys.
         ball_radii: (N,)
     """
@@ -48,7 +48,7 @@ class Points:
 
     Attributes:
         positions: (n, 3) in the world, length units.
-        normals: (n, 3) unit outward normals; zero for what is seen from all sides.
+        normals: (n, 3) unit outward normals; zero for points visible from all sides.
         reach: (n,) distance beyond which a point is not recognised, length units.
         keys: (n, 3)
     """
@@ -85,7 +85,7 @@ class Pairs:
     Attributes:
         point: (M,) point indices.
         image: (M,) image indices.
-        starts: (num_points + 1,) where the pairs of each point begin.
+        starts: (num_points + 1,) begin of the pairs of each point.
     """
 
     point: NDArray[np.int32]
@@ -94,14 +94,14 @@ class Pairs:
 
     @staticmethod
     def from_sorted(point: NDArray[np.int32], image: NDArray[np.int32], num_points: int) -> Pairs:
-        """Take pairs that are sorted by point, then image."""
+        """Return pairs from arrays that are sorted by point, then image."""
         starts = np.zeros(num_points + 1, dtype=np.int64)
         np.cumsum(np.bincount(point, minlength=num_points), out=starts[1:])
         return Pairs(point, image, starts)
 
     @staticmethod
     def concatenate(parts: list[Pairs]) -> Pairs:
-        """Return the pairs of all parts; points are numbered on from part to part."""
+        """Return the pairs of all parts, with consecutive point numbers."""
         num_points = np.cumsum([0] + [len(part.counts) for part in parts])
         return Pairs.from_sorted(
             np.concatenate(
@@ -115,7 +115,7 @@ class Pairs:
         )
 
     def of_points(self, points: NDArray[np.int64]) -> Pairs:
-        """Return the pairs of some points, given in ascending order, which are numbered anew."""
+        """Return the pairs of some points in ascending order, with new point numbers."""
         number = np.full(len(self.counts), -1, dtype=np.int32)
         number[points] = np.arange(len(points))
         kept = number[self.point] >= 0
@@ -126,7 +126,7 @@ class Pairs:
 
     @property
     def counts(self) -> NDArray[np.int64]:
-        """Pairs of each point."""
+        """Number of pairs of each point."""
         return np.diff(self.starts)
 
     @property
@@ -137,13 +137,13 @@ class Pairs:
 
 
 class Scene(ABC):
-    """A kind of scene, built for given options.
+    """Kind of scene, built for given options.
 
     Attributes:
         images: the true images.
         min_cosine: smallest cosine between a surface normal and the direction to the camera.
-        blocks: what hides points: blocks of a town with a road along every multiple of the first
-            number in x and in y, as far from the roads' middles as the second. 0: nothing does.
+        blocks: occluders: blocks of a town with a road along every multiple of the first number in
+            x and in y, at the distance of the second number from the middle of the roads. 0: none.
     """
 
     images: Images
@@ -152,12 +152,12 @@ class Scene(ABC):
 
     @abstractmethod
     def draw_points(self, rng: np.random.Generator, count: int) -> Points:
-        """Draw about ``count`` points where images look; some may turn out to be hidden."""
+        """Draw about ``count`` points where images look; some may be occluded."""
 
     @abstractmethod
     def draw_lengths(self, rng: np.random.Generator, count: int) -> Array:
-        """Draw how long tracks want to be, beyond 2 observations: (count,) with mean 1."""
+        """Draw the wanted track lengths beyond 2 observations: (count,) with mean 1."""
 
     @abstractmethod
     def preference(self, rng: np.random.Generator, points: Points, pairs: Pairs) -> Array:
-        """Return (M,): of the images that could see a point, those with the smallest values do."""
+        """Return (M,): the possible observers of a point with the smallest values observe it."""

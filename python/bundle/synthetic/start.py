@@ -1,8 +1,8 @@
-"""The start of a scene: the true problem with its poses, points and cameras perturbed.
+"""Start of a scene: the true problem with perturbed poses, points and cameras.
 
-One stream of random numbers serves it: images, then points, then cameras. Where points come block
-by block, cameras are needed before the last point is there; so two generators run over the stream,
-of which the one for the cameras leaves out what the points take.
+One stream of random numbers is used: images, then points, then cameras. If points come in blocks,
+cameras are needed before the last point. Therefore two generators run over the stream, and the one
+for the cameras skips the numbers of the points.
 """
 
 from __future__ import annotations
@@ -25,21 +25,22 @@ __all__ = ["Start", "median_distance"]
 
 Array = NDArray[np.float64]
 
-# Numbers that are drawn and thrown away at a time.
+# Numbers to draw and discard at a time.
 _SKIPPED = 1 << 20
 
 
 class Start:
-    """Perturbed images and cameras, and points as they come.
+    """Perturbed images and cameras, and points as they arrive.
 
-    Rotations turn about the camera centre, so that rotation and translation noise are independent.
+    Rotations turn about the projection centre, so that rotation and translation noise are
+    independent.
 
     Args:
-        seed: of the stream.
-        truth: the true images and cameras; its points do not matter.
-        cameras: the true cameras.
-        scale: of the scene, see ``median_distance``.
-        options: how much of it.
+        seed: seed of the stream.
+        truth: true images and cameras; its points are not used.
+        cameras: true cameras.
+        scale: scale of the scene, see ``median_distance``.
+        options: amount of noise.
 
     Attributes:
         cam_from_world: (num_images, 7)
@@ -68,13 +69,13 @@ class Start:
         self.camera_params = _perturbed_params(rng, cameras, options)
 
     def points(self, true_points: Array) -> Array:
-        """Return the start of the next points (n, 3) of the scene, in their order."""
+        """Return the start of the next points (n, 3) of the scene, in order."""
         shift: Array = self._point_sigma * self._of_points.standard_normal(true_points.shape)
         return true_points + shift
 
 
 def median_distance(problem: Problem) -> float:
-    """Return the scale of a scene: the median distance of a point from the cameras that see it."""
+    """Return the scale of a scene: the median distance of points from their observing cameras."""
     rotations, translations = problem.cam_from_world[:, :4], problem.cam_from_world[:, 4:]
     centers = -quaternion_rotate(quaternion_inverse(rotations), translations)
     to_point = problem.points[problem.observation_point] - centers[problem.observation_image]
@@ -89,9 +90,9 @@ def _skip(rng: np.random.Generator, count: int) -> None:
 def _perturbed_params(
     rng: np.random.Generator, cameras: Intrinsics, options: SceneOptions
 ) -> Array:
-    """Return starting values (num_cameras, num_params) of the cameras' parameters.
+    """Return start values (num_cameras, num_params) of the camera parameters.
 
-    All focal lengths of a camera change by the same factor, which is never below a half.
+    All focal lengths of a camera change by the same factor, which is at least one half.
     """
     params = cameras.params.copy()
     count = len(params)

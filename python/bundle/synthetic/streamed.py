@@ -1,11 +1,10 @@
-"""A scene written to BAL files as it is made, so that it never is in memory as a whole.
+"""Scene written to BAL files while it is made, so that it is never in memory as a whole.
 
-Both files, the start and the ground truth, have the same observations, which are formatted once.
-In a BAL file points come after all observations: until then they wait in files without a name,
-in the folders of the output. In memory are the images, the blocks that are being made and their
-tally.
+Both files, start and ground truth, have the same observations, which are formatted once. In a BAL
+file, points follow all observations: until then they wait in unnamed files in the folders of the
+output. Memory holds the images, the blocks in progress and their tally.
 
-What a scene has, counted block by block.
+Counts and errors of a scene are accumulated block by block.
 """
 
 from __future__ import annotations
@@ -31,18 +30,18 @@ from bundle.synthetic.start import Start, median_distance
 __all__ = ["ErrorTally", "SceneTally", "write_bal_scene"]
 
 
-# Of a float32 that is not negative: bits 11 and up, which tell numbers apart by 2^-12 of their size
-# and are in their order.
+# Dropped bits of a nonnegative float32: the bits from 11 on distinguish numbers by 2^-12 of their
+# size and preserve their order.
 _DROPPED_BITS = 11
 _NUM_BINS = 1 << (31 - _DROPPED_BITS)
 
 
 @dataclass
 class ErrorTally:
-    """Statistics of reprojection errors, none of which is kept.
+    """Statistics of reprojection errors, without storing the errors.
 
-    They are those of ``bundle.reprojection_error``, but for the quantiles, which are within 1/8000
-    of their size.
+    They equal those of ``bundle.reprojection_error``, except quantiles, which are accurate to
+    1/8000 of their size.
     """
 
     _count: int = 0
@@ -65,7 +64,7 @@ class ErrorTally:
         self._bins += np.bincount(bits, minlength=_NUM_BINS)
 
     def statistics(self) -> ReprojectionError:
-        """Return what was added; there has to be an error."""
+        """Return the statistics; at least one error must have been added."""
         return ReprojectionError(
             rmse=float(np.sqrt(self._squares / self._count)),
             mean=self._sum / self._count,
@@ -86,10 +85,10 @@ class SceneTally:
     """Counts of a scene.
 
     Attributes:
-        num_observations: so far.
-        num_outliers: so far.
-        observations_per_image: (num_images,) so far.
-        errors: of "start" and "ground_truth", once all is there.
+        num_observations: number of observations so far.
+        num_outliers: number of outliers so far.
+        observations_per_image: (num_images,) counts so far.
+        errors: errors of "start" and "ground_truth", once the scene is complete.
     """
 
     def __init__(self, num_images: int) -> None:
@@ -101,7 +100,7 @@ class SceneTally:
     def add(
         self, image: NDArray[np.int32], point: NDArray[np.int32], is_outlier: NDArray[np.bool_]
     ) -> None:
-        """Add all observations of some points: (M,) image, point (from 0) and outlier or not."""
+        """Add all observations of some points: (M,) image, point (from 0) and outlier flag."""
         self.num_observations += len(image)
         self.num_outliers += int(is_outlier.sum())
         num_images = len(self.observations_per_image)
@@ -113,11 +112,11 @@ class SceneTally:
         )
 
     def track_length(self) -> dict[str, float]:
-        """Return "min", "mean", "median" and "max" of the observations of a point."""
+        """Return "min", "mean", "median" and "max" of the observations per point."""
         return _distribution(self._lengths)
 
     def image_size(self) -> dict[str, float]:
-        """Return the same of the observations of an image."""
+        """Return the same statistics of the observations per image."""
         return _distribution(np.bincount(self.observations_per_image))
 
 
@@ -135,7 +134,7 @@ def _distribution(histogram: NDArray[np.int64]) -> dict[str, float]:
     }
 
 
-# Of the points that wait, read at a time.
+# Number of waiting points to read at a time.
 _POINTS_AT_A_TIME = 1 << 20
 
 
@@ -145,28 +144,28 @@ def write_bal_scene(
     truth_path: Path,
     progress: Callable[[float], None] | None = None,
 ) -> SceneTally:
-    """Write the start of a scene and its ground truth, as ``synthesize`` makes them.
+    """Write the start of a scene and its ground truth, as made by ``synthesize``.
 
     Args:
-        scene: what to make.
-        path: of the start, a BAL file that is not compressed.
-        truth_path: of the ground truth, likewise.
-        progress: called with the share of the points that is done, after each block.
+        scene: scene to write.
+        path: path of the start, an uncompressed BAL file.
+        truth_path: path of the ground truth, likewise.
+        progress: called with the finished share of the points, after each block.
 
     Returns:
-        What was written, counted.
+        Counts of the written scene.
 
     Raises:
-        InputError: the scene cannot be made, see ``synthesize``; a BAL file cannot hold its
+        InputError: the scene is impossible, see ``synthesize``; a BAL file cannot store its
             cameras; a path cannot be replaced.
-        OSError: a file cannot be written. Whatever goes wrong, neither of the files is there.
+        OSError: a file cannot be written. After any error, neither file exists.
     """
     options, truth = scene.options, scene.images()
     bal.radial_params(truth)
     tally = SceneTally(truth.num_images)
     errors = {"start": ErrorTally(), "ground_truth": ErrorTally()}
     with ExitStack() as stack:
-        # The one that was entered last is put into place first.
+        # The one entered last is moved into place first.
         paths = [stack.enter_context(atomic.replace_file(name)) for name in (path, truth_path)]
         waiting = [stack.enter_context(tempfile.TemporaryFile(dir=name.parent)) for name in paths]
         stream = _core.BalStream(list(paths), truth.num_images, options.num_points)
@@ -199,7 +198,7 @@ def write_bal_scene(
 
 
 def _read_points(file: IO[bytes]) -> Iterator[NDArray[np.float64]]:
-    """Yield all points (n, 3) of a file, some at a time."""
+    """Yield all points (n, 3) of a file in chunks."""
     file.seek(0)
     while len(some := np.fromfile(file, np.float64, 3 * _POINTS_AT_A_TIME)):
         yield some.reshape(-1, 3)

@@ -1,14 +1,14 @@
-"""A vehicle with a forward-looking camera drives through a town of square blocks.
+"""Drive of a vehicle with a forward-looking camera through a town of square blocks.
 
-Points lie on facades (many of them on the corners of windows), on the ground, and on what stands on
-the pavement. Blocks hide what is behind them. A point is seen over a run of consecutive images, so
-co-visibility is banded, but for places that the drive comes back to.
+Points lie on facades (many of them on the corners of windows), on the ground, and on objects on the
+pavement. Blocks occlude points behind them. A point is observed over a run of consecutive images,
+so covisibility is banded, except for places that the drive revisits.
 
 Length unit: metre; z is up; the road is at z = 0.
 
-Drives through a road network laid out as a grid.
+Roads form a grid.
 
-Roads run along both axes, one every ``pitch`` length units; their crossings are the nodes.
+They run along both axes, one every ``pitch`` length units; their crossings are the nodes.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _POINTS_PER_CORNER = 12
 
 
 def drive_laps(rng: np.random.Generator) -> Iterator[Step]:
-    """Yield steps between nodes, without end: laps around blocks, each closed and then left.
+    """Yield endless steps between nodes: laps around blocks, each closed and then left.
 
-    The first lap is around one block. Every lap ends by driving again along its first road.
+    The first lap goes around one block. Every lap ends by repeating its first road.
     """
     heading: Step = (1, 0)
     length, width = 1, 1
@@ -49,7 +49,7 @@ def drive_laps(rng: np.random.Generator) -> Iterator[Step]:
 
 
 def drive_one_way(rng: np.random.Generator) -> Iterator[Step]:
-    """Yield steps between nodes, without end, that never come back: a staircase."""
+    """Yield endless steps between nodes that never return: a staircase."""
     heading: Step = (1, 0)
     while True:
         yield from [heading] * int(rng.integers(1, 4))
@@ -65,20 +65,20 @@ def waypoints(
     spacing: float,
     count: int,
 ) -> tuple[Array, Array]:
-    """Drive with rounded corners.
+    """Return positions and headings of a drive with rounded corners.
 
     Args:
-        drive: the steps to take.
-        rng: where the drive takes its decisions from.
+        drive: steps of the drive.
+        rng: source of the drive's decisions.
         pitch: distance between roads.
-        corner_radius: where a turn begins before the node, at most half the pitch.
+        corner_radius: distance from the node at which a turn begins, at most half the pitch.
         spacing: distance travelled between waypoints.
         count: number of waypoints.
 
     Returns:
         Positions (count, 2), and headings (count,) in radians from the x axis.
     """
-    # The headings look one and a half steps ahead; a corner shortens the way by 0.6 radii at most.
+    # Headings need one and a half further steps; a corner shortens the path by at most 0.6 radii.
     needed = (count + 3) * spacing
     nodes: list[Step] = [(0, 0)]
     travelled = 0.0
@@ -122,20 +122,20 @@ ROAD_WIDTH = 11.0  # from facade to facade
 CAMERA_HEIGHT = 1.9
 FACADE_REACH, GROUND_REACH, FURNITURE_REACH = 42.0, 20.0, 28.0
 FACADE_SHARE, GROUND_SHARE = 0.7, 0.2
-# Distance over which a point at the roadside stays in view, which sets the spacing of the images.
+# Distance over which a point at the roadside stays in view, which determines the spacing of images.
 VIEW_LENGTH = 30.0
 FOCAL = 0.8
 
 
 class Street(Scene):
-    """See the head of the file."""
+    """Scene of this kind; see the head of the file."""
 
     min_cosine = 0.07
 
     def __init__(self, rng: np.random.Generator, options: SceneOptions) -> None:
         count = options.num_images
         self.spacing = float(np.clip(VIEW_LENGTH / (2.4 * options.wanted_track_length), 0.3, 3.5))
-        # Small drives get small blocks, so that they too turn and close a lap (4 blocks' length).
+        # Short drives get small blocks, so that they also turn and close a lap (4 block lengths).
         self.pitch = float(np.clip(count * self.spacing / 4.4, 20.0, 60.0))
         # A line of sight may graze a facade.
         self.blocks = (self.pitch, 0.5 * ROAD_WIDTH + 0.6)
@@ -169,7 +169,7 @@ class Street(Scene):
         self._heading = heading
 
     def draw_points(self, rng: np.random.Generator, count: int) -> Points:
-        """Draw points near what images look at, moved onto the nearest surface of their kind."""
+        """Draw points near the view of images, moved onto the nearest surface of their kind."""
         image = rng.integers(0, len(self._heading), count)
         bearing = self._heading[image] + rng.normal(0.0, 0.3, count)
         distance = rng.uniform(5.0, 36.0, count)
@@ -196,11 +196,11 @@ class Street(Scene):
         return points.take(kept)
 
     def draw_lengths(self, rng: np.random.Generator, count: int) -> Array:
-        """Tracks end with equal probability at every step: exponential."""
+        """Draw exponential lengths: tracks end with equal probability at every step."""
         return rng.standard_exponential(count)
 
     def preference(self, rng: np.random.Generator, points: Points, pairs: Pairs) -> Array:
-        """Prefer a run of images about a random one of those in view, with an odd one left out."""
+        """Prefer a run of images about a random one in view, with some images skipped."""
         del points
         middle = np.floor(rng.random(len(pairs.counts)) * pairs.counts)
         away = np.abs(pairs.ranks - np.repeat(middle, pairs.counts))
@@ -208,7 +208,7 @@ class Street(Scene):
         return preference
 
     def _from_axes(self, xy: Array) -> tuple[Array, Array]:
-        """Return offsets from the nearest road axes, and those axes' positions."""
+        """Return offsets from the nearest road axes, and the positions of these axes."""
         axes = self.pitch * np.round(xy / self.pitch)
         return xy - axes, axes
 
@@ -222,10 +222,10 @@ class Street(Scene):
     def _onto_facades(
         self, rng: np.random.Generator, xy: Array
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Move positions (n, 2) onto facades: positions, normals (n, 3), whether it could be done.
+        """Move positions (n, 2) onto facades: positions, normals (n, 3), and mask of success.
 
-        From a road to either of its sides, from inside a block to its nearest side; a crossing has
-        no facades.
+        From a road to either side, from inside a block to its nearest side; crossings have no
+        facades.
         """
         offset, axes = self._from_axes(xy)
         half = 0.5 * ROAD_WIDTH

@@ -1,4 +1,4 @@
-"""From options to a scene: structure, observations, ground truth, start."""
+"""Synthesis of a scene from options: structure, observations, ground truth, start."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ __all__ = ["SyntheticScene", "assemble", "synthesize"]
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class SyntheticScene(Displayed):
-    """A problem of which the solution is known.
+    """Problem with a known solution.
 
     Attributes:
-        problem: the start: measured observations, perturbed poses, points and cameras.
+        problem: start: measured observations, perturbed poses, points and cameras.
         ground_truth: the same observations with the true poses, points and cameras. Its residuals
-            are the noise, and the outliers.
-        is_outlier: (num_observations,) which observations were replaced by random pixels.
-        options: what was asked for.
+            are the noise and the outliers.
+        is_outlier: (num_observations,) True for observations replaced by random pixels.
+        options: options of the scene.
     """
 
     problem: Problem
@@ -51,21 +51,22 @@ def synthesize(
 ) -> SyntheticScene:
     """Make a seeded synthetic scene with ground truth.
 
-    Every point is seen by two images at least, every image sees at least 20 points where the scene
-    allows, and all of it is connected. Observations are sorted by point, then image. Ids count from
-    1. World frames and length units are those of the kinds of scenes, see :mod:`.street` (metres),
-    :mod:`.orbit` (radii of the object) and :mod:`.photo_collection` (metres).
+    Every point is observed in at least two images, every image observes at least 20 points if the
+    scene permits, and everything is connected. Observations are sorted by point, then image. Ids
+    count from 1. World frames and length units are those of the kinds of scenes, see :mod:`.street`
+    (metres), :mod:`.orbit` (radii of the object) and :mod:`.photo_collection` (metres).
 
-    More than a million points are made in blocks (:mod:`.blocks`), and ``bundle synth`` writes
-    these to a BAL file without ever having all of them in memory; it is the same scene.
+    Scenes of more than a million points are made in blocks (:mod:`.blocks`). ``bundle synth``
+    writes them to a BAL file without holding all of them in memory; the scene is the same.
 
     Args:
-        options: what to make; default ``SceneOptions()``.
-        **changes: fields of :class:`SceneOptions` that differ from ``options``.
+        options: options of the scene; default ``SceneOptions()``.
+        **changes: fields of :class:`SceneOptions` that replace those in ``options``.
 
     Raises:
-        InputError: an option is unknown or out of its range, or the scene cannot be made: too few
-            points to connect its images, or tracks longer than images see a point.
+        InputError: an option is unknown or out of range, or the scene is impossible: too few points
+            to connect its images, or tracks longer than the number of images that can observe a
+            point.
 
     Example:
         >>> scene = bundle.synthesize(scene="orbit", num_images=12, num_points=500, seed=1)
@@ -76,10 +77,10 @@ def synthesize(
 
 
 def assemble(scene: SceneInBlocks) -> SyntheticScene:
-    """Make the blocks of a scene; return all of it.
+    """Make the blocks of a scene and return the whole scene.
 
     Raises:
-        InputError: the scene cannot be made, see :func:`synthesize`.
+        InputError: the scene is impossible, see :func:`synthesize`.
     """
     options, images = scene.options, scene.images()
     blocks = list(scene.blocks())
@@ -109,7 +110,7 @@ def assemble(scene: SceneInBlocks) -> SyntheticScene:
 
 
 def _keypoints(observation_image: NDArray[np.int32], num_images: int) -> NDArray[np.int32]:
-    """Return the number of each observation within its image, from 0, in order."""
+    """Return the index of each observation within its image, from 0, in order."""
     by_image = np.argsort(observation_image, kind="stable")
     counts = np.bincount(observation_image, minlength=num_images)
     keypoints = np.empty(len(observation_image), dtype=np.int32)

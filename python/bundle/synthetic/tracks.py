@@ -1,4 +1,4 @@
-"""Which of the possible observations are made."""
+"""Choice of observations among the possible ones."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Array = NDArray[np.float64]
 
 _REQUIRED_OBSERVATIONS = 4
 _OBSERVATIONS_PER_BRIDGE = 10
-# Less than this of the mean track length that was asked for is a failure.
+# A smaller share of the requested mean track length is a failure.
 _ACCEPTED_SHARE = 0.75
 
 
 def wanted_lengths(weights: Array, scale: float) -> NDArray[np.int64]:
-    """Return whole track lengths, at least 2, of which the part beyond is weights * scale."""
+    """Return whole track lengths of at least 2, whose part above 2 is weights * scale."""
     beyond = np.floor(weights * scale + 0.5)
     return MIN_TRACK_LENGTH + np.minimum(beyond, 1e9).astype(np.int64)
 
@@ -37,28 +37,28 @@ def select_observations(
     *,
     may_be_shorter: bool = False,
 ) -> Pairs:
-    """Choose the observations of every point among the images that could see it.
+    """Choose the observations of every point among its possible images.
 
     Args:
-        pairs: who could see what; at least two images a point.
+        pairs: possible observations; at least two images per point.
         preference: (M,) every point takes the pairs with its smallest values.
-        weights: (num_points,) how long each track wants to be beyond 2, relative to the others.
-        mean_length: the mean track length to reach.
+        weights: (num_points,) wanted length of each track beyond 2, relative to the others.
+        mean_length: mean track length to reach.
         num_images: number of images.
-        may_be_shorter: take a smaller mean where the images see no more.
+        may_be_shorter: accept a smaller mean if images cannot observe more.
 
     Returns:
-        Pairs in which images that would have had few observations have as many as they can, up to
-        20, and everything is connected.
+        Chosen pairs; images with few observations get up to 20 if possible, and everything is
+        connected.
 
     Raises:
-        InputError: the images see too little in common.
+        InputError: the images have too few common points.
     """
     lengths = _fit_lengths(pairs.counts, weights, mean_length)
     if not may_be_shorter and lengths.mean() < _ACCEPTED_SHARE * mean_length:
         raise InputError(
-            f"mean_track_length: expected at most {lengths.mean():.1f}, as many images see a point "
-            f"of this scene on average, found {mean_length:g}"
+            f"mean_track_length: expected at most {lengths.mean():.1f}, the mean number of "
+            f"images that can observe a point of this scene, found {mean_length:g}"
         )
     by_preference = np.lexsort((preference, pairs.point))
     chosen = np.zeros(len(pairs), dtype=np.bool_)
@@ -72,7 +72,7 @@ def select_observations(
 def _fit_lengths(
     available: NDArray[np.int64], weights: Array, mean_length: float
 ) -> NDArray[np.int64]:
-    """Return track lengths, cut to what is available, whose scale gives the mean asked for."""
+    """Return track lengths, limited by the possible ones, with the requested mean."""
 
     def lengths(scale: float) -> NDArray[np.int64]:
         return np.minimum(wanted_lengths(weights, scale), available)
@@ -92,7 +92,7 @@ def _fit_lengths(
 def _fill_images(
     pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_images: int
 ) -> None:
-    """Give images with few observations the best of what else they could see."""
+    """Give images with few observations the best of their other possible ones."""
     counts = np.bincount(pairs.image[chosen], minlength=num_images)
     poor = counts < MIN_OBSERVATIONS_PER_IMAGE
     spare = np.flatnonzero(poor[pairs.image] & ~chosen)
@@ -102,7 +102,7 @@ def _fill_images(
 
 
 def _connect(pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_images: int) -> None:
-    """Add observations between components until there is one."""
+    """Add observations between components until one component is left."""
     num_points = len(pairs.counts)
     while True:
         current = Pairs.from_sorted(pairs.point[chosen], pairs.image[chosen], num_points)
@@ -113,9 +113,9 @@ def _connect(pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_ima
         bridge = np.flatnonzero(of_image[pairs.image] != of_point[pairs.point])
         if len(bridge) == 0:
             raise InputError(
-                f"num_points: the scene falls into {num_components} parts that share no points; "
-                f"expected more points, longer tracks or "
-                f"another seed, found {num_points} points"
+                f"num_points: the scene falls into {num_components} components without common "
+                "points; expected more points, longer tracks or another seed, found "
+                f"{num_points} points"
             )
         link = of_image[pairs.image[bridge]] * num_images + of_point[pairs.point[bridge]]
         by_link = np.lexsort((preference[bridge], link))
@@ -123,13 +123,13 @@ def _connect(pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_ima
 
 
 def components(pairs: Pairs, num_images: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Label the components of the graph of images and points whose edges are the pairs.
+    """Label the connected components of the graph of images and points with these pairs.
 
     Every point must have a pair.
 
     Returns:
-        The label of each image (num_images,) and of each point (num_points,): the smallest index of
-        an image of the component.
+        Labels of the images (num_images,) and of the points (num_points,): the smallest image index
+        of the component.
     """
     roots = component_roots(pairs.image, pairs.starts[:-1], num_images)
     return roots, roots[pairs.image[pairs.starts[:-1]]]
@@ -142,14 +142,14 @@ def _check_images(pairs: Pairs, chosen: NDArray[np.bool_], num_images: int) -> N
         seen = int(counts[poorest])
         enough = math.ceil(len(pairs.counts) * (_REQUIRED_OBSERVATIONS + 1) / (seen + 1))
         raise InputError(
-            f"num_points: expected about {enough} or more, so that each image sees "
+            f"num_points: expected about {enough} or more, so that each image observes "
             f"{_REQUIRED_OBSERVATIONS} points, found {len(pairs.counts)}, of which image "
-            f"{poorest + 1} sees {seen}"
+            f"{poorest + 1} observes {seen}"
         )
 
 
 def _ranks(groups: NDArray[np.generic]) -> NDArray[np.int64]:
-    """Return the position of each entry in its group; equal entries are next to each other."""
+    """Return the position of each entry in its group; equal entries are adjacent."""
     index = np.arange(len(groups))
     if len(groups) == 0:
         return index

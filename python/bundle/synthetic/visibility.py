@@ -1,12 +1,12 @@
-"""Which points an image could observe.
+"""Visibility: the points that an image can observe.
 
-A point is visible when its key lies in the ball of the image, it is no farther than its reach, its
-surface faces the camera, it projects into the image and nothing stands in between. Where far more
-images see a point than its track needs, pairs are thinned at random before these tests, evenly
-over what the image's ball holds, so that the work grows with the observations asked for. The core
-does so (``cpp/core/synthetic``).
+A point is visible if its key lies in the ball of the image, it is within its reach, its surface
+faces the camera, it projects into the image, and nothing occludes it. If far more images see a
+point than its track needs, pairs are thinned at random before these tests, evenly within the
+image's ball, so that the work is proportional to the requested observations. The core does this
+(``cpp/core/synthetic``).
 
-A uniform grid over points, of which only the occupied cells are kept.
+Points are sorted into a uniform grid, of which only occupied cells are stored.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ Array = NDArray[np.float64]
 
 
 class Cells:
-    """Which points are in which cell.
+    """Points by grid cell.
 
     Attributes:
         centers: (num_cells, 3)
-        half_diagonal: of a cell.
-        order: (n,) the points, cell by cell.
-        starts: (num_cells + 1,) where each cell begins in ``order``.
+        half_diagonal: half the diagonal of a cell.
+        order: (n,) points, cell by cell.
+        starts: (num_cells + 1,) begin of each cell in ``order``.
     """
 
     order: NDArray[np.int64]
@@ -53,14 +53,14 @@ class Cells:
         return len(self.starts) - 1
 
 
-# Of the pairs that pass thinning perhaps a third are visible; a track wants some choice of images.
+# About a third of the thinned pairs are visible, and a track needs some choice of images.
 _PAIRS_PER_OBSERVATION = 6.0
-# Beyond this, relative to the corner of the image, distortion polynomials may fold back into it.
+# Beyond this multiple of the image corner, distortion polynomials may fold back into the image.
 _FIELD_MARGIN = 1.15
 
 
 class Visibility:
-    """The images of a scene with their true cameras, and what they see."""
+    """Images of a scene with their true cameras, and their view."""
 
     def __init__(self, scene: Scene, intrinsics: Intrinsics) -> None:
         images = scene.images
@@ -85,13 +85,13 @@ class Visibility:
     def pairs(
         self, rng: np.random.Generator, points: Points, lengths: Array, num_threads: int = 0
     ) -> Pairs:
-        """Return who could observe what.
+        """Return the possible observations.
 
         Args:
             rng: source of the thinning.
             points: the points.
-            lengths: (n,) observations that each point wants.
-            num_threads: 0: all cores. The pairs are the same with any number.
+            lengths: (n,) wanted observations of each point.
+            num_threads: 0: all cores. The pairs do not depend on it.
         """
         cells = Cells(points.keys, self._cell_size)
         by_cell = points.take(cells.order)

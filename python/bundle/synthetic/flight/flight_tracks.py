@@ -1,8 +1,8 @@
-"""Tracks of a camera that flies past points: seen, followed for a while, lost.
+"""Tracks of a camera that flies past points.
 
-Every image keeps the tracks of the one before whose points are still in view and whose time has
-not come, and fills up with points that are not followed, drawn at random. A point that was lost
-comes back under another id, as with any real tracker.
+Every image keeps the tracks of the previous image that are still in view and have not reached their
+length, and adds random points that are not tracked. A lost point returns under another id, as with
+any real tracker.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ __all__ = ["Pinhole", "Tracked", "follow"]
 
 Array = NDArray[np.float64]
 
-CHUNK = 64  # images whose projections are made at once
+CHUNK = 64  # number of images to project at once
 
 
 class Pinhole(NamedTuple):
-    """A pinhole camera: focal length, principal point and size in pixels."""
+    """Pinhole camera: focal length, principal point and size in pixels."""
 
     focal: float
     center: tuple[float, float]
@@ -32,11 +32,11 @@ class Pinhole(NamedTuple):
 
 
 class Tracked(NamedTuple):
-    """Observations by image, then id.
+    """Observations sorted by image, then id.
 
     Attributes:
-        image: (m,) index.
-        track: (m,) id.
+        image: (m,) index of the image.
+        track: (m,) id of the track.
         point: (m,) index of the point.
         xy: (m, 2) pixels without noise.
     """
@@ -59,19 +59,19 @@ def follow(
     """Return the tracks along poses (n, 7), world_from_imu.
 
     Args:
-        poses: of the images.
+        poses: poses of the images.
         camera_from_imu: (7,).
-        lens: the camera.
+        lens: camera.
         around: points in the world.
-        num_tracks: wanted per image.
-        track_length: images until a track is lost, on average.
-        rng: of points and lengths.
+        num_tracks: tracks wanted per image.
+        track_length: mean number of images of a track.
+        rng: source of points and lengths.
     """
     mount = np.tile(camera_from_imu, (len(poses), 1))
     cameras = multiply_poses(mount, inverse_poses(poses))
     turns, shifts = rotation_matrices(cameras[:, :4]), cameras[:, 4:]
     x = around.points[:, 0]
-    ids = points = left = np.zeros(0, np.int64)  # of the tracks that are followed
+    ids = points = left = np.zeros(0, np.int64)  # active tracks
     next_id = 0
     parts: list[tuple[NDArray[np.int64], ...]] = []
     coordinates: list[Array] = []

@@ -1,21 +1,21 @@
-"""Motions of a flight: control points of position and of yaw, pitch, roll over time.
+"""Motions of a flight: splines of position and of yaw, pitch, roll, and exact IMU samples.
 
-The body's x axis points ahead, y to the left, z up; its rotation is R = Rz(yaw) Ry(pitch) Rx(roll),
-with pitch positive nose down. A motion stands still at first, and speeds up over some seconds, so
-that no spline has to jump.
+The body's x axis points forward, y left, z up. Its rotation is R = Rz(yaw) Ry(pitch) Rx(roll), with
+positive pitch nose down. A motion starts at rest and accelerates over some seconds, so that no
+spline is discontinuous.
 
-Uniform B-splines of degree five: four continuous derivatives, all of them exact.
+Splines are uniform B-splines of degree five: four continuous derivatives, all exact.
 
-The basis function of degree n lives on [0, n + 1] and is a polynomial q_k^n(u) on each [k, k + 1],
-u = t - k. Cox and de Boor give it from degree n - 1:
+The basis function of degree n is nonzero on [0, n + 1] and a polynomial q_k^n(u) on each [k, k +
+1], u = t - k. The recursion of Cox and de Boor is
 
     n q_k^n(u) = (u + k) q_k^{n-1}(u) + (n + 1 - k - u) q_{k-1}^{n-1}(u),   q_0^0 = 1.
 
-Between knots j and j + 1 the spline is sum_i q_{n-i}^n(u) c_{j+i} over the n + 1 control points
-that reach there. A control point has most influence, and is said to stand, (n + 1) / 2 intervals
+Between knots j and j + 1 the spline is sum_i q_{n-i}^n(u) c_{j+i} over the n + 1 control points of
+this interval. A control point has its largest influence, and is located, (n + 1) / 2 intervals
 after its support begins.
 
-States along a spline of position and angles, and what an IMU measures there.
+IMU samples follow from the states along the spline.
 
 With R = Rz(yaw) Ry(pitch) Rx(roll) the angular rate in the body's frame is
 
@@ -24,7 +24,7 @@ With R = Rz(yaw) Ry(pitch) Rx(roll) the angular rate in the body's frame is
          yaw' cos roll cos pitch - pitch' sin roll)
 
 and the specific force f = R^T (p'' - g). These are the samples "instant". A sensor that integrates
-over the interval h up to its next sample measures instead
+over the interval h to its next sample measures instead
 
     w_k = Log(R_k^T R_{k+1}) / h,    f_k = R_k^T ((v_{k+1} - v_k) / h - g)
 
@@ -67,25 +67,25 @@ CHUNK = 100_000
 
 
 def control_times(duration: float, spacing: float) -> Array:
-    """Return where the control points of a spline over [0, duration] stand."""
+    """Return the times of the control points of a spline over [0, duration]."""
     count = int(duration / spacing) + 1 + DEGREE
     times: Array = spacing * (np.arange(count, dtype=np.float64) - (DEGREE - 1) / 2)
     return times
 
 
 def spline_at(control: Array, spacing: float, times: Array, derivative: int = 0) -> Array:
-    """Return the spline, or a derivative by time, at times within its duration.
+    """Return the spline, or a time derivative, at times within its duration.
 
     Args:
         control: (m, d) control points, at :func:`control_times`.
         spacing: seconds between knots.
         times: (n,) seconds.
-        derivative: how often to differentiate.
+        derivative: order of the derivative.
 
     Returns:
-        (n, d).
+        Values (n, d).
     """
-    weights = _basis(DEGREE)[::-1]  # of the control points in their order
+    weights = _basis(DEGREE)[::-1]  # in the order of the control points
     coefficients = np.array(
         [polynomial.polyder(row, derivative) / spacing**derivative for row in weights]
     )
@@ -103,7 +103,7 @@ def spline_at(control: Array, spacing: float, times: Array, derivative: int = 0)
 
 
 def _basis(degree: int) -> Array:
-    """Return (degree + 1, degree + 1): row k the coefficients of q_k, the constant first."""
+    """Return (degree + 1, degree + 1): row k has the coefficients of q_k, constant first."""
     pieces = np.ones((1, 1))
     for n in range(1, degree + 1):
         raised = np.zeros((n + 1, n + 1))
@@ -116,16 +116,16 @@ def _basis(degree: int) -> Array:
 
 SPACING = 0.1  # s between knots
 RAMP = 2.0  # s from rest to full motion
-ROOM = np.array([12.0, 12.0, 5.0])  # m, centred at the origin but for the floor at 0
+ROOM = np.array([12.0, 12.0, 5.0])  # m, centred at the origin, with the floor at 0
 ROOM_POINTS = 3000
 LOOP_RADIUS, LOOP_SPEED = 3.5, 1.5
 MOTORWAY_SPEED, MOTORWAY_RAMP, MOTORWAY_WEAVING = 30.0, 10.0, 15.0  # m/s, s, s
 ROAD_POINTS_PER_METRE = 4.0
-HOVER_AFTER, HOVER_FADE, HOVER_DRIFT = 8.0, 3.0, 0.002  # s, s, share that remains
+HOVER_AFTER, HOVER_FADE, HOVER_DRIFT = 8.0, 3.0, 0.002  # s, s, remaining share
 
 
 class Surroundings(NamedTuple):
-    """Points (n, 3) sorted by x, and how far from the camera they are seen: near, far [m]."""
+    """Points (n, 3) sorted by x, and the range of distances at which the camera sees them [m]."""
 
     points: Array
     near: float
@@ -168,7 +168,7 @@ def control_points(motion: str, duration: float, rest: float, rng: np.random.Gen
 
 
 def surroundings(motion: str, control: Array, rng: np.random.Generator) -> Surroundings:
-    """Return the points that the camera of a motion sees."""
+    """Return the points around the path of a motion."""
     if motion == "motorway":
         length = control[:, 0].max() + 150.0
         count = int(length * ROAD_POINTS_PER_METRE)
@@ -191,7 +191,7 @@ def surroundings(motion: str, control: Array, rng: np.random.Generator) -> Surro
 
 
 def _distance(time: Array, speed: float, ramp: float) -> Array:
-    """Return how far one has come who speeds up evenly over `ramp` seconds."""
+    """Return the distance after accelerating evenly over `ramp` seconds."""
     result: Array = np.where(time < ramp, speed * time**2 / (2 * ramp), speed * (time - ramp / 2))
     return result
 
@@ -199,7 +199,7 @@ def _distance(time: Array, speed: float, ramp: float) -> Array:
 def _wander(
     time: Array, sizes: list[float], slowest: float, fastest: float, rng: np.random.Generator
 ) -> Array:
-    """Return sums of three sine waves for each size, of frequencies in Hz between the bounds."""
+    """Return sums of three sine waves for each size, with frequencies in Hz between the bounds."""
     size = np.array(sizes)
     frequency = rng.uniform(slowest, fastest, (3, len(size)))
     phase = rng.uniform(0, 2 * np.pi, (3, len(size)))
@@ -223,7 +223,7 @@ def imu_samples(control: Array, times: Array, kind: str) -> tuple[Array, Array]:
 
     Args:
         control: (m, 6) control points of the motion.
-        times: (n,) seconds; the last sample of the kind "interval" repeats the one before.
+        times: (n,) seconds; with "interval", the last sample repeats the previous one.
         kind: "instant" or "interval".
     """
     if kind == "instant":

@@ -1,8 +1,8 @@
-"""Synthetic flights: a motion, what an IMU and a camera measure along it, and the truth.
+"""Synthetic flights: a motion, its IMU and camera measurements, and ground truth.
 
-A flight is decided by its options and its seed. Biases walk: from sample to sample they change by
-the random walk's density times sqrt(h). The truth is given at the stamps of the images, on the
-IMU's clock.
+Options and seed determine a flight. Biases are random walks: between samples they change by the
+density of the walk times sqrt(h). Ground truth is given at the stamps of the images, on the IMU's
+clock.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ Array = NDArray[np.float64]
 
 START = 1_700_000_000_000_000_000  # ns
 LENS = Pinhole(focal=460.0, center=(376.0, 240.0), size=(752, 480))
-# The camera looks ahead (its z along the body's x), 5 cm before the IMU and 3 cm to the left.
+# The camera looks forward (its z along the body's x), 5 cm in front of the IMU and 3 cm to the
+# left.
 IMU_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 CAMERA_IN_IMU = np.array([0.05, 0.03, 0.01])
 DENSITIES = np.array([1.6968e-4, 2.0e-3, 1.9393e-5, 3.0e-3])  # ADIS16448, EuRoC's sensor.yaml
@@ -40,7 +41,7 @@ GROUND_TRUTH = "ground_truth.csv"
 
 
 class SyntheticFlight(NamedTuple):
-    """A flight: its measurements, and the true states at the stamps of its images."""
+    """Measurements of a flight, and the true states at the stamps of its images."""
 
     sequence: Sequence
     ground_truth: Trajectory
@@ -53,7 +54,7 @@ def synthesize_flight(
     """Make a visual-inertial sequence with ground truth.
 
     Args:
-        options: of the flight; defaults where there are none.
+        options: options of the flight; defaults if not given.
         **changes: fields of :class:`FlightOptions`, such as ``motion="motorway"``.
 
     Raises:
@@ -104,11 +105,11 @@ def synthesize_flight(
 
 
 def save_flight(flight: SyntheticFlight, path: str | os.PathLike[str]) -> None:
-    """Write a flight as a sequence folder, the truth in it as EuRoC's ``ground_truth.csv``.
+    """Write a flight as a sequence folder, with ground truth as EuRoC's ``ground_truth.csv``.
 
     Raises:
         InputError: the path is a file or a folder with other content.
-        OSError: the system refuses.
+        OSError: the folder cannot be written.
     """
     save_sequence(flight.sequence, path)
     truth = flight.ground_truth
@@ -120,7 +121,7 @@ def save_flight(flight: SyntheticFlight, path: str | os.PathLike[str]) -> None:
 
 
 def _stamps(duration: float, rate: float) -> NDArray[np.int64]:
-    """Return ns from 0 on, as many as there are periods in the duration, and one."""
+    """Return stamps in ns from 0, one more than periods in the duration."""
     count = int(np.floor(duration * rate + 1e-9)) + 1
     stamps: NDArray[np.int64] = np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64)
     return stamps
@@ -133,7 +134,7 @@ def _seconds(stamps: NDArray[np.int64]) -> Array:
 def _measured(
     control: Array, stamps: NDArray[np.int64], options: FlightOptions, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Return rates, specific forces and biases (n, 6) with noise."""
+    """Return noisy rates and specific forces, and biases (n, 6)."""
     count, step = len(stamps), 1 / options.imu_rate
     noise = options.imu_noise_scale * DENSITIES
     first = rng.normal(size=6) * np.repeat([options.gyro_bias, options.accel_bias], 3)
