@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         problem = load(source, progress.text)
-        options = with_named_images(options, arguments, problem)
+        options = with_named_images(options, arguments.fixed_image_ids, problem)
         known = priors_of(georeference, problem)
         progress.stage("inverting")
         flags = {**FLAGS, **GEOREFERENCE_FLAGS, "priors": main_flag(georeference)}

@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(arguments.input)}")
         problem = with_rigs(load(arguments.input, progress.text), arguments.rig_config)
-        options = with_named_images(options, arguments, problem)
+        options = with_named_images(options, arguments.fixed_image_ids, problem)
         known = priors_of(georeference, problem)
         progress.stage("diagnosing")
         with naming_flags(SolveOptions, **GEOREFERENCE_FLAGS, priors=main_flag(georeference)):

@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(arguments.input)}")
         problem = load(arguments.input, progress.text)
-        options = with_named_images(options, arguments, problem)
+        options = with_named_images(options, arguments.fixed_image_ids, problem)
         progress.stage("inspecting")
         with naming_flags(SolveOptions):
             inspection = inspect(problem, options, recalibrate=arguments.recalibrate)

@@ -110,14 +110,18 @@ def options_given(
 
 
 def with_named_images(
-    options: SolveOptions, arguments: argparse.Namespace, problem: Problem
+    options: SolveOptions, given: tuple[int, ...] | str | None, problem: Problem
 ) -> SolveOptions:
     """Return the options with the ids of the images that were given by name.
+
+    Args:
+        options: without these images.
+        given: to --fix-images; text where it has names.
+        problem: that has the images.
 
     Raises:
         InputError: there are no such images; the message names the flag.
     """
-    given = arguments.fixed_image_ids
     if not isinstance(given, str):
         return options
     return options.replace(fixed_image_ids=find_images("--fix-images", problem, given))

@@ -18,28 +18,24 @@ from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.flags_by_kind import refuse_flags_of_graphs
 from bundle.cli.georeference_flags import (
     GEOREFERENCE_FLAGS,
-    georeference_given,
     main_flag,
     priors_of,
 )
-from bundle.cli.option_flags import naming_flags, options_given, with_named_images
+from bundle.cli.option_flags import naming_flags, with_named_images
 from bundle.cli.output import check_replaced, publish, same_images
 from bundle.cli.problem_edits import (
     cameras_edited,
     loops_closed,
-    rules_as_options,
-    rules_of,
     with_rigs,
 )
 from bundle.cli.progress import Progress
+from bundle.cli.refinement import Refinement
 from bundle.cli.sliced_input import sliced_input
 from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
-from bundle.interface.camera_edit_options import LensOptions, RuleOptions
-from bundle.interface.georeference_options import GeoreferenceOptions
 from bundle.interface.loop_options import LoopOptions
 from bundle.interface.options import SolveOptions
-from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
+from bundle.interface.round_options import RoundOptions
 from bundle.io.open import check_target, load, output_format, save
 from bundle.reports.terminal.refine import refinement
 from bundle.reports.terminal.timing import WallTime
@@ -53,7 +49,6 @@ if TYPE_CHECKING:
     from bundle.georeference.gps_priors import GpsPriors
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.model.problem import Problem
-    from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.result import Result
     from bundle.solving.slices.sliced_refinement import SlicedRefinement
 
@@ -70,80 +65,6 @@ FLAGS = {
     "resume": "--resume",
 }
 """Flags of the arguments of :func:`bundle.solve_rounds` that are no options of the solve."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Refinement:
-    """What the command line asks for, as options that were checked.
-
-    Attributes:
-        options: of the solve; images given by name follow when the problem is known.
-        local: images to refine while the rest stays.
-        rounds: of adjusting and filtering.
-        georeference: positions and control points.
-        loops: to close before the solve.
-        lenses: cameras of the output.
-        rules: as given on the command line.
-        constraints: the rules, parsed.
-        checkpoints: files of a run that may be killed.
-    """
-
-    options: SolveOptions
-    local: LocalOptions
-    rounds: RoundOptions
-    georeference: GeoreferenceOptions
-    loops: LoopOptions
-    lenses: LensOptions
-    rules: RuleOptions
-    constraints: Constraints | tuple[()]
-    checkpoints: CheckpointOptions
-
-    @classmethod
-    def of(cls, arguments: argparse.Namespace) -> Refinement:
-        """Return the options that were given.
-
-        Raises:
-            InputError: a value is wrong, or an option has no effect; the message names the flag.
-            OSError: the file of the rules cannot be read.
-        """
-        options = options_given(arguments, SolveOptions, names_follow=True)
-        local = options_given(arguments, LocalOptions)
-        rounds = options_given(arguments, RoundOptions)
-        georeference = georeference_given(
-            arguments,
-            options.refine,
-            page=arguments.html is not None,
-            only_images=local.only_images,
-        )
-        loops = options_given(arguments, LoopOptions)
-        if loops.loops is not None and local.only_images is not None:
-            raise InputError(
-                "--loops: expected without --only-images, which leave the rest in place"
-            )
-        rules = options_given(arguments, RuleOptions)
-        return cls(
-            options=options,
-            local=local,
-            rounds=rounds,
-            georeference=georeference,
-            loops=loops,
-            lenses=options_given(arguments, LensOptions),
-            rules=rules,
-            constraints=rules_of(rules),
-            checkpoints=_checkpoints_given(arguments),
-        )
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether this is one solve of all that INPUT holds, as it is."""
-        changed = (self.rounds, self.georeference, self.loops, self.lenses, self.local, self.rules)
-        return not any(options.changed() for options in changed)
-
-    def beside(self) -> dict[str, Any]:
-        """Return, for the report, the options that were given beside those of the solve."""
-        rounds = self.rounds.asdict() if self.rounds.num_rounds else {}
-        local = {} if self.local.only_images is None else self.local.asdict()
-        return {**rounds, **local, **self.checkpoints.changed(), **rules_as_options(self.rules)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,22 +94,14 @@ class Opened:
     load_time: float
 
 
-def _checkpoints_given(arguments: argparse.Namespace) -> CheckpointOptions:
-    """Return the files of a run that may be killed, and note where a run starts over."""
-    given = options_given(arguments, CheckpointOptions)
-    if given.resume is not None and not Path(given.resume).exists():
-        complain(f"note: {shown(given.resume)} does not exist; the run starts with the input")
-    return given
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Refine INPUT into OUTPUT."""
     refuse_flags_of_graphs(arguments)
     started = perf_counter()
     asked = Refinement.of(arguments)
     with Progress(quiet=arguments.quiet) as progress:
-        opened = _open(arguments, asked, progress)
-        if arguments.check_gradients and _has_wrong_jacobians(arguments, opened, progress):
+        opened = _open(asked, progress)
+        if asked.check_gradients and _has_wrong_jacobians(asked, opened, progress):
             return EXIT_NO_SOLUTION
         closed = _close_loops(asked.loops, opened, progress)
         solved = _solve(asked, opened, closed, progress)
@@ -197,8 +110,8 @@ def run(arguments: argparse.Namespace) -> int:
         written, lost = _write(opened, solved, georeference, progress)
         save_time = perf_counter() - begun
         statistics_time = _measure(opened, solved, progress)
-        if arguments.html is not None:
-            _write_page(arguments, asked, opened, solved, georeference, progress)
+        if asked.page is not None:
+            _write_page(asked, asked.page, opened, solved, georeference, progress)
     wall = WallTime(
         load=opened.load_time,
         build=solved.build_time_in_seconds,
@@ -207,32 +120,32 @@ def run(arguments: argparse.Namespace) -> int:
         statistics=statistics_time,
         total=perf_counter() - started,
     )
-    told = (arguments.input, opened.loaded, solved, wall, written)
-    report = refinement(*told, lost, asked.beside(), georeference, opened.edits, closed)
-    publish(report, arguments.json)
+    told = (asked.source, opened.loaded, solved, wall, written)
+    report = refinement(*told, lost, asked.options_beside(), georeference, opened.edits, closed)
+    publish(report, asked.json)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE
-    if arguments.json == "-":  # the report that people read was not printed
+    if asked.json == "-":  # the report that people read was not printed
         complain(solved.outcome)
     return EXIT_NO_SOLUTION
 
 
-def _open(arguments: argparse.Namespace, asked: Refinement, progress: Progress) -> Opened:
+def _open(asked: Refinement, progress: Progress) -> Opened:
     """Read INPUT, change its cameras and rigs, and check that OUTPUT can be written."""
-    source = arguments.input
+    source = asked.source
     progress.stage(f"reading {shown(source)}")
     begun = perf_counter()
-    beside = arguments.html or arguments.rig_config or arguments.check_gradients
-    plain = asked.is_plain and not beside
-    sliced = sliced_input(arguments, asked.options) if plain else None
+    sliced = None
+    if asked.is_plain:
+        sliced = sliced_input(source, asked.target, asked.format, asked.options)
     loaded = load(source, progress.text) if sliced is None else sliced.cameras
     load_time = perf_counter() - begun
     if loaded.num_observations == 0:
         raise InputError(f"{shown(source)}: expected observations to refine, found none")
     edits = cameras_edited(asked.lenses, loaded)
-    problem = with_rigs(loaded if edits is None else edits.problem, arguments.rig_config)
-    options = with_named_images(asked.options, arguments, problem)
-    output = _checked_output(arguments, problem, options)
+    problem = with_rigs(loaded if edits is None else edits.problem, asked.rig_config)
+    options = with_named_images(asked.options, asked.fixed_images, problem)
+    output = _checked_output(asked, problem, options)
     for what, path in (
         ("control points", asked.georeference.gcp),
         ("positions", asked.georeference.gps),
@@ -257,15 +170,13 @@ def _open(arguments: argparse.Namespace, asked: Refinement, progress: Progress) 
     )
 
 
-def _checked_output(
-    arguments: argparse.Namespace, problem: Problem, options: SolveOptions
-) -> dict[str, str]:
+def _checked_output(asked: Refinement, problem: Problem, options: SolveOptions) -> dict[str, str]:
     """Return path and format of OUTPUT, which can be written and may be replaced."""
-    source, target = arguments.input, arguments.output
-    output = {"path": target, "format": output_format(problem, target, arguments.format, source)}
+    source, target = asked.source, asked.target
+    output = {"path": target, "format": output_format(problem, target, asked.format, source)}
     fixed = options.fixed_camera_ids
     check_target(problem, **output, refined=options.refine, fixed_camera_ids=fixed)
-    check_replaced(target, [source], arguments.overwrite, same_images(problem))
+    check_replaced(target, [source], asked.overwrite, same_images(problem))
     return output
 
 
@@ -330,8 +241,8 @@ def _measure(opened: Opened, solved: Result, progress: Progress) -> float:
 
 
 def _write_page(
-    arguments: argparse.Namespace,
     asked: Refinement,
+    page: str,
     opened: Opened,
     solved: Result,
     georeference: Georeference | None,
@@ -340,19 +251,19 @@ def _write_page(
     """Write the report page, whose figures most runs do without."""
     from bundle.reports.page.report_page import write_report
 
-    progress.stage(f"writing {shown(arguments.html)}")
+    progress.stage(f"writing {shown(page)}")
     write_report(
         solved,
-        arguments.html,
-        images=arguments.images,
+        page,
+        images=asked.georeference.images,
         priors=() if opened.known is None else opened.known.priors,
         constraints=asked.constraints,
         georeference=georeference,
-        name=str(arguments.input),
+        name=asked.source,
     )
 
 
-def _has_wrong_jacobians(arguments: argparse.Namespace, opened: Opened, progress: Progress) -> bool:
+def _has_wrong_jacobians(asked: Refinement, opened: Opened, progress: Progress) -> bool:
     """Check the Jacobians; if any is wrong, report that in place of the solve."""
     from bundle.checking import gradient_report, jacobians  # for --check-gradients only
     from bundle.reports.terminal.check import checked
@@ -366,9 +277,9 @@ def _has_wrong_jacobians(arguments: argparse.Namespace, opened: Opened, progress
         if not report.ok:
             complain(f"note: {gradient_report.outcome(report)} `bundle check` shows where.")
         return False
-    if arguments.json == "-":
+    if asked.json == "-":
         complain(gradient_report.outcome(report))
     settings = {"check_gradients": True, **options.asdict()}
     took = perf_counter() - begun
-    publish(checked(arguments.input, opened.problem, report, settings, took), arguments.json)
+    publish(checked(asked.source, opened.problem, report, settings, took), asked.json)
     return True

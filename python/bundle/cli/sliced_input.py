@@ -1,8 +1,7 @@
-"""Whether the processes of mpirun can each read a slice of INPUT, and no process all of it."""
+"""The choice between processes that read a slice of INPUT each and one that reads it all."""
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,7 +21,9 @@ __all__ = ["sliced_input"]
 COMPRESSED = (".gz", ".bz2")
 
 
-def sliced_input(arguments: argparse.Namespace, options: SolveOptions) -> SlicedRefinement | None:
+def sliced_input(
+    source: str, target: str, format: str | None, options: SolveOptions
+) -> SlicedRefinement | None:
     """Return the refinement of INPUT in slices; None where one process has to read it all.
 
     That is one process, COLMAP models as text, an output in another format than the input or
@@ -33,23 +34,23 @@ def sliced_input(arguments: argparse.Namespace, options: SolveOptions) -> Sliced
         OSError: a file cannot be read.
     """
     crew = current()
-    source, target = Path(arguments.input), Path(arguments.output)
     if not isinstance(crew, MpiCrew):
         return None
     if reason_in_options(options.asdict()):
         return None
-    recover(source)
-    source_format = _format(source)
+    path = Path(source)
+    recover(path)
+    source_format = _format(path)
     if source_format is None:
         return None
     found = _Found(source_format)
-    target_format = output_format(found, arguments.output, arguments.format, source)  # type: ignore[arg-type]
-    is_compressed = target_format == "bal" and target.suffix.lower() in COMPRESSED
+    target_format = output_format(found, target, format, source)  # type: ignore[arg-type]
+    is_compressed = target_format == "bal" and Path(target).suffix.lower() in COMPRESSED
     if target_format != source_format or is_compressed:
         return None
     from bundle.solving.slices.sliced_refinement import SlicedRefinement  # by mpirun only
 
-    return SlicedRefinement(crew, source)
+    return SlicedRefinement(crew, path)
 
 
 @dataclasses.dataclass(frozen=True)

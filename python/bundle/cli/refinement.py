@@ -1,0 +1,138 @@
+"""The request of `bundle refine` of a reconstruction: what the command line asks for, checked.
+
+This is the only place that looks at the arguments; everything after it takes typed options.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bundle.cli.georeference_flags import georeference_given
+from bundle.cli.option_flags import options_given
+from bundle.cli.problem_edits import rules_as_options, rules_of
+from bundle.cli.standard_streams import complain
+from bundle.errors import InputError, shown
+from bundle.interface.camera_edit_options import LensOptions, RuleOptions
+from bundle.interface.georeference_options import GeoreferenceOptions
+from bundle.interface.loop_options import LoopOptions
+from bundle.interface.options import SolveOptions
+from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
+
+if TYPE_CHECKING:
+    from bundle.solving.constraints.rule_list import Constraints
+
+__all__ = ["Refinement"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refinement:
+    """Everything that the command line asks for.
+
+    Attributes:
+        source: path of INPUT.
+        target: path of OUTPUT.
+        format: of OUTPUT; None: what its name says.
+        overwrite: whether a model of other images at OUTPUT is replaced.
+        rig_config: path of a file of rigs, if any.
+        page: path of the report page, if any.
+        json: path of the report for programs, if any.
+        check_gradients: whether the Jacobians are checked first.
+        options: of the solve, without images that are given by name.
+        fixed_images: ids of images that are held, or text with their names.
+        local: images to refine while the rest stays.
+        rounds: of adjusting and filtering.
+        georeference: positions and control points.
+        loops: to close before the solve.
+        lenses: cameras of the output.
+        rules: as given.
+        constraints: the rules, parsed.
+        checkpoints: files of a run that may be killed.
+    """
+
+    source: str
+    target: str
+    format: str | None
+    overwrite: bool
+    rig_config: str | None
+    page: str | None
+    json: str | None
+    check_gradients: bool
+    options: SolveOptions
+    fixed_images: tuple[int, ...] | str | None
+    local: LocalOptions
+    rounds: RoundOptions
+    georeference: GeoreferenceOptions
+    loops: LoopOptions
+    lenses: LensOptions
+    rules: RuleOptions
+    constraints: Constraints | tuple[()]
+    checkpoints: CheckpointOptions
+
+    @staticmethod
+    def of(arguments: argparse.Namespace) -> Refinement:
+        """Return what was asked for, checked in the order of the help.
+
+        Raises:
+            InputError: a value is wrong, or an option has no effect; the message names the flag.
+            OSError: the file of the rules cannot be read.
+        """
+        options = options_given(arguments, SolveOptions, names_follow=True)
+        local = options_given(arguments, LocalOptions)
+        rounds = options_given(arguments, RoundOptions)
+        georeference = georeference_given(
+            arguments,
+            options.refine,
+            page=arguments.html is not None,
+            only_images=local.only_images,
+        )
+        loops = options_given(arguments, LoopOptions)
+        if loops.loops is not None and local.only_images is not None:
+            raise InputError(
+                "--loops: expected without --only-images, which leave the rest in place"
+            )
+        rules = options_given(arguments, RuleOptions)
+        constraints = rules_of(rules)
+        return Refinement(
+            source=arguments.input,
+            target=arguments.output,
+            format=arguments.format,
+            overwrite=arguments.overwrite,
+            rig_config=arguments.rig_config,
+            page=arguments.html,
+            json=arguments.json,
+            check_gradients=arguments.check_gradients,
+            options=options,
+            fixed_images=arguments.fixed_image_ids,
+            local=local,
+            rounds=rounds,
+            georeference=georeference,
+            loops=loops,
+            lenses=options_given(arguments, LensOptions),
+            rules=rules,
+            constraints=constraints,
+            checkpoints=_checkpoints_given(arguments),
+        )
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether this is one solve of all that INPUT holds, as it is, and nothing more."""
+        changed = (self.rounds, self.georeference, self.loops, self.lenses, self.local, self.rules)
+        beside = (self.rig_config, self.page, self.check_gradients)
+        return not any(options.changed() for options in changed) and not any(beside)
+
+    def options_beside(self) -> dict[str, Any]:
+        """Return, for the report, the options that were given beside those of the solve."""
+        rounds = self.rounds.asdict() if self.rounds.num_rounds else {}
+        local = {} if self.local.only_images is None else self.local.asdict()
+        return {**rounds, **local, **self.checkpoints.changed(), **rules_as_options(self.rules)}
+
+
+def _checkpoints_given(arguments: argparse.Namespace) -> CheckpointOptions:
+    """Return the files of a run that may be killed, and note where a run starts over."""
+    given = options_given(arguments, CheckpointOptions)
+    if given.resume is not None and not Path(given.resume).exists():
+        complain(f"note: {shown(given.resume)} does not exist; the run starts with the input")
+    return given
