@@ -19,7 +19,7 @@ FIRST_COMMIT = "4464b28"  # subjects are held from here on
 LONGEST_SUBJECT = 72
 
 # Exceptions that are left. Both tables may only shrink.
-DESCRIPTIONS = {"cpp": 374, "python": 205}
+DESCRIPTIONS = {"cpp": 374, "python": 52}
 MESSAGES = {"cpp": 12, "python": 53, "tests": 20}
 
 CLAUSE = re.compile(r"(what|whether|how|of|that)\b", re.IGNORECASE)
