@@ -13,8 +13,6 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from bundle.base.words import format_name, number, pixels, plural, seconds
-
 __all__ = [
     "WIDEST",
     "Bar",
@@ -22,13 +20,8 @@ __all__ = [
     "columns",
     "console",
     "facts",
-    "format_name",
     "notes",
-    "number",
-    "pixels",
-    "plural",
     "render",
-    "seconds",
 ]
 
 NARROWEST, WIDEST = 60, 100
@@ -93,7 +86,7 @@ class Columns:
         self._keys = keys
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield as many tables as the width asks for."""
+        """Yield the table, divided where it is wider than the terminal."""
         limit = options.max_width
         sizes = self._sizes(console, options)
         narrowest = [min(size.minimum, limit) for size in sizes]
@@ -110,7 +103,7 @@ class Columns:
             yield self._table(widths)
 
     def _sizes(self, console: Console, options: ConsoleOptions) -> list[Measurement]:
-        """Return of each column the width below which words are cut and the one without breaks."""
+        """Return the narrowest width of each column without cut words, and that without breaks."""
         unlimited = options.update_width(10_000)
         sizes = []
         for index, cells in enumerate(zip(self.head, *self.rows, strict=True)):

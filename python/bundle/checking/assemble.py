@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from bundle.base.tables import plural
+from bundle.base.words import plural
 from bundle.checking.evidence import Finding
 from bundle.checking.gradient_report import (
     GradientCheckerSummary,

@@ -11,7 +11,8 @@ from typing import Any
 from rich.console import RenderableType
 
 from bundle.base.display import Display
-from bundle.base.tables import Bar, Columns, columns, facts, notes, plural, render
+from bundle.base.tables import Bar, Columns, columns, facts, notes, render
+from bundle.base.words import plural
 from bundle.checking.evidence import Finding
 
 __all__ = [

@@ -189,7 +189,8 @@ def solver_phases(summary: Summary) -> list[tuple[str, float]]:
 
 def solver_table(summary: Summary) -> Columns:
     """Return the phases of a solve with their share of it."""
-    from bundle.base.tables import columns, seconds
+    from bundle.base.tables import columns
+    from bundle.base.words import seconds
 
     total = summary.total_time_in_seconds
     rows = [(name, seconds(time), share(time, total)) for name, time in solver_phases(summary)]

@@ -6,7 +6,8 @@ import math
 import pytest
 
 import bundle
-from bundle.base.tables import number, render
+from bundle.base.tables import render
+from bundle.base.words import number
 from bundle.interface.options import SolveOptions
 from bundle.planning.comparison.compare_methods import compare
 from bundle.planning.comparison.method import expand

@@ -8,7 +8,8 @@ import re
 import numpy as np
 import pytest
 
-from bundle.base.tables import number, pixels, plural, render, seconds
+from bundle.base.tables import render
+from bundle.base.words import number, pixels, plural, seconds
 from bundle.interface.summary import solver_phases
 from bundle.interface.termination import sentence
 from bundle.model.problem import Problem
