@@ -86,7 +86,7 @@ def round_down(value: float, slack: float = 1e-12) -> float:
 
 
 def short(value: float) -> str:
-    """Return a number in as few characters as an axis wants: 0.01, 250, 12k, 3M, 1e-7."""
+    """Return a number in few characters: 0.01, 250, 12k, 3M, 1e-7."""
     size = abs(value)
     if size == 0 or 1e-3 <= size < 1e4:
         return f"{value:.4g}"

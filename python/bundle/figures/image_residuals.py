@@ -1,4 +1,4 @@
-"""Residuals of single images, as they are drawn on a photograph."""
+"""Residuals of single images, to be drawn on their photographs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Distortion of lenses along the radius, and how far out observations say anything of it.
+"""Distortion of lenses along the radius, and the radius up to which it was observed.
 
 A ray at the angle theta to the axis, in the direction phi around it, would fall without distortion
 on i = (fx s cos phi, fy s sin phi) from the principal point, with s = tan theta for perspective

@@ -118,7 +118,7 @@ def projection_uncertainty(
     loss: str = "trivial",
     loss_scale: float = 1.0,
 ) -> ProjectionUncertainty | None:
-    """Return how well a camera projects; None where its parameters or its rays say nothing.
+    """Return the uncertainty of a projection; None without free parameters or rays.
 
     Args:
         problem: whose camera it is.

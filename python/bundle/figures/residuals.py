@@ -1,6 +1,6 @@
 """Signed residuals of all observations: projection minus measurement, in pixels.
 
-``bundle.reprojection_errors`` has their lengths. A picture of what a lens does needs directions.
+``bundle.reprojection_errors`` has their lengths alone. Errors of a lens show in directions.
 """
 
 from __future__ import annotations

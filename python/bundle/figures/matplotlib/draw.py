@@ -272,7 +272,7 @@ def legend_below(ax: Axes) -> None:
 
 
 def show_title(ax: Axes, name: str) -> None:
-    """Show a title, of a long one the end, which tells files apart."""
+    """Show a title. A long one is cut at its beginning: names of files differ at the end."""
     longest = max(round(TITLE * _inches(ax)), 10)
     shown = name if len(name) <= longest else "..." + name[3 - longest :]
     ax.set_title(shown, fontsize=9, parse_math=False)

@@ -97,7 +97,7 @@ def write_inspection(
 
 
 def _with_rivals(graph: GraphInspection) -> list[GraphInspection]:
-    """Return a graph under its own order first, then under others that say what it is worth."""
+    """Return a graph under its own order first, then under others for comparison."""
     if graph.num_variables > MOST_VARIABLES:
         return [graph]
     rivals = [

@@ -1,4 +1,4 @@
-"""Tables, and the sentence that says what their numbers count."""
+"""Tables, numbered notes, and the convention of counts."""
 
 from __future__ import annotations
 
@@ -99,5 +99,5 @@ def rounded(values: NDArray[np.float64]) -> list[float]:
 
 
 def convention() -> str:
-    """Return the sentence that says what is counted."""
+    """Return the sentence on the convention of nonzeros and flops."""
     return tag("p", CONVENTION, class_="convention")
