@@ -24,7 +24,7 @@ OPTIONS = (
     *("error", "init", "information", "loss", "loss_scale", "loss_on", "max_num_iterations"),
     *("function_tolerance", "gradient_tolerance", "parameter_tolerance"),
 )
-"""Of every solve that is compared."""
+"""Options of every compared solve."""
 
 
 def inspect_graph(arguments: argparse.Namespace) -> int:

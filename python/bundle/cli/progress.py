@@ -67,7 +67,7 @@ class Progress:
 
     @property
     def is_live(self) -> bool:
-        """Whether there is a line that updates, so that little things are worth a word."""
+        """True if the progress line updates in place, so that short stages are shown as well."""
         return self._live is not None
 
     def stage(self, name: str) -> None:

@@ -118,7 +118,7 @@ class Refinement:
 
     @property
     def is_plain(self) -> bool:
-        """Whether this is one solve of all that INPUT holds, as it is, and nothing more."""
+        """True for a single solve of the whole unchanged INPUT, and nothing more."""
         changed = (self.rounds, self.georeference, self.loops, self.lenses, self.local, self.rules)
         beside = (self.rig_config, self.page, self.check_gradients)
         return not any(options.changed() for options in changed) and not any(beside)

@@ -55,7 +55,7 @@ def sliced_input(
 
 @dataclasses.dataclass(frozen=True)
 class _Found:
-    """What ``output_format`` looks at of a problem."""
+    """The parts of a problem that ``output_format`` reads."""
 
     format: str
 

@@ -31,7 +31,7 @@ EXIT_INTERRUPTED = 130
 OBJECTS_BETWEEN_COLLECTIONS = 100_000
 
 is_over = False
-"""Whether the work is done, or given up: SIGINT does nothing any more."""
+"""True once the work is done or given up; SIGINT is then ignored."""
 
 
 def begin() -> None:

@@ -1,4 +1,4 @@
-"""What is wrong with a command, a flag or a value that does not exist, and what was meant."""
+"""Messages on unknown commands, flags and values, with suggestions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a synthetic flight can be asked for."""
+"""Options of a synthetic flight."""
 
 from __future__ import annotations
 

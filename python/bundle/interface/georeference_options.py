@@ -109,7 +109,7 @@ class GeoreferenceOptions(Options):
 
     @property
     def is_given(self) -> bool:
-        """Whether there are positions or control points."""
+        """True if there are positions or control points."""
         return self.gps is not None or self.gcp is not None
 
     @property

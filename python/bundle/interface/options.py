@@ -1,4 +1,4 @@
-"""What a solve can be asked for.
+"""Options of a solve.
 
 Names, defaults and meaning stand here once: the command line makes its flags from these fields, the
 JSON report lists them, and ``bundle._core`` reads them by name.
@@ -58,7 +58,7 @@ AUTO_PRECONDITIONER = {
 TRUST_REGION_STRATEGIES = ("levenberg_marquardt", "dogleg", "subspace_dogleg")
 LOSSES = ("trivial", "huber", "soft_l1", "cauchy", "arctan", "tukey")
 SENSORS = "sensor_from_rig"
-"""What ``refine`` takes beside these: it stands for ``refine_sensor_from_rig``."""
+"""Further name in ``refine``, for ``refine_sensor_from_rig``."""
 REFINABLE = ("poses", "points", "focal", "principal_point", "extra")
 GAUGES = ("auto", "none", "two_cameras", "three_points")
 CHEIRALITIES = ("auto", "algebraic", "zero")

@@ -1,4 +1,4 @@
-"""What a solve of a pose graph can be asked for."""
+"""Options of a solve of a pose graph."""
 
 from __future__ import annotations
 

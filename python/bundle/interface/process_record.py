@@ -1,4 +1,4 @@
-"""What the processes of a divided solve did: balance, times, messages."""
+"""Record of the processes of a distributed solve: balance, times, messages."""
 
 from __future__ import annotations
 
@@ -74,5 +74,5 @@ class ProcessRecord:
 
     @property
     def num_bytes(self) -> int:
-        """Of all messages."""
+        """Total of all messages."""
         return sum(kind.num_bytes for kind in self.traffic)

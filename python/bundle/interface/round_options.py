@@ -1,4 +1,4 @@
-"""How many rounds there are, and the limits of their filter."""
+"""Options of rounds: their number, and the limits of their filter."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CHECKPOINT_INTERVAL = 20
 """Iterations from one checkpoint to the next within a round."""
 
 RESTS = ("fixed", "marginal")
-"""What happens to all that a local adjustment does not refine."""
+"""Treatments of everything that a local adjustment does not refine."""
 
 
 @documented

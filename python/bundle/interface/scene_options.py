@@ -1,4 +1,4 @@
-"""What a synthetic scene can be asked for.
+"""Options of a synthetic scene.
 
 Names, defaults and meaning stand here once: the command line makes its flags from these fields and
 the JSON report lists them.
@@ -182,7 +182,7 @@ class SceneOptions(Options):
 
     @property
     def has_shared_camera(self) -> bool:
-        """Whether all images share one camera."""
+        """True if all images share one camera."""
         if self.cameras == "auto":
             return self.scene != "photo_collection"
         return self.cameras == "shared"

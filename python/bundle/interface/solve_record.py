@@ -1,4 +1,4 @@
-"""What every solve tells of itself, whatever was solved."""
+"""Record of a solve, common to reconstructions and graphs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Progress = Callable[[dict[str, Any]], None]
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class SolveRecord(Displayed):
-    """How a solve came about: what the results of reconstructions and of graphs have in common.
+    """Common base of the results of reconstructions and of graphs.
 
     Attributes:
         options: every option as used.
@@ -39,7 +39,7 @@ class SolveRecord(Displayed):
 
     @property
     def outcome(self) -> str:
-        """How the solve ended, in one sentence."""
+        """Outcome of the solve in one sentence."""
         # Entry 0 is the evaluation at the start, not a step.
         accepted = np.asarray(self.iterations["step_is_successful"], bool)[1:]
         return sentence(self.summary, len(accepted), int((~accepted).sum()))

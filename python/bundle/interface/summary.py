@@ -1,4 +1,4 @@
-"""What a solver says of its solve, as data and as text.
+"""Summary of a solve, as data and as text.
 
 ``bundle.base.tables``, and with it rich, is imported only when something is printed.
 """

@@ -1,4 +1,4 @@
-"""What a sliding window can be asked for."""
+"""Options of a sliding window."""
 
 from __future__ import annotations
 

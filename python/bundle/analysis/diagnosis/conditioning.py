@@ -1,4 +1,4 @@
-"""What diagnoses of problems and of pose graphs have in common: findings, rank, digits."""
+"""Common parts of the diagnoses of problems and of pose graphs: findings, rank, digits."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Finding:
 
 
 class Conditioned:
-    """What follows from rank, condition number and findings of a diagnosis."""
+    """Conclusions from rank, condition number and findings of a diagnosis."""
 
     nullity: int
     expected_nullity: int
@@ -40,7 +40,7 @@ class Conditioned:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing keeps the problem from being determined."""
+        """True if the problem is fully determined."""
         return not any(finding.is_problem for finding in self.findings)
 
     @property

@@ -1,4 +1,4 @@
-"""What the edges of a pose graph determine: rank, conditioning, components, edges to doubt."""
+"""Diagnosis of a pose graph: rank, conditioning, components, suspicious edges."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ MEDIANS = {
     5: 4.351460191095526,
     6: 5.348120627447118,
 }
-"""Of chi2, by degrees of freedom."""
+"""Median of chi2, by degrees of freedom."""
 
 AT_MINIMUM = 1e-4
-"""What a further step would take off the cost, beside the cost, at what counts as a minimum."""
+"""Relative decrease of the cost by one more step below which a state counts as a minimum."""
 
 FEW_DIGITS = 4
 """Digits of a step below which the normal equations are a problem."""

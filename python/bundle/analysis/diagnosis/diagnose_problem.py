@@ -1,4 +1,4 @@
-"""What a problem's observations determine: rank, conditioning, pieces, points and images."""
+"""Diagnosis of a problem: rank, conditioning, components, points and images."""
 
 from __future__ import annotations
 

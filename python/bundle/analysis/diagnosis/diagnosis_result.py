@@ -1,4 +1,4 @@
-"""What a diagnosis found."""
+"""Result of a diagnosis."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class CollapsedCluster:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Diagnosis(Conditioned, Displayed):
-    """What the observations of a problem determine at its values, and what they do not.
+    """Determined and undetermined parameters of a problem at its values.
 
     Eigenvalues are those of the reduced camera system S (points eliminated), with each row and
     column scaled so that its diagonal is one. Ids are those of the source.

@@ -1,4 +1,4 @@
-"""What a diagnosis of a pose graph found."""
+"""Result of the diagnosis of a pose graph."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class SuspiciousEdge:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GraphDiagnosis(Conditioned, Displayed):
-    """What the edges of a pose graph determine at its poses, and what they do not.
+    """Directions that the edges of a pose graph determine at its poses, and those that they do not.
 
     Attributes:
         nullity: directions of the poses that change no error.

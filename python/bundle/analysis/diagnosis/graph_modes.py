@@ -1,4 +1,4 @@
-"""What edges leave open or hold weakly, in sentences that name poses and edges."""
+"""Sentences on open and weak directions of a pose graph, with poses and edges."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ COORDINATES = {
     6: ("rotation x", "rotation y", "rotation z", "x", "y", "z"),
 }
 DOMINANT = 0.5
-"""Of the largest share: coordinates that a sentence names."""
+"""Share of the largest coordinate above which a sentence names a coordinate."""
 MOST_EDGES = 4
 MOST_MODES = 20
-"""Of a kind; more are counted only by the nullity."""
+"""Number of findings of a kind; the nullity counts all."""
 
 Floats = NDArray[np.float64]
 

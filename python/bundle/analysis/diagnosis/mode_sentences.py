@@ -22,7 +22,7 @@ __all__ = [
 ]
 
 DOMINANT = 0.3
-"""Of the largest: parameters that move pixels by less are not named."""
+"""Share of the largest effect on pixels below which parameters are not named."""
 
 Floats = NDArray[np.float64]
 

@@ -39,7 +39,7 @@ COUPLED = 1e-3
 WEAK = 1e-4
 """Eigenvalues above are no weakness."""
 UNCERTAIN = 1e-3
-"""Of the focal length: a share that one weak direction leaves open at one pixel of noise."""
+"""Share of the focal length that a weak direction leaves undetermined at one pixel of noise."""
 Floats = NDArray[np.float64]
 
 

@@ -18,7 +18,7 @@ from bundle.model.problem import Problem
 __all__ = ["PointChecks", "check_points"]
 
 AT_CAMERA = 1e-6
-"""Of the median distance of points from their cameras."""
+"""Share of the median distance of points from their cameras."""
 PARALLEL = 1e-4
 """Radians: rays that differ by less put a point beyond ten thousand baselines."""
 

@@ -49,7 +49,7 @@ class TrackTable:
 
     @cached_property
     def shared(self) -> Ints:
-        """Of each image, the points that another image sees, too, (num_images,)."""
+        """Points of each image that another image also sees, (num_images,)."""
         counts = self.lengths[self.points] > 1
         return np.bincount(self.images[counts], minlength=self._problem.num_images)
 

@@ -1,4 +1,4 @@
-"""What the unknowns of the reduced camera system are, by cameras and images."""
+"""Unknowns of the reduced camera system, by cameras and images."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CameraPart:
-    """How much a direction moves a parameter of a camera.
+    """Effect of a direction on a parameter of a camera.
 
     Attributes:
         camera: its index.

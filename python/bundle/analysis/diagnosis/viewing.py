@@ -1,4 +1,4 @@
-"""How a set of images looks at its points: what makes intrinsics and poses hard to tell apart.
+"""Viewing geometry of a set of images: causes of weakly separable intrinsics and poses.
 
 Let all images of a camera look along one direction d. Stretching the world along d by s, the focal
 length with it, changes no pinhole image: x = f X / Z. So images that are only shifted against each
@@ -25,7 +25,7 @@ ONE_PLACE = 1e-3
 PARALLEL_DEGREES = 12.0
 """Viewing directions whose root mean square angle to their mean is less are one direction."""
 FLAT = 0.1
-"""Of the distance of the points: the relief of a scene that is flat."""
+"""Relief of a flat scene, as a share of the distance of the points."""
 ALONG_DEGREES = 30.0
 """A path within this angle of the viewing direction goes forward."""
 MOST_POINTS = 20000
@@ -35,7 +35,7 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Viewing:
-    """How images look at their points.
+    """Viewing geometry of images.
 
     Attributes:
         spread_degrees: root mean square angle of the viewing directions to their mean.

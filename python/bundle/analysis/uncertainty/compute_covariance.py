@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 __all__ = ["covariance"]
 
 AT_MINIMUM = 1e-4
-"""What a further step would take off the cost, beside the cost, at what counts as a minimum."""
+"""Relative decrease of the cost by one more step below which a state counts as a minimum."""
 
 
 @overload

@@ -28,7 +28,7 @@ __all__ = ["GRAPH_GAUGES", "GraphCovariance", "graph_covariance"]
 GRAPH_GAUGES = ("first", "inner", "none")
 
 AT_MINIMUM = 1e-4
-"""What a further step would take off the cost, beside the cost, at what counts as a minimum."""
+"""Relative decrease of the cost by one more step below which a state counts as a minimum."""
 
 LOST = 1e10
 """An inflation beyond which the variances have fewer than six digits."""

@@ -19,7 +19,7 @@ __all__ = ["KINDS", "POSES", "Bounds", "Fixed", "Prior", "Ratio", "Rule", "Share
 
 KINDS = ("camera", "image", "point")
 POSES = ("position", "rotation")
-"""What a rule on images may be about; on points it is the position."""
+"""Quantities of rules on images; rules on points are about the position."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class Rule:
     place: str = field(default="", kw_only=True, compare=False)
 
     kind: ClassVar[str] = ""
-    """What the rule does, in reports: "fixed", "prior", "bounds", "share" or "ratio"."""
+    """Kind of the rule in reports: "fixed", "prior", "bounds", "share" or "ratio"."""
 
     def __post_init__(self) -> None:
         try:

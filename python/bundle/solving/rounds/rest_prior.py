@@ -70,7 +70,7 @@ about the origin moves a camera by as many times as much as the scene, and in th
 the square of that hides what the rest knows."""
 
 SMALLEST = 64 * np.finfo(float).eps
-"""Of an eigenvalue of the scaled information, times its size: rounding."""
+"""Rounding of an eigenvalue of the scaled information, relative to its size."""
 
 
 @dataclass(frozen=True)
