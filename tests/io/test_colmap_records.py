@@ -3,6 +3,8 @@
 import dataclasses
 import os
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -171,6 +173,57 @@ def test_errors_that_are_not_finite_are_not_known_in_text(tmp_path: Path) -> Non
     assert not np.isfinite(list(errors_of(binary).values())).all()
     for point_id, error in errors_of(binary).items():
         assert errors_of(text)[point_id] == (error if np.isfinite(error) else -1)
+
+
+WITHOUT_PYCOLMAP = """
+import sys, bundle
+from pathlib import Path
+folder, out = map(Path, sys.argv[1:])
+problem = bundle.load(folder)
+kept = problem.observation_keypoint % 3 > 0
+names = ("image", "point", "xy", "keypoint")
+edited = problem.replace(
+    **{f"observation_{name}": getattr(problem, f"observation_{name}")[kept] for name in names}
+)
+for format in ("colmap", "colmap-text"):
+    bundle.save(edited, out / format, format)
+    bundle.save(edited.replace(source=None), out / f"new-{format}", format)
+assert "pycolmap" not in sys.modules
+"""
+
+
+@BOTH
+def test_edits_are_written_without_pycolmap(tmp_path: Path, binary: bool) -> None:
+    """Its import takes longer than the writing."""
+    folder = write_model(extended(), tmp_path / "in", binary=binary)
+    (tmp_path / "out").mkdir()
+    command = [sys.executable, "-c", WITHOUT_PYCOLMAP, str(folder), str(tmp_path / "out")]
+    subprocess.run(command, check=True)
+    assert len(list((tmp_path / "out").iterdir())) == 4
+
+
+KILLED = """
+import resource, signal, sys, bundle
+problem = bundle.load(sys.argv[1]).replace(source=None)
+signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
+size = int(sys.argv[3])
+resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+bundle.save(problem, sys.argv[2], "colmap-text")
+"""
+
+
+def test_a_kill_in_any_file_leaves_the_old_model(tmp_path: Path) -> None:
+    """The kernel kills a writer whose file exceeds RLIMIT_FSIZE."""
+    folder = write_model(synthesize(8), tmp_path / "in", binary=True)
+    target = write_model(synthesize(9), tmp_path / "out", binary=False)
+    before = files_of(target)
+    for size in (100, 900, 3000):
+        command = [sys.executable, "-c", KILLED, str(folder), str(target), str(size)]
+        killed = subprocess.run(command, check=False, capture_output=True)
+        assert killed.returncode == -signal.SIGXFSZ
+        assert files_of(target) == before
+    bundle.save(bundle.load(folder), target, "colmap-text")  # and the next one clears up
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in", "out"]
 
 
 def test_an_interrupt_ends_the_writing(tmp_path: Path) -> None:
