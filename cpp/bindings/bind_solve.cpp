@@ -19,8 +19,8 @@
 #include "core/checking/check_solution.h"
 #include "core/error.h"
 #include "core/parallel/thread_pool.h"
-#include "core/parallel/twofold_sum.h"
-#include "core/schur/point_sections.h"
+#include "core/sums/double_double.h"
+#include "core/sums/point_sections.h"
 #include "core/solver/solver.h"
 
 namespace py = pybind11;

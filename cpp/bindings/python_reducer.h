@@ -8,7 +8,7 @@
 #include <cstdint>
 #include <utility>
 
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 
 /// Methods of the object: sum_to_first(what, values), sum_twofold_to_first(what, sums, rests) and
 /// broadcast(what, values, root), arrays as writable memoryviews of doubles, in place; attributes

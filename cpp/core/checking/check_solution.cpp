@@ -12,7 +12,7 @@
 
 #include "core/cameras/registry.h"
 #include "core/error.h"
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 #include "core/problem/problem_view.h"
 #include "core/problem/reprojection_errors.h"
 

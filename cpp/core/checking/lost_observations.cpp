@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "core/checking/check_solution.h"
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 #include "core/problem/reprojection_errors.h"
 
 namespace bundle {

@@ -113,7 +113,7 @@ struct BlockSystem {
   /// (model/gauge.h). Empty unless a preconditioner asks for it.
   std::vector<double> gauge_directions;
 
-  /// Both are those of the model's parameters (schur/assembler.cpp asserts it).
+  /// Both are those of the model's parameters (schur/assembly/assembler.cpp asserts it).
   static constexpr int kNumGaugeDirections = 7;
   static constexpr int kMaxBlockSize = 22;
 };

@@ -19,7 +19,7 @@
 #include <vector>
 
 #include "core/model/problem_factors.h"
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 #include "core/parallel/thread_pool.h"
 #include "core/problem/problem_view.h"
 #include "core/symbolic/symbolic.h"

@@ -7,7 +7,7 @@
 #include "core/factors/loss.h"
 #include "core/geometry/rotation.h"
 #include "core/model/parameter_layout.h"
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 
 namespace bundle {
 namespace {

@@ -39,7 +39,7 @@
 #include "core/error.h"
 #include "core/geometry/rotation.h"
 #include "core/model/gauge_hold.h"
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 
 namespace bundle {
 

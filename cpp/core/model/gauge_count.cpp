@@ -37,7 +37,7 @@
 
 #include "core/dense/decompositions.h"
 #include "core/geometry/rotation.h"
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 
 namespace bundle {
 namespace {

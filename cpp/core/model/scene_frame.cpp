@@ -8,7 +8,7 @@
 
 #include "core/factors/loss.h"
 #include "core/geometry/rotation.h"
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 #include "core/problem/reprojection_errors.h"
 
 namespace bundle {

@@ -12,7 +12,7 @@
 #include "core/model/gauge.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 #include "core/problem/problem_view.h"
 #include "core/problem/reprojection_errors.h"
 

@@ -9,7 +9,7 @@
 namespace bundle {
 
 struct CameraModel;
-class Reducer;          // parallel/reducer.h
+class Reducer;          // sums/communicator.h
 struct ProblemFactors;  // model/problem_factors.h
 
 /// Parts of a pose that ProblemView::held_pose_parts holds.
@@ -86,7 +86,7 @@ struct ProblemView {
   Reducer* ranks = nullptr;
   /// num_images, with ranks only: 1 where any rank has an observation of the image.
   const uint8_t* image_is_observed = nullptr;
-  /// num_points: section of each point among those of the whole problem (schur/point_sections.h);
+  /// num_points: section of each point among those of the whole problem (sums/point_sections.h);
   /// nullptr: these are all points.
   const uint16_t* point_section = nullptr;
 

@@ -6,7 +6,7 @@
 #include <utility>
 
 #include "core/parallel/blas.h"
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 
 namespace bundle {
 namespace {

@@ -26,9 +26,9 @@
 #include "core/minimize/least_squares.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
-#include "core/parallel/twofold_sum.h"
+#include "core/sums/double_double.h"
 #include "core/problem/problem_view.h"
-#include "core/schur/assembler.h"
+#include "core/schur/assembly/assembler.h"
 #include "core/schur/elimination_plan.h"
 
 namespace bundle {

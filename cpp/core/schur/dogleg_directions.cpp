@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 #include "core/schur/for_chunks.h"
 #include "core/schur/newton_gauge.h"
 #include "core/schur/schur_problem.h"

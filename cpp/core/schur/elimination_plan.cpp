@@ -5,7 +5,7 @@
 #include <string>
 #include <utility>
 
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 #include "core/parallel/thread_pool.h"
 #include "core/schur/state_records.h"
 

@@ -8,7 +8,7 @@
 
 #include "core/factors/loss.h"
 #include "core/model/parameter_layout.h"
-#include "core/parallel/twofold_sum.h"
+#include "core/sums/double_double.h"
 #include "core/problem/problem_view.h"
 
 namespace bundle {

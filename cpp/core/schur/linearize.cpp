@@ -1,6 +1,6 @@
 /// The linearisation of a SchurProblem: a pass over the points, sums over ranks, damping. Where
-/// conjugate gradients make much of rounding, the sums are made on a grid (schur/sum_grid.h),
-/// elsewhere they are twofold (parallel/twofold_sum.h); the sums over other factors, which are
+/// conjugate gradients make much of rounding, the sums are made on a grid (schur/assembly/sum_grid.h),
+/// elsewhere they are twofold (sums/double_double.h); the sums over other factors, which are
 /// neither, are added last.
 
 #include <cmath>
@@ -8,10 +8,10 @@
 #include <vector>
 
 #include "core/minimize/damping.h"
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 #include "core/schur/for_chunks.h"
 #include "core/schur/schur_problem.h"
-#include "core/schur/sum_systems.h"
+#include "core/schur/assembly/sum_systems.h"
 
 namespace bundle {
 namespace {

@@ -6,7 +6,7 @@
 
 #include "core/dense/decompositions.h"
 #include "core/model/problem_factors.h"
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 
 namespace bundle {
 namespace {

@@ -5,15 +5,15 @@
 #include <utility>
 
 #include "core/model/gauge.h"
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 #include "core/parallel/thread_pool.h"
-#include "core/schur/assembler.h"
+#include "core/schur/assembly/assembler.h"
 #include "core/schur/camera_factors.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/for_chunks.h"
 #include "core/schur/kernels/kernels.h"
 #include "core/schur/state_records.h"
-#include "core/schur/sum_systems.h"
+#include "core/schur/assembly/sum_systems.h"
 
 namespace bundle {
 namespace {

@@ -9,14 +9,14 @@
 #include "core/minimize/least_squares.h"
 #include "core/model/parameter_layout.h"
 #include "core/parallel/thread_pool.h"
-#include "core/parallel/twofold_sum.h"
+#include "core/sums/double_double.h"
 #include "core/problem/problem_view.h"
-#include "core/schur/assembler.h"
+#include "core/schur/assembly/assembler.h"
 #include "core/schur/camera_factors.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/kernels/kernels.h"
 #include "core/schur/state_records.h"
-#include "core/schur/sum_grid.h"
+#include "core/schur/assembly/sum_grid.h"
 
 namespace bundle {
 

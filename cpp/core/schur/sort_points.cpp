@@ -17,7 +17,7 @@
 #include "core/linear/block_structure.h"
 #include "core/parallel/thread_pool.h"
 #include "core/schur/elimination_plan.h"
-#include "core/schur/point_sections.h"
+#include "core/sums/point_sections.h"
 
 namespace bundle {
 namespace {

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "core/model/parameter_layout.h"
-#include "core/parallel/twofold_sum.h"
+#include "core/sums/double_double.h"
 #include "core/problem/problem_view.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/kernels/kernels.h"

@@ -14,7 +14,7 @@
 #include "core/minimize/trust_region.h"
 #include "core/model/coupled_blocks.h"
 #include "core/model/parameter_layout.h"
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"

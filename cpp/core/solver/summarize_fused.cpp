@@ -5,7 +5,7 @@
 #include <string>
 
 #include "core/interface/options.h"
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/camera_factors.h"
 #include "core/solver/fused_solver.h"

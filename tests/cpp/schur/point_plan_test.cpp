@@ -10,7 +10,7 @@
 
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
-#include "core/schur/point_sections.h"
+#include "core/sums/point_sections.h"
 #include "support/scene.h"
 
 namespace bundle {

@@ -17,7 +17,7 @@ Bytes per step, for blocks (i, j) of S of h x w numbers and n columns:
     gradient, norms    8 * 4 n   (two vectors, each summed and sent back)
     step               8 n
 
-Double-double sums (cpp/core/parallel/twofold_sum.h) send two numbers each to rank 0: 8 (2 sum of h
+Double-double sums (cpp/core/sums/double_double.h) send two numbers each to rank 0: 8 (2 sum of h
 w + 9 n) in all.
 
 Conjugate gradients may add the block diagonal of J_c^T J_c. Memory is that of a process without a

@@ -8,7 +8,7 @@ the observations so far are k/N of all. So
   its part of the reduced camera system has few blocks that others have, too,
 - the division depends on the problem and N alone: runs with as many processes are equal.
 
-The same order is cut in K parts for the core (cpp/core/schur/point_sections.h), which sums up one
+The same order is cut in K parts for the core (cpp/core/sums/point_sections.h), which sums up one
 such section after the other: where N divides K, a process has whole sections, and sums have the
 bits of one process.
 """

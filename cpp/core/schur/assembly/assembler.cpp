@@ -1,9 +1,9 @@
-#include "core/schur/assembler.h"
+#include "core/schur/assembly/assembler.h"
 
 #include <algorithm>
 
 #include "core/model/gauge.h"
-#include "core/parallel/twofold_sum.h"
+#include "core/sums/double_double.h"
 
 namespace bundle {
 

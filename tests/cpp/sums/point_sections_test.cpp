@@ -1,4 +1,4 @@
-#include "core/schur/point_sections.h"
+#include "core/sums/point_sections.h"
 
 #include <gtest/gtest.h>
 

@@ -4,9 +4,9 @@
 #include <utility>
 
 #include "core/linear/block_structure.h"
-#include "core/parallel/twofold_sum.h"
-#include "core/schur/assembler.h"
-#include "core/schur/sum_grid.h"
+#include "core/sums/double_double.h"
+#include "core/schur/assembly/assembler.h"
+#include "core/schur/assembly/sum_grid.h"
 
 namespace bundle {
 

@@ -6,8 +6,8 @@
 
 #include "core/linear/block_structure.h"
 #include "core/linear/linear_solver.h"
-#include "core/parallel/reducer.h"
-#include "core/schur/assembler.h"
+#include "core/sums/communicator.h"
+#include "core/schur/assembly/assembler.h"
 
 namespace bundle {
 

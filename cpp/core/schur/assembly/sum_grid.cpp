@@ -1,4 +1,4 @@
-#include "core/schur/sum_grid.h"
+#include "core/schur/assembly/sum_grid.h"
 
 #include <cmath>
 

@@ -1,4 +1,4 @@
-#include "core/parallel/twofold_sum.h"
+#include "core/sums/double_double.h"
 
 #include <gtest/gtest.h>
 

@@ -36,7 +36,7 @@
 #include <vector>
 
 #include "core/linear/block_structure.h"
-#include "core/schur/assembler.h"
+#include "core/schur/assembly/assembler.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/kernels/kernels.h"
 

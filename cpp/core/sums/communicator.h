@@ -18,7 +18,7 @@
 #include <string>
 #include <vector>
 
-#include "core/parallel/twofold_sum.h"
+#include "core/sums/double_double.h"
 
 namespace bundle {
 

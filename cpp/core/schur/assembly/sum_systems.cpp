@@ -1,4 +1,4 @@
-#include "core/schur/sum_systems.h"
+#include "core/schur/assembly/sum_systems.h"
 
 /// S is the sum over points of what each of them adds (kernels/eliminate_point.h), so that of all
 /// ranks is the sum of theirs. Its blocks are sent without what lies between them, a portion of

@@ -1,4 +1,4 @@
-#include "core/parallel/reducer.h"
+#include "core/sums/communicator.h"
 
 #include <cmath>
 
