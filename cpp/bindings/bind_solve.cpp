@@ -12,16 +12,16 @@
 #include "bindings/immutable_array.h"
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
+#include "bindings/python_communicator.h"
 #include "bindings/python_progress.h"
-#include "bindings/python_reducer.h"
 #include "bindings/summary_to_python.h"
 #include "core/ceres/solve_with_ceres.h"
 #include "core/checking/check_solution.h"
 #include "core/error.h"
 #include "core/parallel/thread_pool.h"
+#include "core/solver/solver.h"
 #include "core/sums/double_double.h"
 #include "core/sums/point_sections.h"
-#include "core/solver/solver.h"
 
 namespace py = pybind11;
 
@@ -82,8 +82,8 @@ py::dict SolvePart(const py::object& problem, const py::dict& options, const py:
   if (image_is_observed.size() != view.num_images) {
     throw bundle::InputError("image_is_observed: expected one entry per image");
   }
-  PythonReducer reducer(ranks);
-  view.ranks = &reducer;
+  PythonCommunicator communicator(ranks);
+  view.communicator = &communicator;
   view.image_is_observed = image_is_observed.data();
   const auto section = py::cast<py::array_t<uint16_t, py::array::c_style | py::array::forcecast>>(
       problem.attr("point_section"));
@@ -101,20 +101,20 @@ py::dict SolvePart(const py::object& problem, const py::dict& options, const py:
   return ToPython(view, std::move(output));
 }
 
-/// Adds twofold sums to others, in place.
-void AddTwofold(const py::array_t<double, py::array::c_style>& sums,
-                const py::array_t<double, py::array::c_style>& rests,
-                py::array_t<double, py::array::c_style> to_sums,
-                py::array_t<double, py::array::c_style> to_rests) {
+/// Adds double-doubles to others, in place.
+void AddDoubleDouble(const py::array_t<double, py::array::c_style>& sums,
+                     const py::array_t<double, py::array::c_style>& errors,
+                     py::array_t<double, py::array::c_style> to_sums,
+                     py::array_t<double, py::array::c_style> to_errors) {
   const py::ssize_t count = sums.size();
-  if (rests.size() != count || to_sums.size() != count || to_rests.size() != count) {
+  if (errors.size() != count || to_sums.size() != count || to_errors.size() != count) {
     throw bundle::InputError("add_twofold: expected four arrays of one size");
   }
   double* const sum = to_sums.mutable_data();
-  double* const rest = to_rests.mutable_data();
+  double* const error = to_errors.mutable_data();
   for (py::ssize_t i = 0; i < count; ++i) {
-    bundle::AddTwofold(sums.data()[i], sum + i, rest + i);
-    rest[i] += rests.data()[i];
+    bundle::AddDoubleDouble(sums.data()[i], sum + i, error + i);
+    error[i] += errors.data()[i];
   }
 }
 
@@ -185,7 +185,7 @@ void BindSolve(py::module_& m) {
         py::arg("restrictions"), py::arg("factors"), py::arg("ranks"),
         py::arg("image_is_observed"));
   m.def("num_point_sections", &bundle::NumPointSections, py::arg("num_observations"));
-  m.def("add_twofold", &AddTwofold, py::arg("sums"), py::arg("rests"),
+  m.def("add_twofold", &AddDoubleDouble, py::arg("sums"), py::arg("rests"),
         py::arg("to_sums").noconvert(), py::arg("to_rests").noconvert());
   py::class_<PythonSolver>(m, "Solver")
       .def(py::init<py::object, const py::dict&, py::object, const py::object&>(),

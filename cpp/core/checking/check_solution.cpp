@@ -12,9 +12,9 @@
 
 #include "core/cameras/registry.h"
 #include "core/error.h"
-#include "core/sums/communicator.h"
 #include "core/problem/problem_view.h"
 #include "core/problem/reprojection_errors.h"
+#include "core/sums/communicator.h"
 
 namespace bundle {
 
@@ -74,9 +74,9 @@ std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayou
     if (track_lengths[p] != 1 || !layout.point_is_free(p)) continue;
     if (count++ == 0) first = p;
   }
-  count = SumOverRanks(problem.ranks, count);
+  count = SumOverRanks(problem.communicator, count);
   const std::string first_id = FirstOverRanks(
-      problem.ranks, first < 0 ? std::string() : std::to_string(problem.point_ids[first]));
+      problem.communicator, first < 0 ? std::string() : std::to_string(problem.point_ids[first]));
   if (count == 0) return "";
   return "Points seen only once have no depth of their own, the damping alone holds them: " +
          std::to_string(count) + ", the first is point " + first_id + ".";
@@ -95,7 +95,7 @@ bool RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
   } catch (const InputError& error) {
     found = error.what();
   }
-  found = FirstOverRanks(problem.ranks, found);
+  found = FirstOverRanks(problem.communicator, found);
   if (found.empty()) return false;
   const auto restore = [](const double* from, std::vector<double>* to) {
     to->assign(from, from + to->size());
@@ -239,7 +239,7 @@ void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
   };
   if (summary.termination_type == "FAILURE" || !std::isfinite(summary.initial_cost)) {
     warn(WarningKind::kResidualNotFinite,
-         FirstOverRanks(problem.ranks, FindOverflow(problem, options.cheirality)));
+         FirstOverRanks(problem.communicator, FindOverflow(problem, options.cheirality)));
   }
   if (options.check_solution) {
     // A projected step misses what its model promised as one by a wrong Jacobian does.
@@ -251,8 +251,8 @@ void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
                                   "`bundle check` and bundle.check_factors find out"));
     }
     warn(WarningKind::kSuspiciousJacobian,
-         FirstOverRanks(problem.ranks, CheckSolution(problem, layout, states, output->points,
-                                                     options.cheirality)));
+         FirstOverRanks(problem.communicator, CheckSolution(problem, layout, states, output->points,
+                                                            options.cheirality)));
   }
   const bool is_rejected = RejectImpossibleSolution(problem, output);
   if (num_held > 0 && !is_rejected)

@@ -9,8 +9,8 @@
 #include <vector>
 
 #include "core/checking/check_solution.h"
-#include "core/sums/communicator.h"
 #include "core/problem/reprojection_errors.h"
+#include "core/sums/communicator.h"
 
 namespace bundle {
 namespace {
@@ -33,7 +33,7 @@ int64_t CountLeftOut(const ProblemView& problem, const ParameterLayout& layout,
   for (int64_t i = 0; i < problem.num_observations; ++i) {
     if (behind[i] && layout.IsRefined(problem, i)) ++num_refined_behind;
   }
-  return num_held - SumOverRanks(problem.ranks, num_refined_behind);
+  return num_held - SumOverRanks(problem.communicator, num_refined_behind);
 }
 
 int64_t Count(const std::vector<uint8_t>& flags) {
@@ -48,8 +48,8 @@ std::vector<int64_t> ImagesWithNoneInFront(const ProblemView& problem,
     seen[problem.observation_image[i]] = 1;
     if (!behind[i]) in_front[problem.observation_image[i]] = 1;
   }
-  JoinOverRanks(problem.ranks, &seen);
-  JoinOverRanks(problem.ranks, &in_front);
+  JoinOverRanks(problem.communicator, &seen);
+  JoinOverRanks(problem.communicator, &in_front);
   std::vector<int64_t> ids;
   for (int i = 0; i < problem.num_images; ++i) {
     if (seen[i] && !in_front[i]) ids.push_back(problem.image_ids[i]);
@@ -85,15 +85,15 @@ void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& la
   refined.points = output->points.data();
   const std::vector<uint8_t> before = FindBehind(problem, options);
   const std::vector<uint8_t> after = FindBehind(refined, options);
-  Reducer* const ranks = problem.ranks;
-  const int64_t num_before = SumOverRanks(ranks, Count(before));
-  const int64_t num_after = SumOverRanks(ranks, Count(after));
-  const int64_t num_observations = SumOverRanks(ranks, problem.num_observations);
+  Communicator* const communicator = problem.communicator;
+  const int64_t num_before = SumOverRanks(communicator, Count(before));
+  const int64_t num_after = SumOverRanks(communicator, Count(after));
+  const int64_t num_observations = SumOverRanks(communicator, problem.num_observations);
   int64_t num_lost = 0;
   for (int64_t i = 0; i < problem.num_observations; ++i) {
     if (after[i] && !before[i]) ++num_lost;
   }
-  num_lost = SumOverRanks(ranks, num_lost);
+  num_lost = SumOverRanks(communicator, num_lost);
   const int64_t num_left_out = CountLeftOut(problem, layout, after, num_held);
   const int64_t num_counted = num_observations - num_before;
   const bool unusable =

@@ -19,9 +19,9 @@
 #include <vector>
 
 #include "core/model/problem_factors.h"
-#include "core/sums/communicator.h"
 #include "core/parallel/thread_pool.h"
 #include "core/problem/problem_view.h"
+#include "core/sums/communicator.h"
 #include "core/symbolic/symbolic.h"
 
 namespace bundle {
@@ -160,8 +160,8 @@ void AddBlocks(const std::unordered_map<int, Neighbours>& neighbours, int point,
 namespace {
 
 /// The pairs that any rank has. Each column has its diagonal everywhere, which need not be sent.
-void JoinColumns(Reducer* ranks, std::vector<std::vector<int>>* columns) {
-  if (ranks == nullptr) return;
+void JoinColumns(Communicator* communicator, std::vector<std::vector<int>>* columns) {
+  if (communicator == nullptr) return;
   const auto n = static_cast<double>(columns->size());
   std::vector<double> pairs;
   for (size_t j = 0; j < columns->size(); ++j) {
@@ -169,7 +169,7 @@ void JoinColumns(Reducer* ranks, std::vector<std::vector<int>>* columns) {
       pairs.push_back(static_cast<double>(j) * n + (*columns)[j][k]);
     }
   }
-  for (const double pair : ConcatenateOverRanks(ranks, pairs)) {
+  for (const double pair : ConcatenateOverRanks(communicator, pairs)) {
     const double j = std::floor(pair / n);
     (*columns)[static_cast<size_t>(j)].push_back(static_cast<int>(pair - j * n));
   }
@@ -212,7 +212,7 @@ std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
     });
     for (int j = first; j < last; ++j) bits.Read(j - first, &columns[j]);
   }
-  JoinColumns(problem.ranks, &columns);
+  JoinColumns(problem.communicator, &columns);
   return columns;
 }
 
@@ -305,7 +305,7 @@ int64_t NumInformationNonzeros(const ProblemView& problem, const ParameterLayout
     const std::set<int> others(found->second.points.begin(), found->second.points.end());
     count += 2 * kPointSize * kPointSize * static_cast<int64_t>(others.size());
   }
-  return SumOverRanks(problem.ranks, count) + static_cast<int64_t>(NumNonzeros(cameras));
+  return SumOverRanks(problem.communicator, count) + static_cast<int64_t>(NumNonzeros(cameras));
 }
 
 OrderedPattern OrderFullPattern(const ProblemView& problem, const ParameterLayout& layout,

@@ -77,8 +77,8 @@ double OmegaBesidePinhole(const ProblemView& problem, int lens, const SolveOptio
     slope += rho[1] * product;
     curvature += rho[1] * change;
   }
-  slope = SumOverRanks(problem.ranks, slope);
-  curvature = SumOverRanks(problem.ranks, curvature);
+  slope = SumOverRanks(problem.communicator, slope);
+  curvature = SumOverRanks(problem.communicator, curvature);
   if (slope == 0 || !(curvature > 0)) return 0;
   if (slope < 0) return kWithin;
   return std::clamp(std::sqrt(slope / curvature), kOutside, kFarOutside);

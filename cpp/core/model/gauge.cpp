@@ -158,7 +158,7 @@ std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* fr
     return "Gauge three_points is held as two_cameras, by poses: rigs or images that are held give "
            "part of it, and three points would hold the shape of their triangle as well.";
   }
-  if (problem.ranks != nullptr) {
+  if (problem.communicator != nullptr) {
     throw InputError(
         "gauge: expected two_cameras or none with several processes, found "
         "three_points");

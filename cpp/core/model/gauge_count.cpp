@@ -186,7 +186,7 @@ void FreeMotions::FindScene() {
     if (most > 0) squares += ((centre - centre_) / most).squaredNorm();
   }
   size_ = most > 0 ? most * std::sqrt(squares / static_cast<double>(images_.size()))
-                   : MaxOverRanks(problem_.ranks, DistanceOfSomePoint());
+                   : MaxOverRanks(problem_.communicator, DistanceOfSomePoint());
   if (!(size_ > 0 && std::isfinite(size_))) size_ = 1;
 }
 
@@ -337,7 +337,7 @@ void FreeMotions::AddHeldPoints() {
       if (lengths[point] > 0 && free_.point[point] == 0) held.insert(held.end(), at, at + 3);
     }
   }
-  held = Spanning(ConcatenateOverRanks(problem_.ranks, Spanning(held)));
+  held = Spanning(ConcatenateOverRanks(problem_.communicator, Spanning(held)));
   for (size_t k = 0; k < held.size(); k += 3) {
     Vector3d x = (Eigen::Map<const Vector3d>(&held[k]) - centre_) / size_;
     const double unit = std::max(1.0, x.stableNorm());

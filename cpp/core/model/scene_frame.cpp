@@ -8,8 +8,8 @@
 
 #include "core/factors/loss.h"
 #include "core/geometry/rotation.h"
-#include "core/sums/communicator.h"
 #include "core/problem/reprojection_errors.h"
+#include "core/sums/communicator.h"
 
 namespace bundle {
 namespace {
@@ -62,7 +62,7 @@ std::vector<double> SquaredErrors(const ProblemView& problem, const SolveOptions
 }  // namespace
 
 SceneFrame::SceneFrame(const ProblemView& problem) {
-  const int64_t num_points = SumOverRanks(problem.ranks, int64_t{problem.num_points});
+  const int64_t num_points = SumOverRanks(problem.communicator, int64_t{problem.num_points});
   if (problem.num_images == 0 || num_points == 0) return;
   std::vector<double> centers[3], distances;
   for (int64_t i = 0; i < problem.num_images; ++i) {
@@ -80,8 +80,8 @@ SceneFrame::SceneFrame(const ProblemView& problem) {
     reach = std::max(reach, distance);
     if (p % stride == 0) distances.push_back(distance);
   }
-  reach = MaxOverRanks(problem.ranks, reach);
-  distances = ConcatenateOverRanks(problem.ranks, distances);
+  reach = MaxOverRanks(problem.communicator, reach);
+  distances = ConcatenateOverRanks(problem.communicator, distances);
   size = Median(&distances);
   std::copy_n(center, 3, origin);
   if (!IsFarFromOrigin()) return;
@@ -156,8 +156,8 @@ FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layou
   const std::vector<double> cameras = layout.InitialState(problem);
   double near_squared = SquaredNorm(cameras.data(), static_cast<int>(cameras.size()));
   double far_squared = 0;
-  Reducer* const ranks = problem.ranks;
-  if (!IsFirst(ranks)) near_squared = 0;
+  Communicator* const communicator = problem.communicator;
+  if (!IsFirst(communicator)) near_squared = 0;
   std::vector<uint8_t> is_far(problem.num_points), is_used(problem.num_points);
   for (int p = 0; p < problem.num_points; ++p) {
     const double* const point = problem.points + 3 * static_cast<int64_t>(p);
@@ -170,10 +170,11 @@ FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layou
     is_used[point] = 1;
     (is_far[point] ? result.observations : result.others).push_back(i);
   }
-  result.num_observations = SumOverRanks(ranks, static_cast<int64_t>(result.observations.size()));
+  result.num_observations =
+      SumOverRanks(communicator, static_cast<int64_t>(result.observations.size()));
   if (result.num_observations == 0) return result;
-  far_squared = SumOverRanks(ranks, far_squared);
-  near_squared = SumOverRanks(ranks, near_squared);
+  far_squared = SumOverRanks(communicator, far_squared);
+  near_squared = SumOverRanks(communicator, near_squared);
   if (far_squared > 0) result.norm_without = 1 / std::sqrt(1 + far_squared / near_squared);
   int64_t count = 0, num_free = 0;
   double farthest = 0;
@@ -185,12 +186,12 @@ FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layou
     const double distance = frame.DistanceTo(problem.points + 3 * static_cast<int64_t>(p));
     if (distance > farthest) farthest = distance, worst = p;
   }
-  count = SumOverRanks(ranks, count);
-  num_free = SumOverRanks(ranks, num_free);
-  const double farthest_of_all = MaxOverRanks(ranks, farthest);
+  count = SumOverRanks(communicator, count);
+  num_free = SumOverRanks(communicator, num_free);
+  const double farthest_of_all = MaxOverRanks(communicator, farthest);
   const bool is_here = worst >= 0 && farthest == farthest_of_all;
-  const std::string worst_id =
-      FirstOverRanks(ranks, is_here ? std::to_string(problem.point_ids[worst]) : std::string());
+  const std::string worst_id = FirstOverRanks(
+      communicator, is_here ? std::to_string(problem.point_ids[worst]) : std::string());
   std::ostringstream sentence;
   sentence << "Points more than " << kFarPoint << " times the size of the scene ("
            << frame.size * frame.unit << ") away from its centre: " << count;
@@ -230,9 +231,9 @@ void JudgeFarPoints(const ProblemView& problem, const FarPoints& far, const Solv
       ValueOfLoss(options.loss, options.loss_scale, at[i], rho);
       sum += 0.5 * rho[0];
     }
-    return SumOverRanks(problem.ranks, sum);
+    return SumOverRanks(problem.communicator, sum);
   };
-  weighted = SumOverRanks(problem.ranks, weighted);
+  weighted = SumOverRanks(problem.communicator, weighted);
   const double far_cost = cost(far.observations, after);
   const double near_cost = cost(far.others, after), near_cost_before = cost(far.others, before);
   const double bound = options.loss == LossType::kTrivial ? 1 : std::max(1.0, options.loss_scale);

@@ -12,9 +12,9 @@
 #include "core/model/gauge.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
-#include "core/sums/communicator.h"
 #include "core/problem/problem_view.h"
 #include "core/problem/reprojection_errors.h"
+#include "core/sums/communicator.h"
 
 namespace bundle {
 
@@ -63,11 +63,13 @@ PreparedSolve PrepareSolve(const ProblemView& problem, const SolveOptions& optio
   std::vector<int64_t> track_lengths = TrackLengths(problem);
   Warn(WarningKind::kPointsSeenOnce, CountPointsSeenOnce(problem, layout, track_lengths),
        &warnings);
-  std::string factor_for_ceres = FirstOverRanks(problem.ranks, FindFactorForCeres(problem, layout));
+  std::string factor_for_ceres =
+      FirstOverRanks(problem.communicator, FindFactorForCeres(problem, layout));
   const auto longest = std::max_element(track_lengths.begin(), track_lengths.end());
   const int64_t longest_track = longest == track_lengths.end() ? 0 : *longest;
-  const auto longest_of_all = MaxOverRanks(problem.ranks, static_cast<double>(longest_track));
-  const int64_t num_free = SumOverRanks(problem.ranks, int64_t{layout.num_free_points()});
+  const auto longest_of_all =
+      MaxOverRanks(problem.communicator, static_cast<double>(longest_track));
+  const int64_t num_free = SumOverRanks(problem.communicator, int64_t{layout.num_free_points()});
   return {std::move(layout), std::move(warnings),          std::move(track_lengths),
           num_free,          std::llround(longest_of_all), std::move(factor_for_ceres)};
 }

@@ -9,7 +9,7 @@
 namespace bundle {
 
 struct CameraModel;
-class Reducer;          // sums/communicator.h
+class Communicator;     // sums/communicator.h
 struct ProblemFactors;  // model/problem_factors.h
 
 /// Parts of a pose that ProblemView::held_pose_parts holds.
@@ -83,7 +83,7 @@ struct ProblemView {
   /// Not nullptr: the problem is divided among ranks. The points and their observations here are
   /// those of this rank; images, frames, sensors and cameras are those of the whole problem, and so
   /// are factors, but for those of points, which are where their points are.
-  Reducer* ranks = nullptr;
+  Communicator* communicator = nullptr;
   /// num_images, with ranks only: 1 where any rank has an observation of the image.
   const uint8_t* image_is_observed = nullptr;
   /// num_points: section of each point among those of the whole problem (sums/point_sections.h);

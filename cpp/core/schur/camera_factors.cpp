@@ -49,7 +49,7 @@ void CameraFactors::AddAll(const ProblemView& problem, const ParameterLayout& la
                            const EliminationPlan& plan) {
   std::vector<int> place;  // in the plan, of each point of the problem
   for (const auto& factor : problem.factors->factors) {
-    if (!IsFirst(problem.ranks) && !TouchesPoint(*factor, problem)) continue;
+    if (!IsFirst(problem.communicator) && !TouchesPoint(*factor, problem)) continue;
     ChartedFactor charted(*factor, problem, layout);
     if (charted.is_fixed()) {
       fixed_.push_back(std::move(charted));
@@ -80,7 +80,7 @@ void CameraFactors::FindKinds(const ProblemView& problem) {
   };
   std::vector<double> all = kinds;
   sort(&all);
-  all = ConcatenateOverRanks(problem.ranks, all);
+  all = ConcatenateOverRanks(problem.communicator, all);
   sort(&all);
   num_kinds_ = all.size();
   for (const double kind : kinds) {
@@ -194,7 +194,7 @@ void CameraFactors::AddTo(CameraSums* sums) const {
 }
 
 double CameraFactors::Cost(const CameraStates& cameras, const double* points,
-                           std::vector<TwofoldSum>* kinds) const {
+                           std::vector<DoubleDouble>* kinds) const {
   double total = 0;
   kinds->assign(num_kinds_, {});
   auto kind = kind_.begin();

@@ -26,10 +26,10 @@
 #include "core/minimize/least_squares.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
-#include "core/sums/double_double.h"
 #include "core/problem/problem_view.h"
 #include "core/schur/assembly/assembler.h"
 #include "core/schur/elimination_plan.h"
+#include "core/sums/double_double.h"
 
 namespace bundle {
 
@@ -60,7 +60,7 @@ class CameraFactors {
   /// Also those of each kind of factor (KindOf), of this rank, in an order that is that of all
   /// ranks; empty where no rank has factors.
   double Cost(const CameraStates& cameras, const double* points,
-              std::vector<TwofoldSum>* kinds) const;
+              std::vector<DoubleDouble>* kinds) const;
 
   /// d^T J^T r at a state, of a step of the camera parameters and one of the points.
   double Slope(const CameraStates& cameras, const double* points, const std::vector<double>& step,

@@ -6,10 +6,10 @@
 #include <utility>
 #include <vector>
 
-#include "core/sums/communicator.h"
 #include "core/schur/for_chunks.h"
 #include "core/schur/newton_gauge.h"
 #include "core/schur/schur_problem.h"
+#include "core/sums/communicator.h"
 
 namespace bundle {
 
@@ -18,7 +18,7 @@ namespace {
 constexpr int kNumProducts = 6;
 
 void AddProducts(double d_pp, double d_pq, double d_qq, double j_pp, double j_pq, double j_qq,
-                 TwofoldSum sums[kNumProducts]) {
+                 DoubleDouble sums[kNumProducts]) {
   const double products[kNumProducts] = {d_pp, d_pq, d_qq, j_pp, j_pq, j_qq};
   for (int k = 0; k < kNumProducts; ++k) sums[k].Add(products[k]);
 }
@@ -44,13 +44,13 @@ DoglegProducts SchurProblem::Products() {
                       gauge_degrees_ > 0 ? points_d_squared_.data() : nullptr, Memory(thread),
                       &parts[c]);
   });
-  TwofoldSum sums[kNumProducts];
+  DoubleDouble sums[kNumProducts];
   for (const ProductSum& part : parts) {
     AddProducts(part.d_pp, part.d_pq, part.d_qq, part.j_pp, part.j_pq, part.j_qq, sums);
   }
   factors_.AddProducts(gradient_direction_, newton_, &total);
   AddProducts(total.d_pp, total.d_pq, total.d_qq, total.j_pp, total.j_pq, total.j_qq, sums);
-  RoundOverRanks(ranks_, {&sums[0], &sums[1], &sums[2], &sums[3], &sums[4], &sums[5]});
+  RoundOverRanks(communicator_, {&sums[0], &sums[1], &sums[2], &sums[3], &sums[4], &sums[5]});
   total = {sums[0].sum, sums[1].sum, sums[2].sum, sums[3].sum, sums[4].sum, sums[5].sum};
   for (size_t j = 0; j < newton_.size(); ++j) {
     const double p = gradient_direction_[j], q = newton_[j];
@@ -77,14 +77,13 @@ double SchurProblem::TakeOutGauge() {
   });
   NewtonGauge::Sums total;
   const auto num_squares = static_cast<size_t>(total.square.size());
-  std::vector<TwofoldSum> twofold(num_squares + static_cast<size_t>(total.product.size()));
+  std::vector<DoubleDouble> exact(num_squares + static_cast<size_t>(total.product.size()));
   for (const NewtonGauge::Sums& part : parts) {
-    for (size_t k = 0; k < twofold.size(); ++k) {
-      twofold[k].Add(k < num_squares ? part.square.data()[k]
-                                     : part.product.data()[k - num_squares]);
+    for (size_t k = 0; k < exact.size(); ++k) {
+      exact[k].Add(k < num_squares ? part.square.data()[k] : part.product.data()[k - num_squares]);
     }
   }
-  const std::vector<double> sums = RoundOverRanks(ranks_, "gauge", twofold);
+  const std::vector<double> sums = RoundOverRanks(communicator_, "gauge", exact);
   std::copy_n(sums.data(), num_squares, total.square.data());
   std::copy_n(sums.data() + num_squares, total.product.size(), total.product.data());
   for (size_t j = 0; j < newton_.size(); ++j) {

@@ -5,9 +5,9 @@
 #include <string>
 #include <utility>
 
-#include "core/sums/communicator.h"
 #include "core/parallel/thread_pool.h"
 #include "core/schur/state_records.h"
+#include "core/sums/communicator.h"
 
 namespace bundle {
 
@@ -32,10 +32,10 @@ constexpr int kMaxBlocks = 0xffff;
 class Planner {
  public:
   /// `ranks`: whose plans are parts of one.
-  Planner(ImageOrder images, EliminationPlan plan, Reducer* ranks, int num_threads)
+  Planner(ImageOrder images, EliminationPlan plan, Communicator* communicator, int num_threads)
       : images_(std::move(images)),
         plan_(std::move(plan)),
-        ranks_(ranks),
+        communicator_(communicator),
         num_threads_(num_threads) {}
 
   EliminationPlan Plan(int block_bytes) {
@@ -83,8 +83,8 @@ class Planner {
 
   /// The same on all ranks.
   int64_t ChunkSize() const {
-    const int64_t work = SumOverRanks(ranks_, WorkOf(0, plan_.num_points()));
-    const int64_t observations = SumOverRanks(ranks_, plan_.num_observations());
+    const int64_t work = SumOverRanks(communicator_, WorkOf(0, plan_.num_points()));
+    const int64_t observations = SumOverRanks(communicator_, plan_.num_observations());
     return std::max(
         std::clamp(observations / kChunksOfSmallProblem, kSmallestChunk, kLargestOfSmallProblem),
         std::min(work / kChunksOfLargeProblem, kLargestChunk));
@@ -276,7 +276,7 @@ class Planner {
 
   const ImageOrder images_;
   EliminationPlan plan_;
-  Reducer* const ranks_;
+  Communicator* const communicator_;
   const int num_threads_;
   std::vector<int> num_refined_;  ///< of each point's observations; 0 for fixed points
   std::vector<int> image_slot_;   ///< in the chunk in the making; -1: not in it
@@ -289,8 +289,8 @@ EliminationPlan Plan(const ProblemView& problem, const ParameterLayout& layout, 
   EliminationPlan sorted =
       SortPoints(problem, layout, images, active, in_sections, num_threads, keep_order);
   // Not all ranks have points with nothing to refine.
-  Reducer* const ranks = active ? problem.ranks : nullptr;
-  return Planner(std::move(images), std::move(sorted), ranks, num_threads).Plan(block_bytes);
+  Communicator* const communicator = active ? problem.communicator : nullptr;
+  return Planner(std::move(images), std::move(sorted), communicator, num_threads).Plan(block_bytes);
 }
 
 }  // namespace

@@ -8,8 +8,8 @@
 
 #include "core/factors/loss.h"
 #include "core/model/parameter_layout.h"
-#include "core/sums/double_double.h"
 #include "core/problem/problem_view.h"
+#include "core/sums/double_double.h"
 
 namespace bundle {
 
@@ -221,7 +221,7 @@ class HeldResiduals {
   }
 
   /// The held cost: sum of 1/2 rho(||h||^2).
-  TwofoldSum Cost(LossType loss, double loss_scale) const;
+  DoubleDouble Cost(LossType loss, double loss_scale) const;
 
   /// Ascending.
   const std::vector<HeldResidual>& all() const { return all_; }

@@ -1,17 +1,18 @@
-/// The linearisation of a SchurProblem: a pass over the points, sums over ranks, damping. Where
-/// conjugate gradients make much of rounding, the sums are made on a grid (schur/assembly/sum_grid.h),
-/// elsewhere they are twofold (sums/double_double.h); the sums over other factors, which are
-/// neither, are added last.
+/// The linearisation of a SchurProblem: a pass over the points, sums over ranks, damping.
+///
+/// Conjugate gradients amplify rounding errors, so their sums are made on a grid
+/// (schur/assembly/sum_grid.h). Other sums are double-doubles (sums/double_double.h). Sums over
+/// factors beside the observations are plain doubles and are added last.
 
 #include <cmath>
 #include <cstddef>
 #include <vector>
 
 #include "core/minimize/damping.h"
-#include "core/sums/communicator.h"
+#include "core/schur/assembly/sum_systems.h"
 #include "core/schur/for_chunks.h"
 #include "core/schur/schur_problem.h"
-#include "core/schur/assembly/sum_systems.h"
+#include "core/sums/communicator.h"
 
 namespace bundle {
 namespace {
@@ -63,15 +64,16 @@ SchurProblem::PointSums SchurProblem::SumUp(double damping, bool first, double f
   CameraSums& cameras = sums_.sums();
   const auto pass = [&] {
     PointSums sums = SumChunks(damping, first, factors_cost);
-    SumCameraVectors(ranks_, &sums_.sums());
+    SumCameraVectors(communicator_, &sums_.sums());
     return sums;
   };
   if (grid_ == nullptr) {
     PointSums sums = pass();
-    SumSystems(ranks_, structure_, assembler_, &cameras);
+    SumSystems(communicator_, structure_, assembler_, &cameras);
     assembler_.Round(&pool_, &cameras);
     factors_.AddTo(&cameras);
-    if (cameras.has_rests || has_camera_factors_) ShareCameraVectors(ranks_, &cameras);
+    if (cameras.has_error_terms || has_camera_factors_)
+      BroadcastCameraVectors(communicator_, &cameras);
     return sums;
   }
   if (grid_->is_chosen()) {
@@ -87,9 +89,9 @@ SchurProblem::PointSums SchurProblem::SumUp(double damping, bool first, double f
     sums = pass();
   }
   observed_norms_ = cameras.squared_norms;
-  SumSystems(ranks_, structure_, assembler_, &cameras);
+  SumSystems(communicator_, structure_, assembler_, &cameras);
   factors_.AddTo(&cameras);  // on no grid, therefore last
-  if (has_camera_factors_) ShareCameraVectors(ranks_, &cameras);
+  if (has_camera_factors_) BroadcastCameraVectors(communicator_, &cameras);
   return sums;
 }
 
@@ -109,7 +111,7 @@ SchurProblem::PointSums SchurProblem::SumChunks(double damping, bool first, doub
       },
       [&](int thread) { sums_.Flush(thread); });
   ThrowIfInterrupted();  // only this thread is told, and the others may have taken every chunk
-  TwofoldSum cost, gradient_squared;
+  DoubleDouble cost, gradient_squared;
   cost.Add(factors_cost);
   PointSums total;
   for (const ChunkSum& part : parts) {
@@ -118,12 +120,12 @@ SchurProblem::PointSums SchurProblem::SumChunks(double damping, bool first, doub
     if (!(part.gradient_max <= total.gradient_max)) total.gradient_max = part.gradient_max;
   }
   if (first) x_->held.Merge();
-  TwofoldSum held_cost = x_->held.Cost(input_.loss, input_.loss_scale);
-  RoundOverRanks(ranks_, {&cost, &gradient_squared, &held_cost});
+  DoubleDouble held_cost = x_->held.Cost(input_.loss, input_.loss_scale);
+  RoundOverRanks(communicator_, {&cost, &gradient_squared, &held_cost});
   total.cost = cost.sum;
   x_held_cost_ = held_cost.sum;
   total.gradient_squared = gradient_squared.sum;
-  total.gradient_max = MaxOverRanks(ranks_, total.gradient_max);
+  total.gradient_max = MaxOverRanks(communicator_, total.gradient_max);
   return total;
 }
 

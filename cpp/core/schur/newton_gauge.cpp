@@ -44,7 +44,7 @@ void NewtonGauge::Sums::Add(const Sums& other) {
 int NewtonGauge::Degrees(const ProblemView& problem, const ParameterLayout& layout,
                          const EliminationPlan& plan) {
   const double held = MayHoldWorld(problem, layout, plan) ? 1 : 0;
-  if (SumOverRanks(problem.ranks, held) > 0) return 0;
+  if (SumOverRanks(problem.communicator, held) > 0) return 0;
   return problem.num_frames > 0 ? kNumGaugeDirections - 1 : kNumGaugeDirections;
 }
 

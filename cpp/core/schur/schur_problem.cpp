@@ -5,15 +5,15 @@
 #include <utility>
 
 #include "core/model/gauge.h"
-#include "core/sums/communicator.h"
 #include "core/parallel/thread_pool.h"
 #include "core/schur/assembly/assembler.h"
+#include "core/schur/assembly/sum_systems.h"
 #include "core/schur/camera_factors.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/for_chunks.h"
 #include "core/schur/kernels/kernels.h"
 #include "core/schur/state_records.h"
-#include "core/schur/assembly/sum_systems.h"
+#include "core/sums/communicator.h"
 
 namespace bundle {
 namespace {
@@ -45,7 +45,7 @@ SchurProblem::SchurProblem(const ProblemView& problem, const ParameterLayout& la
       squared_scale_(x_->points.size()),
       sums_(input_, structure_, assembler_, problem.num_images, pool_.num_threads(),
             solver->NeedsCameraDiagonal(),
-            /*keeps_rests=*/setup_.sums == SumOrder::kSections),
+            /*keeps_error_terms=*/setup_.sums == SumOrder::kSections),
       bounds_(layout.Bounds(problem)) {
   const auto n = static_cast<size_t>(structure_.num_columns());
   scale_.resize(n);
@@ -55,7 +55,7 @@ SchurProblem::SchurProblem(const ProblemView& problem, const ParameterLayout& la
     grid_ = std::make_unique<SumGrid>(input_, assembler_, structure_, problem.num_images);
     sums_.UseGrid(grid_.get());
   }
-  has_camera_factors_ = BroadcastFirst(ranks_, factors_.has_camera_factors() ? 1 : 0) > 0;
+  has_camera_factors_ = BroadcastFirst(communicator_, factors_.has_camera_factors() ? 1 : 0) > 0;
   MeasureStart(options);
 }
 
@@ -81,10 +81,10 @@ NewtonResult SchurProblem::SolveNewton(double eta) {
     sums_.sums().system.gauge_directions = GaugeDirections(problem_, layout_, x_->cameras());
   }
   LinearSolution solution;
-  if (IsFirst(ranks_)) {
+  if (IsFirst(communicator_)) {
     solution = solver_->Solve(&sums_.sums().system, scale_, eta, newton_.data());
   }
-  ShareSolution(ranks_, &solution, &newton_);
+  BroadcastSolution(communicator_, &solution, &newton_);
   NewtonResult result{solution.status, solution.num_iterations, solution.message};
   const bool finite = std::all_of(newton_.begin(), newton_.end(),
                                   [](double value) { return std::isfinite(value); });
@@ -134,7 +134,7 @@ StepLine SchurProblem::LineAlongStep() {
   for (const std::vector<double>* d : {&line_, &points_line_}) {
     for (const double value : *d) line.max_norm = std::max(line.max_norm, std::abs(value));
   }
-  line.max_norm = MaxOverRanks(ranks_, line.max_norm);
+  line.max_norm = MaxOverRanks(communicator_, line.max_norm);
   return line;
 }
 
@@ -170,7 +170,7 @@ bool SchurProblem::ReleaseHeld() {
                                                           xy, nullptr, nullptr),
                   input_.cheirality);
   };
-  if (SumOverRanks(ranks_, x_->held.Release(counts)) == 0) return false;
+  if (SumOverRanks(communicator_, x_->held.Release(counts)) == 0) return false;
   solver_->ForgetValues();
   scaled_ = false;
   return true;
@@ -184,14 +184,14 @@ EliminationInput SchurProblem::WithPriors(EliminationInput input) const {
 }
 
 void SchurProblem::MeasureStart(const SolveOptions& options) {
-  const double points_squared = RoundOverRanks(ranks_, x_->FreePointsSquared(plan_));
+  const double points_squared = RoundOverRanks(communicator_, x_->FreePointsSquared(plan_));
   state_norm_ = std::sqrt(Dot(x_->camera_state, x_->camera_state) + points_squared);
-  TwofoldSum fixed_cost = setup_.FixedCost(options);
+  DoubleDouble fixed_cost = setup_.FixedCost(options);
   fixed_cost.Add(factors_.FixedCost(x_->cameras()));
-  fixed_cost_ = RoundOverRanks(ranks_, fixed_cost);
-  std::vector<TwofoldSum> kinds;
+  fixed_cost_ = RoundOverRanks(communicator_, fixed_cost);
+  std::vector<DoubleDouble> kinds;
   factors_.Cost(x_->cameras(), x_->points.data(), &kinds);
-  kind_costs_ = RoundOverRanks(ranks_, "scalars", kinds);
+  kind_costs_ = RoundOverRanks(communicator_, "scalars", kinds);
 }
 
 void SchurProblem::MoveCameras(const std::vector<double>& step) {
@@ -250,22 +250,22 @@ double SchurProblem::SlopeAt(const State& state) {
     parts[c] = kernels_.slope(input_, state.records(), plan_.chunks[c], step_.records(),
                               points_line_.data(), Memory(thread));
   });
-  TwofoldSum slope;
+  DoubleDouble slope;
   slope.Add(factors_.Slope(state.cameras(), state.points.data(), line_, points_line_.data()));
   for (const double part : parts) slope.Add(part);
-  return RoundOverRanks(ranks_, slope);
+  return RoundOverRanks(communicator_, slope);
 }
 
 Candidate SchurProblem::Finish(const std::vector<double>& step, CandidateTotal sum) {
   candidate_->held.Merge();
-  TwofoldSum changes;
+  DoubleDouble changes;
   changes.Add(candidate_->held.HasSameObservations(x_->held) ? 0 : 1);
-  std::vector<TwofoldSum> kinds;
+  std::vector<DoubleDouble> kinds;
   sum.cost.Add(factors_.Cost(candidate_->cameras(), candidate_->points.data(), &kinds));
-  TwofoldSum held_cost = candidate_->held.Cost(input_.loss, input_.loss_scale);
-  RoundOverRanks(ranks_, {&changes, &sum.model_cost_change, &sum.cost, &held_cost,
-                          &sum.step_squared, &sum.state_squared});
-  candidate_kind_costs_ = RoundOverRanks(ranks_, "scalars", kinds);
+  DoubleDouble held_cost = candidate_->held.Cost(input_.loss, input_.loss_scale);
+  RoundOverRanks(communicator_, {&changes, &sum.model_cost_change, &sum.cost, &held_cost,
+                                 &sum.step_squared, &sum.state_squared});
+  candidate_kind_costs_ = RoundOverRanks(communicator_, "scalars", kinds);
   candidate_norm_ =
       std::sqrt(Dot(candidate_->camera_state, candidate_->camera_state) + sum.state_squared.sum);
   Candidate result;

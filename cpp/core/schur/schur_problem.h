@@ -9,21 +9,21 @@
 #include "core/minimize/least_squares.h"
 #include "core/model/parameter_layout.h"
 #include "core/parallel/thread_pool.h"
-#include "core/sums/double_double.h"
 #include "core/problem/problem_view.h"
 #include "core/schur/assembly/assembler.h"
+#include "core/schur/assembly/sum_grid.h"
 #include "core/schur/camera_factors.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/kernels/kernels.h"
 #include "core/schur/state_records.h"
-#include "core/schur/assembly/sum_grid.h"
+#include "core/sums/double_double.h"
 
 namespace bundle {
 
 /// How much of a sum over points depends on the order in which it is made.
 enum class SumOrder {
   kGrid,      ///< no bit (sum_grid.h)
-  kSections,  ///< no bit between divisions by sections (point_sections.h, twofold_sum.h)
+  kSections,  ///< no bit between divisions by sections (point_sections.h, double_double.h)
   kChunks,    ///< the last digits, between plans of other chunks
 };
 
@@ -46,7 +46,7 @@ struct SchurSetup {
   void Reset(const SolveOptions& options);
 
   /// Cost of the observations with nothing to refine, by the same kernels.
-  TwofoldSum FixedCost(const SolveOptions& options);
+  DoubleDouble FixedCost(const SolveOptions& options);
 
   const ProblemView& problem;
   const ParameterLayout& layout;
@@ -149,7 +149,7 @@ class SchurProblem final : public LeastSquares {
   double* Memory(int thread) { return memory_[thread].data(); }
   /// CandidateSum over chunks.
   struct CandidateTotal {
-    TwofoldSum model_cost_change, cost, step_squared, state_squared;
+    DoubleDouble model_cost_change, cost, step_squared, state_squared;
   };
   static CandidateTotal Total(const std::vector<CandidateSum>& parts);
   /// The cost, and the sizes of the points' gradient.
@@ -183,7 +183,7 @@ class SchurProblem final : public LeastSquares {
 
   SchurSetup setup_;
   const ProblemView& problem_ = setup_.problem;
-  Reducer* const ranks_ = problem_.ranks;
+  Communicator* const communicator_ = problem_.communicator;
   const ParameterLayout& layout_ = setup_.layout;
   const BlockStructure& structure_ = setup_.structure;
   const Kernels& kernels_ = setup_.kernels;

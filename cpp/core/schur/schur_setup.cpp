@@ -46,7 +46,7 @@ SchurSetup::SchurSetup(const ProblemView& of_problem, const ParameterLayout& of_
                       options.num_threads, is_reused, sums == SumOrder::kSections)),
       input(MakeInput(options, plan)),
       is_reused_(is_reused) {
-  if (sums == SumOrder::kSections) assembler.PlaceRests();
+  if (sums == SumOrder::kSections) assembler.PlaceErrorTerms();
 }
 
 EliminationInput SchurSetup::MakeInput(const SolveOptions& options,
@@ -85,7 +85,7 @@ void SchurSetup::Reset(const SolveOptions& options) {
   fixed_->state.Reset(layout, fixed_->plan);
 }
 
-TwofoldSum SchurSetup::FixedCost(const SolveOptions& options) {
+DoubleDouble SchurSetup::FixedCost(const SolveOptions& options) {
   if (plan.num_observations() == problem.num_observations) return {};
   if (fixed_ == nullptr) {
     EliminationPlan fixed = PlanFixedPoints(problem, layout, options.num_threads, is_reused_);
@@ -94,7 +94,7 @@ TwofoldSum SchurSetup::FixedCost(const SolveOptions& options) {
         FixedObservations{std::move(fixed), {}, std::move(state)});
     fixed_->input = MakeInput(options, fixed_->plan);
   }
-  TwofoldSum cost;
+  DoubleDouble cost;
   for (const Chunk& chunk : fixed_->plan.chunks) {
     cost.Add(kernels.cost(fixed_->input, fixed_->state.records(), chunk));
   }

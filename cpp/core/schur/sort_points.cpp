@@ -34,7 +34,11 @@ class PointSorter {
         keep_order_(keep_order) {
     num_buckets_ = problem.num_images;
     if (!in_sections) return;
-    if (problem.point_section == nullptr) sections_ = FindPointSections(problem, num_threads);
+    if (problem.point_section == nullptr) {
+      sections_ =
+          FindPointSections(problem.num_images, problem.num_points, problem.num_observations,
+                            problem.observation_image, problem.observation_point, num_threads);
+    }
     section_ = problem.point_section == nullptr ? sections_.data() : problem.point_section;
     num_buckets_ = 1 << 16;
   }

@@ -31,8 +31,8 @@ void HeldResiduals::Clear() {
   all_.clear();
 }
 
-TwofoldSum HeldResiduals::Cost(LossType loss, double loss_scale) const {
-  TwofoldSum cost;
+DoubleDouble HeldResiduals::Cost(LossType loss, double loss_scale) const {
+  DoubleDouble cost;
   for (const HeldResidual& held : all_) {
     const double* const h = held.residual;
     double rho[3];
@@ -203,8 +203,8 @@ std::vector<double> State::AllPoints(const EliminationPlan& plan) const {
   return all;
 }
 
-TwofoldSum State::FreePointsSquared(const EliminationPlan& plan) const {
-  TwofoldSum sum;
+DoubleDouble State::FreePointsSquared(const EliminationPlan& plan) const {
+  DoubleDouble sum;
   for (int64_t i = 0; i < 3 * int64_t{plan.num_free_points}; ++i) sum.Add(points[i] * points[i]);
   return sum;
 }

@@ -4,10 +4,10 @@
 #include <vector>
 
 #include "core/model/parameter_layout.h"
-#include "core/sums/double_double.h"
 #include "core/problem/problem_view.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/kernels/kernels.h"
+#include "core/sums/double_double.h"
 
 namespace bundle {
 
@@ -54,7 +54,7 @@ class State {
   const CameraStates& cameras() const { return cameras_; }
   /// All points of the problem, in its order.
   std::vector<double> AllPoints(const EliminationPlan& plan) const;
-  TwofoldSum FreePointsSquared(const EliminationPlan& plan) const;
+  DoubleDouble FreePointsSquared(const EliminationPlan& plan) const;
 
   std::vector<double> camera_state;
   std::vector<double> points;  ///< three a point of the plan

@@ -14,11 +14,11 @@
 #include "core/minimize/trust_region.h"
 #include "core/model/coupled_blocks.h"
 #include "core/model/parameter_layout.h"
-#include "core/sums/communicator.h"
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/schur_problem.h"
+#include "core/sums/communicator.h"
 
 namespace bundle {
 FusedSolver::FusedSolver(const ProblemView& problem, const SolveOptions& options,
@@ -71,7 +71,7 @@ SolveOutput FusedSolver::Solve(const SolveOptions& options, std::vector<Warning>
   for (IterationRecord& record : output.iterations) record.cost += schur_->fixed_cost();
   warnings.insert(warnings.end(), warnings_.begin(), warnings_.end());
   FinishSolve(problem_, layout_, schur_->cameras(), options_, std::move(warnings),
-              SumOverRanks(problem_.ranks, schur_->num_held()), &output);
+              SumOverRanks(problem_.communicator, schur_->num_held()), &output);
   return output;
 }
 
@@ -120,7 +120,7 @@ void FusedSolver::ChooseBySize(const ProblemShape& shape) {
     const auto columns = static_cast<double>(shape.num_camera_columns);
     const double available = AvailableMemoryFor(sizeof(double) * columns * columns);
     choice = ChooseLinearSolver(structure_, ordering_, num_threads, available);
-    const double type = BroadcastFirst(problem_.ranks, static_cast<double>(choice.type));
+    const double type = BroadcastFirst(problem_.communicator, static_cast<double>(choice.type));
     choice.type = static_cast<LinearSolverType>(std::lround(type));
   }
   options_.linear_solver_type = choice.type;
@@ -144,19 +144,19 @@ void FusedSolver::FindSparseStructure() {
 
 /// Rank 0 looks for it.
 FillOrdering FusedSolver::FindOrdering() const {
-  Reducer* const ranks = problem_.ranks;
+  Communicator* const communicator = problem_.communicator;
   FillOrdering ordering;
-  if (IsFirst(ranks)) ordering = FindFillOrdering(structure_);
-  if (ranks == nullptr) return ordering;
+  if (IsFirst(communicator)) ordering = FindFillOrdering(structure_);
+  if (communicator == nullptr) return ordering;
   std::vector<double> numbers(ordering.order.begin(), ordering.order.end());
   numbers.resize(structure_.num_blocks());
   numbers.insert(numbers.end(), {ordering.entries, ordering.flops, ordering.elimination_flops});
-  BroadcastFirst(ranks, "setup", &numbers);
+  BroadcastFirst(communicator, "setup", &numbers);
   ordering.elimination_flops = numbers.back();
   ordering.flops = numbers[numbers.size() - 2];
   ordering.entries = numbers[numbers.size() - 3];
   ordering.order.assign(numbers.begin(), numbers.end() - 3);
-  ordering.name = FirstOverRanks(ranks, ordering.name);
+  ordering.name = FirstOverRanks(communicator, ordering.name);
   return ordering;
 }
 
@@ -174,10 +174,10 @@ void FusedSolver::BuildProblem() {
   }
   ThrowIfInterrupted();
   const Stopwatch symbolic;
-  solver_ = IsFirst(problem_.ranks) ? MakeSolver() : nullptr;
-  if (problem_.ranks != nullptr) {
-    const double needs = IsFirst(problem_.ranks) && solver_->NeedsCameraDiagonal() ? 1 : 0;
-    const bool wants_diagonal = BroadcastFirst(problem_.ranks, needs) > 0;
+  solver_ = IsFirst(problem_.communicator) ? MakeSolver() : nullptr;
+  if (problem_.communicator != nullptr) {
+    const double needs = IsFirst(problem_.communicator) && solver_->NeedsCameraDiagonal() ? 1 : 0;
+    const bool wants_diagonal = BroadcastFirst(problem_.communicator, needs) > 0;
     const bool is_iterative = options_.linear_solver_type == LinearSolverType::kIterativeSchur;
     if (solver_ == nullptr) solver_ = MakeRemoteSolver(wants_diagonal, is_iterative);
   }
@@ -190,7 +190,7 @@ void FusedSolver::BuildProblem() {
                                           solver_.get(), is_reused_);
 }
 
-/// Of S, and where its sums are twofold, of what rounding takes from them.
+/// Values of S, and of its error terms where its sums are double-doubles.
 double FusedSolver::NumSystemValues() const {
   const BlockStructure& s = structure_;
   auto values = static_cast<double>(s.num_values);
@@ -235,7 +235,7 @@ ProgressCallback FusedSolver::AddFixedCost(const ProgressCallback& progress) con
     IterationRecord record = iteration;
     record.cost += fixed_cost;
     // One user decides for all ranks.
-    return BroadcastFirst(problem_.ranks, progress(record) ? 1.0 : 0.0) > 0;
+    return BroadcastFirst(problem_.communicator, progress(record) ? 1.0 : 0.0) > 0;
   };
 }
 

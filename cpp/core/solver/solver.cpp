@@ -282,7 +282,7 @@ class Solver::Impl {
     fused_.reset();
     prepared_.emplace(PrepareSolve(problem_, options_));
     choice_ = ChooseBackend(options_, *prepared_);
-    if (problem_.ranks != nullptr && choice_.backend != Backend::kFused) {
+    if (problem_.communicator != nullptr && choice_.backend != Backend::kFused) {
       throw InputError("backend: expected a solve by the fused backend with several processes. " +
                        (choice_.reason.empty() ? "Found ceres." : choice_.reason));
     }

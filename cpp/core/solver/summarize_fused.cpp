@@ -5,10 +5,10 @@
 #include <string>
 
 #include "core/interface/options.h"
-#include "core/sums/communicator.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/camera_factors.h"
 #include "core/solver/fused_solver.h"
+#include "core/sums/communicator.h"
 
 namespace bundle {
 namespace {
@@ -91,12 +91,13 @@ SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layou
                        const SolveTimes& times) {
   SolveSummary result;
   const CameraFactors& factors = schur.factors();
-  Reducer* const ranks = schur.setup().problem.ranks;
-  const int64_t num_observations = SumOverRanks(ranks, schur.num_active_observations());
-  const auto num_points = static_cast<int>(SumOverRanks(ranks, int64_t{layout.num_free_points()}));
-  const int64_t num_factors = SumOverRanks(ranks, int64_t{factors.num_factors()});
-  const int64_t num_factor_residuals = SumOverRanks(ranks, int64_t{factors.num_residuals()});
-  const bool has_other_rows = SumOverRanks(ranks, int64_t{factors.has_other_rows()}) > 0;
+  Communicator* const communicator = schur.setup().problem.communicator;
+  const int64_t num_observations = SumOverRanks(communicator, schur.num_active_observations());
+  const auto num_points =
+      static_cast<int>(SumOverRanks(communicator, int64_t{layout.num_free_points()}));
+  const int64_t num_factors = SumOverRanks(communicator, int64_t{factors.num_factors()});
+  const int64_t num_factor_residuals = SumOverRanks(communicator, int64_t{factors.num_residuals()});
+  const bool has_other_rows = SumOverRanks(communicator, int64_t{factors.has_other_rows()}) > 0;
   const auto num_blocks = static_cast<int>(layout.blocks().size());
   SummarizeChoices(options, &result);
   SummarizeMinimum(minimum, schur.fixed_cost(), Counted::kAll, &result);

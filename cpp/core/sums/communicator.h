@@ -1,17 +1,18 @@
 #pragma once
 
-/// Many processes at one problem.
+/// Communication of the ranks that solve one problem together.
 ///
-/// Each process, a *rank*, holds some of the points with their observations and all of the camera
-/// parameters. All ranks run the same code on them and meet in a Reducer, in the same order: a sum
-/// over points becomes a sum over ranks, and everything that follows from it is the same on each of
-/// them, bit for bit, because rank 0 sums and then sends what it has. A decision that depends on
-/// anything else (a clock, free memory, the user) is rank 0's and is broadcast.
+/// A *rank* is a process. It holds a part of the points with their observations, and all camera
+/// parameters. All ranks run the same code and call the functions below in the same order. A sum
+/// over points is a sum on each rank, then a sum over ranks. Rank 0 adds and broadcasts the result,
+/// so that all ranks continue with the same bits. A decision that depends on anything else (the
+/// clock, free memory, the user) is made by rank 0 and broadcast.
 ///
-/// The core knows no MPI: a binding implements this interface by whatever sends messages. A rank
-/// that throws between two meetings leaves the others waiting; the caller has to end them.
+/// The core knows nothing of MPI: a binding implements Communicator with whatever sends messages.
+/// If one rank throws between two calls, the others wait for it; the caller has to end them.
 ///
-/// The functions below take nullptr for a problem that is not divided, and then do nothing.
+/// All functions accept nullptr for a problem that is not divided among ranks. They then leave the
+/// values as they are.
 
 #include <cstdint>
 #include <initializer_list>
@@ -22,49 +23,54 @@
 
 namespace bundle {
 
-class Reducer {
+/// Sums and broadcasts among ranks. `what` is the quantity, for reports.
+class Communicator {
  public:
-  virtual ~Reducer() = default;
+  virtual ~Communicator() = default;
   virtual int rank() const = 0;
   virtual int num_ranks() const = 0;
-  /// Rank 0 gets the sums over all ranks, in the same order in every run; elsewhere the values mean
-  /// nothing afterwards. `what` is the quantity, for reports.
+  /// Sums over ranks to rank 0, in the same order in every run. On other ranks the values are
+  /// undefined afterwards.
   virtual void SumToFirst(const char* what, double* values, int64_t count) = 0;
-  /// The same of twofold sums (twofold_sum.h): rank 0 gets those of all ranks.
-  virtual void SumTwofoldToFirst(const char* what, double* sums, double* rests, int64_t count) = 0;
-  /// All ranks get the values of rank `root`.
+  /// SumToFirst for double-doubles, as sums and their error terms.
+  virtual void SumDoubleDoubleToFirst(const char* what, double* sums, double* errors,
+                                      int64_t count) = 0;
+  /// Sends the values of rank `root` to all ranks.
   virtual void Broadcast(const char* what, double* values, int64_t count, int root) = 0;
 };
 
-inline bool IsFirst(const Reducer* ranks) { return ranks == nullptr || ranks->rank() == 0; }
+inline bool IsFirst(const Communicator* communicator) {
+  return communicator == nullptr || communicator->rank() == 0;
+}
 
-/// Values become their sums, on all ranks.
-void SumOverRanks(Reducer* ranks, const char* what, std::vector<double>* values);
-/// The same of a few numbers, in one message.
-void SumOverRanks(Reducer* ranks, std::initializer_list<double*> values);
-double SumOverRanks(Reducer* ranks, double value);
-int64_t SumOverRanks(Reducer* ranks, int64_t value);
-/// Twofold sums over all ranks, rounded, on all of them.
-std::vector<double> RoundOverRanks(Reducer* ranks, const char* what,
-                                   const std::vector<TwofoldSum>& values);
-/// The same of a few numbers, in one message, each in place of its sum.
-void RoundOverRanks(Reducer* ranks, std::initializer_list<TwofoldSum*> values);
-double RoundOverRanks(Reducer* ranks, const TwofoldSum& value);
+/// Sums over ranks, on all ranks.
+void SumOverRanks(Communicator* communicator, const char* what, std::vector<double>* values);
+/// Sums of a few numbers, in one message.
+void SumOverRanks(Communicator* communicator, std::initializer_list<double*> values);
+double SumOverRanks(Communicator* communicator, double value);
+int64_t SumOverRanks(Communicator* communicator, int64_t value);
+/// Sums of double-doubles over ranks, rounded to doubles, on all ranks.
+std::vector<double> RoundOverRanks(Communicator* communicator, const char* what,
+                                   const std::vector<DoubleDouble>& values);
+/// RoundOverRanks of a few numbers, in one message and in place.
+void RoundOverRanks(Communicator* communicator, std::initializer_list<DoubleDouble*> values);
+double RoundOverRanks(Communicator* communicator, const DoubleDouble& value);
 
-/// The largest; one that is not a number, if there is any.
-double MaxOverRanks(Reducer* ranks, double value);
+/// Maximum over ranks; NaN if any value is NaN.
+double MaxOverRanks(Communicator* communicator, double value);
 
-/// Marks (0 or not) become 1 where any rank has one.
-void JoinOverRanks(Reducer* ranks, std::vector<uint8_t>* marks);
+/// Logical or over ranks: a mark becomes 1 if it is not 0 on some rank.
+void JoinOverRanks(Communicator* communicator, std::vector<uint8_t>* marks);
 
-/// The values of all ranks, rank 0 first.
-std::vector<double> ConcatenateOverRanks(Reducer* ranks, const std::vector<double>& values);
+/// Values of all ranks in one vector, those of rank 0 first.
+std::vector<double> ConcatenateOverRanks(Communicator* communicator,
+                                         const std::vector<double>& values);
 
-/// The text of the first rank that has one, "" if there is none.
-std::string FirstOverRanks(Reducer* ranks, const std::string& text);
+/// First text that is not empty, in the order of ranks; "" if all are empty.
+std::string FirstOverRanks(Communicator* communicator, const std::string& text);
 
-/// That of rank 0.
-void BroadcastFirst(Reducer* ranks, const char* what, std::vector<double>* values);
-double BroadcastFirst(Reducer* ranks, double value);
+/// Broadcasts from rank 0.
+void BroadcastFirst(Communicator* communicator, const char* what, std::vector<double>* values);
+double BroadcastFirst(Communicator* communicator, double value);
 
 }  // namespace bundle

@@ -1,42 +1,43 @@
 #pragma once
 
-/// Sums with twice the digits of a double, of which the first half hardly depends on the order.
+/// Sums as double-doubles: a sum and its error term, with about twice the digits of a double.
 ///
-/// What rounding takes from a + b is a double itself, and six additions find it (D. E. Knuth, The
-/// Art of Computer Programming 2, 4.2.2, theorem B). A sum s that keeps the total e of all it has
-/// lost is s + e as if it had been added up in 106 bits (T. Ogita, S. M. Rump, S. Oishi: Accurate
-/// Sum and Dot Product, SIAM J. Sci. Comput. 26, 2005, Sum2): in another order s + e differs by
-/// 2^-106 of what was added. Rounded to a double it is the same unless it lies that close to the
-/// middle of two, one sum in 10^15 or so.
+/// The rounding error of a + b is itself a double, and six additions compute it (D. E. Knuth, The
+/// Art of Computer Programming 2, 4.2.2, theorem B). Let s be a sum in doubles and e the total of
+/// its rounding errors. Then s + e is the sum as if computed with 106 bits (T. Ogita, S. M. Rump,
+/// S. Oishi: Accurate Sum and Dot Product, SIAM J. Sci. Comput. 26, 2005, Sum2). Another order of
+/// the terms changes s + e by 2^-106 of what was added. Rounded to a double it is then the same in
+/// any order, unless it lies that close to the middle of two doubles: one sum in about 10^15.
 ///
-/// A sum that is not finite has no e.
+/// The error term of a sum that is not finite has no meaning.
 
 #include <cmath>
 
 namespace bundle {
 
-/// Adds a value to sum + rest.
-inline void AddTwofold(double value, double* sum, double* rest) {
+/// Adds a value to sum + error.
+inline void AddDoubleDouble(double value, double* sum, double* error) {
   const double before = *sum, after = before + value;
   const double added = after - before;
-  *rest += (before - (after - added)) + (value - added);
+  *error += (before - (after - added)) + (value - added);
   *sum = after;
 }
 
-/// sum + rest, as a double.
-inline double RoundTwofold(double sum, double rest) {
-  return std::isfinite(sum) ? sum + rest : sum;
+/// sum + error, rounded to a double.
+inline double RoundDoubleDouble(double sum, double error) {
+  return std::isfinite(sum) ? sum + error : sum;
 }
 
-struct TwofoldSum {
-  double sum = 0, rest = 0;
+/// A sum and its error term.
+struct DoubleDouble {
+  double sum = 0, error = 0;
 
-  void Add(double value) { AddTwofold(value, &sum, &rest); }
-  void Add(const TwofoldSum& other) {
+  void Add(double value) { AddDoubleDouble(value, &sum, &error); }
+  void Add(const DoubleDouble& other) {
     Add(other.sum);
-    rest += other.rest;
+    error += other.error;
   }
-  double Rounded() const { return RoundTwofold(sum, rest); }
+  double Rounded() const { return RoundDoubleDouble(sum, error); }
 };
 
 }  // namespace bundle

@@ -24,14 +24,15 @@ int NumPointSections(int64_t num_observations) {
   return sections;
 }
 
-std::vector<uint16_t> FindPointSections(const ProblemView& problem, int num_threads) {
-  const auto num_points = static_cast<size_t>(problem.num_points);
-  const int num_images = problem.num_images;
+std::vector<uint16_t> FindPointSections(int num_images, int num_points, int64_t num_observations,
+                                        const int32_t* observation_image,
+                                        const int32_t* observation_point, int num_threads) {
+  const auto count = static_cast<size_t>(num_points);
   // Points that no image sees are last.
-  std::vector<int> first(num_points, num_images), seen(num_points);
-  std::vector<int> last(num_points, -1);
-  for (int64_t i = 0; i < problem.num_observations; ++i) {
-    const int point = problem.observation_point[i], image = problem.observation_image[i];
+  std::vector<int> first(count, num_images), seen(count);
+  std::vector<int> last(count, -1);
+  for (int64_t i = 0; i < num_observations; ++i) {
+    const int point = observation_point[i], image = observation_image[i];
     first[point] = std::min(first[point], image);
     last[point] = std::max(last[point], image);
     ++seen[point];
@@ -39,9 +40,9 @@ std::vector<uint16_t> FindPointSections(const ProblemView& problem, int num_thre
   std::vector<size_t> begin(static_cast<size_t>(num_images) + 2);  // of the points of each image
   for (const int image : first) ++begin[image + 1];
   std::partial_sum(begin.begin(), begin.end(), begin.begin());
-  std::vector<uint64_t> order(num_points);  // last image and index
+  std::vector<uint64_t> order(count);  // last image and index
   std::vector<size_t> next(begin.begin(), begin.end() - 1);
-  for (size_t p = 0; p < num_points; ++p) {
+  for (size_t p = 0; p < count; ++p) {
     order[next[first[p]]++] = static_cast<uint64_t>(last[p] + 1) << 32 | p;
   }
   ParallelFor(num_images, num_threads, [&](int64_t from, int64_t to) {
@@ -50,8 +51,8 @@ std::vector<uint16_t> FindPointSections(const ProblemView& problem, int num_thre
                 order.begin() + static_cast<int64_t>(begin[i + 1]));
     }
   });
-  std::vector<uint16_t> section(num_points);
-  const int64_t total = problem.num_observations, sections = NumPointSections(total);
+  std::vector<uint16_t> section(count);
+  const int64_t total = num_observations, sections = NumPointSections(total);
   int64_t before = 0;
   for (const uint64_t key : order) {
     const auto point = static_cast<uint32_t>(key);

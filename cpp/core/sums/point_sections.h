@@ -1,13 +1,13 @@
 #pragma once
 
-/// Sections of the points: what no division among ranks and no chunk cuts.
+/// Sections of the points. Neither a division among ranks nor a chunk cuts a section.
 ///
 /// A sum over points has the same bits on one rank and on several if it is made of the same parts.
 /// So the points are cut once, by the problem alone: in the order of the first image that sees
 /// them, then of the last, then of their indices, where the observations so far are k/K of all. A
 /// rank has whole sections (bundle/ranks/partition.py) wherever N divides K, and the chunks of an
 /// elimination plan end where sections do. What is added up over chunks is added up so that their
-/// order hardly matters (twofold_sum.h).
+/// order hardly matters (double_double.h).
 ///
 /// Sections cost what the order of S would save: points that are sorted by the blocks of S, all of
 /// them, add to S from its first column to its last. Where an image shares points with a few dozen
@@ -21,14 +21,15 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/problem/problem_view.h"
-
 namespace bundle {
 
-/// K, for so many observations.
+/// K for a number of observations.
 int NumPointSections(int64_t num_observations);
 
-/// The section of each point of a problem that is not divided.
-std::vector<uint16_t> FindPointSections(const ProblemView& problem, int num_threads);
+/// Section of each point of a problem that is not divided among ranks. Observation i is of point
+/// observation_point[i] in image observation_image[i].
+std::vector<uint16_t> FindPointSections(int num_images, int num_points, int64_t num_observations,
+                                        const int32_t* observation_image,
+                                        const int32_t* observation_point, int num_threads);
 
 }  // namespace bundle

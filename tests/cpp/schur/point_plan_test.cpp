@@ -111,7 +111,7 @@ TEST_F(PointPlanTest, IsSortedByTheImagesOfEachPoint) {
 }
 
 void PointPlanTest::ExpectSorted(bool in_sections) const {
-  const std::vector<uint16_t> section = FindPointSections(problem_, 2);
+  const std::vector<uint16_t> section = testing::SectionsOf(problem_, 2);
   const auto section_of = [&](const EliminationPlan& plan, int p) {
     return in_sections ? int{section[plan.point[p]]} : 0;
   };

@@ -19,35 +19,35 @@ std::vector<double> RandomValues(int count) {
   return values;
 }
 
-TEST(TwofoldSum, IsTheSameInAnyOrder) {
+TEST(DoubleDouble, IsTheSameInAnyOrder) {
   std::vector<double> values = RandomValues(1000);
   std::mt19937 random(2);
-  TwofoldSum first;
+  DoubleDouble first;
   double plain = 0;
   for (const double value : values) first.Add(value), plain += value;
   bool plain_differs = false;
   for (int k = 0; k < 50; ++k) {
     std::shuffle(values.begin(), values.end(), random);
-    TwofoldSum parts[3];
+    DoubleDouble parts[3];
     double other = 0;
     for (size_t i = 0; i < values.size(); ++i) parts[i % 3].Add(values[i]), other += values[i];
-    TwofoldSum sum;
-    for (const TwofoldSum& part : parts) sum.Add(part);
+    DoubleDouble sum;
+    for (const DoubleDouble& part : parts) sum.Add(part);
     EXPECT_EQ(sum.Rounded(), first.Rounded());
     plain_differs |= other != plain;
   }
   EXPECT_TRUE(plain_differs);
 }
 
-TEST(TwofoldSum, KeepsWhatCancels) {
-  TwofoldSum sum;
+TEST(DoubleDouble, KeepsWhatCancels) {
+  DoubleDouble sum;
   for (const double value : {1e16, 1.0, -1e16, 1e-3}) sum.Add(value);
   EXPECT_EQ(sum.Rounded(), 1.001);
 }
 
-TEST(TwofoldSum, OfWhatIsNotFiniteIsNot) {
+TEST(DoubleDouble, OfWhatIsNotFiniteIsNot) {
   constexpr double kInfinity = std::numeric_limits<double>::infinity();
-  TwofoldSum sum;
+  DoubleDouble sum;
   sum.Add(1);
   sum.Add(kInfinity);
   EXPECT_EQ(sum.Rounded(), kInfinity);

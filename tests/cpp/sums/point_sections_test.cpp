@@ -52,9 +52,9 @@ std::vector<uint16_t> Expected(const ProblemView& problem) {
 TEST(PointSections, AreCutInTheOrderOfImages) {
   const testing::Scene scene = MakeScene();
   const ProblemView problem = scene.View();
-  const std::vector<uint16_t> one = FindPointSections(problem, 1);
+  const std::vector<uint16_t> one = testing::SectionsOf(problem, 1);
   EXPECT_EQ(one, Expected(problem));
-  EXPECT_EQ(one, FindPointSections(problem, 4));
+  EXPECT_EQ(one, testing::SectionsOf(problem, 4));
   EXPECT_EQ(*std::max_element(one.begin(), one.end()), 11);
 }
 
@@ -62,12 +62,12 @@ TEST(PointSections, OfPointsThatNoImageSees) {
   const testing::Scene scene = MakeScene();
   ProblemView problem = scene.View();
   problem.num_observations = 7;
-  EXPECT_EQ(FindPointSections(problem, 2), Expected(problem));
+  EXPECT_EQ(testing::SectionsOf(problem, 2), Expected(problem));
   problem.num_observations = 0;
-  const std::vector<uint16_t> none = FindPointSections(problem, 2);
+  const std::vector<uint16_t> none = testing::SectionsOf(problem, 2);
   EXPECT_EQ(std::count(none.begin(), none.end(), 0), problem.num_points);
   problem.num_points = 0;
-  EXPECT_TRUE(FindPointSections(problem, 2).empty());
+  EXPECT_TRUE(testing::SectionsOf(problem, 2).empty());
 }
 
 TEST(PointSections, GrowWithTheProblem) {

@@ -15,6 +15,7 @@
 #include "core/cameras/registry.h"
 #include "core/geometry/rotation.h"
 #include "core/problem/problem_view.h"
+#include "core/sums/point_sections.h"
 #include "support/camera_params.h"
 
 namespace bundle::testing {
@@ -312,6 +313,12 @@ inline void AddUnobserved(Scene* scene) {
   scene->image_camera.push_back(0);
   scene->points.insert(scene->points.end(), {0.1, 0.2, 0.3});
   scene->point_ids.push_back(5'000'001);
+}
+
+/// Sections of the points of a problem.
+inline std::vector<uint16_t> SectionsOf(const ProblemView& problem, int num_threads) {
+  return FindPointSections(problem.num_images, problem.num_points, problem.num_observations,
+                           problem.observation_image, problem.observation_point, num_threads);
 }
 
 }  // namespace bundle::testing

@@ -106,10 +106,10 @@ void Assembler::AddBlock(int image, int place, const ModelGroup& group) {
 }
 
 void Assembler::Target::Add(int64_t i, double value) const {
-  if (rest == nullptr) {
+  if (error == nullptr) {
     sum[i] += value;
   } else {
-    AddTwofold(value, sum + i, rest + i);
+    AddDoubleDouble(value, sum + i, error + i);
   }
 }
 
@@ -120,10 +120,10 @@ void Assembler::AddColumn(const ImageBlock& rows, const double* from, const Targ
     return;
   }
   from += rows.local[0];
-  if (column.rest == nullptr) {
+  if (column.error == nullptr) {
     for (int j = 0; j < rows.size; ++j) column.sum[j] += from[j];
   } else {
-    for (int j = 0; j < rows.size; ++j) AddTwofold(from[j], column.sum + j, column.rest + j);
+    for (int j = 0; j < rows.size; ++j) AddDoubleDouble(from[j], column.sum + j, column.error + j);
   }
 }
 
@@ -131,11 +131,11 @@ Assembler::Target Assembler::Block(CameraSums* sums, int column, int64_t entry, 
                                    int c) const {
   Target target;
   target.sum = sums->system.values.data() + structure_.ValueIndex(column, entry, r, c);
-  if (sums->has_rests) {
+  if (sums->has_error_terms) {
     const int height = structure_.block_size(structure_.row_block[entry]);
     const int64_t first = int64_t{compact_.row_in_panel[entry]} * structure_.block_size(column);
-    target.rest =
-        sums->rests.values.data() + compact_.panel_begin[column] + first + int64_t{c} * height + r;
+    target.error = sums->error_terms.values.data() + compact_.panel_begin[column] + first +
+                   int64_t{c} * height + r;
   }
   return target;
 }
@@ -210,17 +210,18 @@ void Assembler::PrefetchPair(int first, int second, CameraSums* sums) const {
     const Target column = Block(sums, a.block, entry, 0, i);
     __builtin_prefetch(column.sum, 1);
     __builtin_prefetch(column.sum + b.size - 1, 1);
-    if (column.rest == nullptr) continue;
-    __builtin_prefetch(column.rest, 1);
+    if (column.error == nullptr) continue;
+    __builtin_prefetch(column.error, 1);
   }
 }
 
 void Assembler::AddVectors(const EliminationInput& input, int image, const double* vectors,
                            const double* squares, Part part, CameraSums* sums) const {
   const int width = WidthOf(input, image);
-  const Target gradient = {sums->gradient.data(), sums->RestsOf(&sums->rests.gradient)};
-  const Target rhs = {sums->system.rhs.data(), sums->RestsOf(&sums->rests.rhs)};
-  const Target norms = {sums->squared_norms.data(), sums->RestsOf(&sums->rests.squared_norms)};
+  const Target gradient = {sums->gradient.data(), sums->ErrorTermsOf(&sums->error_terms.gradient)};
+  const Target rhs = {sums->system.rhs.data(), sums->ErrorTermsOf(&sums->error_terms.rhs)};
+  const Target norms = {sums->squared_norms.data(),
+                        sums->ErrorTermsOf(&sums->error_terms.squared_norms)};
   for (int s = 0; s < images_[image].count; ++s) {
     const ImageBlock& a = images_[image].of[s];
     if (a.is_shared != (part == Part::kShared)) continue;
@@ -284,7 +285,7 @@ void Assembler::AddCameraDiagonal(const EliminationInput& input, int image, cons
                                   Part part, CameraSums* sums) const {
   const int width = WidthOf(input, image);
   const Target values = {sums->system.camera_diagonal.data(),
-                         sums->RestsOf(&sums->rests.camera_diagonal)};
+                         sums->ErrorTermsOf(&sums->error_terms.camera_diagonal)};
   for (int s = 0; s < images_[image].count; ++s) {
     const ImageBlock& a = images_[image].of[s];
     if (a.is_shared != (part == Part::kShared)) continue;

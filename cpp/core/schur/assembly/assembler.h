@@ -40,15 +40,17 @@ struct CameraSums {
   std::vector<double> gradient;       ///< J_c^T r
   std::vector<double> squared_norms;  ///< ||J e_j||^2
 
-  /// What rounding took from each of these while chunks were added (twofold_sum.h). Of S block
-  /// after block, each column-major: from one column of a block to the next in S it is far.
-  struct Rests {
+  /// Error terms of the sums while chunks are added (double_double.h). Those of S are stored block
+  /// after block, each column-major: in S itself, columns of a block are far apart.
+  struct ErrorTerms {
     std::vector<double> values, rhs, camera_diagonal, gradient, squared_norms;
   };
-  bool has_rests = false;
-  Rests rests;
+  bool has_error_terms = false;
+  ErrorTerms error_terms;
 
-  double* RestsOf(std::vector<double>* of) const { return has_rests ? of->data() : nullptr; }
+  double* ErrorTermsOf(std::vector<double>* of) const {
+    return has_error_terms ? of->data() : nullptr;
+  }
 };
 
 class Assembler {
@@ -60,8 +62,8 @@ class Assembler {
   Assembler(const Assembler&) = delete;
   Assembler& operator=(const Assembler&) = delete;
 
-  /// Makes room to tell where rests of S are, before any are kept.
-  void PlaceRests() { compact_ = CompactStructure(structure_); }
+  /// Lays out the error terms of S, before any are kept.
+  void PlaceErrorTerms() { compact_ = CompactStructure(structure_); }
 
   /// Sets the maps at a state, before its chunks are added.
   void SetMaps(const CameraStates& cameras);
@@ -89,7 +91,7 @@ class Assembler {
   void AddSharedBlocks(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum,
                        CameraSums* sums) const;
 
-  /// Adds what rounding took, after the last chunk: the sums are doubles from then on.
+  /// Adds the error terms to the sums, after the last chunk. The sums are doubles afterwards.
   void Round(ThreadPool* pool, CameraSums* sums) const;
 
   /// S += damping D^2, and the same for the block diagonal, whose upper triangles it completes.
@@ -98,9 +100,9 @@ class Assembler {
   /// Takes the marked columns of the Jacobian out of the sums: their rows and columns become zero.
   void ClearColumns(const std::vector<uint8_t>& which, CameraSums* sums) const;
 
-  /// The first of CameraSums::Rests::values of a block column, and their number.
-  int64_t rests_begin(int block_column) const { return compact_.panel_begin[block_column]; }
-  int64_t num_rests() const { return compact_.num_values; }
+  /// The first of CameraSums::ErrorTerms::values of a block column, and their number.
+  int64_t error_terms_begin(int block_column) const { return compact_.panel_begin[block_column]; }
+  int64_t num_error_terms() const { return compact_.num_values; }
 
   /// True if some block of the layout belongs to images of several poses.
   bool has_shared_blocks() const { return has_shared_blocks_; }
@@ -125,10 +127,10 @@ class Assembler {
   /// first shares, or those of what both share.
   enum class PairPart { kFirst, kSecond, kShared };
 
-  /// Sums that follow each other, and what rounding took from them; nullptr: that is not kept.
+  /// Consecutive sums and their error terms; nullptr: no error terms are kept.
   struct Target {
     double* sum = nullptr;
-    double* rest = nullptr;
+    double* error = nullptr;
     void Add(int64_t i, double value) const;
   };
 
@@ -154,7 +156,7 @@ class Assembler {
   const ProblemView& problem_;
   const ParameterLayout& layout_;
   const BlockStructure& structure_;
-  BlockStructure compact_;  ///< CompactStructure, where rests are kept
+  BlockStructure compact_;  ///< CompactStructure, where error terms are kept
   std::vector<ImageBlocks> images_;
   std::vector<int64_t> diagonal_begin_;
   bool has_shared_blocks_ = false;
@@ -176,10 +178,11 @@ class Assembler {
 /// chunk and goes on to the next.
 class OrderedSums {
  public:
-  /// Keeps references to all but the last. `keeps_rests`: the sums are twofold ones until Round.
+  /// Keeps references to all but the last. `keeps_error_terms`: the sums are double-doubles until
+  /// Round.
   OrderedSums(const EliminationInput& input, const BlockStructure& structure,
               const Assembler& assembler, int num_images, int num_threads,
-              bool wants_camera_diagonal, bool keeps_rests);
+              bool wants_camera_diagonal, bool keeps_error_terms);
 
   /// Sums on a grid, where one is chosen, from the next Clear on; nullptr: on none.
   void UseGrid(const SumGrid* grid) { grid_ = grid; }

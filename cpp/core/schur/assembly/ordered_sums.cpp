@@ -4,15 +4,15 @@
 #include <utility>
 
 #include "core/linear/block_structure.h"
-#include "core/sums/double_double.h"
 #include "core/schur/assembly/assembler.h"
 #include "core/schur/assembly/sum_grid.h"
+#include "core/sums/double_double.h"
 
 namespace bundle {
 
 OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& structure,
                          const Assembler& assembler, int num_images, int num_threads,
-                         bool wants_camera_diagonal, bool keeps_rests)
+                         bool wants_camera_diagonal, bool keeps_error_terms)
     : input_(input),
       structure_(structure),
       assembler_(assembler),
@@ -20,7 +20,7 @@ OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& st
       chunks_have_camera_diagonal_(wants_camera_diagonal || assembler.has_maps()),
       waiting_(num_threads),
       last_added_(num_images) {
-  sums_.has_rests = keeps_rests;
+  sums_.has_error_terms = keeps_error_terms;
   // All memory now, so that no pass ends half way.
   size_t images = 0, pairs = 0, blocks = 0, mixed_doubles = 0;
   std::vector<int64_t> block_begin;
@@ -64,10 +64,10 @@ int64_t OrderedSums::PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block
 void OrderedSums::MakeSystem() {
   ReserveHugePages(structure_.num_values, &sums_.system.values);
   sums_.system.values.resize(structure_.num_values);
-  if (sums_.has_rests) {
-    const auto size = static_cast<size_t>(assembler_.num_rests());
-    ReserveHugePages(size, &sums_.rests.values);
-    sums_.rests.values.resize(size);
+  if (sums_.has_error_terms) {
+    const auto size = static_cast<size_t>(assembler_.num_error_terms());
+    ReserveHugePages(size, &sums_.error_terms.values);
+    sums_.error_terms.values.resize(size);
   }
   is_new_ = true;
 }
@@ -76,7 +76,7 @@ void OrderedSums::Clear(ThreadPool* pool) {
   if (sums_.system.values.empty()) MakeSystem();
   if (!std::exchange(is_new_, false)) {
     pool->Run([&](int thread) {
-      for (std::vector<double>* const values : {&sums_.system.values, &sums_.rests.values}) {
+      for (std::vector<double>* const values : {&sums_.system.values, &sums_.error_terms.values}) {
         const auto size = static_cast<int64_t>(values->size());
         const int64_t threads = pool->num_threads();
         std::fill(values->data() + size * thread / threads,
@@ -91,11 +91,11 @@ void OrderedSums::Clear(ThreadPool* pool) {
   if (wants_camera_diagonal_) {
     sums_.system.camera_diagonal.assign(assembler_.diagonal_begin().back(), 0.0);
   }
-  if (sums_.has_rests) {
-    sums_.rests.rhs.assign(n, 0.0);
-    sums_.rests.gradient.assign(n, 0.0);
-    sums_.rests.squared_norms.assign(n, 0.0);
-    sums_.rests.camera_diagonal.assign(sums_.system.camera_diagonal.size(), 0.0);
+  if (sums_.has_error_terms) {
+    sums_.error_terms.rhs.assign(n, 0.0);
+    sums_.error_terms.gradient.assign(n, 0.0);
+    sums_.error_terms.squared_norms.assign(n, 0.0);
+    sums_.error_terms.camera_diagonal.assign(sums_.system.camera_diagonal.size(), 0.0);
   }
   for (std::atomic<int>& last : last_added_) last.store(-1, std::memory_order_relaxed);
   num_added_.store(0, std::memory_order_relaxed);
@@ -105,7 +105,7 @@ void OrderedSums::Clear(ThreadPool* pool) {
 
 void OrderedSums::FreeSystem() {
   std::vector<double>().swap(sums_.system.values);
-  std::vector<double>().swap(sums_.rests.values);
+  std::vector<double>().swap(sums_.error_terms.values);
 }
 
 ChunkSum& OrderedSums::Begin(int chunk, int thread) {
@@ -197,15 +197,15 @@ void OrderedSums::AddOldest(Waiting* waiting) {
 }
 
 void Assembler::Round(ThreadPool* pool, CameraSums* sums) const {
-  if (!sums->has_rests) return;
-  CameraSums::Rests& rests = sums->rests;
-  const auto round = [](const std::vector<double>& rest, std::vector<double>* sum) {
-    for (size_t i = 0; i < sum->size(); ++i) (*sum)[i] = RoundTwofold((*sum)[i], rest[i]);
+  if (!sums->has_error_terms) return;
+  CameraSums::ErrorTerms& error_terms = sums->error_terms;
+  const auto round = [](const std::vector<double>& error, std::vector<double>* sum) {
+    for (size_t i = 0; i < sum->size(); ++i) (*sum)[i] = RoundDoubleDouble((*sum)[i], error[i]);
   };
-  round(rests.gradient, &sums->gradient);
-  round(rests.squared_norms, &sums->squared_norms);
-  round(rests.rhs, &sums->system.rhs);
-  round(rests.camera_diagonal, &sums->system.camera_diagonal);
+  round(error_terms.gradient, &sums->gradient);
+  round(error_terms.squared_norms, &sums->squared_norms);
+  round(error_terms.rhs, &sums->system.rhs);
+  round(error_terms.camera_diagonal, &sums->system.camera_diagonal);
   constexpr int kColumnsAtOnce = 16;
   std::atomic<int> next{0};
   pool->Run([&](int /*thread*/) {
@@ -222,7 +222,7 @@ void Assembler::RoundColumn(int j, CameraSums* sums) const {
     for (int c = 0; c < structure_.block_size(j); ++c) {
       const Target column = Block(sums, j, e, 0, c);
       for (int r = 0; r < height; ++r) {
-        column.sum[r] = RoundTwofold(column.sum[r], column.rest[r]);
+        column.sum[r] = RoundDoubleDouble(column.sum[r], column.error[r]);
       }
     }
   }

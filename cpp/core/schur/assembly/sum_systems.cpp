@@ -1,8 +1,8 @@
 #include "core/schur/assembly/sum_systems.h"
 
-/// S is the sum over points of what each of them adds (kernels/eliminate_point.h), so that of all
-/// ranks is the sum of theirs. Its blocks are sent without what lies between them, a portion of
-/// block columns at a time: a copy of a whole S would double the memory that it takes.
+/// S is a sum over points (kernels/eliminate_point.h), and therefore the sum of the S of all ranks.
+/// The blocks are sent without the room for fill between them, a portion of block columns at a
+/// time: a copy of the whole S would double its memory.
 
 #include <algorithm>
 #include <cmath>
@@ -27,23 +27,23 @@ void ForBlockColumns(const BlockStructure& structure, int j, double* values, con
   }
 }
 
-/// On rank 0; `rests` nullptr: they are doubles.
-void SumToFirst(Reducer* ranks, std::vector<double>* sums, double* rests) {
+/// Sums to rank 0. `error_terms` is nullptr for plain doubles.
+void SumToFirst(Communicator* communicator, std::vector<double>* sums, double* error_terms) {
   constexpr const char* kWhat = "normal equations";
   const auto count = static_cast<int64_t>(sums->size());
   if (count == 0) return;
-  if (rests == nullptr) {
-    ranks->SumToFirst(kWhat, sums->data(), count);
+  if (error_terms == nullptr) {
+    communicator->SumToFirst(kWhat, sums->data(), count);
   } else {
-    ranks->SumTwofoldToFirst(kWhat, sums->data(), rests, count);
+    communicator->SumDoubleDoubleToFirst(kWhat, sums->data(), error_terms, count);
   }
 }
 
 }  // namespace
 
-void SumSystems(Reducer* ranks, const BlockStructure& structure, const Assembler& assembler,
-                CameraSums* sums) {
-  if (ranks == nullptr) return;
+void SumSystems(Communicator* communicator, const BlockStructure& structure,
+                const Assembler& assembler, CameraSums* sums) {
+  if (communicator == nullptr) return;
   std::vector<double> portion;
   double* const values = sums->system.values.data();
   for (int first = 0, j = 0; j < structure.num_blocks(); ++j) {
@@ -51,12 +51,13 @@ void SumSystems(Reducer* ranks, const BlockStructure& structure, const Assembler
       portion.insert(portion.end(), column, column + height);
     });
     if (portion.size() < kPortion && j + 1 < structure.num_blocks()) continue;
-    // Rests have the order of the portion.
-    SumToFirst(ranks, &portion,
-               sums->has_rests ? &sums->rests.values[assembler.rests_begin(first)] : nullptr);
+    // Error terms have the order of the portion.
+    SumToFirst(communicator, &portion,
+               sums->has_error_terms ? &sums->error_terms.values[assembler.error_terms_begin(first)]
+                                     : nullptr);
     const double* from = portion.data();
     for (; first <= j; ++first) {
-      if (ranks->rank() != 0) continue;
+      if (communicator->rank() != 0) continue;
       ForBlockColumns(structure, first, values, [&](double* column, int height) {
         std::copy_n(from, height, column);
         from += height;
@@ -64,37 +65,41 @@ void SumSystems(Reducer* ranks, const BlockStructure& structure, const Assembler
     }
     portion.clear();
   }
-  SumToFirst(ranks, &sums->system.rhs, sums->RestsOf(&sums->rests.rhs));
-  SumToFirst(ranks, &sums->system.camera_diagonal, sums->RestsOf(&sums->rests.camera_diagonal));
+  SumToFirst(communicator, &sums->system.rhs, sums->ErrorTermsOf(&sums->error_terms.rhs));
+  SumToFirst(communicator, &sums->system.camera_diagonal,
+             sums->ErrorTermsOf(&sums->error_terms.camera_diagonal));
 }
 
-void ShareSolution(Reducer* ranks, LinearSolution* solution, std::vector<double>* step) {
-  if (ranks == nullptr) return;
-  const auto status = BroadcastFirst(ranks, static_cast<double>(solution->status));
+void BroadcastSolution(Communicator* communicator, LinearSolution* solution,
+                       std::vector<double>* step) {
+  if (communicator == nullptr) return;
+  const auto status = BroadcastFirst(communicator, static_cast<double>(solution->status));
   solution->status = static_cast<LinearStatus>(std::lround(status));
-  const auto iterations = BroadcastFirst(ranks, static_cast<double>(solution->num_iterations));
+  const auto iterations =
+      BroadcastFirst(communicator, static_cast<double>(solution->num_iterations));
   solution->num_iterations = static_cast<int>(std::lround(iterations));
-  solution->message = FirstOverRanks(ranks, IsFirst(ranks) ? solution->message : "");
-  BroadcastFirst(ranks, "step", step);
+  solution->message = FirstOverRanks(communicator, IsFirst(communicator) ? solution->message : "");
+  BroadcastFirst(communicator, "step", step);
 }
 
-void SumCameraVectors(Reducer* ranks, CameraSums* sums) {
-  if (!sums->has_rests) {
-    SumOverRanks(ranks, kGradient, &sums->gradient);
-    SumOverRanks(ranks, kGradient, &sums->squared_norms);
+void SumCameraVectors(Communicator* communicator, CameraSums* sums) {
+  if (!sums->has_error_terms) {
+    SumOverRanks(communicator, kGradient, &sums->gradient);
+    SumOverRanks(communicator, kGradient, &sums->squared_norms);
     return;
   }
-  if (ranks == nullptr || sums->gradient.empty()) return;
+  if (communicator == nullptr || sums->gradient.empty()) return;
   const auto count = static_cast<int64_t>(sums->gradient.size());
-  CameraSums::Rests& rests = sums->rests;
-  ranks->SumTwofoldToFirst(kGradient, sums->gradient.data(), rests.gradient.data(), count);
-  ranks->SumTwofoldToFirst(kGradient, sums->squared_norms.data(), rests.squared_norms.data(),
-                           count);
+  CameraSums::ErrorTerms& error_terms = sums->error_terms;
+  communicator->SumDoubleDoubleToFirst(kGradient, sums->gradient.data(),
+                                       error_terms.gradient.data(), count);
+  communicator->SumDoubleDoubleToFirst(kGradient, sums->squared_norms.data(),
+                                       error_terms.squared_norms.data(), count);
 }
 
-void ShareCameraVectors(Reducer* ranks, CameraSums* sums) {
-  BroadcastFirst(ranks, kGradient, &sums->gradient);
-  BroadcastFirst(ranks, kGradient, &sums->squared_norms);
+void BroadcastCameraVectors(Communicator* communicator, CameraSums* sums) {
+  BroadcastFirst(communicator, kGradient, &sums->gradient);
+  BroadcastFirst(communicator, kGradient, &sums->squared_norms);
 }
 
 }  // namespace bundle

@@ -10,12 +10,12 @@
 
 #include "core/sums/communicator.h"
 
-/// Methods of the object: sum_to_first(what, values), sum_twofold_to_first(what, sums, rests) and
+/// Methods of the object: sum_to_first(what, values), sum_twofold_to_first(what, sums, errors) and
 /// broadcast(what, values, root), arrays as writable memoryviews of doubles, in place; attributes
 /// rank and num_ranks. What they raise comes out of the solve.
-class PythonReducer final : public bundle::Reducer {
+class PythonCommunicator final : public bundle::Communicator {
  public:
-  explicit PythonReducer(pybind11::object ranks)
+  explicit PythonCommunicator(pybind11::object ranks)
       : ranks_(std::move(ranks)),
         rank_(pybind11::cast<int>(ranks_.attr("rank"))),
         num_ranks_(pybind11::cast<int>(ranks_.attr("num_ranks"))) {}
@@ -28,9 +28,10 @@ class PythonReducer final : public bundle::Reducer {
     ranks_.attr("sum_to_first")(what, View(values, count));
   }
 
-  void SumTwofoldToFirst(const char* what, double* sums, double* rests, int64_t count) override {
+  void SumDoubleDoubleToFirst(const char* what, double* sums, double* errors,
+                              int64_t count) override {
     const pybind11::gil_scoped_acquire acquire;
-    ranks_.attr("sum_twofold_to_first")(what, View(sums, count), View(rests, count));
+    ranks_.attr("sum_twofold_to_first")(what, View(sums, count), View(errors, count));
   }
 
   void Broadcast(const char* what, double* values, int64_t count, int root) override {
