@@ -137,7 +137,7 @@ py::tuple CheckReprojections(const py::object& problem,
                              const py::array_t<double, py::array::c_style>& offsets,
                              const std::string& cheirality, double relative_precision,
                              int num_threads) {
-  const bundle::ProblemView view = ViewProblem(problem);
+  const bundle::AdjustmentProblem view(ViewProblem(problem));
   const py::ssize_t n = observations.size(), two = 2, columns = 6 + view.camera_params_stride + 3;
   const std::vector<py::ssize_t> shape = {n, two, columns};
   py::array_t<double> analytic(shape), reference(shape), uncertainty(shape), ceres(shape);
@@ -171,7 +171,7 @@ py::tuple CheckReprojections(const py::object& problem,
 std::string SpotCheckSolution(const py::object& problem, const py::dict& options,
                               const py::array_t<double, py::array::c_style>& rotation_offsets,
                               const py::object& lie) {
-  const bundle::ProblemView view = ViewProblem(problem);
+  const bundle::AdjustmentProblem view(ViewProblem(problem));
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   bundle::FreeParameters free = bundle::SelectFreeParameters(view, solve_options);
   bundle::FixGauge(view, solve_options.gauge, &free);

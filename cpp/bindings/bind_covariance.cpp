@@ -20,8 +20,8 @@ py::dict Covariance(const py::object& problem, const py::dict& options,
                     const py::object& restrictions, const py::object& given_factors, bool inner,
                     bool sandwich, bool of_points,
                     const std::vector<std::pair<int, int>>& relative) {
-  bundle::ProblemView view = ViewProblem(problem);
-  PutRestrictions(restrictions, &view);
+  bundle::AdjustmentProblem view(ViewProblem(problem));
+  view.restrictions = ViewRestrictions(restrictions, view);
   GivenFactors factors(given_factors);
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   bundle::CovarianceOptions wanted;

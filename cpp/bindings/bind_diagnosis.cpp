@@ -21,8 +21,8 @@ using Int32s = py::array_t<int32_t, py::array::c_style>;
 py::dict ReducedSpectrum(const py::object& problem, const py::dict& options,
                          const Int32s& image_piece, const py::object& restrictions,
                          const py::object& given_factors, int num_modes) {
-  bundle::ProblemView view = ViewProblem(problem);
-  PutRestrictions(restrictions, &view);
+  bundle::AdjustmentProblem view(ViewProblem(problem));
+  view.restrictions = ViewRestrictions(restrictions, view);
   GivenFactors factors(given_factors);
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   PythonProgress watch{py::none()};

@@ -21,7 +21,7 @@ namespace {
 
 /// The blocks that the options leave free: what a solver's unknowns are made of.
 py::dict ParameterBlocks(const py::object& problem, const py::dict& options) {
-  const bundle::ProblemView view = ViewProblem(problem);
+  const bundle::AdjustmentProblem view(ViewProblem(problem));
   const bundle::PreparedSolve prepared = bundle::PrepareSolve(view, OptionsFromPython(options));
   const bundle::ParameterLayout& layout = prepared.layout;
   std::vector<int> sizes, image_block, sensor_block, camera_block;
@@ -47,7 +47,7 @@ py::dict ParameterBlocks(const py::object& problem, const py::dict& options) {
 
 /// The fused backend's passes over the points: bundle::PlanSize.
 py::dict EliminationPlan(const py::object& problem, const py::dict& options) {
-  const bundle::ProblemView view = ViewProblem(problem);
+  const bundle::AdjustmentProblem view(ViewProblem(problem));
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   bundle::PlanSize size;
   {

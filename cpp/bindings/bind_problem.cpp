@@ -8,8 +8,8 @@
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
 #include "core/error.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/io/files.h"
-#include "core/problem/problem_view.h"
 #include "core/problem/reprojection_errors.h"
 
 namespace py = pybind11;

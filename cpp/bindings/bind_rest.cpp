@@ -22,8 +22,8 @@ auto OnProblem(const py::object& problem, const py::dict& options, const py::obj
                const py::object& given_factors, const std::vector<int>& images,
                const std::vector<int>& frames, const std::vector<int>& cameras,
                const Compute& compute) {
-  bundle::ProblemView view = ViewProblem(problem);
-  PutRestrictions(restrictions, &view);
+  bundle::AdjustmentProblem view(ViewProblem(problem));
+  view.restrictions = ViewRestrictions(restrictions, view);
   GivenFactors factors(given_factors);
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   const bundle::KeptVariables kept{images, frames, cameras};

@@ -56,8 +56,8 @@ py::dict ToPython(const bundle::ProblemView& view, bundle::SolveOutput output) {
 
 py::dict Solve(const py::object& problem, const py::dict& options, const py::object& progress,
                const py::object& restrictions, const py::object& given_factors) {
-  bundle::ProblemView view = ViewProblem(problem);
-  PutRestrictions(restrictions, &view);
+  bundle::AdjustmentProblem view(ViewProblem(problem));
+  view.restrictions = ViewRestrictions(restrictions, view);
   GivenFactors factors(given_factors);
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   PythonProgress report(progress);
@@ -75,22 +75,22 @@ py::dict Solve(const py::object& problem, const py::dict& options, const py::obj
 py::dict SolvePart(const py::object& problem, const py::dict& options, const py::object& progress,
                    const py::object& restrictions, const py::object& given_factors,
                    const py::object& ranks, const py::array_t<uint8_t>& image_is_observed) {
-  bundle::ProblemView view = ViewProblem(problem);
-  PutRestrictions(restrictions, &view);
+  bundle::AdjustmentProblem view(ViewProblem(problem));
+  view.restrictions = ViewRestrictions(restrictions, view);
   GivenFactors factors(given_factors);
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   if (image_is_observed.size() != view.num_images) {
     throw bundle::InputError("image_is_observed: expected one entry per image");
   }
   PythonCommunicator communicator(ranks);
-  view.communicator = &communicator;
-  view.image_is_observed = image_is_observed.data();
+  view.division.communicator = &communicator;
+  view.division.image_is_observed = image_is_observed.data();
   const auto section = py::cast<py::array_t<uint16_t, py::array::c_style | py::array::forcecast>>(
       problem.attr("point_section"));
   if (section.size() != view.num_points) {
     throw bundle::InputError("point_section: expected one entry per point");
   }
-  view.point_section = section.data();
+  view.division.point_section = section.data();
   PythonProgress report(progress);
   bundle::SolveOutput output = [&] {
     const py::gil_scoped_release release;
@@ -128,8 +128,8 @@ class PythonSolver {
         restrictions_(std::move(restrictions)),
         factors_(given_factors),
         options_(OptionsFromPython(options)) {
-    bundle::ProblemView view = ViewProblem(problem_);
-    PutRestrictions(restrictions_, &view);
+    bundle::AdjustmentProblem view(ViewProblem(problem_));
+    view.restrictions = ViewRestrictions(restrictions_, view);
     PythonProgress watch{py::none()};
     solver_ = RunWatched(&watch, [&] {
       view.factors = factors_.Check();
@@ -144,7 +144,7 @@ class PythonSolver {
 
   /// `options` may be None: those of the constructor.
   py::dict Solve(const py::object& problem, const py::object& options, const py::object& progress) {
-    const bundle::ProblemView view = ViewProblem(problem);
+    const bundle::AdjustmentProblem view(ViewProblem(problem));
     const bundle::SolveOptions changed =
         options.is_none() ? options_ : OptionsFromPython(py::cast<py::dict>(options));
     PythonProgress report(progress);

@@ -100,12 +100,12 @@ py::dict CountFactor(const Ints& sizes, const Int64s& column_begin, const Ints& 
   return result;
 }
 
-using FindPattern = bundle::BlockPattern (*)(const bundle::ProblemView&,
+using FindPattern = bundle::BlockPattern (*)(const bundle::AdjustmentProblem&,
                                              const bundle::ParameterLayout&);
 
 template <FindPattern kFindPattern>
 py::tuple PatternOf(const py::object& problem, const py::dict& options) {
-  const bundle::ProblemView view = ViewProblem(problem);
+  const bundle::AdjustmentProblem view(ViewProblem(problem));
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   bundle::BlockPattern pattern;
   {
@@ -117,7 +117,7 @@ py::tuple PatternOf(const py::object& problem, const py::dict& options) {
 
 py::tuple OrderedFullPattern(const py::object& problem, const py::dict& options,
                              int64_t most_entries) {
-  const bundle::ProblemView view = ViewProblem(problem);
+  const bundle::AdjustmentProblem view(ViewProblem(problem));
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   bundle::OrderedPattern ordered;
   {

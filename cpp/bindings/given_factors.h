@@ -43,7 +43,7 @@ class GivenFactors {
   bool empty() const { return factors_.factors.empty(); }
 
   /// Checks them at other values of the problem, too.
-  void CheckAt(const bundle::ProblemView& problem) const {
+  void CheckAt(const bundle::AdjustmentProblem& problem) const {
     std::vector<bundle::Block> blocks = graph_.blocks;
     for (size_t v = 0; v < blocks.size(); ++v) {
       bundle::Block& block = blocks[v];

@@ -112,24 +112,27 @@ bundle::ProblemView ViewProblem(const py::handle& problem) {
   return view;
 }
 
-void PutRestrictions(const py::object& restrictions, bundle::ProblemView* view) {
-  if (restrictions.is_none()) return;
-  const py::ssize_t num_cameras = view->num_cameras, stride = view->camera_params_stride;
-  const py::ssize_t num_images = view->num_images;
+bundle::Restrictions ViewRestrictions(const py::object& restrictions,
+                                      const bundle::ProblemView& problem) {
+  bundle::Restrictions view;
+  if (restrictions.is_none()) return view;
+  const py::ssize_t num_cameras = problem.num_cameras, stride = problem.camera_params_stride;
+  const py::ssize_t num_images = problem.num_images;
   const auto has = [&](const char* name) { return !restrictions.attr(name).is_none(); };
   if (has("lower")) {
-    view->camera_lower = Data<double>(restrictions, "lower", {num_cameras, stride});
-    view->camera_upper = Data<double>(restrictions, "upper", {num_cameras, stride});
+    view.camera_lower = Data<double>(restrictions, "lower", {num_cameras, stride});
+    view.camera_upper = Data<double>(restrictions, "upper", {num_cameras, stride});
   }
   if (has("held_camera_params")) {
-    view->held_camera_params = Data<uint32_t>(restrictions, "held_camera_params", {num_cameras});
+    view.held_camera_params = Data<uint32_t>(restrictions, "held_camera_params", {num_cameras});
   }
   if (has("held_pose_parts")) {
-    view->held_pose_parts = Data<uint8_t>(restrictions, "held_pose_parts", {num_images});
+    view.held_pose_parts = Data<uint8_t>(restrictions, "held_pose_parts", {num_images});
   }
   if (has("camera_tie")) {
-    view->camera_tie = Data<int32_t>(restrictions, "camera_tie", {num_cameras, stride});
-    view->camera_tie_scale = Data<double>(restrictions, "camera_tie_scale", {num_cameras, stride});
-    view->num_ties = py::cast<int>(restrictions.attr("num_ties"));
+    view.camera_tie = Data<int32_t>(restrictions, "camera_tie", {num_cameras, stride});
+    view.camera_tie_scale = Data<double>(restrictions, "camera_tie_scale", {num_cameras, stride});
+    view.num_ties = py::cast<int>(restrictions.attr("num_ties"));
   }
+  return view;
 }

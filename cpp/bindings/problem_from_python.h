@@ -2,12 +2,13 @@
 
 #include <pybind11/pybind11.h>
 
-#include "core/problem/problem_view.h"
+#include "core/interface/adjustment_problem.h"
 
 /// Views the arrays of a bundle.Problem, which must outlive the view. Throws InputError if a shape
-/// is wrong; values are not looked at.
+/// is wrong; does not check values.
 bundle::ProblemView ViewProblem(const pybind11::handle& problem);
 
-/// Adds the arrays of a bundle.restrictions.Restrictions, which must outlive the view, unless it is
+/// Views the arrays of a Restrictions of Python, which must outlive the view; no restrictions for
 /// None.
-void PutRestrictions(const pybind11::object& restrictions, bundle::ProblemView* view);
+bundle::Restrictions ViewRestrictions(const pybind11::object& restrictions,
+                                      const bundle::ProblemView& problem);

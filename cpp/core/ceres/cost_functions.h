@@ -15,11 +15,11 @@
 #include "core/ceres/step_lengths.h"
 #include "core/factors/loss.h"
 #include "core/graph/factor_graph.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/summary.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
 #include "core/parallel/thread_pool.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -136,7 +136,7 @@ struct HoldingWatch {
 
 /// What all reprojection costs of a solve share. Outlives them.
 struct ReprojectionContext {
-  const ProblemView& problem;
+  const AdjustmentProblem& problem;
   const ParameterLayout& layout;
   const CameraStates& states;
   Cheirality cheirality;

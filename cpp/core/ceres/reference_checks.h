@@ -10,7 +10,7 @@
 
 #include "core/factors/loss.h"
 #include "core/factors/reprojection.h"
-#include "core/problem/problem_view.h"
+#include "core/interface/adjustment_problem.h"
 
 namespace bundle {
 
@@ -91,7 +91,7 @@ struct ReprojectionCheck {
 /// R0 with w = offsets (num_checked x 3): the Jacobian is tried away from the start of its chart.
 ///
 /// Throws InputError, naming model and image, if an observed image has an unknown camera model.
-void CheckReprojections(const ProblemView& problem, const int64_t* observations,
+void CheckReprojections(const AdjustmentProblem& problem, const int64_t* observations,
                         int64_t num_checked, const double* offsets, Cheirality cheirality,
                         double relative_precision, int num_threads, const ReprojectionCheck& out);
 

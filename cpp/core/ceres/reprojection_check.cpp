@@ -34,7 +34,7 @@ namespace {
 /// function of the solve itself, packing of the columns included.
 class SingleObservation final : public ceres::CostFunction {
  public:
-  SingleObservation(const ProblemView& problem, int64_t observation, const double* offset,
+  SingleObservation(const AdjustmentProblem& problem, int64_t observation, const double* offset,
                     Cheirality cheirality)
       : problem_(Isolate(problem, observation, offset)),
         layout_(problem_, SelectFreeParameters(problem_, RefineAll())),
@@ -115,7 +115,8 @@ class SingleObservation final : public ceres::CostFunction {
     return options;
   }
 
-  ProblemView Isolate(const ProblemView& problem, int64_t observation, const double* offset) {
+  AdjustmentProblem Isolate(const AdjustmentProblem& problem, int64_t observation,
+                            const double* offset) {
     const int image = problem.observation_image[observation];
     const int camera = problem.image_camera[image];
     const int point = problem.observation_point[observation];
@@ -125,7 +126,7 @@ class SingleObservation final : public ceres::CostFunction {
     ExpQuaternion(back, turn);
     QuaternionProduct(turn, pose, pose_);
     std::copy_n(pose + 4, 3, pose_ + 4);
-    ProblemView one;
+    AdjustmentProblem one;
     one.num_images = one.num_cameras = one.num_points = 1;
     one.num_observations = 1;
     one.cam_from_world = pose_;
@@ -162,7 +163,7 @@ class SingleObservation final : public ceres::CostFunction {
 
   static constexpr int32_t kFirst = 0;
   double pose_[7];
-  ProblemView problem_;
+  AdjustmentProblem problem_;
   ParameterLayout layout_;
   mutable CameraStates states_;
   ReprojectionContext context_;
@@ -213,7 +214,7 @@ bool EvaluateJacobian(const SingleObservation& cost, std::vector<double>* jacobi
 
 }  // namespace
 
-void CheckReprojections(const ProblemView& problem, const int64_t* observations,
+void CheckReprojections(const AdjustmentProblem& problem, const int64_t* observations,
                         int64_t num_checked, const double* offsets, Cheirality cheirality,
                         double relative_precision, int num_threads, const ReprojectionCheck& out) {
   CheckCameraModelsKnown(problem);

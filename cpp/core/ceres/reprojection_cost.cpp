@@ -14,7 +14,7 @@ template <typename Model>
 class ReprojectionCost final : public ceres::CostFunction {
  public:
   ReprojectionCost(const ReprojectionContext& context, int64_t observation) : context_(context) {
-    const ProblemView& problem = context.problem;
+    const AdjustmentProblem& problem = context.problem;
     const ParameterLayout& layout = context.layout;
     const int point = problem.observation_point[observation];
     image_ = problem.observation_image[observation];
@@ -212,7 +212,7 @@ class DividedBySigma final : public ceres::CostFunction {
 
 std::unique_ptr<ceres::CostFunction> MakeReprojectionCost(const ReprojectionContext& context,
                                                           int64_t observation) {
-  const ProblemView& problem = context.problem;
+  const AdjustmentProblem& problem = context.problem;
   const int camera = problem.image_camera[problem.observation_image[observation]];
   std::unique_ptr<ceres::CostFunction> cost;
   VisitCameraModel(*problem.camera_models[camera], [&](auto model) {

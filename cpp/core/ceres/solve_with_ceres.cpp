@@ -162,7 +162,7 @@ struct Continuation {
 /// One solve, in the order of its methods.
 class CeresSolve {
  public:
-  CeresSolve(const ProblemView& problem, const SolveOptions& options, PreparedSolve prepared)
+  CeresSolve(const AdjustmentProblem& problem, const SolveOptions& options, PreparedSolve prepared)
       : problem_(problem),
         options_(options),
         warnings_(std::move(prepared.warnings)),
@@ -269,7 +269,7 @@ class CeresSolve {
     const double share = std::max(0.0, 1 - watch_.state_cost.load() / last->cost);
     const bool by_function = summary.message.rfind("Function tolerance", 0) == 0;
     if (by_function && share < share_) return Continuation{true, share};
-    ProblemView refined = problem_;
+    AdjustmentProblem refined = problem_;
     const std::vector<double> poses = states_.CamFromWorld();
     refined.cam_from_world = poses.data();
     refined.camera_params = states_.camera_params().data();
@@ -468,7 +468,7 @@ class CeresSolve {
                 output);
   }
 
-  static std::vector<double> StartNumbers(const ProblemView& problem,
+  static std::vector<double> StartNumbers(const AdjustmentProblem& problem,
                                           const ParameterLayout& layout) {
     const std::vector<double> state = layout.InitialState(problem);
     std::vector<double> numbers(problem.points,
@@ -480,7 +480,7 @@ class CeresSolve {
   double* PointData(int point) { return numbers_.data() + 3 * static_cast<int64_t>(point); }
   double* State() { return numbers_.data() + num_coordinates_; }
 
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   const SolveOptions& options_;
   std::vector<Warning> warnings_;
   std::string linear_solver_choice_;
@@ -509,7 +509,7 @@ class CeresSolve {
 
 }  // namespace
 
-SolveOutput SolveWithCeres(const ProblemView& problem, const SolveOptions& options,
+SolveOutput SolveWithCeres(const AdjustmentProblem& problem, const SolveOptions& options,
                            PreparedSolve prepared, const ProgressCallback& progress) {
   return CeresSolve(problem, options, std::move(prepared)).Run(progress);
 }

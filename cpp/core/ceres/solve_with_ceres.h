@@ -15,7 +15,7 @@ namespace bundle {
 ///
 /// Throws InputError if options exclude each other or the dense matrices of the solver would not
 /// fit into memory. Anything else that keeps the solve from converging is in the summary.
-SolveOutput SolveWithCeres(const ProblemView& problem, const SolveOptions& options,
+SolveOutput SolveWithCeres(const AdjustmentProblem& problem, const SolveOptions& options,
                            PreparedSolve prepared, const ProgressCallback& progress);
 
 /// Linearises a valid graph (graph/factor_graph.h). Throws what a factor throws.

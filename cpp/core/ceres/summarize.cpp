@@ -46,7 +46,7 @@ void SetDense(bool is_schur, FactorSummary* result) {
   result->symbolic_time_in_seconds = 0;
 }
 
-void SetSparse(const ProblemView& problem, const ParameterLayout& layout, bool is_schur,
+void SetSparse(const AdjustmentProblem& problem, const ParameterLayout& layout, bool is_schur,
                FactorSummary* result) {
   const Stopwatch symbolic;
   const OrderedPattern ordered =
@@ -61,7 +61,7 @@ void SetSparse(const ProblemView& problem, const ParameterLayout& layout, bool i
 
 }  // namespace
 
-FactorSummary CountCeresFactor(const ProblemView& problem, const ParameterLayout& layout,
+FactorSummary CountCeresFactor(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                EliminationOrdering ordering, ceres::LinearSolverType type) {
   FactorSummary result;
   const bool is_schur = IsSchur(type);

@@ -10,11 +10,11 @@
 
 #include "core/ceres/ceres_version.h"
 #include "core/ceres/step_lengths.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
 #include "core/model/parameter_layout.h"
 #include "core/parallel/blas.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -27,13 +27,13 @@ std::unique_ptr<ceres::LossFunction> MakeLoss(LossType type, double scale);
 /// else is group 1. nullptr for kAutomatic. `points` and `state` are where the parameter blocks
 /// live.
 std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering ordering,
-                                                            const ProblemView& problem,
+                                                            const AdjustmentProblem& problem,
                                                             const ParameterLayout& layout,
                                                             double* points, double* state);
 
 /// True if factors couple unknowns of one kind, so that some of them are not in the group that an
 /// ordering eliminates.
-bool FactorsCoupleFirstGroup(EliminationOrdering ordering, const ProblemView& problem,
+bool FactorsCoupleFirstGroup(EliminationOrdering ordering, const AdjustmentProblem& problem,
                              const ParameterLayout& layout);
 
 /// True if group 0 would be empty although group 1 is not. Ceres then takes the one group for no
@@ -67,7 +67,7 @@ ceres::Solver::Options TranslateOptions(const SolveOptions& options);
 /// of its blocks. Ceres asks CHOLMOD for the same kind of order but numbers the blocks its own way
 /// and may have it keep the groups of the ordering apart, so that its factor can be some per cent
 /// larger or smaller. The symbolic time is that of this count.
-FactorSummary CountCeresFactor(const ProblemView& problem, const ParameterLayout& layout,
+FactorSummary CountCeresFactor(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                EliminationOrdering ordering, ceres::LinearSolverType type);
 
 /// Ceres' summary in our words. `fixed_cost` is the cost of observations that Ceres never saw; it

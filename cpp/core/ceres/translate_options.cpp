@@ -105,7 +105,7 @@ struct FirstGroup {
 };
 
 /// Of the unknowns of one kind that a factor touches, all but the first leave the group.
-FirstGroup FindFirstGroup(bool points_first, const ProblemView& problem,
+FirstGroup FindFirstGroup(bool points_first, const AdjustmentProblem& problem,
                           const ParameterLayout& layout) {
   FirstGroup group;
   const auto keep_one = [](const std::vector<int>& members, std::set<int>* left_out) {
@@ -130,7 +130,7 @@ FirstGroup FindFirstGroup(bool points_first, const ProblemView& problem,
 }  // namespace
 
 std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering ordering,
-                                                            const ProblemView& problem,
+                                                            const AdjustmentProblem& problem,
                                                             const ParameterLayout& layout,
                                                             double* points, double* state) {
   if (ordering == EliminationOrdering::kAutomatic) return nullptr;
@@ -150,7 +150,7 @@ std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering 
   return result;
 }
 
-bool FactorsCoupleFirstGroup(EliminationOrdering ordering, const ProblemView& problem,
+bool FactorsCoupleFirstGroup(EliminationOrdering ordering, const AdjustmentProblem& problem,
                              const ParameterLayout& layout) {
   const auto unknowns = FindFactorUnknowns(problem, layout);
   return std::any_of(unknowns.begin(), unknowns.end(), [ordering](const FactorUnknowns& of) {

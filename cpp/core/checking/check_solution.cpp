@@ -12,7 +12,7 @@
 
 #include "core/cameras/registry.h"
 #include "core/error.h"
-#include "core/problem/problem_view.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/problem/reprojection_errors.h"
 #include "core/sums/communicator.h"
 
@@ -66,7 +66,7 @@ std::vector<int64_t> SampleObservations(const ProblemView& problem, int64_t size
   return sample;
 }
 
-std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayout& layout,
+std::string CountPointsSeenOnce(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                 const std::vector<int64_t>& track_lengths) {
   int64_t count = 0;
   int first = -1;
@@ -74,15 +74,16 @@ std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayou
     if (track_lengths[p] != 1 || !layout.point_is_free(p)) continue;
     if (count++ == 0) first = p;
   }
-  count = SumOverRanks(problem.communicator, count);
-  const std::string first_id = FirstOverRanks(
-      problem.communicator, first < 0 ? std::string() : std::to_string(problem.point_ids[first]));
+  count = SumOverRanks(problem.division.communicator, count);
+  const std::string first_id =
+      FirstOverRanks(problem.division.communicator,
+                     first < 0 ? std::string() : std::to_string(problem.point_ids[first]));
   if (count == 0) return "";
   return "Points seen only once have no depth of their own, the damping alone holds them: " +
          std::to_string(count) + ", the first is point " + first_id + ".";
 }
 
-bool RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
+bool RejectImpossibleSolution(const AdjustmentProblem& problem, SolveOutput* output) {
   ProblemView refined = problem;
   refined.cam_from_world = output->cam_from_world.data();
   refined.rig_from_world = output->rig_from_world.data();
@@ -95,7 +96,7 @@ bool RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
   } catch (const InputError& error) {
     found = error.what();
   }
-  found = FirstOverRanks(problem.communicator, found);
+  found = FirstOverRanks(problem.division.communicator, found);
   if (found.empty()) return false;
   const auto restore = [](const double* from, std::vector<double>* to) {
     to->assign(from, from + to->size());
@@ -129,8 +130,8 @@ std::string FindOverflow(const ProblemView& problem, Cheirality cheirality) {
   return "";
 }
 
-SolutionUnderCheck::SolutionUnderCheck(const ProblemView& problem, const ParameterLayout& layout,
-                                       const CameraStates& states,
+SolutionUnderCheck::SolutionUnderCheck(const AdjustmentProblem& problem,
+                                       const ParameterLayout& layout, const CameraStates& states,
                                        const std::vector<double>& points, Cheirality cheirality)
     : problem_(problem),
       layout_(layout),
@@ -201,7 +202,7 @@ bool SolutionUnderCheck::operator()(int64_t observation, const double* x, double
   return counts;
 }
 
-std::string CheckSolution(const ProblemView& problem, const ParameterLayout& layout,
+std::string CheckSolution(const AdjustmentProblem& problem, const ParameterLayout& layout,
                           const CameraStates& states, const std::vector<double>& points,
                           Cheirality cheirality) {
   const SolutionUnderCheck solution(problem, layout, states, points, cheirality);
@@ -227,7 +228,7 @@ void JudgeEnd(bool has_bounds, double function_tolerance, SolveRecord* record) {
   }
 }
 
-void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
+void FinishSolve(const AdjustmentProblem& problem, const ParameterLayout& layout,
                  const CameraStates& states, const SolveOptions& options,
                  std::vector<Warning> warnings, int64_t num_held, SolveOutput* output) {
   SolveSummary& summary = output->summary;
@@ -239,7 +240,7 @@ void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
   };
   if (summary.termination_type == "FAILURE" || !std::isfinite(summary.initial_cost)) {
     warn(WarningKind::kResidualNotFinite,
-         FirstOverRanks(problem.communicator, FindOverflow(problem, options.cheirality)));
+         FirstOverRanks(problem.division.communicator, FindOverflow(problem, options.cheirality)));
   }
   if (options.check_solution) {
     // A projected step misses what its model promised as one by a wrong Jacobian does.
@@ -250,9 +251,10 @@ void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
                : WatchConvergence(output->iterations,
                                   "`bundle check` and bundle.check_factors find out"));
     }
-    warn(WarningKind::kSuspiciousJacobian,
-         FirstOverRanks(problem.communicator, CheckSolution(problem, layout, states, output->points,
-                                                            options.cheirality)));
+    warn(
+        WarningKind::kSuspiciousJacobian,
+        FirstOverRanks(problem.division.communicator,
+                       CheckSolution(problem, layout, states, output->points, options.cheirality)));
   }
   const bool is_rejected = RejectImpossibleSolution(problem, output);
   if (num_held > 0 && !is_rejected)

@@ -9,10 +9,10 @@
 
 #include "core/cameras/camera_model.h"
 #include "core/factors/reprojection.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
 #include "core/model/parameter_layout.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -51,7 +51,7 @@ std::string SpotCheck(const std::vector<ObservationAtPoint>& sample,
 class SolutionUnderCheck {
  public:
   /// `points` as in ProblemView.
-  SolutionUnderCheck(const ProblemView& problem, const ParameterLayout& layout,
+  SolutionUnderCheck(const AdjustmentProblem& problem, const ParameterLayout& layout,
                      const CameraStates& states, const std::vector<double>& points,
                      Cheirality cheirality);
 
@@ -64,7 +64,7 @@ class SolutionUnderCheck {
  private:
   uint32_t FreeColumns(int64_t observation) const;
 
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   const ParameterLayout& layout_;
   const CameraStates& states_;
   const std::vector<double>& points_;
@@ -72,18 +72,18 @@ class SolutionUnderCheck {
 };
 
 /// The sentence of SpotCheck about a solution, "" if its Jacobians are right.
-std::string CheckSolution(const ProblemView& problem, const ParameterLayout& layout,
+std::string CheckSolution(const AdjustmentProblem& problem, const ParameterLayout& layout,
                           const CameraStates& states, const std::vector<double>& points,
                           Cheirality cheirality);
 
 /// One sentence that counts the free points seen by one observation only; "" if there are none.
-std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayout& layout,
+std::string CountPointsSeenOnce(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                 const std::vector<int64_t>& track_lengths);
 
 /// If the solver left something that is no reconstruction (a focal length that is not positive, a
 /// number that is not finite), puts the problem's own values back, marks the solution as not usable
 /// and says why in the warnings. Returns true if so.
-bool RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output);
+bool RejectImpossibleSolution(const AdjustmentProblem& problem, SolveOutput* output);
 
 /// One sentence that names the first observation whose squared residual is not finite at the
 /// problem's own values; "" if there is none.
@@ -95,7 +95,7 @@ inline constexpr double kMaxLostShare = 0.01;
 /// Judges a solve with `num_held` observations with something to refine that hold a residual at the
 /// problem's values, on all ranks, the number of those that could count: they are in front of their
 /// cameras.
-int64_t CountLeftOut(const ProblemView& problem, const ParameterLayout& layout,
+int64_t CountLeftOut(const AdjustmentProblem& problem, const ParameterLayout& layout,
                      const SolveOptions& options, int64_t num_held);
 
 /// Looks for observations that do not count at the solution: behind their cameras or, if those
@@ -104,7 +104,7 @@ int64_t CountLeftOut(const ProblemView& problem, const ParameterLayout& layout,
 /// numbers and image ids. With more than `kMaxLostShare` lost the solution is not usable, as its
 /// cost says little of it. `num_held`: observations with something to refine that hold a residual
 /// at the solution (factors/reprojection.h).
-void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& layout,
+void JudgeLostObservations(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const SolveOptions& options, int64_t num_held, SolveOutput* output);
 
 /// Looks for the signature of a wrong Jacobian in the iterations (convergence_watch.cpp). One
@@ -128,7 +128,7 @@ void JudgeEnd(bool has_bounds, double function_tolerance, SolveRecord* record);
 /// Jacobian; it always looks for what makes a solution unusable. `states` are the camera parameters
 /// of the solution; `num_held` is the number of observations that hold a residual there
 /// (factors/reprojection.h).
-void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
+void FinishSolve(const AdjustmentProblem& problem, const ParameterLayout& layout,
                  const CameraStates& states, const SolveOptions& options,
                  std::vector<Warning> warnings, int64_t num_held, SolveOutput* output);
 

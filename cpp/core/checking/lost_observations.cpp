@@ -16,7 +16,7 @@ namespace bundle {
 namespace {
 
 /// 1 for observations that do not count.
-std::vector<uint8_t> FindBehind(const ProblemView& problem, const SolveOptions& options) {
+std::vector<uint8_t> FindBehind(const AdjustmentProblem& problem, const SolveOptions& options) {
   std::vector<double> errors(problem.num_observations);
   std::vector<uint8_t> behind(problem.num_observations);
   ComputeReprojectionErrors(problem, options.num_threads, options.cheirality, errors.data(),
@@ -27,13 +27,13 @@ std::vector<uint8_t> FindBehind(const ProblemView& problem, const SolveOptions& 
   return behind;
 }
 
-int64_t CountLeftOut(const ProblemView& problem, const ParameterLayout& layout,
+int64_t CountLeftOut(const AdjustmentProblem& problem, const ParameterLayout& layout,
                      const std::vector<uint8_t>& behind, int64_t num_held) {
   int64_t num_refined_behind = 0;
   for (int64_t i = 0; i < problem.num_observations; ++i) {
     if (behind[i] && layout.IsRefined(problem, i)) ++num_refined_behind;
   }
-  return num_held - SumOverRanks(problem.communicator, num_refined_behind);
+  return num_held - SumOverRanks(problem.division.communicator, num_refined_behind);
 }
 
 int64_t Count(const std::vector<uint8_t>& flags) {
@@ -41,15 +41,15 @@ int64_t Count(const std::vector<uint8_t>& flags) {
 }
 
 /// Ids of the images that have observations and all of them behind.
-std::vector<int64_t> ImagesWithNoneInFront(const ProblemView& problem,
+std::vector<int64_t> ImagesWithNoneInFront(const AdjustmentProblem& problem,
                                            const std::vector<uint8_t>& behind) {
   std::vector<uint8_t> seen(problem.num_images), in_front(problem.num_images);
   for (int64_t i = 0; i < problem.num_observations; ++i) {
     seen[problem.observation_image[i]] = 1;
     if (!behind[i]) in_front[problem.observation_image[i]] = 1;
   }
-  JoinOverRanks(problem.communicator, &seen);
-  JoinOverRanks(problem.communicator, &in_front);
+  JoinOverRanks(problem.division.communicator, &seen);
+  JoinOverRanks(problem.division.communicator, &in_front);
   std::vector<int64_t> ids;
   for (int i = 0; i < problem.num_images; ++i) {
     if (seen[i] && !in_front[i]) ids.push_back(problem.image_ids[i]);
@@ -72,20 +72,20 @@ std::string NameImages(const std::vector<int64_t>& ids) {
 
 }  // namespace
 
-int64_t CountLeftOut(const ProblemView& problem, const ParameterLayout& layout,
+int64_t CountLeftOut(const AdjustmentProblem& problem, const ParameterLayout& layout,
                      const SolveOptions& options, int64_t num_held) {
   return CountLeftOut(problem, layout, FindBehind(problem, options), num_held);
 }
 
-void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& layout,
+void JudgeLostObservations(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const SolveOptions& options, int64_t num_held, SolveOutput* output) {
-  ProblemView refined = problem;
+  AdjustmentProblem refined = problem;
   refined.cam_from_world = output->cam_from_world.data();
   refined.camera_params = output->camera_params.data();
   refined.points = output->points.data();
   const std::vector<uint8_t> before = FindBehind(problem, options);
   const std::vector<uint8_t> after = FindBehind(refined, options);
-  Communicator* const communicator = problem.communicator;
+  Communicator* const communicator = problem.division.communicator;
   const int64_t num_before = SumOverRanks(communicator, Count(before));
   const int64_t num_after = SumOverRanks(communicator, Count(after));
   const int64_t num_observations = SumOverRanks(communicator, problem.num_observations);

@@ -88,7 +88,7 @@ CovarianceComputation::Matrix3 CovarianceComputation::ScatterOfPoint(int point,
   return out;
 }
 
-CovarianceOutput ComputeCovariance(const ProblemView& problem, const SolveOptions& options,
+CovarianceOutput ComputeCovariance(const AdjustmentProblem& problem, const SolveOptions& options,
                                    const CovarianceOptions& wanted) {
   SolveOptions all = options;
   if (wanted.inner) all.gauge = Gauge::kNone;

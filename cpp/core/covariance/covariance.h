@@ -26,9 +26,9 @@
 #include <utility>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -63,7 +63,7 @@ struct CovarianceOutput {
 ///
 /// Throws InputError as ReducedSystem does, and if the normal equations are singular beyond the
 /// gauge, or with a gauge that does not hold it.
-CovarianceOutput ComputeCovariance(const ProblemView& problem, const SolveOptions& options,
+CovarianceOutput ComputeCovariance(const AdjustmentProblem& problem, const SolveOptions& options,
                                    const CovarianceOptions& wanted);
 
 }  // namespace bundle

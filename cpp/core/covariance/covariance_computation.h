@@ -33,7 +33,7 @@ class CovarianceComputation {
   using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
   using Vector3 = Eigen::Vector3d;
 
-  CovarianceComputation(const ProblemView& problem, const SolveOptions& options,
+  CovarianceComputation(const AdjustmentProblem& problem, const SolveOptions& options,
                         const CovarianceOptions& wanted)
       : frame_(problem),
         centered_(problem, frame_),
@@ -77,7 +77,7 @@ class CovarianceComputation {
 
  private:
   const ParameterLayout& layout() const { return system_.layout(); }
-  const ProblemView& view() const { return centered_.view(); }
+  const AdjustmentProblem& view() const { return centered_.view(); }
 
   /// Three points that the gauge holds hold the shape of their triangle as well (gauge.cpp).
   void WarnOfTriangle() {

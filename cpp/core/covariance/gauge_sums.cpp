@@ -41,7 +41,7 @@ void GaugeTriangle::Fold() {
   count_ = kSimilarities;
 }
 
-SimilarityMoves::SimilarityMoves(const ProblemView& problem, const ParameterLayout& layout,
+SimilarityMoves::SimilarityMoves(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                  const CameraStates& states)
     : problem_(problem), num_unknowns_(layout.state_size()) {
   const SceneFrame frame(problem);
@@ -90,7 +90,7 @@ Eigen::Matrix<double, 3, kSimilarities> SimilarityMoves::OfPoint(int point) cons
   return rows;
 }
 
-GaugeSums::GaugeSums(const ProblemView& problem, const ParameterLayout& layout,
+GaugeSums::GaugeSums(const AdjustmentProblem& problem, const ParameterLayout& layout,
                      const CameraStates& states, int num_threads)
     : layout_(layout), moves_(problem, layout, states), of_thread_(num_threads) {
   total_.eliminated.assign(static_cast<size_t>(moves_.num_unknowns()) * kSimilarities, 0.0);

@@ -18,9 +18,9 @@
 
 #include "core/covariance/observation_rows.h"
 #include "core/covariance/point_blocks.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/model/gauge.h"
 #include "core/model/parameter_layout.h"
-#include "core/problem/problem_view.h"
 #include "core/schur/kernels/kernels.h"
 
 namespace bundle {
@@ -53,7 +53,7 @@ class GaugeTriangle {
 /// What the similarities do to points and to the unknowns of a layout.
 class SimilarityMoves {
  public:
-  SimilarityMoves(const ProblemView& problem, const ParameterLayout& layout,
+  SimilarityMoves(const AdjustmentProblem& problem, const ParameterLayout& layout,
                   const CameraStates& states);
 
   int num_unknowns() const { return num_unknowns_; }
@@ -68,7 +68,7 @@ class SimilarityMoves {
   Eigen::Matrix<double, 3, kSimilarities> OfPoint(int point) const;
 
  private:
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   int num_unknowns_;
   double center_[3];
   double size_;
@@ -78,8 +78,8 @@ class SimilarityMoves {
 class GaugeSums {
  public:
   /// Keeps references to problem and layout.
-  GaugeSums(const ProblemView& problem, const ParameterLayout& layout, const CameraStates& states,
-            int num_threads);
+  GaugeSums(const AdjustmentProblem& problem, const ParameterLayout& layout,
+            const CameraStates& states, int num_threads);
 
   /// Adds a free point, on one of the threads; of one without parallax its rows of J N alone.
   void AddPoint(int point, const PointBlocks& blocks, const PointAssembler& rows, int thread);

@@ -20,7 +20,7 @@ LocalMap PlainMap(int index, const CameraBlock& block) {
   return map;
 }
 
-LocalMap MapOfLayout(const ProblemView& problem, const ParameterLayout& layout,
+LocalMap MapOfLayout(const AdjustmentProblem& problem, const ParameterLayout& layout,
                      const PoseState& pose, int image, int place) {
   ColumnMap of_layout;
   layout.FillMap(problem, image, place, pose, &of_layout);
@@ -92,7 +92,7 @@ void Chain(const double* local, const LocalMap& map, double weight, double* out)
 
 }  // namespace
 
-std::vector<LocalMap> FindLocalMaps(const ProblemView& problem, const ParameterLayout& layout,
+std::vector<LocalMap> FindLocalMaps(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                     const CameraStates& states, int image,
                                     const std::vector<uint8_t>& held) {
   std::vector<LocalMap> maps;
@@ -116,7 +116,7 @@ std::vector<LocalMap> FindLocalMaps(const ProblemView& problem, const ParameterL
   return maps;
 }
 
-ObservationEvaluator::ObservationEvaluator(const ProblemView& problem,
+ObservationEvaluator::ObservationEvaluator(const AdjustmentProblem& problem,
                                            const ParameterLayout& layout,
                                            const SolveOptions& options)
     : problem_(problem),

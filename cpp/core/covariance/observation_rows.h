@@ -15,10 +15,10 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/linear/block_structure.h"
 #include "core/model/parameter_layout.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -33,7 +33,7 @@ struct LocalMap {
 
 /// The maps of all blocks that an image's observations depend on, at the problem's own values.
 /// Unknowns in `held` (one entry an unknown; empty: none) move nothing.
-std::vector<LocalMap> FindLocalMaps(const ProblemView& problem, const ParameterLayout& layout,
+std::vector<LocalMap> FindLocalMaps(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                     const CameraStates& states, int image,
                                     const std::vector<uint8_t>& held);
 
@@ -52,7 +52,7 @@ struct ObservationRows {
 class ObservationEvaluator {
  public:
   /// Keeps references to the problem and the layout. The loss and the cheirality are the options'.
-  ObservationEvaluator(const ProblemView& problem, const ParameterLayout& layout,
+  ObservationEvaluator(const AdjustmentProblem& problem, const ParameterLayout& layout,
                        const SolveOptions& options);
 
   /// False where the observation does not count (factors/reprojection.h).
@@ -64,7 +64,7 @@ class ObservationEvaluator {
   void Hold(const std::vector<uint8_t>& held);
 
  private:
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   const ParameterLayout& layout_;
   const CameraStates states_;
   std::vector<std::vector<LocalMap>> maps_;  ///< of each image

@@ -76,7 +76,7 @@ void PointShare(const ObservationRows& rows, double share[3]) {
   }
 }
 
-PointAssembler::Tracks PointAssembler::FindTracks(const ProblemView& problem,
+PointAssembler::Tracks PointAssembler::FindTracks(const AdjustmentProblem& problem,
                                                   const ParameterLayout& layout,
                                                   const CameraStates& states) {
   Tracks tracks;

@@ -19,10 +19,10 @@
 #include <vector>
 
 #include "core/covariance/observation_rows.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -55,7 +55,7 @@ class PointAssembler {
     std::vector<double> prior;         ///< J^T J of each point's factors, 9 each; empty: no factors
     std::vector<double> prior_gradient;  ///< and their J^T r, 3 each
   };
-  static Tracks FindTracks(const ProblemView& problem, const ParameterLayout& layout,
+  static Tracks FindTracks(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const CameraStates& states);
 
   /// Keeps references to all.

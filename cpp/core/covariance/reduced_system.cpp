@@ -37,11 +37,11 @@ void RefuseUnsupported(const PreparedSolve& prepared) {
 
 }  // namespace
 
-ReducedSystem::ReducedSystem(const ProblemView& problem, const SolveOptions& options,
+ReducedSystem::ReducedSystem(const AdjustmentProblem& problem, const SolveOptions& options,
                              bool sums_gauge)
     : ReducedSystem(problem, options, PrepareSolve(problem, options), sums_gauge) {}
 
-ReducedSystem::ReducedSystem(const ProblemView& problem, const SolveOptions& options,
+ReducedSystem::ReducedSystem(const AdjustmentProblem& problem, const SolveOptions& options,
                              PreparedSolve prepared, bool sums_gauge)
     : problem_(problem),
       // Sums over points are one per thread, rounded by which points it has.

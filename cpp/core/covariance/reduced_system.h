@@ -23,13 +23,13 @@
 
 #include "core/covariance/observation_rows.h"
 #include "core/covariance/point_blocks.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/linear/block_structure.h"
 #include "core/linear/linear_solver.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
 #include "core/prepare/prepare.h"
-#include "core/problem/problem_view.h"
 #include "core/schur/schur_problem.h"
 
 namespace bundle {
@@ -61,12 +61,13 @@ class ReducedSystem {
   ///
   /// Throws InputError if an id to be fixed does not exist, a factor couples a point with something
   /// else that is free or is a function in Python, or the memory does not suffice.
-  ReducedSystem(const ProblemView& problem, const SolveOptions& options, bool sums_gauge = false);
+  ReducedSystem(const AdjustmentProblem& problem, const SolveOptions& options,
+                bool sums_gauge = false);
   ~ReducedSystem();
   ReducedSystem(const ReducedSystem&) = delete;
   ReducedSystem& operator=(const ReducedSystem&) = delete;
 
-  const ProblemView& problem() const { return problem_; }
+  const AdjustmentProblem& problem() const { return problem_; }
   const ParameterLayout& layout() const { return layout_; }
   const ObservationEvaluator& evaluator() const { return *evaluator_; }
   const CameraStates& states() const { return evaluator_->states(); }
@@ -170,8 +171,8 @@ class ReducedSystem {
   bool HasBlock(int row, int column) const;
 
  private:
-  ReducedSystem(const ProblemView& problem, const SolveOptions& options, PreparedSolve prepared,
-                bool sums_gauge);
+  ReducedSystem(const AdjustmentProblem& problem, const SolveOptions& options,
+                PreparedSolve prepared, bool sums_gauge);
   void Order();
   void OrderPoints();
   void FindNullPoints();
@@ -182,7 +183,7 @@ class ReducedSystem {
   void FinishLinearization();
   void ReadDiagonal();
 
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   const int num_threads_;
   std::vector<Warning> warnings_;
   ParameterLayout layout_;
@@ -196,7 +197,7 @@ class ReducedSystem {
   std::unique_ptr<GaugeSums> gauge_sums_;
   std::vector<NullPoint> null_points_;
   ProblemFactors factors_;  ///< the problem's, and those that hold null directions
-  ProblemView view_;        ///< the problem with factors_
+  AdjustmentProblem view_;  ///< the problem with factors_
   std::unique_ptr<SchurProblem> schur_;
   bool is_finite_ = true;  ///< the linearisation
   bool second_order_ = false;

@@ -33,7 +33,7 @@ void CrossMatrix(const double* c, double* out) {
 }
 
 template <typename Visit>
-void ForPoses(const KeptVariables& kept, const ProblemView& problem, const Visit& visit) {
+void ForPoses(const KeptVariables& kept, const AdjustmentProblem& problem, const Visit& visit) {
   for (const int image : kept.images) visit(image);
   for (const int frame : kept.frames) visit(PoseOfFrame(problem, frame));
 }
@@ -151,13 +151,13 @@ void Subtract(int num_rows, int a_columns, const double* a, int x_columns, const
 
 }  // namespace
 
-int TangentSize(const KeptVariables& kept, const ProblemView& problem) {
+int TangentSize(const KeptVariables& kept, const AdjustmentProblem& problem) {
   size_t size = kPoseSize * (kept.images.size() + kept.frames.size());
   for (const int camera : kept.cameras) size += problem.camera_models[camera]->num_params;
   return static_cast<int>(size);
 }
 
-RestInformation MarginalizeRest(const ProblemView& problem, const SolveOptions& options,
+RestInformation MarginalizeRest(const AdjustmentProblem& problem, const SolveOptions& options,
                                 const KeptVariables& kept) {
   const SceneFrame frame(problem);
   const CenteredProblem centered(problem, frame);
@@ -238,7 +238,7 @@ RestInformation MarginalizeRest(const ProblemView& problem, const SolveOptions& 
   return result;
 }
 
-FreeSimilarities FindFreeSimilarities(const ProblemView& problem, const SolveOptions& options,
+FreeSimilarities FindFreeSimilarities(const AdjustmentProblem& problem, const SolveOptions& options,
                                       const KeptVariables& kept) {
   const SceneFrame frame(problem);
   const CenteredProblem centered(problem, frame);

@@ -29,8 +29,8 @@
 
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -43,7 +43,7 @@ struct KeptVariables {
 };
 
 /// The number of tangent coordinates.
-int TangentSize(const KeptVariables& kept, const ProblemView& problem);
+int TangentSize(const KeptVariables& kept, const AdjustmentProblem& problem);
 
 struct RestInformation {
   std::vector<double> lambda;  ///< n x n, symmetric to the last bit; rows of what is held are zero
@@ -56,7 +56,7 @@ struct RestInformation {
 
 /// The problem is valid, without ties and without partly held poses. Throws InputError as
 /// ReducedSystem does, if the memory does not suffice, or if S_aa cannot be factorised.
-RestInformation MarginalizeRest(const ProblemView& problem, const SolveOptions& options,
+RestInformation MarginalizeRest(const AdjustmentProblem& problem, const SolveOptions& options,
                                 const KeptVariables& kept);
 
 /// The similarities of the world that change no residual (free_gauge.h): n x degrees, row-major, in
@@ -65,7 +65,7 @@ struct FreeSimilarities {
   int degrees = 0;
   std::vector<double> rows;
 };
-FreeSimilarities FindFreeSimilarities(const ProblemView& problem, const SolveOptions& options,
+FreeSimilarities FindFreeSimilarities(const AdjustmentProblem& problem, const SolveOptions& options,
                                       const KeptVariables& kept);
 
 }  // namespace bundle

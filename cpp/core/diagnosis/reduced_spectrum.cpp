@@ -63,7 +63,7 @@ std::vector<double> RowMajor(const MatrixXd& matrix) {
 }
 
 /// The piece of each unknown. Sensors and shared cameras belong to the world where it is one piece.
-std::vector<int> FindPieces(const ProblemView& problem, const std::vector<UnknownName>& names,
+std::vector<int> FindPieces(const AdjustmentProblem& problem, const std::vector<UnknownName>& names,
                             const int32_t* image_piece) {
   std::vector<int> frame_piece(problem.num_frames, -1);
   int num_pieces = 0;
@@ -85,7 +85,7 @@ std::vector<int> FindPieces(const ProblemView& problem, const std::vector<Unknow
 
 class SpectrumSearch {
  public:
-  SpectrumSearch(const ProblemView& problem, const SolveOptions& options)
+  SpectrumSearch(const AdjustmentProblem& problem, const SolveOptions& options)
       : problem_(problem),
         reduced_(problem, options),
         names_(NameUnknowns(problem, reduced_.layout())),
@@ -290,7 +290,7 @@ class SpectrumSearch {
     result_.num_gauge += static_cast<int>((sines.array() < kZeroSine).count());
   }
 
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   ReducedSystem reduced_;
   const std::vector<UnknownName> names_;
   ScaledSystem system_;
@@ -300,7 +300,7 @@ class SpectrumSearch {
 
 }  // namespace
 
-ReducedSpectrum FindReducedSpectrum(const ProblemView& problem, const SolveOptions& options,
+ReducedSpectrum FindReducedSpectrum(const AdjustmentProblem& problem, const SolveOptions& options,
                                     const int32_t* image_piece, int num_modes) {
   const SceneFrame frame(problem);
   const CenteredProblem centered(problem, frame);

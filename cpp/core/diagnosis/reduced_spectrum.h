@@ -8,10 +8,10 @@
 #include <vector>
 
 #include "core/covariance/reduced_system.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
 #include "core/model/unknown_names.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -51,7 +51,7 @@ struct ReducedSpectrum {
 /// connect them; -1 for images without observations. The problem is valid, its models known.
 ///
 /// Throws InputError as ReducedSystem does.
-ReducedSpectrum FindReducedSpectrum(const ProblemView& problem, const SolveOptions& options,
+ReducedSpectrum FindReducedSpectrum(const AdjustmentProblem& problem, const SolveOptions& options,
                                     const int32_t* image_piece, int num_modes);
 
 }  // namespace bundle

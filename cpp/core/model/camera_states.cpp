@@ -10,7 +10,7 @@
 
 namespace bundle {
 
-bool ParameterLayout::HasMap(const ProblemView& problem, int image, int place) const {
+bool ParameterLayout::HasMap(const AdjustmentProblem& problem, int image, int place) const {
   const int block = image_blocks_[image][place];
   if (block < 0 || place == kSensorBlock) return false;
   if (place == kTiedBlock) return true;
@@ -22,7 +22,7 @@ bool ParameterLayout::HasMap(const ProblemView& problem, int image, int place) c
                      [&](const TiedParameter& tie) { return tie.block == block; });
 }
 
-void ParameterLayout::FillMap(const ProblemView& problem, int image, int place,
+void ParameterLayout::FillMap(const AdjustmentProblem& problem, int image, int place,
                               const PoseState& pose, ColumnMap* map) const {
   const int index = image_blocks_[image][place];
   const CameraBlock& block = blocks_[index];
@@ -51,7 +51,7 @@ void ParameterLayout::FillMap(const ProblemView& problem, int image, int place,
   }
 }
 
-uint32_t ParameterLayout::RefinedColumns(const ProblemView& problem, int image) const {
+uint32_t ParameterLayout::RefinedColumns(const AdjustmentProblem& problem, int image) const {
   uint32_t bits = 0;
   for (const int place : {kPoseBlock, kCameraBlock}) {
     const int index = image_blocks_[image][place];
@@ -66,7 +66,7 @@ uint32_t ParameterLayout::RefinedColumns(const ProblemView& problem, int image) 
   return bits;
 }
 
-CameraStates::CameraStates(const ProblemView& problem, const ParameterLayout& layout)
+CameraStates::CameraStates(const AdjustmentProblem& problem, const ParameterLayout& layout)
     : problem_(problem),
       layout_(layout),
       stride_(problem.camera_params_stride),
@@ -96,7 +96,8 @@ void CameraStates::Reset() {
 
 void CameraStates::Update(const double* state) {
   layout_.Scatter(problem_, state, charts_.data(), camera_params_.data());
-  for (int i = 0; problem_.held_pose_parts != nullptr && i < problem_.num_images; ++i) {
+  for (int i = 0; problem_.restrictions.held_pose_parts != nullptr && i < problem_.num_images;
+       ++i) {
     if (TurnsAboutCentre(problem_, i)) TurnAboutCentre(i);
   }
   Expand();

@@ -18,9 +18,9 @@
 #include <utility>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/model/problem_factors.h"
 #include "core/parallel/thread_pool.h"
-#include "core/problem/problem_view.h"
 #include "core/sums/communicator.h"
 #include "core/symbolic/symbolic.h"
 
@@ -91,7 +91,7 @@ void MarkPairs(const std::vector<int>& blocks, int first, int last, ColumnBits* 
 
 }  // namespace
 
-std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const ProblemView& problem,
+std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const AdjustmentProblem& problem,
                                                         const ParameterLayout& layout) {
   const auto num_blocks = static_cast<int>(layout.blocks().size());
   std::vector<std::vector<int>> columns(num_blocks);
@@ -111,8 +111,8 @@ std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const ProblemView& probl
       for (size_t a = 0; a < b; ++a) columns[blocks[a]].push_back(blocks[b]);
     }
   }
-  const bool is_unique =
-      problem.factors == nullptr && problem.num_frames == 0 && problem.camera_tie == nullptr;
+  const bool is_unique = problem.factors == nullptr && problem.num_frames == 0 &&
+                         problem.restrictions.camera_tie == nullptr;
   if (is_unique) return columns;
   for (std::vector<int>& rows : columns) {
     std::sort(rows.begin(), rows.end());
@@ -130,7 +130,7 @@ struct Neighbours {
   std::vector<int> points;
 };
 
-std::unordered_map<int, Neighbours> FindPointNeighbours(const ProblemView& problem,
+std::unordered_map<int, Neighbours> FindPointNeighbours(const AdjustmentProblem& problem,
                                                         const ParameterLayout& layout) {
   std::unordered_map<int, Neighbours> result;
   for (const FactorUnknowns& unknowns : FindFactorUnknowns(problem, layout)) {
@@ -181,7 +181,7 @@ void JoinColumns(Communicator* communicator, std::vector<std::vector<int>>* colu
 
 }  // namespace
 
-std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
+std::vector<std::vector<int>> FindCoupledBlocks(const AdjustmentProblem& problem,
                                                 const ParameterLayout& layout, int num_threads) {
   std::vector<std::vector<int>> columns = FindDirectlyCoupledBlocks(problem, layout);
   const auto num_blocks = static_cast<int>(columns.size());
@@ -212,7 +212,7 @@ std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
     });
     for (int j = first; j < last; ++j) bits.Read(j - first, &columns[j]);
   }
-  JoinColumns(problem.communicator, &columns);
+  JoinColumns(problem.division.communicator, &columns);
   return columns;
 }
 
@@ -227,7 +227,8 @@ std::vector<int> BlockSizes(const ParameterLayout& layout) {
   return sizes;
 }
 
-void AddPoints(const ProblemView& problem, const ParameterLayout& layout, BlockPattern* pattern) {
+void AddPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
+               BlockPattern* pattern) {
   const Tracks tracks = GroupByPoint(problem);
   const int first_block = layout.num_free_points();
   const auto neighbours = FindPointNeighbours(problem, layout);
@@ -264,11 +265,11 @@ std::vector<int> OrderByAmd(const BlockPatternView& pattern) {
 
 }  // namespace
 
-BlockPattern ReducedPattern(const ProblemView& problem, const ParameterLayout& layout) {
+BlockPattern ReducedPattern(const AdjustmentProblem& problem, const ParameterLayout& layout) {
   return MakeBlockPattern(BlockSizes(layout), FindCoupledBlocks(problem, layout));
 }
 
-BlockPattern FullPattern(const ProblemView& problem, const ParameterLayout& layout) {
+BlockPattern FullPattern(const AdjustmentProblem& problem, const ParameterLayout& layout) {
   BlockPattern pattern;
   AddPoints(problem, layout, &pattern);
   const int first_block = layout.num_free_points();
@@ -281,7 +282,7 @@ BlockPattern FullPattern(const ProblemView& problem, const ParameterLayout& layo
   return pattern;
 }
 
-int64_t NumInformationNonzeros(const ProblemView& problem, const ParameterLayout& layout) {
+int64_t NumInformationNonzeros(const AdjustmentProblem& problem, const ParameterLayout& layout) {
   const std::vector<int> sizes = BlockSizes(layout);
   const BlockPattern cameras = MakeBlockPattern(sizes, FindDirectlyCoupledBlocks(problem, layout));
   int64_t count = int64_t{kPointSize} * kPointSize * layout.num_free_points();  // with points
@@ -305,10 +306,11 @@ int64_t NumInformationNonzeros(const ProblemView& problem, const ParameterLayout
     const std::set<int> others(found->second.points.begin(), found->second.points.end());
     count += 2 * kPointSize * kPointSize * static_cast<int64_t>(others.size());
   }
-  return SumOverRanks(problem.communicator, count) + static_cast<int64_t>(NumNonzeros(cameras));
+  return SumOverRanks(problem.division.communicator, count) +
+         static_cast<int64_t>(NumNonzeros(cameras));
 }
 
-OrderedPattern OrderFullPattern(const ProblemView& problem, const ParameterLayout& layout,
+OrderedPattern OrderFullPattern(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                 int64_t most_entries) {
   OrderedPattern result;
   result.pattern = FullPattern(problem, layout);
@@ -327,7 +329,8 @@ OrderedPattern OrderFullPattern(const ProblemView& problem, const ParameterLayou
   return result;
 }
 
-OrderedPattern OrderReducedPattern(const ProblemView& problem, const ParameterLayout& layout) {
+OrderedPattern OrderReducedPattern(const AdjustmentProblem& problem,
+                                   const ParameterLayout& layout) {
   OrderedPattern result;
   result.pattern = ReducedPattern(problem, layout);
   result.order = OrderByAmd(result.pattern);

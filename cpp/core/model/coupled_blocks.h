@@ -5,31 +5,31 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/model/parameter_layout.h"
-#include "core/problem/problem_view.h"
 #include "core/symbolic/symbolic.h"
 
 namespace bundle {
 
 /// The block pairs of the reduced camera system that some residual or free point couples:
 /// columns[j] holds the blocks i >= j that meet block j, ascending, j first.
-std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
+std::vector<std::vector<int>> FindCoupledBlocks(const AdjustmentProblem& problem,
                                                 const ParameterLayout& layout, int num_threads = 1);
 
 /// Those that a residual couples, whatever its point: a shared camera or sensor and the poses of
 /// its images.
-std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const ProblemView& problem,
+std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const AdjustmentProblem& problem,
                                                         const ParameterLayout& layout);
 
 /// The reduced camera system S: a block of the layout each, as FindCoupledBlocks says.
-BlockPattern ReducedPattern(const ProblemView& problem, const ParameterLayout& layout);
+BlockPattern ReducedPattern(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
 /// The information matrix J^T J of the whole problem: the free points in the order of the problem,
 /// 3 x 3 each, then the blocks of the layout.
-BlockPattern FullPattern(const ProblemView& problem, const ParameterLayout& layout);
+BlockPattern FullPattern(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
 /// NumNonzeros of the full pattern, without making it.
-int64_t NumInformationNonzeros(const ProblemView& problem, const ParameterLayout& layout);
+int64_t NumInformationNonzeros(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
 /// Entries of a full pattern up to which AMD takes seconds on it.
 inline constexpr int64_t kMostEntriesForAmd = 2'000'000;
@@ -44,10 +44,10 @@ struct OrderedPattern {
 /// whole problem takes it. Where the pattern has more than `most_entries`, the points come first,
 /// then the blocks of S by AMD, which makes a factor that is within a few per cent as large. Throws
 /// std::bad_alloc.
-OrderedPattern OrderFullPattern(const ProblemView& problem, const ParameterLayout& layout,
+OrderedPattern OrderFullPattern(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                 int64_t most_entries = kMostEntriesForAmd);
 
 /// S and AMD's order of its blocks. Throws std::bad_alloc.
-OrderedPattern OrderReducedPattern(const ProblemView& problem, const ParameterLayout& layout);
+OrderedPattern OrderReducedPattern(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
 }  // namespace bundle

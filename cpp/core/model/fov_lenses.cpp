@@ -23,7 +23,7 @@ int64_t PlaceOfOmega(const ProblemView& problem, int lens) {
 
 }  // namespace
 
-std::vector<int> FindFreeFovLenses(const ProblemView& problem, const SolveOptions& options) {
+std::vector<int> FindFreeFovLenses(const AdjustmentProblem& problem, const SolveOptions& options) {
   std::vector<int> lenses;
   for (int c = 0; c < problem.num_cameras; ++c) {
     if (problem.camera_model_names[c] == "FOV") lenses.push_back(c);
@@ -32,11 +32,12 @@ std::vector<int> FindFreeFovLenses(const ProblemView& problem, const SolveOption
   const FreeParameters free = SelectFreeParameters(problem, options);
   const auto is_other = [&](int c) {
     const int64_t at = PlaceOfOmega(problem, c);
-    const bool has_bounds =
-        problem.camera_lower != nullptr &&
-        (std::isfinite(problem.camera_lower[at]) || std::isfinite(problem.camera_upper[at]));
-    const bool is_multiple = problem.camera_tie != nullptr && problem.camera_tie[at] >= 0 &&
-                             problem.camera_tie_scale[at] != 1;
+    const bool has_bounds = problem.restrictions.camera_lower != nullptr &&
+                            (std::isfinite(problem.restrictions.camera_lower[at]) ||
+                             std::isfinite(problem.restrictions.camera_upper[at]));
+    const bool is_multiple = problem.restrictions.camera_tie != nullptr &&
+                             problem.restrictions.camera_tie[at] >= 0 &&
+                             problem.restrictions.camera_tie_scale[at] != 1;
     return (free.camera[c] >> kOmega & 1u) == 0 || has_bounds || is_multiple;
   };
   lenses.erase(std::remove_if(lenses.begin(), lenses.end(), is_other), lenses.end());
@@ -51,7 +52,7 @@ void SetOmega(const ProblemView& problem, int lens, double omega, std::vector<do
   (*params)[PlaceOfOmega(problem, lens)] = omega;
 }
 
-double OmegaBesidePinhole(const ProblemView& problem, int lens, const SolveOptions& options) {
+double OmegaBesidePinhole(const AdjustmentProblem& problem, int lens, const SolveOptions& options) {
   const double* const params = problem.ParamsOf(lens);
   double slope = 0, curvature = 0;
   for (int64_t i = 0; i < problem.num_observations; ++i) {
@@ -77,8 +78,8 @@ double OmegaBesidePinhole(const ProblemView& problem, int lens, const SolveOptio
     slope += rho[1] * product;
     curvature += rho[1] * change;
   }
-  slope = SumOverRanks(problem.communicator, slope);
-  curvature = SumOverRanks(problem.communicator, curvature);
+  slope = SumOverRanks(problem.division.communicator, slope);
+  curvature = SumOverRanks(problem.division.communicator, curvature);
   if (slope == 0 || !(curvature > 0)) return 0;
   if (slope < 0) return kWithin;
   return std::clamp(std::sqrt(slope / curvature), kOutside, kFarOutside);

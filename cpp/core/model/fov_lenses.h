@@ -25,8 +25,8 @@
 
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -34,7 +34,7 @@ inline constexpr double kFovJump = 1e-2;  ///< |omega|
 
 /// The cameras whose omega a solve may take over the jump: it is refined, has no bounds, and is a
 /// number of its own or one that it equals.
-std::vector<int> FindFreeFovLenses(const ProblemView& problem, const SolveOptions& options);
+std::vector<int> FindFreeFovLenses(const AdjustmentProblem& problem, const SolveOptions& options);
 
 /// omega of a lens at the values of a problem.
 double OmegaOf(const ProblemView& problem, int lens);
@@ -44,6 +44,6 @@ void SetOmega(const ProblemView& problem, int lens, double omega, std::vector<do
 
 /// The omega to go on with of a lens that is a pinhole at the values of a problem, at its minimum
 /// as such: on the side that lowers the cost, away from the jump.
-double OmegaBesidePinhole(const ProblemView& problem, int lens, const SolveOptions& options);
+double OmegaBesidePinhole(const AdjustmentProblem& problem, int lens, const SolveOptions& options);
 
 }  // namespace bundle

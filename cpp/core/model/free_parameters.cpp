@@ -12,9 +12,10 @@
 
 namespace bundle {
 
-std::vector<uint8_t> FindObservedImages(const ProblemView& problem) {
-  if (problem.image_is_observed != nullptr) {
-    return {problem.image_is_observed, problem.image_is_observed + problem.num_images};
+std::vector<uint8_t> FindObservedImages(const AdjustmentProblem& problem) {
+  if (problem.division.image_is_observed != nullptr) {
+    return {problem.division.image_is_observed,
+            problem.division.image_is_observed + problem.num_images};
   }
   std::vector<uint8_t> observed(problem.num_images);
   for (int64_t i = 0; i < problem.num_observations; ++i) observed[problem.observation_image[i]] = 1;
@@ -63,7 +64,7 @@ uint32_t FreeCameraParameters(const CameraModel& model, const SolveOptions& opti
 }
 
 /// The pose of an image is its own, or that of its frame and sensor.
-void FreePoseOf(const ProblemView& problem, const SolveOptions& options, int image,
+void FreePoseOf(const AdjustmentProblem& problem, const SolveOptions& options, int image,
                 FreeParameters* free) {
   const int sensor = problem.SensorOf(image);
   if (options.refine_poses) {
@@ -74,7 +75,7 @@ void FreePoseOf(const ProblemView& problem, const SolveOptions& options, int ima
   }
 }
 
-void HoldSensorsWithoutReference(const ProblemView& problem, FreeParameters* free) {
+void HoldSensorsWithoutReference(const AdjustmentProblem& problem, FreeParameters* free) {
   if (problem.num_sensors == 0) return;
   const std::vector<uint8_t> observed = FindObservedImages(problem);
   std::set<int64_t> rigs;  // whose reference sensor observes something
@@ -89,7 +90,8 @@ void HoldSensorsWithoutReference(const ProblemView& problem, FreeParameters* fre
   }
 }
 
-void HoldSensors(const ProblemView& problem, const SolveOptions& options, FreeParameters* free) {
+void HoldSensors(const AdjustmentProblem& problem, const SolveOptions& options,
+                 FreeParameters* free) {
   for (const SensorId& id : options.fixed_sensors) {
     int found = 0;
     while (found < problem.num_sensors && (problem.sensor_rig_ids[found] != id.first ||
@@ -105,7 +107,7 @@ void HoldSensors(const ProblemView& problem, const SolveOptions& options, FreePa
 }
 
 /// An image that is fixed fixes its frame; on a sensor that is refined it would move all the same.
-void HoldImage(const ProblemView& problem, int image, FreeParameters* free) {
+void HoldImage(const AdjustmentProblem& problem, int image, FreeParameters* free) {
   const int sensor = problem.SensorOf(image);
   if (sensor >= 0 && free->sensor[sensor] != 0) {
     throw InputError("fixed_image_ids: expected images that no refined sensor moves, found image " +
@@ -118,7 +120,8 @@ void HoldImage(const ProblemView& problem, int image, FreeParameters* free) {
 }
 
 /// What factors touch may be seen by no observation.
-void FreeTouched(const ProblemView& problem, const SolveOptions& options, FreeParameters* free) {
+void FreeTouched(const AdjustmentProblem& problem, const SolveOptions& options,
+                 FreeParameters* free) {
   for (const ProblemVariable& variable : problem.factors->variables) {
     switch (variable.kind) {
       case ProblemVariable::Kind::kImage:
@@ -144,25 +147,27 @@ void FreeTouched(const ProblemView& problem, const SolveOptions& options, FreePa
   }
 }
 
-void HoldBetweenEqualBounds(const ProblemView& problem, FreeParameters* free) {
-  if (problem.camera_lower == nullptr) return;
+void HoldBetweenEqualBounds(const AdjustmentProblem& problem, FreeParameters* free) {
+  if (problem.restrictions.camera_lower == nullptr) return;
   const int num_params = std::min(problem.camera_params_stride, kMaxCameraParams);
   for (int c = 0; c < problem.num_cameras; ++c) {
     const int64_t first = static_cast<int64_t>(c) * problem.camera_params_stride;
     for (int j = 0; j < num_params; ++j) {
-      const bool equal = problem.camera_lower[first + j] == problem.camera_upper[first + j];
+      const bool equal = problem.restrictions.camera_lower[first + j] ==
+                         problem.restrictions.camera_upper[first + j];
       if (equal) free->camera[c] &= ~(1u << j);
     }
   }
 }
 
-void HoldParts(const ProblemView& problem, FreeParameters* free) {
+void HoldParts(const AdjustmentProblem& problem, FreeParameters* free) {
   constexpr uint8_t kRotation = 0b000111;
-  for (int c = 0; problem.held_camera_params != nullptr && c < problem.num_cameras; ++c) {
-    free->camera[c] &= ~problem.held_camera_params[c];
+  for (int c = 0; problem.restrictions.held_camera_params != nullptr && c < problem.num_cameras;
+       ++c) {
+    free->camera[c] &= ~problem.restrictions.held_camera_params[c];
   }
-  for (int i = 0; problem.held_pose_parts != nullptr && i < problem.num_images; ++i) {
-    const uint8_t parts = problem.held_pose_parts[i];
+  for (int i = 0; problem.restrictions.held_pose_parts != nullptr && i < problem.num_images; ++i) {
+    const uint8_t parts = problem.restrictions.held_pose_parts[i];
     // An image of a rig holds its frame, as one that is fixed does.
     uint8_t& bits = free->OfPose(MovingPose(problem, i));
     if (parts == (kHeldRotation | kHeldPosition)) bits = 0;
@@ -173,15 +178,16 @@ void HoldParts(const ProblemView& problem, FreeParameters* free) {
 }
 
 /// What is one number is free as a whole.
-void FreeTied(const ProblemView& problem, FreeParameters* free) {
-  if (problem.camera_tie == nullptr) return;
+void FreeTied(const AdjustmentProblem& problem, FreeParameters* free) {
+  if (problem.restrictions.camera_tie == nullptr) return;
   const int64_t stride = problem.camera_params_stride;
   const int num_params = std::min(problem.camera_params_stride, kMaxCameraParams);
-  std::vector<bool> is_free(problem.num_ties);
+  std::vector<bool> is_free(problem.restrictions.num_ties);
   const auto for_ties = [&](const auto& visit) {
     for (int c = 0; c < problem.num_cameras; ++c) {
       for (int j = 0; j < num_params; ++j) {
-        if (const int tie = problem.camera_tie[stride * c + j]; tie >= 0) visit(c, j, tie);
+        if (const int tie = problem.restrictions.camera_tie[stride * c + j]; tie >= 0)
+          visit(c, j, tie);
       }
     }
   };
@@ -195,7 +201,7 @@ void FreeTied(const ProblemView& problem, FreeParameters* free) {
 
 }  // namespace
 
-FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptions& options) {
+FreeParameters SelectFreeParameters(const AdjustmentProblem& problem, const SolveOptions& options) {
   FreeParameters free;
   free.pose.resize(problem.num_images);
   free.camera.resize(problem.num_cameras);

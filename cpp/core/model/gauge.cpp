@@ -54,14 +54,14 @@ std::vector<int> Marked(const std::vector<uint8_t>& marks) {
   return indices;
 }
 
-std::vector<int> ObservedPoints(const ProblemView& problem) {
+std::vector<int> ObservedPoints(const AdjustmentProblem& problem) {
   std::vector<uint8_t> observed(problem.num_points);
   for (int64_t i = 0; i < problem.num_observations; ++i) observed[problem.observation_point[i]] = 1;
   return Marked(observed);
 }
 
 /// Squared distance of point p from point a, or from the line through a and b if b >= 0.
-double SquaredDistance(const ProblemView& problem, int p, int a, int b) {
+double SquaredDistance(const AdjustmentProblem& problem, int p, int a, int b) {
   const double* origin = problem.points + 3 * static_cast<int64_t>(a);
   const double* point = problem.points + 3 * static_cast<int64_t>(p);
   const double to_point[] = {point[0] - origin[0], point[1] - origin[1], point[2] - origin[2]};
@@ -75,7 +75,7 @@ double SquaredDistance(const ProblemView& problem, int p, int a, int b) {
 }
 
 /// Points no further from the median of the cloud than twice the median distance.
-std::vector<int> BulkOfThePoints(const ProblemView& problem, const std::vector<int>& points) {
+std::vector<int> BulkOfThePoints(const AdjustmentProblem& problem, const std::vector<int>& points) {
   const auto median = [](std::vector<double> values) {
     std::nth_element(values.begin(), values.begin() + values.size() / 2, values.end());
     return values[values.size() / 2];
@@ -102,7 +102,7 @@ std::vector<int> BulkOfThePoints(const ProblemView& problem, const std::vector<i
 
 /// The point that is furthest from chosen ones, of those that are far from them beside `least`, a
 /// squared distance; -1: there is none.
-int Furthest(const ProblemView& problem, const std::vector<int>& points, const int chosen[3],
+int Furthest(const AdjustmentProblem& problem, const std::vector<int>& points, const int chosen[3],
              int count, double* least) {
   int furthest = -1;
   for (const int p : points) {
@@ -114,7 +114,7 @@ int Furthest(const ProblemView& problem, const std::vector<int>& points, const i
 }
 
 /// A third point that is held would hold all of the world.
-std::string FixThreePoints(const ProblemView& problem, const std::vector<int>& points,
+std::string FixThreePoints(const AdjustmentProblem& problem, const std::vector<int>& points,
                            FreeParameters* free) {
   constexpr double kFar = 1e-12;  // squared, beside the bulk
   std::vector<int> held;
@@ -137,7 +137,7 @@ std::string FixThreePoints(const ProblemView& problem, const std::vector<int>& p
 using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 
 /// True if an image that is observed, or a rig, takes part in holding the world.
-bool PosesHoldSomething(const ProblemView& problem, const std::vector<int>& images,
+bool PosesHoldSomething(const AdjustmentProblem& problem, const std::vector<int>& images,
                         const FreeParameters& free) {
   return problem.num_frames > 0 || std::any_of(images.begin(), images.end(), [&](int image) {
            return free.pose[image] != FreeParameters::kWholePose;
@@ -146,7 +146,7 @@ bool PosesHoldSomething(const ProblemView& problem, const std::vector<int>& imag
 
 }  // namespace
 
-std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free) {
+std::string FixGauge(const AdjustmentProblem& problem, Gauge gauge, FreeParameters* free) {
   if (gauge == Gauge::kNone) return "";
   const std::vector<int> images = Marked(FindObservedImages(problem));
   if (images.empty()) return "";
@@ -158,7 +158,7 @@ std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* fr
     return "Gauge three_points is held as two_cameras, by poses: rigs or images that are held give "
            "part of it, and three points would hold the shape of their triangle as well.";
   }
-  if (problem.communicator != nullptr) {
+  if (problem.division.communicator != nullptr) {
     throw InputError(
         "gauge: expected two_cameras or none with several processes, found "
         "three_points");
@@ -193,7 +193,7 @@ std::array<double, 3> MeanCentre(const CameraStates& cameras, int num_images) {
   return {sum[0], sum[1], sum[2]};
 }
 
-std::vector<double> GaugeDirections(const ProblemView& problem, const ParameterLayout& layout,
+std::vector<double> GaugeDirections(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                     const CameraStates& cameras) {
   constexpr int kCount = kNumGaugeDirections;
   std::vector<double> gauge_directions(static_cast<size_t>(layout.state_size()) * kCount, 0.0);

@@ -6,20 +6,20 @@
 #include <string>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/model/parameter_layout.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
 /// Degrees of freedom that no observation sees and that `free` leaves (gauge_count.cpp): at most
 /// seven, rotation, translation and scale of the world.
-int CountGaugeDegrees(const ProblemView& problem, const FreeParameters& free);
+int CountGaugeDegrees(const AdjustmentProblem& problem, const FreeParameters& free);
 
 /// Takes the degrees of freedom that no observation sees out of `free`: as many as are counted, and
 /// with three points two more. Returns a sentence, to be shown to the user, where that could not be
 /// done as asked; else "".
-std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free);
+std::string FixGauge(const AdjustmentProblem& problem, Gauge gauge, FreeParameters* free);
 
 /// Translations, rotations and the scale of the world.
 inline constexpr int kNumGaugeDirections = 7;
@@ -34,7 +34,7 @@ std::array<double, 3> MeanCentre(const CameraStates& cameras, int num_images);
 
 /// What moving, turning and scaling the world about MeanCentre does to the camera parameters: for
 /// each column of the layout, its derivative by three translations, three rotations and the scale.
-std::vector<double> GaugeDirections(const ProblemView& problem, const ParameterLayout& layout,
+std::vector<double> GaugeDirections(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                     const CameraStates& cameras);
 
 }  // namespace bundle

@@ -79,7 +79,7 @@ std::vector<double> Spanning(const std::vector<double>& points) {
 
 }  // namespace
 
-FreeMotions::FreeMotions(const ProblemView& problem, const FreeParameters& free)
+FreeMotions::FreeMotions(const AdjustmentProblem& problem, const FreeParameters& free)
     : problem_(problem), free_(free), first_column_(problem.num_sensors) {
   for (int s = 0; s < problem.num_sensors; ++s) {
     first_column_[s] = num_sensor_columns_;
@@ -186,7 +186,7 @@ void FreeMotions::FindScene() {
     if (most > 0) squares += ((centre - centre_) / most).squaredNorm();
   }
   size_ = most > 0 ? most * std::sqrt(squares / static_cast<double>(images_.size()))
-                   : MaxOverRanks(problem_.communicator, DistanceOfSomePoint());
+                   : MaxOverRanks(problem_.division.communicator, DistanceOfSomePoint());
   if (!(size_ > 0 && std::isfinite(size_))) size_ = 1;
 }
 
@@ -337,7 +337,7 @@ void FreeMotions::AddHeldPoints() {
       if (lengths[point] > 0 && free_.point[point] == 0) held.insert(held.end(), at, at + 3);
     }
   }
-  held = Spanning(ConcatenateOverRanks(problem_.communicator, Spanning(held)));
+  held = Spanning(ConcatenateOverRanks(problem_.division.communicator, Spanning(held)));
   for (size_t k = 0; k < held.size(); k += 3) {
     Vector3d x = (Eigen::Map<const Vector3d>(&held[k]) - centre_) / size_;
     const double unit = std::max(1.0, x.stableNorm());
@@ -378,7 +378,7 @@ MatrixXd FreeMotions::Scaled(int first) const {
   return scaled;
 }
 
-int CountGaugeDegrees(const ProblemView& problem, const FreeParameters& free) {
+int CountGaugeDegrees(const AdjustmentProblem& problem, const FreeParameters& free) {
   return FreeMotions(problem, free).Degrees();
 }
 

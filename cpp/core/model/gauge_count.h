@@ -6,16 +6,16 @@
 #include <vector>
 
 #include "core/factors/rig_pose.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/model/gauge.h"
 #include "core/model/parameter_layout.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
 class FreeMotions {
  public:
   /// Keeps references to both, which do not change while this is in use.
-  FreeMotions(const ProblemView& problem, const FreeParameters& free);
+  FreeMotions(const AdjustmentProblem& problem, const FreeParameters& free);
 
   /// Degrees of freedom of the gauge.
   int Degrees() const;
@@ -59,7 +59,7 @@ class FreeMotions {
   void Factorize();
   Eigen::MatrixXd Scaled(int first) const;
 
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   const FreeParameters& free_;
   std::vector<int> images_;               ///< with observations
   std::vector<int> poses_;                ///< by which these move, in the order of images

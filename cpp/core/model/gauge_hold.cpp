@@ -45,7 +45,7 @@ constexpr double kEqual = 1e-6;
 class GaugeHolder {
  public:
   /// Keeps references: `before` does not change.
-  GaugeHolder(const ProblemView& problem, const FreeParameters& before, FreeParameters* free)
+  GaugeHolder(const AdjustmentProblem& problem, const FreeParameters& before, FreeParameters* free)
       : motions_(problem, before), basis_(motions_.Basis()), free_(free) {
     left_ = MatrixXd::Identity(basis_.cols(), basis_.cols());
     if (basis_.cols() == 0) return;
@@ -136,7 +136,7 @@ class GaugeHolder {
 
 }  // namespace
 
-std::string HoldFreeMotions(const ProblemView& problem, FreeParameters* free) {
+std::string HoldFreeMotions(const AdjustmentProblem& problem, FreeParameters* free) {
   const FreeParameters before = *free;
   GaugeHolder holder(problem, before, free);
   if (holder.Hold() == 0) return "";

@@ -4,14 +4,14 @@
 
 #include <string>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/model/parameter_layout.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
 /// Takes as many numbers of poses out of `free` as there are motions that change no image
 /// (gauge_count.h), none of which is left then. Returns a sentence if some are, as nothing that is
 /// free moves by them; "" also where no pose is free at all.
-std::string HoldFreeMotions(const ProblemView& problem, FreeParameters* free);
+std::string HoldFreeMotions(const AdjustmentProblem& problem, FreeParameters* free);
 
 }  // namespace bundle

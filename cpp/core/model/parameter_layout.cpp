@@ -28,7 +28,7 @@ const double* ValueOfPose(const ProblemView& problem, int pose) {
   return values + 7 * static_cast<int64_t>(pose);
 }
 
-ParameterLayout::ParameterLayout(const ProblemView& problem, FreeParameters free)
+ParameterLayout::ParameterLayout(const AdjustmentProblem& problem, FreeParameters free)
     : free_(std::move(free)),
       pose_block_(NumPoses(problem), -1),
       camera_block_(problem.num_cameras, -1),
@@ -61,7 +61,7 @@ ParameterLayout::ParameterLayout(const ProblemView& problem, FreeParameters free
   num_free_points_ = static_cast<int>(std::count(free_.point.begin(), free_.point.end(), 1));
 }
 
-void ParameterLayout::FindImageBlocks(const ProblemView& problem) {
+void ParameterLayout::FindImageBlocks(const AdjustmentProblem& problem) {
   image_blocks_.resize(problem.num_images);
   for (int i = 0; i < problem.num_images; ++i) {
     const int sensor = problem.SensorOf(i);
@@ -72,22 +72,23 @@ void ParameterLayout::FindImageBlocks(const ProblemView& problem) {
   }
 }
 
-std::vector<uint32_t> ParameterLayout::FindTies(const ProblemView& problem) {
+std::vector<uint32_t> ParameterLayout::FindTies(const AdjustmentProblem& problem) {
   std::vector<uint32_t> own = free_.camera;
-  if (problem.camera_tie == nullptr) return own;
+  if (problem.restrictions.camera_tie == nullptr) return own;
   struct Member {
     int camera;
     TiedParameter parameter;
   };
-  std::vector<std::vector<Member>> members(problem.num_ties);
+  std::vector<std::vector<Member>> members(problem.restrictions.num_ties);
   for (int c = 0; c < problem.num_cameras; ++c) {
     const int64_t first = static_cast<int64_t>(c) * problem.camera_params_stride;
     for (int j = 0; j < kMaxCameraParams; ++j) {
-      if ((free_.camera[c] >> j & 1u) == 0 || problem.camera_tie[first + j] < 0) continue;
+      if ((free_.camera[c] >> j & 1u) == 0 || problem.restrictions.camera_tie[first + j] < 0)
+        continue;
       TiedParameter parameter;
       parameter.column = static_cast<int8_t>(kPoseSize + j);
-      parameter.scale = problem.camera_tie_scale[first + j];
-      members[problem.camera_tie[first + j]].push_back({c, parameter});
+      parameter.scale = problem.restrictions.camera_tie_scale[first + j];
+      members[problem.restrictions.camera_tie[first + j]].push_back({c, parameter});
     }
   }
   tied_.resize(problem.num_cameras);
@@ -196,7 +197,7 @@ void ParameterLayout::Reorder(const std::vector<int>& order) {
   }
 }
 
-bool ParameterLayout::IsRefined(const ProblemView& problem, int64_t observation) const {
+bool ParameterLayout::IsRefined(const AdjustmentProblem& problem, int64_t observation) const {
   const ImageBlocks& blocks = image_blocks_[problem.observation_image[observation]];
   return point_is_free(problem.observation_point[observation]) ||
          std::any_of(blocks.begin(), blocks.end(), [](int block) { return block >= 0; });
@@ -220,7 +221,7 @@ std::set<int> ParameterLayout::BlocksBesideFirst() const {
 }
 
 template <typename Pose>
-std::vector<double> ParameterLayout::Gather(const ProblemView& problem, const Pose& of_pose,
+std::vector<double> ParameterLayout::Gather(const AdjustmentProblem& problem, const Pose& of_pose,
                                             const double* camera_params) const {
   std::vector<double> state(state_size_);
   const auto fill = [&](int index, int pose, int camera) {
@@ -249,26 +250,27 @@ std::vector<double> ParameterLayout::Gather(const ProblemView& problem, const Po
   return state;
 }
 
-std::vector<double> ParameterLayout::InitialState(const ProblemView& problem) const {
+std::vector<double> ParameterLayout::InitialState(const AdjustmentProblem& problem) const {
   const auto of_pose = [&](int pose, int column) {
     return column < 3 ? 0.0 : ValueOfPose(problem, pose)[4 + column - 3];
   };
   return Gather(problem, of_pose, problem.camera_params);
 }
 
-StateBounds ParameterLayout::Bounds(const ProblemView& problem) const {
-  if (problem.camera_lower == nullptr) return {};
+StateBounds ParameterLayout::Bounds(const AdjustmentProblem& problem) const {
+  if (problem.restrictions.camera_lower == nullptr) return {};
   constexpr double kNone = std::numeric_limits<double>::infinity();
   StateBounds bounds;
-  bounds.lower = Gather(problem, [](int, int) { return -kNone; }, problem.camera_lower);
-  bounds.upper = Gather(problem, [](int, int) { return kNone; }, problem.camera_upper);
+  bounds.lower =
+      Gather(problem, [](int, int) { return -kNone; }, problem.restrictions.camera_lower);
+  bounds.upper = Gather(problem, [](int, int) { return kNone; }, problem.restrictions.camera_upper);
   const auto is_none = [](double bound) { return std::isinf(bound); };
   const bool has_none = std::all_of(bounds.lower.begin(), bounds.lower.end(), is_none) &&
                         std::all_of(bounds.upper.begin(), bounds.upper.end(), is_none);
   return has_none ? StateBounds() : bounds;
 }
 
-void ParameterLayout::Scatter(const ProblemView& problem, const double* state, double* poses,
+void ParameterLayout::Scatter(const AdjustmentProblem& problem, const double* state, double* poses,
                               double* camera_params) const {
   const auto write = [&](int index, double* pose, double* params) {
     if (index < 0) return;

@@ -14,8 +14,8 @@
 #include "core/cameras/camera_model.h"
 #include "core/factors/reprojection.h"
 #include "core/factors/rig_pose.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -46,13 +46,13 @@ struct FreeParameters {
 };
 
 /// Of each image: 1 if it has observations.
-std::vector<uint8_t> FindObservedImages(const ProblemView& problem);
+std::vector<uint8_t> FindObservedImages(const AdjustmentProblem& problem);
 
 /// What the options leave free. Nothing is free that neither an observation nor a factor touches.
 /// An image that is fixed fixes its frame. The sensors of a rig whose reference sensor observes
 /// nothing are fixed: moving all of them on the rig is what moving its frames is.
 /// Throws InputError if an id to be fixed is not in the problem.
-FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptions& options);
+FreeParameters SelectFreeParameters(const AdjustmentProblem& problem, const SolveOptions& options);
 
 /// How the free parameters of a problem lie in one state vector.
 ///
@@ -86,7 +86,7 @@ inline int MovingPose(const ProblemView& problem, int image) {
 const double* ValueOfPose(const ProblemView& problem, int pose);
 
 /// A parameter of a camera that is a multiple of an unknown which other parameters are multiples
-/// of, too (ProblemView::camera_tie).
+/// of, too (Restrictions::camera_tie).
 struct TiedParameter {
   int8_t column = 0;  ///< as in CameraBlock
   int block = -1;
@@ -109,8 +109,9 @@ struct ColumnMap {
 /// moves t by
 ///
 ///   dt = -a x R c = a x t.
-inline bool TurnsAboutCentre(const ProblemView& problem, int image) {
-  return problem.held_pose_parts != nullptr && problem.held_pose_parts[image] == kHeldPosition;
+inline bool TurnsAboutCentre(const AdjustmentProblem& problem, int image) {
+  return problem.restrictions.held_pose_parts != nullptr &&
+         problem.restrictions.held_pose_parts[image] == kHeldPosition;
 }
 
 struct CameraBlock {
@@ -148,7 +149,7 @@ struct StateBounds {
 /// others: its columns mean nothing, but that they are no pose's.
 class ParameterLayout {
  public:
-  ParameterLayout(const ProblemView& problem, FreeParameters free);
+  ParameterLayout(const AdjustmentProblem& problem, FreeParameters free);
 
   /// Puts the blocks into another order: order[k] becomes the k-th.
   void Reorder(const std::vector<int>& order);
@@ -180,38 +181,38 @@ class ParameterLayout {
   }
   /// True if the unknowns of a block of an image, by its place in ImageBlocks, are no columns of
   /// its own but move these by a map. A sensor's are not meant.
-  bool HasMap(const ProblemView& problem, int image, int place) const;
+  bool HasMap(const AdjustmentProblem& problem, int image, int place) const;
   /// That map at a pose of the image.
-  void FillMap(const ProblemView& problem, int image, int place, const PoseState& pose,
+  void FillMap(const AdjustmentProblem& problem, int image, int place, const PoseState& pose,
                ColumnMap* map) const;
   /// Bit j: the observations of an image depend on unknowns by column j. A sensor is not meant.
-  uint32_t RefinedColumns(const ProblemView& problem, int image) const;
+  uint32_t RefinedColumns(const AdjustmentProblem& problem, int image) const;
   /// True if an observation depends on something free.
-  bool IsRefined(const ProblemView& problem, int64_t observation) const;
+  bool IsRefined(const AdjustmentProblem& problem, int64_t observation) const;
   /// The blocks that stand with another one in some residual, but for the first of each image: no
   /// two of the others stand in the same one. Where there are any, shared cameras are among them.
   std::set<int> BlocksBesideFirst() const;
 
   /// The state at the problem's own values: w = 0.
-  std::vector<double> InitialState(const ProblemView& problem) const;
+  std::vector<double> InitialState(const AdjustmentProblem& problem) const;
 
-  StateBounds Bounds(const ProblemView& problem) const;
+  StateBounds Bounds(const AdjustmentProblem& problem) const;
 
   /// Writes a state into poses (NumPoses x 6) and camera parameters (as in ProblemView); what is
   /// not in the state is left alone.
-  void Scatter(const ProblemView& problem, const double* state, double* poses,
+  void Scatter(const AdjustmentProblem& problem, const double* state, double* poses,
                double* camera_params) const;
 
  private:
   int AddBlock(uint8_t pose_bits, uint32_t camera_bits);
   /// What is left of the free parameters of each camera without those in tied_, whose blocks are
   /// not known yet but for the number of the component.
-  std::vector<uint32_t> FindTies(const ProblemView& problem);
+  std::vector<uint32_t> FindTies(const AdjustmentProblem& problem);
   void AddTiedBlocks();
-  void FindImageBlocks(const ProblemView& problem);
+  void FindImageBlocks(const AdjustmentProblem& problem);
   /// A state: of_pose(pose, column), and camera parameters (as in ProblemView).
   template <typename Pose>
-  std::vector<double> Gather(const ProblemView& problem, const Pose& pose,
+  std::vector<double> Gather(const AdjustmentProblem& problem, const Pose& pose,
                              const double* camera_params) const;
 
   FreeParameters free_;
@@ -252,7 +253,7 @@ using PoseAnchors = std::vector<PoseAnchor>;
 class CameraStates {
  public:
   /// Keeps references to both; starts at the problem's own values.
-  CameraStates(const ProblemView& problem, const ParameterLayout& layout);
+  CameraStates(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
   /// Goes to the problem's own values, after these changed.
   void Reset();
@@ -298,7 +299,7 @@ class CameraStates {
   void ValueOfVariable(int pose, double value[7]) const;
   std::vector<double> Values(int first, int count) const;
 
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   const ParameterLayout& layout_;
   const int stride_;
   std::shared_ptr<const PoseAnchors> anchors_;

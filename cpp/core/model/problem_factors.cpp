@@ -18,14 +18,15 @@ using Kind = ProblemVariable::Kind;
 
 constexpr int kPoseNumbers = 7;  // of an image's variable, a frame's or a sensor's
 
-const ProblemVariable& VariableOf(const Factor& factor, const ProblemView& problem, size_t place) {
+const ProblemVariable& VariableOf(const Factor& factor, const AdjustmentProblem& problem,
+                                  size_t place) {
   return problem.factors->variables[factor.blocks()[place]];
 }
 
 bool IsPose(Kind kind) { return kind != Kind::kCamera && kind != Kind::kPoint; }
 
 /// The number of a pose variable (NumPoses).
-int PoseNumber(Kind kind, int index, const ProblemView& problem) {
+int PoseNumber(Kind kind, int index, const AdjustmentProblem& problem) {
   if (kind == Kind::kImage) return index;
   return kind == Kind::kFrame ? PoseOfFrame(problem, index) : PoseOfSensor(problem, index);
 }
@@ -39,7 +40,8 @@ struct VariableBlock {
 };
 
 /// The blocks that have unknowns of a variable; none of points.
-std::vector<VariableBlock> BlocksOf(const ProblemVariable& variable, const ProblemView& problem,
+std::vector<VariableBlock> BlocksOf(const ProblemVariable& variable,
+                                    const AdjustmentProblem& problem,
                                     const ParameterLayout& layout) {
   std::vector<VariableBlock> blocks;
   const auto add = [&](int block, bool is_of_rig, int rig_column) {
@@ -82,7 +84,7 @@ void ForFreeColumns(const ProblemVariable& variable, const ParameterLayout& layo
   }
 }
 
-FactorUnknowns UnknownsOf(const Factor& factor, const ProblemView& problem,
+FactorUnknowns UnknownsOf(const Factor& factor, const AdjustmentProblem& problem,
                           const ParameterLayout& layout) {
   FactorUnknowns unknowns;
   for (size_t v = 0; v < factor.blocks().size(); ++v) {
@@ -105,7 +107,7 @@ FactorUnknowns UnknownsOf(const Factor& factor, const ProblemView& problem,
 
 }  // namespace
 
-const double* ValueOf(const ProblemVariable& variable, const ProblemView& problem) {
+const double* ValueOf(const ProblemVariable& variable, const AdjustmentProblem& problem) {
   const int64_t index = variable.index;
   switch (variable.kind) {
     case Kind::kCamera:
@@ -117,7 +119,7 @@ const double* ValueOf(const ProblemVariable& variable, const ProblemView& proble
   }
 }
 
-std::vector<FactorUnknowns> FindFactorUnknowns(const ProblemView& problem,
+std::vector<FactorUnknowns> FindFactorUnknowns(const AdjustmentProblem& problem,
                                                const ParameterLayout& layout) {
   std::vector<FactorUnknowns> result;
   if (problem.factors == nullptr) return result;
@@ -127,7 +129,7 @@ std::vector<FactorUnknowns> FindFactorUnknowns(const ProblemView& problem,
   return result;
 }
 
-bool MayFixGauge(const ProblemView& problem) {
+bool MayFixGauge(const AdjustmentProblem& problem) {
   if (problem.factors == nullptr) return false;
   const auto& variables = problem.factors->variables;
   return std::any_of(variables.begin(), variables.end(), [](const ProblemVariable& variable) {
@@ -148,7 +150,7 @@ double ApplyLoss(const Factor& factor, int columns, double* residual, double* ja
   return 0.5 * rho[0];
 }
 
-uint32_t KindOf(const Factor& factor, const ProblemView& problem) {
+uint32_t KindOf(const Factor& factor, const AdjustmentProblem& problem) {
   std::string key = typeid(factor).name() + std::to_string(factor.num_residuals());
   for (const int block : factor.blocks()) {
     key += static_cast<char>('a' + static_cast<int>(problem.factors->variables[block].kind));
@@ -167,7 +169,7 @@ double LargestRelativeChange(const std::vector<double>& before, const std::vecto
   return largest;
 }
 
-std::vector<double> FactorCosts(const ProblemView& problem) {
+std::vector<double> FactorCosts(const AdjustmentProblem& problem) {
   std::vector<double> costs;
   if (problem.factors == nullptr) return costs;
   for (const auto& factor : problem.factors->factors) {
@@ -190,7 +192,7 @@ std::vector<double> FactorCosts(const ProblemView& problem) {
   return costs;
 }
 
-ChartedFactor::ChartedFactor(const Factor& factor, const ProblemView& problem,
+ChartedFactor::ChartedFactor(const Factor& factor, const AdjustmentProblem& problem,
                              const ParameterLayout& layout)
     : factor_(factor), problem_(problem), unknowns_(UnknownsOf(factor, problem, layout)) {
   for (size_t p = 0; p < unknowns_.points.size(); ++p) {

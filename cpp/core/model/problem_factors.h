@@ -32,8 +32,8 @@
 #include <vector>
 
 #include "core/factors/factor.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/model/parameter_layout.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -47,7 +47,7 @@ struct ProblemVariable {
 };
 
 /// The numbers of a variable; the quaternion of an image's has any norm.
-const double* ValueOf(const ProblemVariable& variable, const ProblemView& problem);
+const double* ValueOf(const ProblemVariable& variable, const AdjustmentProblem& problem);
 
 struct ProblemFactors {
   std::vector<ProblemVariable> variables;  ///< Factor::blocks() are places in it
@@ -61,7 +61,7 @@ struct FactorUnknowns {
 };
 
 /// Of each factor of the problem; empty without factors.
-std::vector<FactorUnknowns> FindFactorUnknowns(const ProblemView& problem,
+std::vector<FactorUnknowns> FindFactorUnknowns(const AdjustmentProblem& problem,
                                                const ParameterLayout& layout);
 
 /// True if the factor touches the camera parameters only, or exactly one point and nothing else
@@ -73,23 +73,24 @@ inline bool LeavesPointsApart(const FactorUnknowns& unknowns) {
 
 /// A number that factors of one kind share: of the same class, number of residuals and kinds of
 /// variables. Within a run of a program it is the same in all its processes.
-uint32_t KindOf(const Factor& factor, const ProblemView& problem);
+uint32_t KindOf(const Factor& factor, const AdjustmentProblem& problem);
 
 /// The largest change of one of the costs, relative to the cost itself; 0 without any.
 double LargestRelativeChange(const std::vector<double>& before, const std::vector<double>& after);
 
 /// True if a factor touches anything but cameras, and so may say where the world is.
-bool MayFixGauge(const ProblemView& problem);
+bool MayFixGauge(const AdjustmentProblem& problem);
 
 /// 1/2 rho(||r||^2) of each factor at the problem's own values; NaN where it has none.
-std::vector<double> FactorCosts(const ProblemView& problem);
+std::vector<double> FactorCosts(const AdjustmentProblem& problem);
 
 /// A factor by the unknowns of a solver. Threads may evaluate one at the same time if the factor
 /// allows it.
 class ChartedFactor {
  public:
   /// Keeps references to the factor, the problem and the layout's blocks.
-  ChartedFactor(const Factor& factor, const ProblemView& problem, const ParameterLayout& layout);
+  ChartedFactor(const Factor& factor, const AdjustmentProblem& problem,
+                const ParameterLayout& layout);
 
   const Factor& factor() const { return factor_; }
   const FactorUnknowns& unknowns() const { return unknowns_; }
@@ -125,7 +126,7 @@ class ChartedFactor {
   };
 
   const Factor& factor_;
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   FactorUnknowns unknowns_;
   std::vector<Variable> variables_;
   std::vector<int> column_begin_;

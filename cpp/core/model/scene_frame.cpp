@@ -47,7 +47,7 @@ void MoveTranslation(const double* pose, const double* center, double sign, doub
 }
 
 /// Of every observation, in pixels squared; NaN where it does not count.
-std::vector<double> SquaredErrors(const ProblemView& problem, const SolveOptions& options) {
+std::vector<double> SquaredErrors(const AdjustmentProblem& problem, const SolveOptions& options) {
   std::vector<double> errors(problem.num_observations);
   std::vector<uint8_t> behind(problem.num_observations);
   ComputeReprojectionErrors(problem, options.num_threads, options.cheirality, errors.data(),
@@ -61,8 +61,9 @@ std::vector<double> SquaredErrors(const ProblemView& problem, const SolveOptions
 
 }  // namespace
 
-SceneFrame::SceneFrame(const ProblemView& problem) {
-  const int64_t num_points = SumOverRanks(problem.communicator, int64_t{problem.num_points});
+SceneFrame::SceneFrame(const AdjustmentProblem& problem) {
+  const int64_t num_points =
+      SumOverRanks(problem.division.communicator, int64_t{problem.num_points});
   if (problem.num_images == 0 || num_points == 0) return;
   std::vector<double> centers[3], distances;
   for (int64_t i = 0; i < problem.num_images; ++i) {
@@ -80,8 +81,8 @@ SceneFrame::SceneFrame(const ProblemView& problem) {
     reach = std::max(reach, distance);
     if (p % stride == 0) distances.push_back(distance);
   }
-  reach = MaxOverRanks(problem.communicator, reach);
-  distances = ConcatenateOverRanks(problem.communicator, distances);
+  reach = MaxOverRanks(problem.division.communicator, reach);
+  distances = ConcatenateOverRanks(problem.division.communicator, distances);
   size = Median(&distances);
   std::copy_n(center, 3, origin);
   if (!IsFarFromOrigin()) return;
@@ -98,7 +99,7 @@ bool SceneFrame::IsFarFromOrigin() const {
   return size > 0 && std::isfinite(distance) && distance > kFarOrigin * size;
 }
 
-CenteredProblem::CenteredProblem(const ProblemView& problem, const SceneFrame& frame)
+CenteredProblem::CenteredProblem(const AdjustmentProblem& problem, const SceneFrame& frame)
     : problem_(problem), frame_(frame), centered_(problem) {
   if (!frame.IsFarFromOrigin()) return;
   const auto move = [&](const double* poses, int count, std::vector<double>* moved) {
@@ -149,14 +150,14 @@ void CenteredProblem::MoveBack(SolveOutput* output) const {
   Warn(WarningKind::kFarOrigin, sentence.str(), &output->summary.warnings);
 }
 
-FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layout,
+FarPoints FindFarPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                         const SceneFrame& frame) {
   FarPoints result;
   if (!(frame.size > 0) || !(frame.reach > kFarPoint * frame.size)) return result;
   const std::vector<double> cameras = layout.InitialState(problem);
   double near_squared = SquaredNorm(cameras.data(), static_cast<int>(cameras.size()));
   double far_squared = 0;
-  Communicator* const communicator = problem.communicator;
+  Communicator* const communicator = problem.division.communicator;
   if (!IsFirst(communicator)) near_squared = 0;
   std::vector<uint8_t> is_far(problem.num_points), is_used(problem.num_points);
   for (int p = 0; p < problem.num_points; ++p) {
@@ -205,13 +206,13 @@ FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layou
   return result;
 }
 
-void JudgeFarPoints(const ProblemView& problem, const FarPoints& far, const SolveOptions& options,
-                    SolveOutput* output) {
+void JudgeFarPoints(const AdjustmentProblem& problem, const FarPoints& far,
+                    const SolveOptions& options, SolveOutput* output) {
   SolveSummary& summary = output->summary;
   if (far.num_observations == 0 || !summary.is_solution_usable || options.max_num_iterations == 0) {
     return;
   }
-  ProblemView refined = problem;
+  AdjustmentProblem refined = problem;
   refined.cam_from_world = output->cam_from_world.data();
   refined.camera_params = output->camera_params.data();
   refined.points = output->points.data();
@@ -231,9 +232,9 @@ void JudgeFarPoints(const ProblemView& problem, const FarPoints& far, const Solv
       ValueOfLoss(options.loss, options.loss_scale, at[i], rho);
       sum += 0.5 * rho[0];
     }
-    return SumOverRanks(problem.communicator, sum);
+    return SumOverRanks(problem.division.communicator, sum);
   };
-  weighted = SumOverRanks(problem.communicator, weighted);
+  weighted = SumOverRanks(problem.division.communicator, weighted);
   const double far_cost = cost(far.observations, after);
   const double near_cost = cost(far.others, after), near_cost_before = cost(far.others, before);
   const double bound = options.loss == LossType::kTrivial ? 1 : std::max(1.0, options.loss_scale);

@@ -30,9 +30,9 @@
 #include <string>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/summary.h"
 #include "core/model/parameter_layout.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -48,7 +48,7 @@ struct SceneFrame {
   double reach = 0;       ///< distance of the farthest point
   double unit = 1;        ///< in lengths of the problem that users know (world_scale.h)
 
-  explicit SceneFrame(const ProblemView& problem);
+  explicit SceneFrame(const AdjustmentProblem& problem);
 
   bool IsFarFromOrigin() const;
   double DistanceTo(const double* point) const;
@@ -58,23 +58,23 @@ struct SceneFrame {
 class CenteredProblem {
  public:
   /// Keeps a reference to the problem.
-  CenteredProblem(const ProblemView& problem, const SceneFrame& frame);
+  CenteredProblem(const AdjustmentProblem& problem, const SceneFrame& frame);
   CenteredProblem(const CenteredProblem&) = delete;
   CenteredProblem& operator=(const CenteredProblem&) = delete;
 
-  const ProblemView& view() const { return centered_; }
+  const AdjustmentProblem& view() const { return centered_; }
   bool is_moved() const { return !points_.empty(); }
 
   /// Moves a solution of view() to where the problem is.
   void MoveBack(SolveOutput* output) const;
 
  private:
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   const SceneFrame& frame_;
   std::vector<double> cam_from_world_;
   std::vector<double> rig_from_world_;
   std::vector<double> points_;
-  ProblemView centered_;
+  AdjustmentProblem centered_;
 };
 
 /// The points far outside the scene that take part: with observations that have something to
@@ -87,7 +87,7 @@ struct FarPoints {
   std::string warning;                ///< a sentence; empty: there are none
 };
 
-FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layout,
+FarPoints FindFarPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                         const SceneFrame& frame);
 
 /// A solution that far points bent is not usable. The signs of that: they cost more than all the
@@ -97,7 +97,7 @@ FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layou
 /// kFarPull pixels, or loss scales. Without that, they may have most of a cost that is all
 /// rounding, or that a loss bounds (rho' s is what an observation adds to the gradient along its
 /// residual). A solve without iterations is not judged.
-void JudgeFarPoints(const ProblemView& problem, const FarPoints& far, const SolveOptions& options,
-                    SolveOutput* output);
+void JudgeFarPoints(const AdjustmentProblem& problem, const FarPoints& far,
+                    const SolveOptions& options, SolveOutput* output);
 
 }  // namespace bundle

@@ -4,7 +4,8 @@
 
 namespace bundle {
 
-std::vector<UnknownName> NameUnknowns(const ProblemView& problem, const ParameterLayout& layout) {
+std::vector<UnknownName> NameUnknowns(const AdjustmentProblem& problem,
+                                      const ParameterLayout& layout) {
   std::vector<UnknownName> names(layout.state_size());
   constexpr int kShared = -1;  // a block of numbers that cameras share
   std::vector<UnknownName> owner(layout.blocks().size(), {kShared, 0, 0});
@@ -48,7 +49,7 @@ std::vector<UnknownName> NameUnknowns(const ProblemView& problem, const Paramete
   return names;
 }
 
-std::string Words(const ProblemView& problem, const UnknownName& name) {
+std::string Words(const AdjustmentProblem& problem, const UnknownName& name) {
   if (name.kind == UnknownName::kCamera) {
     const CameraModel* const model = problem.camera_models[name.index];
     return std::string(model->params[name.coordinate].name) + " of camera " +

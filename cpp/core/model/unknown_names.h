@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/model/parameter_layout.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -21,9 +21,10 @@ struct UnknownName {
 };
 
 /// One name per unknown of the layout.
-std::vector<UnknownName> NameUnknowns(const ProblemView& problem, const ParameterLayout& layout);
+std::vector<UnknownName> NameUnknowns(const AdjustmentProblem& problem,
+                                      const ParameterLayout& layout);
 
 /// "rotation z of image 362", "k of camera 3": by the ids of the problem, which it has.
-std::string Words(const ProblemView& problem, const UnknownName& name);
+std::string Words(const AdjustmentProblem& problem, const UnknownName& name);
 
 }  // namespace bundle

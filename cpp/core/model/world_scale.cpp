@@ -24,7 +24,7 @@ void MultiplyTranslations(double scale, std::vector<double>* poses) {
 
 }  // namespace
 
-ScaledProblem::ScaledProblem(const ProblemView& problem) : scaled_(problem), frame_(problem) {
+ScaledProblem::ScaledProblem(const AdjustmentProblem& problem) : scaled_(problem), frame_(problem) {
   const double size = frame_.size;
   if (!(size > 0) || !std::isfinite(size) || (size > kSmallestWorld && size < kLargestWorld)) {
     return;

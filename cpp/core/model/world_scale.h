@@ -16,9 +16,9 @@
 #include <string>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/summary.h"
 #include "core/model/scene_frame.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -28,11 +28,11 @@ inline constexpr double kLargestWorld = 1e5;
 /// A problem in such a unit, or else itself.
 class ScaledProblem {
  public:
-  explicit ScaledProblem(const ProblemView& problem);
+  explicit ScaledProblem(const AdjustmentProblem& problem);
   ScaledProblem(const ScaledProblem&) = delete;
   ScaledProblem& operator=(const ScaledProblem&) = delete;
 
-  const ProblemView& view() const { return scaled_; }
+  const AdjustmentProblem& view() const { return scaled_; }
   /// Of view(); its unit is in lengths of the problem.
   const SceneFrame& frame() const { return frame_; }
   /// Why an extreme scene stays as it is; "": it does not, or is none.
@@ -43,7 +43,7 @@ class ScaledProblem {
 
  private:
   std::vector<double> cam_from_world_, rig_from_world_, sensor_from_rig_, points_;
-  ProblemView scaled_;
+  AdjustmentProblem scaled_;
   SceneFrame frame_;
   std::string warning_;
 };

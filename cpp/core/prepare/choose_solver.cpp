@@ -108,7 +108,7 @@ constexpr int kMaxBlocksToCount = 20000;
 
 /// Share of the block pairs of S that are not zero (both triangles and the diagonal). -1 where
 /// there are too many blocks to count it.
-double CountSchurDensity(const ProblemView& problem, const ParameterLayout& layout) {
+double CountSchurDensity(const AdjustmentProblem& problem, const ParameterLayout& layout) {
   const auto n = static_cast<int64_t>(layout.blocks().size());
   if (n == 0 || n > kMaxBlocksToCount) return -1;
   int64_t lower = 0;
@@ -132,7 +132,7 @@ SolverChoice ChooseForPoints(const ProblemShape& shape) {
 
 }  // namespace
 
-SolverChoice ChooseCeresSolver(const ProblemView& problem, const ParameterLayout& layout,
+SolverChoice ChooseCeresSolver(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                const ProblemShape& shape, bool cameras_eliminated) {
   if (shape.num_free_points == 0) {
     return {LinearSolverType::kSparseNormalCholesky,

@@ -8,11 +8,11 @@
 #include "core/checking/check_solution.h"
 #include "core/error.h"
 #include "core/factors/reprojection.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/model/gauge.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
-#include "core/problem/problem_view.h"
 #include "core/problem/reprojection_errors.h"
 #include "core/sums/communicator.h"
 
@@ -20,7 +20,7 @@ namespace bundle {
 
 namespace {
 
-std::string FindFactorForCeres(const ProblemView& problem, const ParameterLayout& layout) {
+std::string FindFactorForCeres(const AdjustmentProblem& problem, const ParameterLayout& layout) {
   const std::vector<FactorUnknowns> unknowns = FindFactorUnknowns(problem, layout);
   for (size_t f = 0; f < unknowns.size(); ++f) {
     const Factor& factor = *problem.factors->factors[f];
@@ -33,7 +33,7 @@ std::string FindFactorForCeres(const ProblemView& problem, const ParameterLayout
 }
 
 /// A gauge that takes degrees of freedom away although factors may hold them.
-std::string FindSuperfluousGauge(const ProblemView& problem, const FreeParameters& before,
+std::string FindSuperfluousGauge(const AdjustmentProblem& problem, const FreeParameters& before,
                                  const FreeParameters& after) {
   const bool is_held = before.pose != after.pose || before.point != after.point ||
                        before.frame != after.frame || before.sensor != after.sensor;
@@ -44,7 +44,7 @@ std::string FindSuperfluousGauge(const ProblemView& problem, const FreeParameter
 
 }  // namespace
 
-FreeParameters ChooseFreeParameters(const ProblemView& problem, const SolveOptions& options,
+FreeParameters ChooseFreeParameters(const AdjustmentProblem& problem, const SolveOptions& options,
                                     std::vector<Warning>* warnings) {
   FreeParameters free = SelectFreeParameters(problem, options);
   const FreeParameters without_gauge = problem.factors != nullptr ? free : FreeParameters();
@@ -56,7 +56,7 @@ FreeParameters ChooseFreeParameters(const ProblemView& problem, const SolveOptio
   return free;
 }
 
-PreparedSolve PrepareSolve(const ProblemView& problem, const SolveOptions& options) {
+PreparedSolve PrepareSolve(const AdjustmentProblem& problem, const SolveOptions& options) {
   CheckCameraModelsKnown(problem);
   std::vector<Warning> warnings;
   ParameterLayout layout(problem, ChooseFreeParameters(problem, options, &warnings));
@@ -64,12 +64,13 @@ PreparedSolve PrepareSolve(const ProblemView& problem, const SolveOptions& optio
   Warn(WarningKind::kPointsSeenOnce, CountPointsSeenOnce(problem, layout, track_lengths),
        &warnings);
   std::string factor_for_ceres =
-      FirstOverRanks(problem.communicator, FindFactorForCeres(problem, layout));
+      FirstOverRanks(problem.division.communicator, FindFactorForCeres(problem, layout));
   const auto longest = std::max_element(track_lengths.begin(), track_lengths.end());
   const int64_t longest_track = longest == track_lengths.end() ? 0 : *longest;
   const auto longest_of_all =
-      MaxOverRanks(problem.communicator, static_cast<double>(longest_track));
-  const int64_t num_free = SumOverRanks(problem.communicator, int64_t{layout.num_free_points()});
+      MaxOverRanks(problem.division.communicator, static_cast<double>(longest_track));
+  const int64_t num_free =
+      SumOverRanks(problem.division.communicator, int64_t{layout.num_free_points()});
   return {std::move(layout), std::move(warnings),          std::move(track_lengths),
           num_free,          std::llround(longest_of_all), std::move(factor_for_ceres)};
 }

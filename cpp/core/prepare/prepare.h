@@ -9,12 +9,12 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
 #include "core/linear/block_structure.h"
 #include "core/linear/linear_solver.h"
 #include "core/model/parameter_layout.h"
-#include "core/problem/problem_view.h"
 #include "core/symbolic/symbolic.h"
 
 namespace bundle {
@@ -33,13 +33,13 @@ struct PreparedSolve {
 
 /// What the options leave free and the gauge does not hold; the values of the problem matter to the
 /// gauge alone. Warns where the gauge could not be held as asked, or need not be.
-FreeParameters ChooseFreeParameters(const ProblemView& problem, const SolveOptions& options,
+FreeParameters ChooseFreeParameters(const AdjustmentProblem& problem, const SolveOptions& options,
                                     std::vector<Warning>* warnings);
 
 /// Decides what is free and how it is laid out. The problem is valid (problem_view.h).
 ///
 /// Throws InputError if a camera model is not supported or an id to be fixed does not exist.
-PreparedSolve PrepareSolve(const ProblemView& problem, const SolveOptions& options);
+PreparedSolve PrepareSolve(const AdjustmentProblem& problem, const SolveOptions& options);
 
 /// True for the solvers that have a preconditioner and no exact steps.
 bool IsIterative(LinearSolverType type);
@@ -119,7 +119,7 @@ struct SolverChoice {
 };
 
 /// Chooses a linear solver of Ceres', by the shape of the problem and what is eliminated first.
-SolverChoice ChooseCeresSolver(const ProblemView& problem, const ParameterLayout& layout,
+SolverChoice ChooseCeresSolver(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                const ProblemShape& shape, bool cameras_eliminated = false);
 
 /// What one solve of a reduced camera system is expected to cost.

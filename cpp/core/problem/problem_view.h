@@ -9,13 +9,6 @@
 namespace bundle {
 
 struct CameraModel;
-class Communicator;     // sums/communicator.h
-struct ProblemFactors;  // model/problem_factors.h
-
-/// Parts of a pose that ProblemView::held_pose_parts holds.
-inline constexpr uint8_t kHeldRotation = 1;
-inline constexpr uint8_t kHeldPosition = 2;
-
 /// The arrays of a bundle adjustment problem, owned by the caller (NumPy, a test), row-major.
 /// Units are pixels for everything in an image and the reconstruction's length unit elsewhere.
 ///
@@ -51,22 +44,6 @@ struct ProblemView {
   std::vector<const CameraModel*> camera_models;  ///< num_cameras; nullptr: a model we do not know
   const double* camera_params = nullptr;          ///< num_cameras x camera_params_stride
   int camera_params_stride = 0;
-  /// Bounds of camera_params while they are refined, as many numbers each; nullptr: there are none.
-  /// Infinite where a parameter has none; a parameter with equal bounds is held.
-  const double* camera_lower = nullptr;
-  const double* camera_upper = nullptr;
-  /// Bit j of a camera: parameter j is held; num_cameras, or nullptr: none is.
-  const uint32_t* held_camera_params = nullptr;
-  /// What of an image's pose is held: kHeldRotation, kHeldPosition (of the camera's centre) or
-  /// both; num_images, or nullptr: nothing.
-  const uint8_t* held_pose_parts = nullptr;
-  /// Camera parameters that are multiples of one number: which number each is a multiple of, -1 for
-  /// none, and how many times, as many entries as camera_params; nullptr: no such parameters. The
-  /// camera_params themselves are such multiples.
-  const int32_t* camera_tie = nullptr;
-  const double* camera_tie_scale = nullptr;
-  int num_ties = 0;
-
   const double* points = nullptr;      ///< num_points x 3
   const int64_t* point_ids = nullptr;  ///< num_points, for messages
 
@@ -75,20 +52,6 @@ struct ProblemView {
   const double* observation_xy = nullptr;      ///< num_observations x 2
   /// num_observations, pixels: what a solve divides residuals by before the loss; nullptr: 1 each.
   const double* observation_sigma = nullptr;
-
-  const ProblemFactors* factors = nullptr;  ///< beside the observations; nullptr: none
-  /// The origin of these arrays' world in that of the factors.
-  double origin[3] = {};
-
-  /// Not nullptr: the problem is divided among ranks. The points and their observations here are
-  /// those of this rank; images, frames, sensors and cameras are those of the whole problem, and so
-  /// are factors, but for those of points, which are where their points are.
-  Communicator* communicator = nullptr;
-  /// num_images, with ranks only: 1 where any rank has an observation of the image.
-  const uint8_t* image_is_observed = nullptr;
-  /// num_points: section of each point among those of the whole problem (sums/point_sections.h);
-  /// nullptr: these are all points.
-  const uint16_t* point_section = nullptr;
 
   const double* ParamsOf(int camera) const {
     return camera_params + static_cast<int64_t>(camera) * camera_params_stride;

@@ -29,7 +29,7 @@ void SquareOf(const double* jacobian, int rows, int columns, std::vector<double>
 
 namespace {
 
-bool TouchesPoint(const Factor& factor, const ProblemView& problem) {
+bool TouchesPoint(const Factor& factor, const AdjustmentProblem& problem) {
   const std::vector<int>& blocks = factor.blocks();
   return std::any_of(blocks.begin(), blocks.end(), [&](int block) {
     return problem.factors->variables[block].kind == ProblemVariable::Kind::kPoint;
@@ -38,18 +38,18 @@ bool TouchesPoint(const Factor& factor, const ProblemView& problem) {
 
 }  // namespace
 
-CameraFactors::CameraFactors(const ProblemView& problem, const ParameterLayout& layout,
+CameraFactors::CameraFactors(const AdjustmentProblem& problem, const ParameterLayout& layout,
                              const BlockStructure& structure, const EliminationPlan& plan)
     : structure_(structure), diagonal_begin_(DiagonalBlockOffsets(structure)) {
   if (problem.factors != nullptr) AddAll(problem, layout, plan);
   FindKinds(problem);
 }
 
-void CameraFactors::AddAll(const ProblemView& problem, const ParameterLayout& layout,
+void CameraFactors::AddAll(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const EliminationPlan& plan) {
   std::vector<int> place;  // in the plan, of each point of the problem
   for (const auto& factor : problem.factors->factors) {
-    if (!IsFirst(problem.communicator) && !TouchesPoint(*factor, problem)) continue;
+    if (!IsFirst(problem.division.communicator) && !TouchesPoint(*factor, problem)) continue;
     ChartedFactor charted(*factor, problem, layout);
     if (charted.is_fixed()) {
       fixed_.push_back(std::move(charted));
@@ -70,7 +70,7 @@ void CameraFactors::AddAll(const ProblemView& problem, const ParameterLayout& la
   }
 }
 
-void CameraFactors::FindKinds(const ProblemView& problem) {
+void CameraFactors::FindKinds(const AdjustmentProblem& problem) {
   std::vector<double> kinds;
   for (const OfCameras& of : of_cameras_) kinds.push_back(KindOf(of.factor.factor(), problem));
   for (const OfPoint& of : of_points_) kinds.push_back(KindOf(of.factor.factor(), problem));
@@ -80,7 +80,7 @@ void CameraFactors::FindKinds(const ProblemView& problem) {
   };
   std::vector<double> all = kinds;
   sort(&all);
-  all = ConcatenateOverRanks(problem.communicator, all);
+  all = ConcatenateOverRanks(problem.division.communicator, all);
   sort(&all);
   num_kinds_ = all.size();
   for (const double kind : kinds) {

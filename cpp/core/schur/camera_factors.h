@@ -22,11 +22,11 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/linear/block_structure.h"
 #include "core/minimize/least_squares.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
-#include "core/problem/problem_view.h"
 #include "core/schur/assembly/assembler.h"
 #include "core/schur/elimination_plan.h"
 #include "core/sums/double_double.h"
@@ -37,7 +37,7 @@ class CameraFactors {
  public:
   /// Keeps references to the problem and the structure. Every factor leaves the points apart
   /// (LeavesPointsApart).
-  CameraFactors(const ProblemView& problem, const ParameterLayout& layout,
+  CameraFactors(const AdjustmentProblem& problem, const ParameterLayout& layout,
                 const BlockStructure& structure, const EliminationPlan& plan);
 
   /// Of factors with something to refine.
@@ -91,9 +91,9 @@ class CameraFactors {
     int point = 0;  ///< in the plan
   };
 
-  void AddAll(const ProblemView& problem, const ParameterLayout& layout,
+  void AddAll(const AdjustmentProblem& problem, const ParameterLayout& layout,
               const EliminationPlan& plan);
-  void FindKinds(const ProblemView& problem);
+  void FindKinds(const AdjustmentProblem& problem);
   void AddCameras(ChartedFactor factor, const ParameterLayout& layout);
   void AddPoint(ChartedFactor factor, int point);
 

@@ -283,29 +283,29 @@ class Planner {
   PairNumbers pair_numbers_;      ///< of the chunk in the making
 };
 
-EliminationPlan Plan(const ProblemView& problem, const ParameterLayout& layout, bool active,
+EliminationPlan Plan(const AdjustmentProblem& problem, const ParameterLayout& layout, bool active,
                      int block_bytes, int num_threads, bool keep_order, bool in_sections) {
   ImageOrder images = OrderImages(problem, layout);
   EliminationPlan sorted =
       SortPoints(problem, layout, images, active, in_sections, num_threads, keep_order);
   // Not all ranks have points with nothing to refine.
-  Communicator* const communicator = active ? problem.communicator : nullptr;
+  Communicator* const communicator = active ? problem.division.communicator : nullptr;
   return Planner(std::move(images), std::move(sorted), communicator, num_threads).Plan(block_bytes);
 }
 
 }  // namespace
 
-EliminationPlan PlanPoints(const ProblemView& problem, const ParameterLayout& layout,
+EliminationPlan PlanPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            int block_bytes, int num_threads, bool keep_order, bool in_sections) {
   return Plan(problem, layout, true, block_bytes, num_threads, keep_order, in_sections);
 }
 
-EliminationPlan PlanFixedPoints(const ProblemView& problem, const ParameterLayout& layout,
+EliminationPlan PlanFixedPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                 int num_threads, bool keep_order) {
   return Plan(problem, layout, false, 1, num_threads, keep_order, /*in_sections=*/false);
 }
 
-void TakeMeasurements(const ProblemView& problem, EliminationPlan* plan) {
+void TakeMeasurements(const AdjustmentProblem& problem, EliminationPlan* plan) {
   for (size_t k = 0; k < plan->observation.size(); ++k) {
     std::copy_n(problem.observation_xy + 2 * int64_t{plan->observation[k]}, 2, &plan->xy[2 * k]);
   }
@@ -316,7 +316,7 @@ void TakeMeasurements(const ProblemView& problem, EliminationPlan* plan) {
   }
 }
 
-PlanSize MeasurePlan(const ProblemView& problem, const ParameterLayout& layout) {
+PlanSize MeasurePlan(const AdjustmentProblem& problem, const ParameterLayout& layout) {
   const int block_doubles = GroupImages(problem, layout).block_size();
   const EliminationPlan plan =
       PlanPoints(problem, layout, block_doubles * static_cast<int>(sizeof(double)));

@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "core/factors/loss.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/model/parameter_layout.h"
-#include "core/problem/problem_view.h"
 #include "core/sums/double_double.h"
 
 namespace bundle {
@@ -135,17 +135,17 @@ inline constexpr int64_t kMaxBufferBytes = 1 << 25;
 /// The observations with something to refine. `block_bytes`: of one block's buffer.
 /// `keep_order`: fills EliminationPlan::observation, for TakeMeasurements. All ranks have to call
 /// it if one does.
-EliminationPlan PlanPoints(const ProblemView& problem, const ParameterLayout& layout,
+EliminationPlan PlanPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            int block_bytes, int num_threads = 1, bool keep_order = false,
                            bool in_sections = false);
 
 /// The other observations, whose cost does not change.
-EliminationPlan PlanFixedPoints(const ProblemView& problem, const ParameterLayout& layout,
+EliminationPlan PlanFixedPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                 int num_threads = 1, bool keep_order = false);
 
 /// Copies the measurements of the problem anew, after they changed, into a plan that kept its
 /// order.
-void TakeMeasurements(const ProblemView& problem, EliminationPlan* plan);
+void TakeMeasurements(const AdjustmentProblem& problem, EliminationPlan* plan);
 
 struct ImageOrder {
   std::vector<uint8_t> refined;  ///< of each image: has something to refine
@@ -157,12 +157,12 @@ struct ImageOrder {
   std::vector<int> owner;
 };
 
-ImageOrder OrderImages(const ProblemView& problem, const ParameterLayout& layout);
+ImageOrder OrderImages(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
 /// Everything of a plan but the chunks and what refers to them: the points with observations that
 /// have something to refine, if `active`, or else with others, by sections if `in_sections`, and
 /// sorted lexicographically by the ranks of the images in these observations.
-EliminationPlan SortPoints(const ProblemView& problem, const ParameterLayout& layout,
+EliminationPlan SortPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const ImageOrder& images, bool active, bool in_sections, int num_threads,
                            bool keep_order);
 
@@ -182,7 +182,7 @@ struct PlanSize {
   int64_t block_doubles = 0;  ///< of a block in a chunk's buffer
 };
 
-PlanSize MeasurePlan(const ProblemView& problem, const ParameterLayout& layout);
+PlanSize MeasurePlan(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
 /// The observations of a plan that hold a residual at a state (factors/reprojection.h). Memory:
 /// 24 bytes for each of them, nothing for those that count.

@@ -14,7 +14,7 @@ namespace {
 constexpr double kSingular = 1e-14;  // of N^T D^2 N in units of its diagonal
 
 /// True if something on this rank may say where the world is.
-bool MayHoldWorld(const ProblemView& problem, const ParameterLayout& layout,
+bool MayHoldWorld(const AdjustmentProblem& problem, const ParameterLayout& layout,
                   const EliminationPlan& plan) {
   if (MayFixGauge(problem) || plan.num_points() > plan.num_free_points) return true;
   const std::vector<uint8_t> observed = FindObservedImages(problem);
@@ -41,15 +41,16 @@ void NewtonGauge::Sums::Add(const Sums& other) {
   product += other.product;
 }
 
-int NewtonGauge::Degrees(const ProblemView& problem, const ParameterLayout& layout,
+int NewtonGauge::Degrees(const AdjustmentProblem& problem, const ParameterLayout& layout,
                          const EliminationPlan& plan) {
   const double held = MayHoldWorld(problem, layout, plan) ? 1 : 0;
-  if (SumOverRanks(problem.communicator, held) > 0) return 0;
+  if (SumOverRanks(problem.division.communicator, held) > 0) return 0;
   return problem.num_frames > 0 ? kNumGaugeDirections - 1 : kNumGaugeDirections;
 }
 
-NewtonGauge::NewtonGauge(const ProblemView& problem, const ParameterLayout& layout, int degrees,
-                         const CameraStates& cameras, const std::vector<double>& points)
+NewtonGauge::NewtonGauge(const AdjustmentProblem& problem, const ParameterLayout& layout,
+                         int degrees, const CameraStates& cameras,
+                         const std::vector<double>& points)
     : degrees_(degrees),
       centre_(MeanCentre(cameras, problem.num_images).data()),
       unknowns_(GaugeDirections(problem, layout, cameras)),

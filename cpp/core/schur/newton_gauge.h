@@ -29,9 +29,9 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/model/gauge.h"
 #include "core/model/parameter_layout.h"
-#include "core/problem/problem_view.h"
 #include "core/schur/elimination_plan.h"
 
 namespace bundle {
@@ -51,11 +51,11 @@ class NewtonGauge {
   };
 
   /// Columns of N: 7, 6 with rigs, 0 where anything may hold the world, on any rank.
-  static int Degrees(const ProblemView& problem, const ParameterLayout& layout,
+  static int Degrees(const AdjustmentProblem& problem, const ParameterLayout& layout,
                      const EliminationPlan& plan);
 
   /// At a state of the cameras. Keeps a reference to the points, three numbers each.
-  NewtonGauge(const ProblemView& problem, const ParameterLayout& layout, int degrees,
+  NewtonGauge(const AdjustmentProblem& problem, const ParameterLayout& layout, int degrees,
               const CameraStates& cameras, const std::vector<double>& points);
 
   Row OfUnknown(size_t unknown) const;

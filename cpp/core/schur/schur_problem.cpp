@@ -30,7 +30,7 @@ double Dot(const std::vector<double>& a, const std::vector<double>& b) {
 
 }  // namespace
 
-SchurProblem::SchurProblem(const ProblemView& problem, const ParameterLayout& layout,
+SchurProblem::SchurProblem(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const SolveOptions& options, BlockStructure structure,
                            LinearSolver* solver, bool is_reused)
     : setup_(problem, layout, options, std::move(structure), is_reused),

@@ -3,13 +3,13 @@
 #include <memory>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/linear/block_structure.h"
 #include "core/linear/linear_solver.h"
 #include "core/minimize/least_squares.h"
 #include "core/model/parameter_layout.h"
 #include "core/parallel/thread_pool.h"
-#include "core/problem/problem_view.h"
 #include "core/schur/assembly/assembler.h"
 #include "core/schur/assembly/sum_grid.h"
 #include "core/schur/camera_factors.h"
@@ -37,8 +37,8 @@ SumOrder ChooseSumOrder(LinearSolverType solver, int num_columns, int64_t num_bl
 /// measurements.
 struct SchurSetup {
   /// Keeps references to the problem and the layout. `is_reused`: Reset will be called.
-  SchurSetup(const ProblemView& problem, const ParameterLayout& layout, const SolveOptions& options,
-             BlockStructure structure, bool is_reused);
+  SchurSetup(const AdjustmentProblem& problem, const ParameterLayout& layout,
+             const SolveOptions& options, BlockStructure structure, bool is_reused);
   SchurSetup(const SchurSetup&) = delete;
   SchurSetup& operator=(const SchurSetup&) = delete;
 
@@ -48,7 +48,7 @@ struct SchurSetup {
   /// Cost of the observations with nothing to refine, by the same kernels.
   DoubleDouble FixedCost(const SolveOptions& options);
 
-  const ProblemView& problem;
+  const AdjustmentProblem& problem;
   const ParameterLayout& layout;
   const BlockStructure structure;
   const Kernels& kernels;
@@ -76,7 +76,7 @@ class SchurProblem final : public LeastSquares {
  public:
   /// Keeps references to the problem, the layout and the solver. `structure` is that of the solver.
   /// `is_reused`: Reset will be called.
-  SchurProblem(const ProblemView& problem, const ParameterLayout& layout,
+  SchurProblem(const AdjustmentProblem& problem, const ParameterLayout& layout,
                const SolveOptions& options, BlockStructure structure, LinearSolver* solver,
                bool is_reused = false);
   SchurProblem(const SchurProblem&) = delete;
@@ -182,8 +182,8 @@ class SchurProblem final : public LeastSquares {
   Candidate Finish(const std::vector<double>& step, CandidateTotal sum);
 
   SchurSetup setup_;
-  const ProblemView& problem_ = setup_.problem;
-  Communicator* const communicator_ = problem_.communicator;
+  const AdjustmentProblem& problem_ = setup_.problem;
+  Communicator* const communicator_ = problem_.division.communicator;
   const ParameterLayout& layout_ = setup_.layout;
   const BlockStructure& structure_ = setup_.structure;
   const Kernels& kernels_ = setup_.kernels;

@@ -31,7 +31,7 @@ SumOrder ChooseSumOrder(LinearSolverType solver, int num_columns, int64_t num_bl
   return has_order_of_images || !is_scattered ? SumOrder::kSections : SumOrder::kChunks;
 }
 
-SchurSetup::SchurSetup(const ProblemView& of_problem, const ParameterLayout& of_layout,
+SchurSetup::SchurSetup(const AdjustmentProblem& of_problem, const ParameterLayout& of_layout,
                        const SolveOptions& options, BlockStructure of_structure, bool is_reused)
     : problem(of_problem),
       layout(of_layout),

@@ -24,8 +24,9 @@ namespace {
 
 class PointSorter {
  public:
-  PointSorter(const ProblemView& problem, const ParameterLayout& layout, const ImageOrder& images,
-              bool active, bool in_sections, int num_threads, bool keep_order)
+  PointSorter(const AdjustmentProblem& problem, const ParameterLayout& layout,
+              const ImageOrder& images, bool active, bool in_sections, int num_threads,
+              bool keep_order)
       : problem_(problem),
         layout_(layout),
         images_(images),
@@ -34,12 +35,13 @@ class PointSorter {
         keep_order_(keep_order) {
     num_buckets_ = problem.num_images;
     if (!in_sections) return;
-    if (problem.point_section == nullptr) {
+    if (problem.division.point_section == nullptr) {
       sections_ =
           FindPointSections(problem.num_images, problem.num_points, problem.num_observations,
                             problem.observation_image, problem.observation_point, num_threads);
     }
-    section_ = problem.point_section == nullptr ? sections_.data() : problem.point_section;
+    section_ = problem.division.point_section == nullptr ? sections_.data()
+                                                         : problem.division.point_section;
     num_buckets_ = 1 << 16;
   }
 
@@ -225,7 +227,7 @@ class PointSorter {
     }
   }
 
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   const ParameterLayout& layout_;
   const ImageOrder& images_;
   const bool active_;
@@ -245,7 +247,7 @@ class PointSorter {
 
 }  // namespace
 
-ImageOrder OrderImages(const ProblemView& problem, const ParameterLayout& layout) {
+ImageOrder OrderImages(const AdjustmentProblem& problem, const ParameterLayout& layout) {
   ImageOrder order;
   std::vector<int> block(problem.num_images);
   std::vector<int> first_of_block(layout.blocks().size(), -1);  // image whose pose is in it
@@ -269,7 +271,7 @@ ImageOrder OrderImages(const ProblemView& problem, const ParameterLayout& layout
   return order;
 }
 
-EliminationPlan SortPoints(const ProblemView& problem, const ParameterLayout& layout,
+EliminationPlan SortPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const ImageOrder& images, bool active, bool in_sections, int num_threads,
                            bool keep_order) {
   return PointSorter(problem, layout, images, active, in_sections, num_threads, keep_order).Sort();

@@ -66,7 +66,7 @@ int ModelGroups::block_size() const {
   return static_cast<int>(std::max<int64_t>(1, rows * columns / (images * images)));
 }
 
-ModelGroups GroupImages(const ProblemView& problem, const ParameterLayout& layout) {
+ModelGroups GroupImages(const AdjustmentProblem& problem, const ParameterLayout& layout) {
   ModelGroups result;
   std::vector<int> group_of_model(kNumCameraModels, -1);
   std::vector<uint32_t> bits;
@@ -112,20 +112,21 @@ ModelGroups GroupImages(const ProblemView& problem, const ParameterLayout& layou
 namespace {
 
 /// Room for every model's parameters, in whole quads.
-int RoundedParams(const ProblemView& problem) {
+int RoundedParams(const AdjustmentProblem& problem) {
   return std::max(4, (std::min(problem.camera_params_stride, kMaxCameraParams) + 3) / 4 * 4);
 }
 
 constexpr int kTranslationJacobian = 12;  // its room in a record, in whole quads
 
-int RecordStride(const ProblemView& problem) {
+int RecordStride(const AdjustmentProblem& problem) {
   return StateRecords::kParams + RoundedParams(problem) +
          (problem.num_frames > 0 ? kTranslationJacobian : 0);
 }
 
 }  // namespace
 
-State::State(const ProblemView& problem, const ParameterLayout& layout, const EliminationPlan& plan)
+State::State(const AdjustmentProblem& problem, const ParameterLayout& layout,
+             const EliminationPlan& plan)
     : points(3 * plan.point.size()),
       held(plan.chunks.size()),
       problem_(problem),
@@ -209,7 +210,7 @@ DoubleDouble State::FreePointsSquared(const EliminationPlan& plan) const {
   return sum;
 }
 
-CameraStep::CameraStep(const ProblemView& problem, const ParameterLayout& layout)
+CameraStep::CameraStep(const AdjustmentProblem& problem, const ParameterLayout& layout)
     : problem_(problem),
       layout_(layout),
       poses_(static_cast<int64_t>(NumPoses(problem)) * kPoseSize),

@@ -3,8 +3,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/model/parameter_layout.h"
-#include "core/problem/problem_view.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/kernels/kernels.h"
 #include "core/sums/double_double.h"
@@ -29,7 +29,7 @@ struct ModelGroups {
 
 /// A group for each camera model in use. Images of models that we do not know are in the first; no
 /// observation is in them.
-ModelGroups GroupImages(const ProblemView& problem, const ParameterLayout& layout);
+ModelGroups GroupImages(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
 /// The states and steps of a solve in the form that the passes read (kernels.h).
 
@@ -37,7 +37,8 @@ ModelGroups GroupImages(const ProblemView& problem, const ParameterLayout& layou
 /// plan.
 class State {
  public:
-  State(const ProblemView& problem, const ParameterLayout& layout, const EliminationPlan& plan);
+  State(const AdjustmentProblem& problem, const ParameterLayout& layout,
+        const EliminationPlan& plan);
 
   /// Goes to the problem's own values, after these changed.
   void Reset(const ParameterLayout& layout, const EliminationPlan& plan);
@@ -63,7 +64,7 @@ class State {
  private:
   void PutFrameChart(const RigPose& rig, double* record) const;
 
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   CameraStates cameras_;
   std::vector<double> images_;
   int stride_;
@@ -72,7 +73,7 @@ class State {
 /// Images' records of a step of the camera parameters, at a state.
 class CameraStep {
  public:
-  CameraStep(const ProblemView& problem, const ParameterLayout& layout);
+  CameraStep(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
   void Set(const std::vector<double>& camera_state, const CameraStates& at);
   StepRecords records() const { return {images_.data(), stride_}; }
@@ -83,7 +84,7 @@ class CameraStep {
     return poses_.data() + static_cast<int64_t>(pose) * kPoseSize;
   }
 
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   const ParameterLayout& layout_;
   std::vector<double> poses_;  ///< zero where a pose is not free
   std::vector<double> camera_params_;

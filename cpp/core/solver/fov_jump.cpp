@@ -34,7 +34,7 @@ constexpr double SolveSummary::* const kTimes[] = {
 
 class SeveralSolves {
  public:
-  SeveralSolves(const ProblemView& problem, const std::vector<int>& lenses,
+  SeveralSolves(const AdjustmentProblem& problem, const std::vector<int>& lenses,
                 const SolveOptions& options, const ProgressCallback& progress,
                 const SolveOnce& solve)
       : problem_(problem), lenses_(lenses), options_(options), progress_(progress), solve_(solve) {}
@@ -54,8 +54,8 @@ class SeveralSolves {
   }
 
  private:
-  ProblemView At(const SolveOutput& state) const {
-    ProblemView view = problem_;
+  AdjustmentProblem At(const SolveOutput& state) const {
+    AdjustmentProblem view = problem_;
     view.cam_from_world = state.cam_from_world.data();
     view.rig_from_world = state.rig_from_world.data();
     view.sensor_from_rig = state.sensor_from_rig.data();
@@ -64,7 +64,7 @@ class SeveralSolves {
     return view;
   }
 
-  std::vector<int> Near(const ProblemView& view) const {
+  std::vector<int> Near(const AdjustmentProblem& view) const {
     std::vector<int> near;
     for (const int lens : lenses_) {
       if (std::abs(OmegaOf(view, lens)) < kNearJump) near.push_back(lens);
@@ -99,7 +99,7 @@ class SeveralSolves {
     }
   }
 
-  bool SolveFrom(const ProblemView& view, const SolveOptions& options) {
+  bool SolveFrom(const AdjustmentProblem& view, const SolveOptions& options) {
     const bool is_first = path_.empty();
     const IterationRecord before = is_first ? IterationRecord() : path_.back();
     const auto in_sequence = [&before](IterationRecord record) {
@@ -167,7 +167,7 @@ class SeveralSolves {
     return result;
   }
 
-  std::string Describe(const ProblemView& solution) const {
+  std::string Describe(const AdjustmentProblem& solution) const {
     constexpr size_t kNamed = 5;
     std::ostringstream text;
     text << "COLMAP's formula of FOV jumps at an omega of " << kFovJump << ": ";
@@ -189,7 +189,7 @@ class SeveralSolves {
     return text.str();
   }
 
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   const std::vector<int>& lenses_;
   const SolveOptions& options_;
   const ProgressCallback& progress_;
@@ -206,7 +206,7 @@ class SeveralSolves {
 
 }  // namespace
 
-SolveOutput SolveBeyondFovJump(const ProblemView& problem, const std::vector<int>& lenses,
+SolveOutput SolveBeyondFovJump(const AdjustmentProblem& problem, const std::vector<int>& lenses,
                                const SolveOptions& options, const ProgressCallback& progress,
                                const SolveOnce& solve) {
   if (lenses.empty() || options.max_num_iterations == 0) return solve(problem, options, progress);

@@ -13,18 +13,18 @@
 #include <functional>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
-using SolveOnce =
-    std::function<SolveOutput(const ProblemView&, const SolveOptions&, const ProgressCallback&)>;
+using SolveOnce = std::function<SolveOutput(const AdjustmentProblem&, const SolveOptions&,
+                                            const ProgressCallback&)>;
 
 /// Solves a problem by `solve`: once where `lenses` (FindFreeFovLenses) is empty, else as often as
 /// it takes.
-SolveOutput SolveBeyondFovJump(const ProblemView& problem, const std::vector<int>& lenses,
+SolveOutput SolveBeyondFovJump(const AdjustmentProblem& problem, const std::vector<int>& lenses,
                                const SolveOptions& options, const ProgressCallback& progress,
                                const SolveOnce& solve);
 

@@ -21,7 +21,7 @@
 #include "core/sums/communicator.h"
 
 namespace bundle {
-FusedSolver::FusedSolver(const ProblemView& problem, const SolveOptions& options,
+FusedSolver::FusedSolver(const AdjustmentProblem& problem, const SolveOptions& options,
                          PreparedSolve prepared, bool is_reused)
     : problem_(problem),
       options_(options),
@@ -71,7 +71,7 @@ SolveOutput FusedSolver::Solve(const SolveOptions& options, std::vector<Warning>
   for (IterationRecord& record : output.iterations) record.cost += schur_->fixed_cost();
   warnings.insert(warnings.end(), warnings_.begin(), warnings_.end());
   FinishSolve(problem_, layout_, schur_->cameras(), options_, std::move(warnings),
-              SumOverRanks(problem_.communicator, schur_->num_held()), &output);
+              SumOverRanks(problem_.division.communicator, schur_->num_held()), &output);
   return output;
 }
 
@@ -120,7 +120,8 @@ void FusedSolver::ChooseBySize(const ProblemShape& shape) {
     const auto columns = static_cast<double>(shape.num_camera_columns);
     const double available = AvailableMemoryFor(sizeof(double) * columns * columns);
     choice = ChooseLinearSolver(structure_, ordering_, num_threads, available);
-    const double type = BroadcastFirst(problem_.communicator, static_cast<double>(choice.type));
+    const double type =
+        BroadcastFirst(problem_.division.communicator, static_cast<double>(choice.type));
     choice.type = static_cast<LinearSolverType>(std::lround(type));
   }
   options_.linear_solver_type = choice.type;
@@ -144,7 +145,7 @@ void FusedSolver::FindSparseStructure() {
 
 /// Rank 0 looks for it.
 FillOrdering FusedSolver::FindOrdering() const {
-  Communicator* const communicator = problem_.communicator;
+  Communicator* const communicator = problem_.division.communicator;
   FillOrdering ordering;
   if (IsFirst(communicator)) ordering = FindFillOrdering(structure_);
   if (communicator == nullptr) return ordering;
@@ -174,10 +175,11 @@ void FusedSolver::BuildProblem() {
   }
   ThrowIfInterrupted();
   const Stopwatch symbolic;
-  solver_ = IsFirst(problem_.communicator) ? MakeSolver() : nullptr;
-  if (problem_.communicator != nullptr) {
-    const double needs = IsFirst(problem_.communicator) && solver_->NeedsCameraDiagonal() ? 1 : 0;
-    const bool wants_diagonal = BroadcastFirst(problem_.communicator, needs) > 0;
+  solver_ = IsFirst(problem_.division.communicator) ? MakeSolver() : nullptr;
+  if (problem_.division.communicator != nullptr) {
+    const double needs =
+        IsFirst(problem_.division.communicator) && solver_->NeedsCameraDiagonal() ? 1 : 0;
+    const bool wants_diagonal = BroadcastFirst(problem_.division.communicator, needs) > 0;
     const bool is_iterative = options_.linear_solver_type == LinearSolverType::kIterativeSchur;
     if (solver_ == nullptr) solver_ = MakeRemoteSolver(wants_diagonal, is_iterative);
   }
@@ -235,7 +237,7 @@ ProgressCallback FusedSolver::AddFixedCost(const ProgressCallback& progress) con
     IterationRecord record = iteration;
     record.cost += fixed_cost;
     // One user decides for all ranks.
-    return BroadcastFirst(problem_.communicator, progress(record) ? 1.0 : 0.0) > 0;
+    return BroadcastFirst(problem_.division.communicator, progress(record) ? 1.0 : 0.0) > 0;
   };
 }
 

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
 #include "core/linear/block_structure.h"
@@ -12,7 +13,6 @@
 #include "core/minimize/trust_region.h"
 #include "core/model/parameter_layout.h"
 #include "core/prepare/prepare.h"
-#include "core/problem/problem_view.h"
 #include "core/schur/schur_problem.h"
 
 namespace bundle {
@@ -36,7 +36,7 @@ class FusedSolver {
   ///
   /// Throws InputError if options exclude each other or the dense matrices of the solver would not
   /// fit into memory.
-  FusedSolver(const ProblemView& problem, const SolveOptions& options, PreparedSolve prepared,
+  FusedSolver(const AdjustmentProblem& problem, const SolveOptions& options, PreparedSolve prepared,
               bool is_reused);
 
   /// `options` may differ from the constructor's in what Solver::Solve says; anything else in them
@@ -64,7 +64,7 @@ class FusedSolver {
   void CollectState(SolveOutput* output);
   int64_t CountInformation();
 
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   SolveOptions options_;  ///< with nothing left to choose
   const bool is_reused_;
   std::vector<Warning> warnings_;  ///< of the choices

@@ -141,7 +141,7 @@ namespace {
 
 /// Ceres adds costs and products up in the order in which its threads come by: the same bits for
 /// any number of threads are those of one.
-SolveOutput SolveWithCeresAsAsked(const ProblemView& problem, SolveOptions options,
+SolveOutput SolveWithCeresAsAsked(const AdjustmentProblem& problem, SolveOptions options,
                                   PreparedSolve prepared, const ProgressCallback& progress) {
   if (options.deterministic && options.num_threads != 1) {
     options.num_threads = 1;
@@ -159,9 +159,10 @@ int64_t ProcessId() { return 1; }
 constexpr int64_t kNobody = 0;
 
 /// At the start and at the solution, in the world of the factors.
-void SetFactorCosts(const ProblemView& given, const ProblemFactors* factors, SolveOutput* output) {
+void SetFactorCosts(const AdjustmentProblem& given, const ProblemFactors* factors,
+                    SolveOutput* output) {
   if (factors == nullptr) return;
-  ProblemView refined = given;
+  AdjustmentProblem refined = given;
   refined.factors = factors;
   output->summary.num_factors = static_cast<int>(factors->factors.size());
   output->factor_costs_before = FactorCosts(refined);
@@ -176,7 +177,7 @@ void SetFactorCosts(const ProblemView& given, const ProblemFactors* factors, Sol
 /// A solver and the problem that it is at.
 class Solver::Impl {
  public:
-  Impl(const ProblemView& problem, const SolveOptions& options, bool is_reused)
+  Impl(const AdjustmentProblem& problem, const SolveOptions& options, bool is_reused)
       : problem_(problem), options_(options), is_reused_(is_reused) {
     RefuseTooLarge(problem);
     if (HasMemoryLimit()) TakeBlasBuffers();
@@ -185,7 +186,7 @@ class Solver::Impl {
   ~Impl() { AbandonAfterFork(); }
 
   /// Lays out everything for these values.
-  void PrepareFor(const ProblemView& given) {
+  void PrepareFor(const AdjustmentProblem& given) {
     const ScaledProblem scaled(given);
     const CenteredProblem centered(scaled.view(), scaled.frame());
     TakeValues(centered.view());
@@ -195,13 +196,13 @@ class Solver::Impl {
 
   void CheckStructure(const ProblemView& given) const { CheckSameStructure(problem_, given); }
 
-  SolveOutput Solve(const ProblemView& given, const SolveOptions& given_options,
+  SolveOutput Solve(const AdjustmentProblem& given, const SolveOptions& given_options,
                     const ProgressCallback& progress) {
     const UseGuard guard(&user_);
     if (is_reused_) CheckStructure(given);
     SolveOptions options = options_;
     CopyChangeable(given_options, &options);
-    const auto once = [this](const ProblemView& view, const SolveOptions& changed,
+    const auto once = [this](const AdjustmentProblem& view, const SolveOptions& changed,
                              const ProgressCallback& report) {
       return SolveOnce(view, changed, report);
     };
@@ -210,7 +211,7 @@ class Solver::Impl {
   }
 
  private:
-  SolveOutput SolveOnce(const ProblemView& given, SolveOptions options,
+  SolveOutput SolveOnce(const AdjustmentProblem& given, SolveOptions options,
                         const ProgressCallback& progress) {
     const Stopwatch time;
     AbandonAfterFork();
@@ -263,7 +264,7 @@ class Solver::Impl {
     if (std::exchange(process_, ProcessId()) != ProcessId()) static_cast<void>(fused_.release());
   }
 
-  void TakeValues(const ProblemView& from) {
+  void TakeValues(const AdjustmentProblem& from) {
     problem_.cam_from_world = from.cam_from_world;
     problem_.rig_from_world = from.rig_from_world;
     problem_.sensor_from_rig = from.sensor_from_rig;
@@ -282,7 +283,7 @@ class Solver::Impl {
     fused_.reset();
     prepared_.emplace(PrepareSolve(problem_, options_));
     choice_ = ChooseBackend(options_, *prepared_);
-    if (problem_.communicator != nullptr && choice_.backend != Backend::kFused) {
+    if (problem_.division.communicator != nullptr && choice_.backend != Backend::kFused) {
       throw InputError("backend: expected a solve by the fused backend with several processes. " +
                        (choice_.reason.empty() ? "Found ceres." : choice_.reason));
     }
@@ -310,7 +311,7 @@ class Solver::Impl {
   }
 
   /// The structure, bounds and factors of the first, the values of the last, about its centre.
-  ProblemView problem_;
+  AdjustmentProblem problem_;
   const SolveOptions options_;
   const bool is_reused_;
   std::optional<PreparedSolve> prepared_;  ///< of the next solve by Ceres
@@ -321,24 +322,24 @@ class Solver::Impl {
   std::atomic<int64_t> user_{kNobody};  ///< the process that solves
 };
 
-Solver::Solver(const ProblemView& problem, const SolveOptions& options)
+Solver::Solver(const AdjustmentProblem& problem, const SolveOptions& options)
     : impl_(std::make_unique<Impl>(problem, options, /*is_reused=*/true)) {
   impl_->PrepareFor(problem);
 }
 
-Solver::Solver(const ProblemView& problem, const SolveOptions& options, Once /*once*/)
+Solver::Solver(const AdjustmentProblem& problem, const SolveOptions& options, Once /*once*/)
     : impl_(std::make_unique<Impl>(problem, options, /*is_reused=*/false)) {}
 
 Solver::~Solver() = default;
 
 void Solver::CheckStructure(const ProblemView& problem) const { impl_->CheckStructure(problem); }
 
-SolveOutput Solver::Solve(const ProblemView& problem, const SolveOptions& options,
+SolveOutput Solver::Solve(const AdjustmentProblem& problem, const SolveOptions& options,
                           const ProgressCallback& progress) {
   return impl_->Solve(problem, options, progress);
 }
 
-SolveOutput Solve(const ProblemView& problem, const SolveOptions& options,
+SolveOutput Solve(const AdjustmentProblem& problem, const SolveOptions& options,
                   const ProgressCallback& progress) {
   return Solver(problem, options, Solver::Once()).Solve(problem, options, progress);
 }

@@ -3,10 +3,10 @@
 #include <memory>
 #include <string>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
 #include "core/prepare/prepare.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -42,7 +42,7 @@ class Solver {
   /// points and measurements.
   ///
   /// Throws InputError as bundle::Solve below.
-  Solver(const ProblemView& problem, const SolveOptions& options);
+  Solver(const AdjustmentProblem& problem, const SolveOptions& options);
   ~Solver();
   Solver(const Solver&) = delete;
   Solver& operator=(const Solver&) = delete;
@@ -57,16 +57,16 @@ class Solver {
   ///
   /// Throws InputError if the problem has another structure, or the solver is in use: by another
   /// thread, or by its caller where a progress callback calls it.
-  SolveOutput Solve(const ProblemView& problem, const SolveOptions& options,
+  SolveOutput Solve(const AdjustmentProblem& problem, const SolveOptions& options,
                     const ProgressCallback& progress);
 
  private:
-  friend SolveOutput Solve(const ProblemView& problem, const SolveOptions& options,
+  friend SolveOutput Solve(const AdjustmentProblem& problem, const SolveOptions& options,
                            const ProgressCallback& progress);
   class Impl;
 
   struct Once {};
-  Solver(const ProblemView& problem, const SolveOptions& options, Once once);
+  Solver(const AdjustmentProblem& problem, const SolveOptions& options, Once once);
 
   std::unique_ptr<Impl> impl_;
 };
@@ -77,7 +77,7 @@ class Solver {
 /// Throws InputError if a camera model is not supported, an id to be fixed does not exist, options
 /// exclude each other or the backend, or the dense matrices of the solver would not fit into
 /// memory. Anything else that keeps the solve from converging is in the summary.
-SolveOutput Solve(const ProblemView& problem, const SolveOptions& options,
+SolveOutput Solve(const AdjustmentProblem& problem, const SolveOptions& options,
                   const ProgressCallback& progress);
 
 }  // namespace bundle

@@ -91,7 +91,7 @@ SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layou
                        const SolveTimes& times) {
   SolveSummary result;
   const CameraFactors& factors = schur.factors();
-  Communicator* const communicator = schur.setup().problem.communicator;
+  Communicator* const communicator = schur.setup().problem.division.communicator;
   const int64_t num_observations = SumOverRanks(communicator, schur.num_active_observations());
   const auto num_points =
       static_cast<int>(SumOverRanks(communicator, int64_t{layout.num_free_points()}));

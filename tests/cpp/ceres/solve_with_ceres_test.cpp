@@ -173,7 +173,7 @@ TEST(SolveWithCeres, AnUnobservedImageLeavesItsCameraToTheOthers) {
 TEST(SolveWithCeres, ProgressCanStopIt) {
   const Scene scene = MakeScene(SceneOptions());
   int calls = 0;
-  const ProblemView problem = scene.View();
+  const AdjustmentProblem problem = scene.View();
   const SolveOptions options = Converge();
   const SolveOutput output = SolveWithCeres(problem, options, PrepareSolve(problem, options),
                                             [&](const IterationRecord& record) {

@@ -42,7 +42,7 @@ void PutBehind(int first, int count, std::vector<double>* points) {
 SolveSummary Judge(const Scene& scene, const std::vector<double>& points, int64_t num_held,
                    SolveOptions options = {}) {
   options.num_threads = 1;
-  const ProblemView view = scene.View();
+  const AdjustmentProblem view = scene.View();
   const ParameterLayout layout(view, SelectFreeParameters(view, options));
   SolveOutput output;
   output.cam_from_world = scene.cam_from_world;

@@ -25,7 +25,7 @@ TEST(CoupledBlocks, AreThoseThatMeetInAFreePointOrAResidual) {
     if (p % 20 != 0) solve_options.fixed_point_ids.push_back(scene.point_ids[p]);
   }
   testing::ShuffleObservations(3, &scene);
-  const ProblemView problem = scene.View();
+  const AdjustmentProblem problem = scene.View();
   const ParameterLayout layout = PrepareSolve(problem, solve_options).layout;
 
   std::vector<std::set<int>> blocks_of_point(problem.num_points);

@@ -51,7 +51,7 @@ int NumFree(const FreeParameters& free) {
 
 /// Counts the gauge, and what two_cameras takes away: exactly that, with nothing left.
 int Degrees(const Scene& scene, const SolveOptions& options = {}) {
-  const ProblemView problem = scene.View();
+  const AdjustmentProblem problem = scene.View();
   FreeParameters free = SelectFreeParameters(problem, options);
   const int degrees = CountGaugeDegrees(problem, free);
   const int before = NumFree(free);

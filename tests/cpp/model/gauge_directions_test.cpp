@@ -46,7 +46,7 @@ Vector3d Velocity(int m, const Vector3d& point, const Vector3d& centre) {
 /// left over falls with the square of the step. Far from the start, where the chart is curved.
 TEST(GaugeDirections, ChangeNoImage) {
   const testing::Scene scene = testing::MakeScene({});
-  const ProblemView view = scene.View();
+  const AdjustmentProblem view = scene.View();
   const ParameterLayout layout(view, SelectFreeParameters(view, SolveOptions{}));
   std::vector<double> state = layout.InitialState(view);
   for (const CameraBlock& block : layout.blocks()) {
@@ -84,7 +84,7 @@ TEST(GaugeDirections, ChangeNoImage) {
 
 TEST(GaugeDirections, LeaveIntrinsicsAlone) {
   const testing::Scene scene = testing::MakeScene({});
-  const ProblemView view = scene.View();
+  const AdjustmentProblem view = scene.View();
   const ParameterLayout layout(view, SelectFreeParameters(view, SolveOptions{}));
   const std::vector<double> gauge_directions =
       GaugeDirections(view, layout, CameraStates(view, layout));

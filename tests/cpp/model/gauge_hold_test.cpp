@@ -26,7 +26,7 @@ Scene FourImages() {
 }
 
 /// The bits that are held of each image's pose, with what is held beforehand.
-std::vector<uint8_t> Held(const ProblemView& problem, const SolveOptions& options = {}) {
+std::vector<uint8_t> Held(const AdjustmentProblem& problem, const SolveOptions& options = {}) {
   const FreeParameters before = SelectFreeParameters(problem, options);
   FreeParameters free = before;
   const int degrees = CountGaugeDegrees(problem, free);
@@ -126,9 +126,9 @@ TEST(GaugeHold, FarOriginsChangeNothing) {
 /// An image that turns about its centre, and one whose rotation is held.
 TEST(GaugeHold, PartsOfImages) {
   const Scene scene = FourImages();
-  ProblemView problem = scene.View();
+  AdjustmentProblem problem = scene.View();
   const auto degrees = [&](std::vector<uint8_t> parts) {
-    problem.held_pose_parts = parts.data();
+    problem.restrictions.held_pose_parts = parts.data();
     const std::vector<uint8_t> held = Held(problem);
     int count = 0;
     for (const uint8_t bits : held) count += __builtin_popcount(bits);
@@ -145,7 +145,7 @@ TEST(GaugeHold, PartsOfImages) {
 /// (w, t) of a pose while the world turns about the centre of the cameras.
 TEST(GaugeHold, MovesAreThoseOfTheChart) {
   const Scene scene = FourImages();
-  const ProblemView problem = scene.View();
+  const AdjustmentProblem problem = scene.View();
   const FreeParameters free = SelectFreeParameters(problem, {});
   const FreeMotions motions(problem, free);
   using Eigen::Vector3d;

@@ -41,7 +41,8 @@ Scene SceneWith(const char* model, int num_images, int images_per_camera) {
 
 /// Every scalar that the options leave free, as (kind, index, column): what a state has to hold,
 /// each once.
-std::set<std::pair<int, int>> FreeScalars(const ProblemView& problem, const FreeParameters& free) {
+std::set<std::pair<int, int>> FreeScalars(const AdjustmentProblem& problem,
+                                          const FreeParameters& free) {
   std::set<std::pair<int, int>> scalars;  // images count from 0, cameras from 1000
   for (int i = 0; i < problem.num_images; ++i) {
     for (int j = 0; j < kPoseSize; ++j) {
@@ -60,7 +61,7 @@ void CheckLayout(const Scene& scene, const FreeParameters& free, const Parameter
 
 /// Checks all that the header promises, on one problem, with its blocks in two orders.
 void CheckLayout(const Scene& scene, const SolveOptions& options) {
-  const ProblemView problem = scene.View();
+  const AdjustmentProblem problem = scene.View();
   const FreeParameters free = SelectFreeParameters(problem, options);
   ParameterLayout layout(problem, free);
   CheckLayout(scene, free, layout);
@@ -72,7 +73,7 @@ void CheckLayout(const Scene& scene, const SolveOptions& options) {
 }
 
 void CheckLayout(const Scene& scene, const FreeParameters& free, const ParameterLayout& layout) {
-  const ProblemView problem = scene.View();
+  const AdjustmentProblem problem = scene.View();
   const std::set<std::pair<int, int>> scalars = FreeScalars(problem, free);
   ASSERT_EQ(layout.state_size(), static_cast<int>(scalars.size()));
 
@@ -185,7 +186,7 @@ TEST(ParameterLayout, AnUnobservedImageDoesNotOwnItsCamera) {
     Scene scene = SceneWith("SIMPLE_RADIAL", 3, images_per_camera);
     AddUnobserved(&scene);
     CheckLayout(scene, RefineAll());
-    const ProblemView problem = scene.View();
+    const AdjustmentProblem problem = scene.View();
     const ParameterLayout layout(problem, SelectFreeParameters(problem, RefineAll()));
     EXPECT_EQ(layout.image_block(3), -1);
     EXPECT_FALSE(layout.point_is_free(problem.num_points - 1));
@@ -193,7 +194,7 @@ TEST(ParameterLayout, AnUnobservedImageDoesNotOwnItsCamera) {
 }
 
 /// A state whose images are turned by `angle` about different axes.
-std::vector<double> Turned(const ProblemView& problem, const ParameterLayout& layout,
+std::vector<double> Turned(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const std::vector<double>& angle) {
   const double axes[][3] = {{1, 0, 0}, {0.6, 0, -0.8}, {0, -1, 0}, {0.48, 0.64, 0.6}, {0, 0, 1}};
   std::vector<double> state = layout.InitialState(problem);
@@ -215,7 +216,7 @@ class MovedAnchors : public ::testing::Test {
   }
 
   const Scene scene_ = SceneWith("SIMPLE_RADIAL", 5, 1);
-  const ProblemView problem_ = scene_.View();
+  const AdjustmentProblem problem_ = scene_.View();
   const ParameterLayout layout_{problem_, SelectFreeParameters(problem_, RefineAll())};
   const std::vector<double> angle_ = {M_PI - kSlightly, M_PI + kSlightly, 2 * M_PI, -3.14, 50};
   const std::vector<bool> moves_ = {false, true, true, false, true};

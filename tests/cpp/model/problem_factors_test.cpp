@@ -30,7 +30,7 @@ std::vector<double> Evaluate(const ChartedFactor& factor, const CameraStates& ca
 }
 
 /// The Jacobian against differences of the residual by every unknown.
-void CheckJacobian(const ChartedFactor& factor, const ProblemView& problem,
+void CheckJacobian(const ChartedFactor& factor, const AdjustmentProblem& problem,
                    const ParameterLayout& layout, std::vector<double> state,
                    std::vector<double> points, double tolerance) {
   CameraStates cameras(problem, layout);
@@ -69,7 +69,7 @@ void CheckJacobian(const ChartedFactor& factor, const ProblemView& problem,
 }
 
 /// A state some way along the chart, where J_l(w) is far from the identity.
-std::vector<double> FarState(const ProblemView& problem, const ParameterLayout& layout) {
+std::vector<double> FarState(const AdjustmentProblem& problem, const ParameterLayout& layout) {
   std::vector<double> state = layout.InitialState(problem);
   std::mt19937 random(3);
   std::normal_distribution<double> normal;
@@ -87,7 +87,7 @@ TEST(ChartedFactor, JacobiansAreThoseOfTheUnknowns) {
     FactorMaker maker(scene);
     maker.AddAll(LossType::kTrivial, scene.num_cameras());
     const ProblemFactors factors = maker.Take();
-    ProblemView problem = scene.View();
+    AdjustmentProblem problem = scene.View();
     problem.factors = &factors;
     for (const bool moved : {false, true}) {
       for (int j = 0; j < 3; ++j) problem.origin[j] = moved ? 2.0 * j - 3 : 0;
@@ -116,7 +116,7 @@ TEST(ChartedFactor, SeesTheWorldOfTheUser) {
   FactorMaker maker(scene);
   maker.AddAll(LossType::kTrivial, scene.num_cameras());
   const ProblemFactors factors = maker.Take();
-  ProblemView problem = scene.View();
+  AdjustmentProblem problem = scene.View();
   problem.factors = &factors;
   const SceneFrame frame(problem);
   const CenteredProblem centered(problem, frame);
@@ -144,7 +144,7 @@ TEST(ChartedFactor, WhatIsHeldHasNoColumn) {
   maker.Prior(Kind::kCamera, 0, LossType::kTrivial);
   maker.Prior(Kind::kPoint, 2, LossType::kTrivial);
   const ProblemFactors factors = maker.Take();
-  ProblemView problem = scene.View();
+  AdjustmentProblem problem = scene.View();
   problem.factors = &factors;
   SolveOptions options;
   options.fixed_image_ids = {scene.image_ids[1]};

@@ -32,7 +32,7 @@ Scene Shifted(double distance) {
 /// touch is copied.
 TEST(CenteredProblem, MovesBackWhatChangedAndCopiesTheRest) {
   const Scene scene = Shifted(1e5);
-  const ProblemView view = scene.View();
+  const AdjustmentProblem view = scene.View();
   const SceneFrame frame(view);
   ASSERT_TRUE(frame.IsFarFromOrigin());
   const CenteredProblem centered(view, frame);
@@ -80,7 +80,7 @@ TEST(FindFarPoints, LeaveTheNormByWhatTheyAddToIt) {
   }
   // Of the order of the far ones, so that it counts who is in which sum.
   for (size_t k = 15; k < 30; ++k) scene.points[k] = 450 * size;
-  const ProblemView view = scene.View();
+  const AdjustmentProblem view = scene.View();
   const SceneFrame frame(view);
   const auto expected = [&](const ParameterLayout& layout) {
     double all = 0, near = 0;
@@ -119,7 +119,7 @@ TEST(FindFarPoints, TheNormHasTheCameras) {
   for (int p = 1; p < scene.num_points(); ++p) {
     options.fixed_point_ids.push_back(scene.point_ids[p]);
   }
-  const ProblemView view = scene.View();
+  const AdjustmentProblem view = scene.View();
   const ParameterLayout layout(view, SelectFreeParameters(view, options));
   const SceneFrame frame(view);
   ASSERT_GT(frame.DistanceTo(view.points), kFarPoint * frame.size * 0.3);

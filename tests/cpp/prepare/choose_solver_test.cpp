@@ -37,7 +37,7 @@ testing::Scene Coupled(int num_pairs) {
 /// The chosen solver for a number of columns.
 LinearSolverType Choose(const testing::Scene& scene, int64_t columns, int64_t free_points = 1,
                         bool cameras_eliminated = false) {
-  const ProblemView problem = scene.View();
+  const AdjustmentProblem problem = scene.View();
   const PreparedSolve prepared = PrepareSolve(problem, SolveOptions());
   ProblemShape shape = ShapeOf(prepared.layout, 2 * problem.num_observations);
   shape.num_camera_columns = columns;

@@ -118,7 +118,7 @@ TEST(WorkingMemory, CountsPairsBuffersAndBothStates) {
   options.num_images = 20;
   options.num_points = 100;  // seen by all
   const testing::Scene scene = testing::MakeScene(options);
-  const ProblemView problem = scene.View();
+  const AdjustmentProblem problem = scene.View();
   const PreparedSolve prepared = PrepareSolve(problem, SolveOptions());
   const double observations = 2000, pairs = 100 * 190;
   const double one = PredictFusedWorkingBytes(prepared.layout, prepared.track_lengths, false, 1, 0);

@@ -36,8 +36,8 @@ TEST(SolverChecks, LeaveATenthOfTheMemory) {
 }
 
 /// A problem of these sizes; nobody looks into it.
-ProblemView Sizes(int num_images, int num_points, int64_t num_observations) {
-  ProblemView problem;
+AdjustmentProblem Sizes(int num_images, int num_points, int64_t num_observations) {
+  AdjustmentProblem problem;
   problem.num_images = num_images;
   problem.num_points = num_points;
   problem.num_observations = num_observations;

@@ -48,7 +48,7 @@ struct Found {
 /// similarities by these amounts.
 Found SolveWithError(const Scene& scene, const SolveOptions& options,
                      const std::vector<double>& amounts) {
-  const ProblemView problem = scene.View();
+  const AdjustmentProblem problem = scene.View();
   const PreparedSolve prepared = Prepare(problem, options, true);
   const BlockStructure structure = Structure(problem, prepared.layout, true);
   ErringSolver solver(structure);

@@ -43,7 +43,7 @@ class PointPlanTest : public ::testing::Test {
   void ExpectSorted(bool in_sections) const;
 
   testing::Scene scene_;
-  ProblemView problem_;
+  AdjustmentProblem problem_;
   std::unique_ptr<ParameterLayout> layout_;
 };
 
@@ -232,7 +232,7 @@ class LongTrackTest : public ::testing::TestWithParam<LongTrack> {};
 
 TEST_P(LongTrackTest, HasNumbersForAllBlocksOfEachChunk) {
   const testing::Scene scene = LongTracks(GetParam().length, GetParam().repeat);
-  const ProblemView problem = scene.View();
+  const AdjustmentProblem problem = scene.View();
   const ParameterLayout layout = PrepareSolve(problem, SolveOptions{}).layout;
   const int width = (GetParam().unknowns + 3) / 4 * 4;
   const int block_bytes = GetParam().unknowns * width * static_cast<int>(sizeof(double));

@@ -94,7 +94,7 @@ TEST(SchurProblemWithRigs, SameBitsForAnyNumberOfThreads) {
   rig_options.num_points = 400;
   rig_options.track_length = 9;
   const Scene scene = MakeRigScene(rig_options);
-  const ProblemView problem = scene.View();
+  const AdjustmentProblem problem = scene.View();
   for (const bool refine_sensors : {false, true}) {
     std::vector<testing::RealMatrix> matrices;
     std::vector<RealVector> right_sides;

@@ -27,7 +27,7 @@ using testing::RealVector;
 using testing::Scene;
 
 /// A dense S, or a sparse one within its factor.
-inline BlockStructure Structure(const ProblemView& problem, const ParameterLayout& layout,
+inline BlockStructure Structure(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                 bool dense) {
   std::vector<int> sizes;
   for (const CameraBlock& block : layout.blocks()) sizes.push_back(block.size);
@@ -37,7 +37,7 @@ inline BlockStructure Structure(const ProblemView& problem, const ParameterLayou
 }
 
 /// Start of a solve; unless `natural`, with the blocks in another order.
-inline PreparedSolve Prepare(const ProblemView& problem, const SolveOptions& options,
+inline PreparedSolve Prepare(const AdjustmentProblem& problem, const SolveOptions& options,
                              bool natural) {
   PreparedSolve prepared = PrepareSolve(problem, options);
   if (natural) return prepared;
@@ -94,7 +94,7 @@ class Comparison {
   }
 
  private:
-  static ProblemView WithFactors(ProblemView problem, const ProblemFactors* factors) {
+  static AdjustmentProblem WithFactors(AdjustmentProblem problem, const ProblemFactors* factors) {
     problem.factors = factors;
     return problem;
   }
@@ -228,7 +228,7 @@ class Comparison {
     return sine == 0 ? vector : RealVector(vector * (2 * std::atan2(sine, Real(w[3])) / sine));
   }
 
-  const ProblemView problem_;
+  const AdjustmentProblem problem_;
   const SolveOptions options_;
   const PreparedSolve prepared_;
   CapturingSolver solver_;

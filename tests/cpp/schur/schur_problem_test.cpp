@@ -182,7 +182,7 @@ TEST(SchurProblem, CanBeInterruptedAndGoesOn) {
   for (const int images_per_camera : {1, 40}) {
     scene_options.images_per_camera = images_per_camera;
     const Scene scene = MakeScene(scene_options);
-    const ProblemView problem = scene.View();
+    const AdjustmentProblem problem = scene.View();
     SolveOptions options = Options();
     options.num_threads = 4;
     const PreparedSolve prepared = PrepareSolve(problem, options);

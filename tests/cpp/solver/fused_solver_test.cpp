@@ -222,7 +222,7 @@ TEST(SolveWithFused, LeavesAStepThatIsInterruptedAsCeresDoes) {
   scene_options.num_images = 8;
   scene_options.num_points = 60;
   const Scene scene = MakeScene(scene_options);
-  const ProblemView problem = scene.View();
+  const AdjustmentProblem problem = scene.View();
   for (const Backend backend : {Backend::kFused, Backend::kCeres}) {
     for (const LinearSolverType type : kSolvers) {
       SolveOptions options = Options(type);
@@ -268,7 +268,7 @@ TEST(SolveWithFused, LeavesAStepThatIsInterruptedAsCeresDoes) {
 
 TEST(SolveWithFused, ThrowsWhereItIsInterruptedBeforeTheFirstEvaluationAsCeresDoes) {
   const Scene scene = MakeScene(SceneOptions());
-  const ProblemView problem = scene.View();
+  const AdjustmentProblem problem = scene.View();
   for (const Backend backend : {Backend::kFused, Backend::kCeres}) {
     SolveOptions options = Options();
     options.backend = backend;
@@ -279,7 +279,7 @@ TEST(SolveWithFused, ThrowsWhereItIsInterruptedBeforeTheFirstEvaluationAsCeresDo
 
 TEST(SolveWithFused, NeedsNoSecondThreadAndCeresNeither) {
   const Scene scene = MakeScene(SceneOptions());
-  const ProblemView problem = scene.View();
+  const AdjustmentProblem problem = scene.View();
   for (const Backend backend : {Backend::kFused, Backend::kCeres}) {
     for (const LinearSolverType type : kSolvers) {
       SolveOptions options = Options(type);

@@ -45,7 +45,7 @@ struct Walk {
 
   SolveOutput Solve(const SolveOptions& options, HelixFactor::Faults faults = nullptr) const {
     const ProblemFactors factors = Helix(image, {kTarget, kTarget + 3}, std::move(faults));
-    ProblemView problem = scene.View();
+    AdjustmentProblem problem = scene.View();
     problem.factors = &factors;
     return bundle::Solve(problem, options, nullptr);
   }
@@ -57,7 +57,7 @@ struct Walk {
   /// 1/2 ||r||^2 of the factor, and of all, at a solution.
   double FactorCost(const SolveOutput& output) const {
     const ProblemFactors factors = Helix(image, {kTarget, kTarget + 3});
-    ProblemView problem = scene.View();
+    AdjustmentProblem problem = scene.View();
     problem.cam_from_world = output.cam_from_world.data();
     problem.factors = &factors;
     return FactorCosts(problem)[0];

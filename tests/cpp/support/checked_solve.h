@@ -5,9 +5,9 @@
 #include <algorithm>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
-#include "core/problem/problem_view.h"
 #include "core/solver/solver.h"
 #include "support/cost.h"
 #include "support/scene.h"
@@ -16,7 +16,7 @@ namespace bundle::testing {
 
 /// Invariants of every solve, however it ends: sizes, and a summary that is correct.
 inline SolveOutput CheckedSolve(const Scene& scene, const SolveOptions& options) {
-  const ProblemView problem = scene.View();
+  const AdjustmentProblem problem = scene.View();
   SolveOutput output = Solve(problem, options, nullptr);
   EXPECT_EQ(output.cam_from_world.size(), scene.cam_from_world.size());
   EXPECT_EQ(output.camera_params.size(), scene.camera_params.size());

@@ -7,9 +7,9 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
-#include "core/problem/problem_view.h"
 #include "support/scene.h"
 
 namespace bundle::testing {
@@ -35,7 +35,7 @@ inline long double Rho(LossType loss, long double a, long double s) {
 }
 
 /// 1/2 sum rho(||r||^2) over observations [begin, end).
-inline long double ProblemCost(const ProblemView& problem, const SolveOptions& options,
+inline long double ProblemCost(const AdjustmentProblem& problem, const SolveOptions& options,
                                int64_t begin, int64_t end) {
   long double cost = 0;
   for (int64_t i = begin; i < end; ++i) {
@@ -57,14 +57,14 @@ inline long double ProblemCost(const ProblemView& problem, const SolveOptions& o
   return cost;
 }
 
-inline long double ProblemCost(const ProblemView& problem, const SolveOptions& options) {
+inline long double ProblemCost(const AdjustmentProblem& problem, const SolveOptions& options) {
   return ProblemCost(problem, options, 0, problem.num_observations);
 }
 
 /// The cost of what a solve of `scene` gave back.
 inline long double SolvedCost(const Scene& scene, const SolveOutput& output,
                               const SolveOptions& options, int64_t begin, int64_t end) {
-  ProblemView solved = scene.View();
+  AdjustmentProblem solved = scene.View();
   solved.cam_from_world = output.cam_from_world.data();
   solved.camera_params = output.camera_params.data();
   solved.points = output.points.data();

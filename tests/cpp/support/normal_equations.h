@@ -11,10 +11,10 @@
 
 #include "core/cameras/registry.h"
 #include "core/factors/reprojection.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
-#include "core/problem/problem_view.h"
 #include "support/cost.h"
 #include "support/dense_oracle.h"
 
@@ -61,7 +61,7 @@ inline Real LossSlope(LossType loss, Real a, Real s) {
 /// the order of the problem.
 class LinearizedProblem {
  public:
-  LinearizedProblem(const ProblemView& problem, const ParameterLayout& layout,
+  LinearizedProblem(const AdjustmentProblem& problem, const ParameterLayout& layout,
                     const SolveOptions& options, const CameraStates& cameras,
                     const std::vector<double>& points)
       : num_camera_columns(layout.state_size()), point_column_(problem.num_points, -1) {
@@ -157,7 +157,7 @@ class LinearizedProblem {
   }
 
   template <typename Model>
-  void AddObservation(const ProblemView& problem, const ParameterLayout& layout,
+  void AddObservation(const AdjustmentProblem& problem, const ParameterLayout& layout,
                       const SolveOptions& options, const CameraStates& cameras,
                       const std::vector<double>& points, int64_t i) {
     constexpr int kParams = kNumParams<Model>;

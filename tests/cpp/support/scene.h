@@ -14,7 +14,7 @@
 
 #include "core/cameras/registry.h"
 #include "core/geometry/rotation.h"
-#include "core/problem/problem_view.h"
+#include "core/interface/adjustment_problem.h"
 #include "core/sums/point_sections.h"
 #include "support/camera_params.h"
 
@@ -50,8 +50,8 @@ struct Scene {
   int64_t num_observations() const { return static_cast<int64_t>(observation_image.size()); }
 
   /// Points into this scene: not to outlive it, nor a change of its sizes.
-  ProblemView View() const {
-    ProblemView view;
+  AdjustmentProblem View() const {
+    AdjustmentProblem view;
     view.num_images = num_images();
     view.num_cameras = num_cameras();
     view.num_points = num_points();

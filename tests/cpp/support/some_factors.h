@@ -147,7 +147,7 @@ class FactorMaker {
     return product;
   }
 
-  ProblemView problem_;
+  AdjustmentProblem problem_;
   ProblemFactors made_;
   std::mt19937 random_{7};
   std::normal_distribution<double> normal_;

@@ -34,7 +34,7 @@ void FillSensorMap(const CameraBlock& block, const double whole[kPoseSize * kPos
 
 }  // namespace
 
-Assembler::Assembler(const ProblemView& problem, const ParameterLayout& layout,
+Assembler::Assembler(const AdjustmentProblem& problem, const ParameterLayout& layout,
                      const std::vector<ModelGroup>& groups, const std::vector<uint8_t>& image_group,
                      const BlockStructure& structure)
     : problem_(problem),

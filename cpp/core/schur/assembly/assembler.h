@@ -23,10 +23,10 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/interface/adjustment_problem.h"
 #include "core/linear/block_structure.h"
 #include "core/model/parameter_layout.h"
 #include "core/parallel/thread_pool.h"
-#include "core/problem/problem_view.h"
 #include "core/schur/column_map.h"
 #include "core/schur/kernels/kernels.h"
 
@@ -56,7 +56,7 @@ struct CameraSums {
 class Assembler {
  public:
   /// `groups` and `image_group` as in EliminationInput.
-  Assembler(const ProblemView& problem, const ParameterLayout& layout,
+  Assembler(const AdjustmentProblem& problem, const ParameterLayout& layout,
             const std::vector<ModelGroup>& groups, const std::vector<uint8_t>& image_group,
             const BlockStructure& structure);
   Assembler(const Assembler&) = delete;
@@ -153,7 +153,7 @@ class Assembler {
   void PrefetchPair(int first, int second, CameraSums* sums) const;
   int64_t Entry(int column, int row) const { return structure_.Entry(column, row); }
 
-  const ProblemView& problem_;
+  const AdjustmentProblem& problem_;
   const ParameterLayout& layout_;
   const BlockStructure& structure_;
   BlockStructure compact_;  ///< CompactStructure, where error terms are kept
