@@ -15,6 +15,7 @@
 #include "core/io/bal.h"
 #include "core/io/bal_parts.h"
 #include "core/io/bal_stream.h"
+#include "core/io/input_file.h"
 
 namespace py = pybind11;
 

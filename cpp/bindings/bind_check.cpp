@@ -12,8 +12,10 @@
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
 #include "bindings/to_numpy.h"
-#include "core/ceres/reference_checks.h"
+#include "core/ceres/gradient_check.h"
+#include "core/ceres/reprojection_check.h"
 #include "core/checking/check_solution.h"
+#include "core/checking/spot_check.h"
 #include "core/error.h"
 #include "core/model/gauge.h"
 

@@ -12,8 +12,12 @@
 #include "bindings/file_access.h"
 #include "bindings/immutable_array.h"
 #include "core/error.h"
+#include "core/io/colmap_checker.h"
 #include "core/io/colmap_model.h"
 #include "core/io/colmap_parts.h"
+#include "core/io/colmap_rigs.h"
+#include "core/io/colmap_survey.h"
+#include "core/io/colmap_writer.h"
 
 namespace py = pybind11;
 

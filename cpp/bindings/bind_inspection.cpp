@@ -10,10 +10,12 @@
 #include "bindings/problem_from_python.h"
 #include "bindings/to_numpy.h"
 #include "core/interface/options.h"
+#include "core/prepare/choose_solver.h"
+#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
-#include "core/schur/schur_problem.h"
-#include "core/symbolic/symbolic.h"
+#include "core/schur/schur_setup.h"
+#include "core/symbolic/block_pattern.h"
 
 namespace py = pybind11;
 

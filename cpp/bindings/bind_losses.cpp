@@ -4,7 +4,7 @@
 #include <string>
 
 #include "bindings/options_from_python.h"
-#include "core/ceres/reference_checks.h"
+#include "core/ceres/losses.h"
 #include "core/factors/loss.h"
 
 namespace py = pybind11;

@@ -18,6 +18,7 @@
 #include "core/error.h"
 #include "core/io/g2o.h"
 #include "core/linear/edge_system.h"
+#include "core/pose_graph/chordal.h"
 #include "core/pose_graph/edge_kernel.h"
 #include "core/pose_graph/initialise.h"
 #include "core/pose_graph/pose_graph.h"

@@ -9,7 +9,7 @@
 #include "bindings/problem_from_python.h"
 #include "core/error.h"
 #include "core/interface/adjustment_problem.h"
-#include "core/io/files.h"
+#include "core/io/printable.h"
 #include "core/problem/reprojection_errors.h"
 
 namespace py = pybind11;

@@ -16,7 +16,7 @@
 #include "bindings/python_progress.h"
 #include "bindings/summary_to_python.h"
 #include "core/ceres/solve_with_ceres.h"
-#include "core/checking/check_solution.h"
+#include "core/checking/convergence_watch.h"
 #include "core/error.h"
 #include "core/parallel/thread_pool.h"
 #include "core/solver/solver.h"

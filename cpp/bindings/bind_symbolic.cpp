@@ -13,7 +13,9 @@
 #include "core/error.h"
 #include "core/model/coupled_blocks.h"
 #include "core/prepare/prepare.h"
-#include "core/symbolic/symbolic.h"
+#include "core/symbolic/block_pattern.h"
+#include "core/symbolic/factor_counts.h"
+#include "core/symbolic/orderings.h"
 
 namespace py = pybind11;
 

@@ -13,7 +13,7 @@
 #include <system_error>
 
 #include "core/error.h"
-#include "core/io/files.h"
+#include "core/io/output_file.h"
 
 namespace bundle {
 

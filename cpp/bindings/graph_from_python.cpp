@@ -14,6 +14,7 @@
 #include "core/error.h"
 #include "core/factors/factor.h"
 #include "core/factors/imu_factor.h"
+#include "core/factors/linear_prior.h"
 #include "core/factors/measurement_factors.h"
 
 namespace py = pybind11;

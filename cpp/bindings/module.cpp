@@ -1,7 +1,7 @@
 #include <pybind11/pybind11.h>
 
 #include "core/error.h"
-#include "core/prepare/prepare.h"
+#include "core/prepare/memory.h"
 
 namespace py = pybind11;
 

@@ -1,3 +1,4 @@
+#include "core/ceres/gradient_check.h"
 
 #include <ceres/gradient_checker.h>
 
@@ -7,8 +8,7 @@
 #include <memory>
 #include <random>
 
-#include "core/ceres/cost_functions.h"
-#include "core/ceres/reference_checks.h"
+#include "core/ceres/ceres_graph.h"
 #include "core/checking/richardson.h"
 
 namespace bundle {

@@ -1,3 +1,5 @@
+#include "core/ceres/reprojection_check.h"
+
 /// Checks the Jacobians of a solve's reprojection residuals, observation by observation.
 ///
 /// The projection is singular at the camera's centre and, for some models, in the plane through it.
@@ -17,8 +19,10 @@
 #include <vector>
 
 #include "core/cameras/registry.h"
-#include "core/ceres/cost_functions.h"
-#include "core/ceres/reference_checks.h"
+#include "core/ceres/gradient_check.h"
+#include "core/ceres/reprojection_cost.h"
+#include "core/model/camera_states.h"
+#include "core/model/free_parameters.h"
 #include "core/model/parameter_layout.h"
 #include "core/parallel/thread_pool.h"
 #include "core/problem/reprojection_errors.h"

@@ -1,10 +1,11 @@
+#include "core/ceres/reprojection_cost.h"
+
 #include <algorithm>
 #include <cstddef>
 #include <utility>
 #include <vector>
 
 #include "core/cameras/registry.h"
-#include "core/ceres/cost_functions.h"
 #include "core/factors/reprojection.h"
 
 namespace bundle {

@@ -1,18 +1,21 @@
+#include "core/ceres/solve_graph.h"
+
 #include <algorithm>
 #include <limits>
 #include <string>
 #include <utility>
 
-#include "core/ceres/cost_functions.h"
-#include "core/ceres/solve_with_ceres.h"
-#include "core/ceres/translate.h"
+#include "core/ceres/ceres_graph.h"
+#include "core/ceres/summarize.h"
+#include "core/ceres/translate_options.h"
+#include "core/ceres/untaken_decrease.h"
 #include "core/checking/check_solution.h"
 #include "core/error.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
 #include "core/parallel/blas.h"
 #include "core/parallel/thread_pool.h"
-#include "core/prepare/prepare.h"
+#include "core/prepare/memory.h"
 #include "core/words.h"
 
 namespace bundle {

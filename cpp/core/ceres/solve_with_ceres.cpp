@@ -12,16 +12,24 @@
 #include <vector>
 
 #include "core/ceres/active_bounds.h"
-#include "core/ceres/cost_functions.h"
+#include "core/ceres/ceres_graph.h"
+#include "core/ceres/losses.h"
+#include "core/ceres/reprojection_cost.h"
 #include "core/ceres/settle_factors.h"
-#include "core/ceres/translate.h"
+#include "core/ceres/summarize.h"
+#include "core/ceres/translate_options.h"
+#include "core/ceres/untaken_decrease.h"
 #include "core/checking/check_solution.h"
+#include "core/checking/lost_observations.h"
 #include "core/interface/summary.h"
+#include "core/model/camera_states.h"
 #include "core/model/coupled_blocks.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
 #include "core/parallel/blas.h"
 #include "core/parallel/thread_pool.h"
+#include "core/prepare/choose_solver.h"
+#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
 
 namespace bundle {

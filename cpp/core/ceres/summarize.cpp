@@ -1,3 +1,4 @@
+#include "core/ceres/summarize.h"
 
 #include <algorithm>
 #include <cmath>
@@ -8,11 +9,12 @@
 #include <utility>
 #include <vector>
 
-#include "core/ceres/translate.h"
+#include "core/ceres/translate_options.h"
 #include "core/interface/summary.h"
 #include "core/model/coupled_blocks.h"
 #include "core/parallel/thread_pool.h"
-#include "core/symbolic/symbolic.h"
+#include "core/symbolic/block_pattern.h"
+#include "core/symbolic/factor_counts.h"
 
 namespace bundle {
 

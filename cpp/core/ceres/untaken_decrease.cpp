@@ -1,3 +1,5 @@
+#include "core/ceres/untaken_decrease.h"
+
 /// The decrease left where Ceres ended by its parameter tolerance, of whose last step it keeps
 /// no record.
 ///
@@ -12,8 +14,6 @@
 #include <string>
 #include <utility>
 #include <vector>
-
-#include "core/ceres/translate.h"
 
 namespace bundle {
 namespace {

@@ -11,6 +11,9 @@
 #include <vector>
 
 #include "core/cameras/registry.h"
+#include "core/checking/convergence_watch.h"
+#include "core/checking/lost_observations.h"
+#include "core/checking/steep_end.h"
 #include "core/error.h"
 #include "core/interface/adjustment_problem.h"
 #include "core/problem/reprojection_errors.h"

@@ -1,3 +1,5 @@
+#include "core/checking/convergence_watch.h"
+
 /// The signature of a wrong Jacobian in the iterations of a solve.
 ///
 /// A wrong Jacobian rarely crashes: the cost still falls, only less than promised. Two things about
@@ -50,8 +52,6 @@
 #include <iomanip>
 #include <limits>
 #include <sstream>
-
-#include "core/checking/check_solution.h"
 
 namespace bundle {
 namespace {

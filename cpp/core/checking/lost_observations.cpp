@@ -1,3 +1,5 @@
+#include "core/checking/lost_observations.h"
+
 /// Observations that end behind their cameras, and what that says of the solution.
 
 #include <cmath>
@@ -8,7 +10,6 @@
 #include <string>
 #include <vector>
 
-#include "core/checking/check_solution.h"
 #include "core/problem/reprojection_errors.h"
 #include "core/sums/communicator.h"
 

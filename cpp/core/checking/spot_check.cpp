@@ -1,3 +1,5 @@
+#include "core/checking/spot_check.h"
+
 /// A spot check of the linearisation: at a sample of observations, each column of the claimed
 /// Jacobian is held against differences of the residual. The iterations of a solve do not tell a
 /// column that is far too small from bad scaling (WatchConvergence); this does.
@@ -40,8 +42,6 @@
 #include <map>
 #include <sstream>
 #include <utility>
-
-#include "core/checking/check_solution.h"
 
 namespace bundle {
 namespace {

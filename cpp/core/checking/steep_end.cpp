@@ -1,3 +1,5 @@
+#include "core/checking/steep_end.h"
+
 /// The end of a solve whose steps became too short before its gradient became small.
 ///
 /// Parameter tolerance and trust region radius look at steps, not at what these are worth. Where
@@ -27,8 +29,6 @@
 #include <cstddef>
 #include <sstream>
 #include <string>
-
-#include "core/checking/check_solution.h"
 
 namespace bundle {
 namespace {

@@ -8,6 +8,10 @@
 
 #include "core/error.h"
 #include "core/linear/block_structure.h"
+#include "core/linear/direct_solvers.h"
+#include "core/linear/fill_ordering.h"
+#include "core/linear/symmetric_product.h"
+#include "core/prepare/memory.h"
 
 namespace bundle {
 namespace {

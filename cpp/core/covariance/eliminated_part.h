@@ -9,6 +9,7 @@
 
 #include "core/covariance/reduced_system.h"
 #include "core/linear/linear_solver.h"
+#include "core/linear/symmetric_product.h"
 
 namespace bundle {
 

@@ -19,6 +19,7 @@
 #include "core/covariance/observation_rows.h"
 #include "core/covariance/point_blocks.h"
 #include "core/interface/adjustment_problem.h"
+#include "core/model/camera_states.h"
 #include "core/model/gauge.h"
 #include "core/model/parameter_layout.h"
 #include "core/schur/kernels/kernels.h"

@@ -1,5 +1,7 @@
-/// Points with directions that nothing sees: found after a first linearisation, and held in a
-/// second one by factors that couple with nothing (point_blocks.h).
+/// Part of ReducedSystem (reduced_system.h).
+///
+/// Points with directions that no residual determines. A first linearisation finds them; a second
+/// one holds them constant by factors on these points alone (point_blocks.h).
 
 #include <algorithm>
 #include <cmath>

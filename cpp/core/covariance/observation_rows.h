@@ -18,6 +18,7 @@
 #include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/linear/block_structure.h"
+#include "core/model/camera_states.h"
 #include "core/model/parameter_layout.h"
 
 namespace bundle {

@@ -21,6 +21,7 @@
 #include "core/covariance/observation_rows.h"
 #include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
+#include "core/model/camera_states.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
 

@@ -10,9 +10,12 @@
 #include "core/covariance/gauge_sums.h"
 #include "core/covariance/point_passes.h"
 #include "core/error.h"
+#include "core/linear/direct_solvers.h"
+#include "core/linear/fill_ordering.h"
 #include "core/model/coupled_blocks.h"
 #include "core/parallel/blas.h"
 #include "core/parallel/thread_pool.h"
+#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
 

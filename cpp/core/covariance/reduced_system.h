@@ -27,6 +27,7 @@
 #include "core/interface/options.h"
 #include "core/linear/block_structure.h"
 #include "core/linear/linear_solver.h"
+#include "core/model/camera_states.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
 #include "core/prepare/prepare.h"

@@ -1,5 +1,7 @@
-/// Rows of a reduced system's Jacobian that are not a point's observations, and whether points are
-/// eliminated from their rows.
+/// Part of ReducedSystem (reduced_system.h).
+///
+/// Rows of the Jacobian that are no observations of free points, and the choice whether points are
+/// eliminated from rows.
 
 #include <cstddef>
 #include <cstdint>

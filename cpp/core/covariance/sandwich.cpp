@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "core/geometry/rotation.h"
+#include "core/linear/symmetric_product.h"
 #include "core/parallel/thread_pool.h"
 
 namespace bundle {

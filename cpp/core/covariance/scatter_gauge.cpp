@@ -5,6 +5,7 @@
 
 #include "core/dense/decompositions.h"
 #include "core/linear/block_structure.h"
+#include "core/linear/symmetric_product.h"
 #include "core/parallel/thread_pool.h"
 
 namespace bundle {

@@ -1,3 +1,5 @@
+#include "core/diagnosis/graph_spectrum.h"
+
 /// H = J^T W J of the poses that are not held, as a solve takes it, and S = D H D with ones on its
 /// diagonal. The largest eigenvalue comes from products, the smallest from products with the
 /// inverse (krylov.h), which keeps its digits however small it is. Where edges leave directions
@@ -8,8 +10,6 @@
 /// with Z an orthonormal basis of these directions in the units of S. The same holds for H as it
 /// is, whose inverse is D S^-1 D.
 
-#include "core/diagnosis/graph_spectrum.h"
-
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
@@ -19,6 +19,7 @@
 
 #include "core/dense/decompositions.h"
 #include "core/diagnosis/krylov.h"
+#include "core/linear/symmetric_product.h"
 #include "core/pose_graph/pose_graph_problem.h"
 
 namespace bundle {

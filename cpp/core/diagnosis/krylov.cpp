@@ -1,3 +1,5 @@
+#include "core/diagnosis/krylov.h"
+
 /// Block Lanczos with full orthogonalisation (Golub and Underwood 1977): the space
 ///
 ///   span { X, A X, A^2 X, ... },    X random, of b columns,
@@ -7,8 +9,6 @@
 /// (Parlett: The Symmetric Eigenvalue Problem, 1980, chapter 13). With Q the basis, the eigenpairs
 /// of the small Q^T A Q are those of A within the space (Rayleigh-Ritz); A Q is kept, so that their
 /// residuals cost no product with A.
-
-#include "core/diagnosis/krylov.h"
 
 #include <algorithm>
 #include <random>

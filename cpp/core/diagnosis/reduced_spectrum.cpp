@@ -1,3 +1,5 @@
+#include "core/diagnosis/reduced_spectrum.h"
+
 /// S has one eigenvalue of zero for each direction in which nothing that is refined changes any
 /// residual. It is scaled first: its diagonal spans many orders of magnitude (radians, metres,
 /// pixels, coefficients), and without that nothing says which eigenvalue is small. Of the scaled S,
@@ -20,8 +22,6 @@
 /// the pseudo-inverse, P diag(d) (scaled S)^-1 diag(d) P, with P the projection beside the null
 /// space of S as it is, which is that of the scaled S times d.
 
-#include "core/diagnosis/reduced_spectrum.h"
-
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
@@ -33,6 +33,7 @@
 #include "core/diagnosis/krylov.h"
 #include "core/diagnosis/scaled_system.h"
 #include "core/model/gauge.h"
+#include "core/model/gauge_count.h"
 #include "core/model/scene_frame.h"
 #include "core/model/unknown_names.h"
 

@@ -1,3 +1,5 @@
+#include "core/diagnosis/scaled_system.h"
+
 /// Which unknowns nothing determines: those of which a change as large as they can have moves no
 /// pixel by kInvisible, and those whose every effect moving points can undo,
 /// S_jj = U_jj - w_j^T V^-1 w_j = 0. Of the latter, the elimination leaves rounding of the size of
@@ -11,8 +13,6 @@
 ///
 /// means nothing. It matters to scenes that are long: turning an image about a far origin moves it
 /// by nearly as much as its points can follow.
-
-#include "core/diagnosis/scaled_system.h"
 
 #include <algorithm>
 #include <cmath>

@@ -6,6 +6,7 @@
 
 #include "core/covariance/reduced_system.h"
 #include "core/linear/block_structure.h"
+#include "core/linear/symmetric_product.h"
 
 namespace bundle {
 

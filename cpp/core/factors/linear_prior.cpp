@@ -1,3 +1,5 @@
+#include "core/factors/linear_prior.h"
+
 /// A dense quadratic prior on several variables, as marginalisation leaves it:
 ///
 ///   1/2 d^T Lambda d - eta^T d,        d = (Log(X_1*^-1 X_1), Log(X_2*^-1 X_2), ...),
@@ -23,7 +25,6 @@
 
 #include "core/dense/decompositions.h"
 #include "core/factors/factor.h"
-#include "core/factors/measurement_factors.h"
 
 namespace bundle {
 namespace {

@@ -7,6 +7,7 @@
 
 #include "core/cameras/camera_model.h"
 #include "core/factors/factor.h"
+#include "core/geometry/retraction.h"
 
 namespace bundle {
 
@@ -160,34 +161,6 @@ class ReprojectionFactor final : public Factor {
   const CameraModel& model_;
   std::vector<double> observation_;
   Whitening whitening_;
-};
-
-class LinearPrior final : public Factor {
- public:
-  /// Of Lambda = A^T A and eta = A^T b.
-  struct Root {
-    int rows = 0;
-    std::vector<double> a;  ///< rows x n, row-major
-    std::vector<double> b;
-  };
-
-  /// `lambda` is n x n, row-major, and `eta` n, n the sum of the tangent sizes. Throws InputError
-  /// unless Lambda is symmetric, positive semidefinite, not zero, and eta in its range.
-  LinearPrior(FactorHead head, std::vector<Retraction> retractions,
-              std::vector<std::vector<double>> linearization_point,
-              const std::vector<double>& lambda, const std::vector<double>& eta);
-  /// Of a root that has rows and as many columns as the tangent sizes sum to.
-  LinearPrior(FactorHead head, std::vector<Retraction> retractions,
-              std::vector<std::vector<double>> linearization_point, Root root);
-
-  bool Evaluate(const double* const* values, double* residual,
-                double* const* jacobians) const override;
-
- private:
-  static Root SquareRoot(const std::string& subject, int n, const std::vector<double>& lambda,
-                         const std::vector<double>& eta);
-  std::vector<std::vector<double>> linearization_point_;
-  Root root_;
 };
 
 }  // namespace bundle

@@ -41,6 +41,9 @@
 
 namespace bundle {
 
+/// Tangent coordinates of a pose: rotation w, translation t.
+inline constexpr int kPoseSize = 6;
+
 /// What all observations of an image share in one evaluation.
 struct PoseState {
   double rotation[9];       ///< cam_from_world, Exp(v) R_a

@@ -1,3 +1,5 @@
+/// Part of Preintegration (preintegration.h).
+///
 /// The covariance of a preintegrated motion together with the biases that walk in it.
 ///
 /// preintegration.cpp takes the biases for constant. A bias that walks with density s_b from b_i on

@@ -1,3 +1,5 @@
+#include "core/inertial/imu_residual.h"
+
 /// Jacobians of the residual (Forster et al., TRO 2017, appendix C), for R Exp(d) and R' Exp(d').
 ///
 /// Rotation: with r = r_R, dR^T R^T R' = Exp(r). The last state multiplies it by Exp(d') on the
@@ -16,8 +18,6 @@
 ///          | d       p     v       bg     ba    | d'   p'    v'   | g
 ///   r_p    | [y]x   -R^T  -R^T T  -J_pg  -J_pa  |  0   R^T    0   | -1/2 R^T T^2
 ///   r_v    | [z]x    0    -R^T    -J_vg  -J_va  |  0    0    R^T  | -R^T T
-
-#include "core/inertial/imu_residual.h"
 
 #include <algorithm>
 

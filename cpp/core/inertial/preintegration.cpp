@@ -1,3 +1,5 @@
+#include "core/inertial/preintegration.h"
+
 /// Preintegration on the manifold (Forster, Carlone, Dellaert, Scaramuzza, "On-Manifold
 /// Preintegration for Real-Time Visual-Inertial Odometry", TRO 2017).
 ///
@@ -35,8 +37,6 @@
 ///   tp += drift tv + 1/2 dt X^T        pp += drift (pv + pv^T) + drift^2 vv + 1/2 dt (U + U^T)
 ///   tv += X^T                                + 1/2 dt drift (V + V^T) + 1/4 dt^2 Z
 ///   vv += V + V^T + Z                  pv += drift vv + 1/2 dt V + U^T + drift V^T + 1/2 dt Z
-
-#include "core/inertial/preintegration.h"
 
 #include <algorithm>
 #include <cmath>

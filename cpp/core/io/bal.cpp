@@ -5,8 +5,9 @@
 
 #include "core/io/bal_reader.h"
 #include "core/io/bal_writer.h"
-#include "core/io/files.h"
+#include "core/io/input_file.h"
 #include "core/io/number_writer.h"
+#include "core/io/output_file.h"
 
 namespace bundle {
 

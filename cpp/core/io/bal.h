@@ -30,7 +30,7 @@
 #include <functional>
 #include <vector>
 
-#include "core/io/files.h"
+#include "core/io/output_file.h"
 
 namespace bundle {
 

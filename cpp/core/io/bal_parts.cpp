@@ -5,7 +5,7 @@
 #include <utility>
 
 #include "core/io/bal_reader.h"
-#include "core/io/files.h"
+#include "core/io/input_file.h"
 
 namespace bundle {
 

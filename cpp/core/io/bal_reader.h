@@ -14,7 +14,7 @@
 #include <vector>
 
 #include "core/io/bal.h"
-#include "core/io/files.h"
+#include "core/io/input_file.h"
 #include "core/io/text_cursor.h"
 
 namespace bundle {

@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "core/io/bal.h"
-#include "core/io/files.h"
 #include "core/io/number_writer.h"
+#include "core/io/output_file.h"
 
 namespace bundle {
 

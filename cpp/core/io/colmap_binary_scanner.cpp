@@ -1,3 +1,5 @@
+#include "core/io/colmap_binary_scanner.h"
+
 // COLMAP's binary format, little-endian without padding:
 //
 //   cameras.bin   u64 count; u32 id, i32 model, u64 width, u64 height, f64 params[]

@@ -1,3 +1,5 @@
+#include "core/io/colmap_checker.h"
+
 /// Reads the files of a COLMAP model and checks that its references resolve.
 
 #include <algorithm>
@@ -8,11 +10,13 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/io/colmap_binary_scanner.h"
 #include "core/io/colmap_id_map.h"
 #include "core/io/colmap_index.h"
-#include "core/io/colmap_model.h"
+#include "core/io/colmap_scanner.h"
+#include "core/io/colmap_text_scanner.h"
 #include "core/io/colmap_track_errors.h"
-#include "core/io/files.h"
+#include "core/io/printable.h"
 
 namespace bundle {
 

@@ -185,31 +185,6 @@ std::vector<size_t> OrderById(const std::vector<Record>& records) {
   return order;
 }
 
-/// One of COLMAP's two formats: syntax, counts, single values. Each function scans one file of the
-/// index into its records and throws InputError, naming file and line or byte.
-struct ColmapScanner {
-  ModelFile::Kind kind;
-  const char* extension;
-  void (*scan_rigs)(ColmapIndex*);
-  void (*scan_cameras)(ColmapIndex*);
-  void (*scan_frames)(ColmapIndex*);
-  void (*scan_images)(ColmapIndex*);
-  void (*scan_points)(ColmapIndex*);
-};
-extern const ColmapScanner kColmapTextScanner;
-extern const ColmapScanner kColmapBinaryScanner;
-
-class IdMap;
-
-/// Checks rigs, cameras, frames and images: unique ids, references that resolve. Throws InputError
-/// as the scanners do, and unless `may_be_empty` where there is no camera or no image. Returns the
-/// positions of the images.
-IdMap CheckColmapViews(const ColmapIndex& index, bool may_be_empty = false);
-
-/// The same and points with their tracks. Returns the position in `points` of each keypoint's
-/// point, -1 where it has none.
-std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index, bool may_be_empty = false);
-
 /// nullptr where COLMAP 4.2 has no such model. Our models stand in the order of COLMAP's ids.
 const CameraModel* FindColmapCameraModel(int32_t id);
 

@@ -15,8 +15,10 @@
 
 #include "core/cameras/registry.h"
 #include "core/error.h"
+#include "core/io/colmap_checker.h"
 #include "core/io/colmap_index.h"
-#include "core/io/files.h"
+#include "core/io/input_file.h"
+#include "core/io/printable.h"
 
 namespace bundle {
 

@@ -1,9 +1,9 @@
+#include "core/io/colmap_parts.h"
+
 /// A part is read in two passes: points3D.bin gives its points and their tracks, which say where
 /// each observation goes; images.bin then gives the pixels. A keypoint of a point of the part that
 /// finds no place, and a place that no keypoint fills, are contradictions. So a part needs no
 /// memory beside what it keeps but eight bytes per observation.
-
-#include "core/io/colmap_parts.h"
 
 #include <algorithm>
 #include <cmath>
@@ -14,10 +14,12 @@
 #include <vector>
 
 #include "core/io/colmap_binary_records.h"
+#include "core/io/colmap_checker.h"
 #include "core/io/colmap_id_map.h"
 #include "core/io/colmap_index.h"
+#include "core/io/colmap_survey.h"
 #include "core/io/colmap_track_errors.h"
-#include "core/io/files.h"
+#include "core/io/input_file.h"
 
 namespace bundle {
 namespace {

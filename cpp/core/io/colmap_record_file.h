@@ -11,7 +11,7 @@
 #include <utility>
 
 #include "core/io/colmap_index.h"
-#include "core/io/files.h"
+#include "core/io/output_file.h"
 
 namespace bundle {
 

@@ -1,3 +1,5 @@
+#include "core/io/colmap_rigs.h"
+
 /// Which images of a COLMAP model are where their rig says, and which have a pose of their own.
 ///
 /// COLMAP puts every image into a frame of a rig. Most rigs are a camera alone, their frames an

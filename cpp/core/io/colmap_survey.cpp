@@ -1,3 +1,5 @@
+#include "core/io/colmap_survey.h"
+
 /// Binary COLMAP models as streams: what all parts have, and how points are divided among them.
 
 #include <algorithm>
@@ -9,9 +11,10 @@
 #include <vector>
 
 #include "core/io/colmap_binary_records.h"
+#include "core/io/colmap_binary_scanner.h"
+#include "core/io/colmap_checker.h"
 #include "core/io/colmap_id_map.h"
 #include "core/io/colmap_index.h"
-#include "core/io/colmap_parts.h"
 
 namespace bundle {
 

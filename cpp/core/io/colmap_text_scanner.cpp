@@ -1,3 +1,5 @@
+#include "core/io/colmap_text_scanner.h"
+
 // COLMAP's text format, one record a line (two for an image):
 //
 //   cameras.txt   ID MODEL WIDTH HEIGHT PARAMS[]

@@ -1,3 +1,5 @@
+#include "core/io/colmap_writer.h"
+
 /// Writes a COLMAP model: the files as they were read, with refined values in place of the old.
 
 #include <algorithm>
@@ -12,7 +14,9 @@
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_model.h"
 #include "core/io/colmap_records.h"
-#include "core/io/files.h"
+#include "core/io/colmap_rigs.h"
+#include "core/io/input_file.h"
+#include "core/io/output_file.h"
 
 namespace bundle {
 namespace {

@@ -12,7 +12,8 @@
 #include <vector>
 
 #include "core/error.h"
-#include "core/io/files.h"
+#include "core/io/input_file.h"
+#include "core/io/printable.h"
 #include "core/io/text_cursor.h"
 
 namespace bundle {

@@ -8,7 +8,7 @@
 #include <utility>
 #include <vector>
 
-#include "core/io/files.h"
+#include "core/io/output_file.h"
 
 namespace bundle {
 

@@ -1,3 +1,5 @@
+#include "core/io/output_file.h"
+
 #include <bzlib.h>
 #include <fcntl.h>
 #include <unistd.h>
@@ -9,8 +11,6 @@
 #include <system_error>
 #include <thread>
 #include <utility>
-
-#include "core/io/files.h"
 
 namespace bundle {
 

@@ -14,7 +14,8 @@
 
 #include "core/error.h"
 #include "core/io/colmap_index.h"
-#include "core/io/files.h"
+#include "core/io/input_file.h"
+#include "core/io/printable.h"
 
 namespace bundle {
 

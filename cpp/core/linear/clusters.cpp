@@ -1,4 +1,4 @@
-#include "core/linear/preconditioners.h"
+#include "core/linear/clusters.h"
 
 /// Clusters start as single blocks. The blocks that are coupled most are joined first, with the
 /// clusters they are in, unless these together are too large. The coupling of blocks i and j is

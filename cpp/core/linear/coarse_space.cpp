@@ -1,3 +1,5 @@
+#include "core/linear/coarse_space.h"
+
 /// Schur-Jacobi leaves the slow part of an error: clusters of images that sit well in themselves
 /// and are moved, turned or scaled against each other, or share a change of intrinsics that poses
 /// and points make up for. So each cluster has as its directions
@@ -20,9 +22,10 @@
 #include <cstddef>
 #include <utility>
 
-#include "core/linear/linear_solver.h"
-#include "core/linear/preconditioners.h"
+#include "core/linear/clusters.h"
+#include "core/linear/fill_ordering.h"
 #include "core/linear/supernodal_cholesky.h"
+#include "core/linear/supernodes.h"
 #include "core/parallel/thread_pool.h"
 
 namespace bundle {

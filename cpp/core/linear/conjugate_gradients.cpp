@@ -1,3 +1,5 @@
+#include "core/linear/conjugate_gradients.h"
+
 /// Conjugate gradients as Ceres' ITERATIVE_SCHUR runs them inside Levenberg-Marquardt: from x = 0,
 /// at least 0 and at most 500 of them, until the quadratic model Q(x) = x^T S x - 2 b^T x gains
 /// little,
@@ -36,6 +38,7 @@
 #include "core/linear/block_structure.h"
 #include "core/linear/linear_solver.h"
 #include "core/linear/preconditioners.h"
+#include "core/linear/symmetric_product.h"
 #include "core/parallel/blas.h"
 #include "core/parallel/thread_pool.h"
 

@@ -1,3 +1,5 @@
+#include "core/linear/direct_solvers.h"
+
 /// S = L L^T in place, n^3 / 3 flops, then two triangular solves of n^2 each per right-hand side.
 
 #include <algorithm>
@@ -10,10 +12,11 @@
 
 #include "core/linear/linear_solver.h"
 #include "core/linear/supernodal_cholesky.h"
+#include "core/linear/supernodes.h"
 #include "core/linear/tiled_cholesky.h"
 #include "core/parallel/blas.h"
 #include "core/parallel/thread_pool.h"
-#include "core/symbolic/symbolic.h"
+#include "core/symbolic/factor_counts.h"
 
 namespace bundle {
 

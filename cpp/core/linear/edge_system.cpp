@@ -1,10 +1,12 @@
-/// The blocks go where the supernodal factorisation wants them, in AMD's order.
-
 #include "core/linear/edge_system.h"
+
+/// The blocks go where the supernodal factorisation wants them, in AMD's order.
 
 #include <algorithm>
 #include <utility>
 
+#include "core/linear/direct_solvers.h"
+#include "core/linear/fill_ordering.h"
 #include "core/linear/linear_solver.h"
 
 namespace bundle {

@@ -1,30 +1,13 @@
 #pragma once
 
-#include <memory>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
 #include "core/interface/linear_status.h"
-#include "core/interface/options.h"
 #include "core/linear/block_structure.h"
 
 namespace bundle {
-
-/// An order in which to eliminate the blocks of S, and what its Cholesky factor then costs.
-struct FillOrdering {
-  std::string name;        ///< "natural", "amd" or "metis"
-  std::vector<int> order;  ///< order[k]: the block eliminated as the k-th; an etree's postorder
-  double entries = 0;      ///< of the factor
-  double flops = 0;        ///< multiplications and additions; n^3 / 3 where S fills up
-  double elimination_flops = 0;  ///< FactorCounts::flops, which reports speak of
-};
-
-/// The cheapest of the natural order, AMD's and METIS'.
-FillOrdering FindFillOrdering(const BlockStructure& structure);
-
-/// That of one method: "natural", "amd", "metis" or another of symbolic/symbolic.h.
-FillOrdering FindFillOrdering(const BlockStructure& structure, const std::string& method);
 
 struct LinearSolution {
   LinearStatus status = LinearStatus::kSuccess;
@@ -110,27 +93,5 @@ class LinearSolver {
 
   bool is_factorized_ = false;
 };
-
-/// LAPACK's Cholesky factorisation; takes a dense structure.
-/// `same_bits`: for any number of threads (tiled_cholesky.h).
-std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, int num_threads,
-                                              bool same_bits = false);
-
-/// A supernodal Cholesky factorisation, analysed once. `structure` is a sparse one whose blocks
-/// stand in the order of the elimination, which `ordering` counted; it then says where the solver
-/// wants their values, in place of its factor.
-std::unique_ptr<LinearSolver> MakeSparseSolver(const FillOrdering& ordering, int num_threads,
-                                               BlockStructure* structure);
-
-/// Stands for the solver of rank 0 on other ranks, which get its steps (schur/schur_problem.cpp):
-/// it solves nothing. The arguments are properties of the solver of rank 0.
-std::unique_ptr<LinearSolver> MakeRemoteSolver(bool needs_camera_diagonal, bool is_iterative);
-
-/// Preconditioned conjugate gradients, as Ceres' ITERATIVE_SCHUR runs them; takes a sparse
-/// structure. `preconditioner` is one of kIdentity, kJacobi, kSchurJacobi,
-/// kSchurPowerSeriesExpansion and kTwoLevel.
-std::unique_ptr<LinearSolver> MakeIterativeSolver(const BlockStructure& structure,
-                                                  PreconditionerType preconditioner,
-                                                  int num_threads);
 
 }  // namespace bundle

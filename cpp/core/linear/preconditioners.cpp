@@ -21,6 +21,8 @@
 #include <memory>
 #include <vector>
 
+#include "core/linear/coarse_space.h"
+
 namespace bundle {
 
 namespace {

@@ -1,3 +1,5 @@
+/// Part of SupernodalCholesky (supernodal_cholesky.h).
+///
 /// The entries of S^-1 where its Cholesky factor has any: Takahashi's recursion (K. Takahashi, J.
 /// Fagan, M.-S. Chin: Formation of a sparse bus impedance matrix and its application to short
 /// circuit study, 1973; A. M. Erisman, W. F. Tinney: On computing certain elements of the inverse

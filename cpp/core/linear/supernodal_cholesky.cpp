@@ -1,3 +1,5 @@
+#include "core/linear/supernodal_cholesky.h"
+
 /// Left-looking: a panel first takes what the panels before it give to its columns, then its
 /// diagonal block is factorised, D = L_D L_D^T, and its rows below become B L_D^-T. A panel with
 /// rows in columns of panel s gives them the product of its rows from there on with those rows, a
@@ -11,8 +13,6 @@
 /// are one range, it is added where it belongs by BLAS itself.
 ///
 /// A product takes some columns at a time, so that it is in the cache when it is added.
-
-#include "core/linear/supernodal_cholesky.h"
 
 #include <algorithm>
 #include <utility>

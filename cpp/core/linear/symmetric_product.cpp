@@ -1,3 +1,5 @@
+#include "core/linear/symmetric_product.h"
+
 /// y = S x with S = L + D + L^T stored as L + D, by block columns:
 ///
 ///   y_j += D_j x_j + P_j^T x_below,   y_below += P_j x_j,

@@ -1,3 +1,5 @@
+#include "core/minimize/dogleg.h"
+
 #include "core/minimize/strategy.h"
 
 /// The radius R bounds ||D d||. It is halved by a rejected step and by one of a quality below 1/4,

@@ -1,3 +1,5 @@
+#include "core/minimize/levenberg_marquardt.h"
+
 #include "core/minimize/strategy.h"
 
 /// Levenberg-Marquardt: the step is q with damping 1 / R, R being called the radius though nothing
@@ -15,7 +17,6 @@
 #include <cmath>
 #include <utility>
 
-#include "core/error.h"
 #include "core/interface/settling.h"
 
 namespace bundle {
@@ -52,18 +53,6 @@ bool LevenbergMarquardt::Widen() {
   radius_ = kWideRadius;
   damping_has_changed_ = true;
   return true;
-}
-
-std::unique_ptr<Strategy> MakeStrategy(TrustRegionStrategy type, double initial_radius) {
-  switch (type) {
-    case TrustRegionStrategy::kLevenbergMarquardt:
-      return std::make_unique<LevenbergMarquardt>(initial_radius);
-    case TrustRegionStrategy::kDogleg:
-      return std::make_unique<Dogleg>(TraditionalDogleg, initial_radius);
-    case TrustRegionStrategy::kSubspaceDogleg:
-      return std::make_unique<Dogleg>(SubspaceDogleg, initial_radius);
-  }
-  throw InputError("trust_region_strategy_type: expected a strategy");
 }
 
 }  // namespace bundle

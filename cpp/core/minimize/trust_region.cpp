@@ -25,7 +25,10 @@
 #include <memory>
 #include <utility>
 
+#include "core/error.h"
 #include "core/interface/settling.h"
+#include "core/minimize/dogleg.h"
+#include "core/minimize/levenberg_marquardt.h"
 #include "core/minimize/projected_line_search.h"
 #include "core/minimize/strategy.h"
 #include "core/minimize/timed_problem.h"
@@ -61,6 +64,18 @@ std::string AtMost(double value, double bound) {
   std::array<char, 64> text;
   std::snprintf(text.data(), text.size(), "%e <= %e", value, bound);
   return text.data();
+}
+
+std::unique_ptr<Strategy> MakeStrategy(TrustRegionStrategy type, double initial_radius) {
+  switch (type) {
+    case TrustRegionStrategy::kLevenbergMarquardt:
+      return std::make_unique<LevenbergMarquardt>(initial_radius);
+    case TrustRegionStrategy::kDogleg:
+      return std::make_unique<Dogleg>(TraditionalDogleg, initial_radius);
+    case TrustRegionStrategy::kSubspaceDogleg:
+      return std::make_unique<Dogleg>(SubspaceDogleg, initial_radius);
+  }
+  throw InputError("trust_region_strategy_type: expected a strategy");
 }
 
 class TrustRegion {

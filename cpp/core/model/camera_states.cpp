@@ -1,3 +1,5 @@
+#include "core/model/camera_states.h"
+
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
@@ -9,62 +11,6 @@
 #include "core/model/parameter_layout.h"
 
 namespace bundle {
-
-bool ParameterLayout::HasMap(const AdjustmentProblem& problem, int image, int place) const {
-  const int block = image_blocks_[image][place];
-  if (block < 0 || place == kSensorBlock) return false;
-  if (place == kTiedBlock) return true;
-  if (place == kPoseBlock && free_.pose[image] != 0 && TurnsAboutCentre(problem, image)) {
-    return true;
-  }
-  const std::vector<TiedParameter>& ties = tied(problem.image_camera[image]);
-  return std::any_of(ties.begin(), ties.end(),
-                     [&](const TiedParameter& tie) { return tie.block == block; });
-}
-
-void ParameterLayout::FillMap(const AdjustmentProblem& problem, int image, int place,
-                              const PoseState& pose, ColumnMap* map) const {
-  const int index = image_blocks_[image][place];
-  const CameraBlock& block = blocks_[index];
-  map->num_columns = 0;
-  const auto add_row = [&](int column) {
-    double* const row = map->values + map->num_columns * block.size;
-    std::fill_n(row, block.size, 0.0);
-    map->columns[map->num_columns++] = static_cast<int8_t>(column);
-    return row;
-  };
-  if (place != kTiedBlock) {
-    for (int k = 0; k < block.size; ++k) add_row(block.columns[k])[k] = 1;
-  }
-  if (place == kPoseBlock && TurnsAboutCentre(problem, image)) {
-    double by_turn[9];
-    MinusCross(pose.translation, pose.left_jacobian, by_turn);
-    for (int i = 0; i < 3; ++i) {
-      double* const row = add_row(3 + i);
-      for (int k = 0; k < block.size && block.columns[k] < 3; ++k) {
-        row[k] = by_turn[3 * i + block.columns[k]];
-      }
-    }
-  }
-  for (const TiedParameter& tie : tied(problem.image_camera[image])) {
-    if (tie.block == index) add_row(tie.column)[tie.entry] = tie.scale;
-  }
-}
-
-uint32_t ParameterLayout::RefinedColumns(const AdjustmentProblem& problem, int image) const {
-  uint32_t bits = 0;
-  for (const int place : {kPoseBlock, kCameraBlock}) {
-    const int index = image_blocks_[image][place];
-    if (index < 0) continue;
-    const CameraBlock& block = blocks_[index];
-    for (int k = 0; k < block.size; ++k) bits |= 1u << block.columns[k];
-  }
-  if ((bits & FreeParameters::kWholePose) != 0 && TurnsAboutCentre(problem, image)) {
-    bits |= FreeParameters::kWholePose;
-  }
-  for (const TiedParameter& tie : tied(problem.image_camera[image])) bits |= 1u << tie.column;
-  return bits;
-}
 
 CameraStates::CameraStates(const AdjustmentProblem& problem, const ParameterLayout& layout)
     : problem_(problem),

@@ -1,11 +1,11 @@
+#include "core/model/coupled_blocks.h"
+
 /// Finds the coupled blocks of a problem.
 ///
 /// The points are taken in their order and mark the pairs of their blocks in a table of bits, which
 /// stays in the cache where lists of the points of each block would not: those lead from one end
 /// of the observations to the other. A table of all pairs may be larger than the observations, so
 /// there is one for as many columns at a time as have room.
-
-#include "core/model/coupled_blocks.h"
 
 #include <algorithm>
 #include <atomic>
@@ -22,7 +22,8 @@
 #include "core/model/problem_factors.h"
 #include "core/parallel/thread_pool.h"
 #include "core/sums/communicator.h"
-#include "core/symbolic/symbolic.h"
+#include "core/symbolic/block_pattern.h"
+#include "core/symbolic/orderings.h"
 
 namespace bundle {
 

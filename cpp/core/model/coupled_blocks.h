@@ -7,7 +7,7 @@
 
 #include "core/interface/adjustment_problem.h"
 #include "core/model/parameter_layout.h"
-#include "core/symbolic/symbolic.h"
+#include "core/symbolic/block_pattern.h"
 
 namespace bundle {
 

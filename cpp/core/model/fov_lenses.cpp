@@ -6,7 +6,7 @@
 
 #include "core/factors/loss.h"
 #include "core/geometry/rotation.h"
-#include "core/model/parameter_layout.h"
+#include "core/model/free_parameters.h"
 #include "core/sums/communicator.h"
 
 namespace bundle {

@@ -1,3 +1,5 @@
+#include "core/model/free_parameters.h"
+
 #include <algorithm>
 #include <cstdint>
 #include <set>

@@ -1,3 +1,5 @@
+#include "core/model/gauge.h"
+
 /// The gauge.
 ///
 /// Fixed by two cameras: what is free of the world is held by numbers of poses (gauge_hold.cpp). Of
@@ -25,8 +27,6 @@
 /// out, so that a direction may not be an exact null vector of the system; near ones are enough for
 /// its use (linear/coarse_space.h).
 
-#include "core/model/gauge.h"
-
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 #include <Eigen/LU>
@@ -38,6 +38,7 @@
 
 #include "core/error.h"
 #include "core/geometry/rotation.h"
+#include "core/model/gauge_count.h"
 #include "core/model/gauge_hold.h"
 #include "core/sums/communicator.h"
 

@@ -6,15 +6,14 @@
 #include <string>
 #include <vector>
 
+#include "core/factors/reprojection.h"
 #include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
+#include "core/model/camera_states.h"
+#include "core/model/free_parameters.h"
 #include "core/model/parameter_layout.h"
 
 namespace bundle {
-
-/// Degrees of freedom that no observation sees and that `free` leaves (gauge_count.cpp): at most
-/// seven, rotation, translation and scale of the world.
-int CountGaugeDegrees(const AdjustmentProblem& problem, const FreeParameters& free);
 
 /// Takes the degrees of freedom that no observation sees out of `free`: as many as are counted, and
 /// with three points two more. Returns a sentence, to be shown to the user, where that could not be

@@ -1,3 +1,5 @@
+#include "core/model/gauge_count.h"
+
 /// Degrees of freedom of the gauge: how many similarities of the world change no image, up to its
 /// scale, and can be made by what is free.
 ///
@@ -28,8 +30,6 @@
 /// A pose is refined by (w, t) with t about the origin of the problem. About the centre c of the
 /// cameras it is t_c = t + R c, which a turn alone, t held, moves by phi x R c. The translation of
 /// an image that turns about its own centre follows it, by phi x t_c.
-
-#include "core/model/gauge_count.h"
 
 #include <Eigen/Geometry>
 #include <algorithm>

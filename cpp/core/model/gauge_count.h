@@ -3,12 +3,13 @@
 /// Motions of the world that change no image (gauge_count.cpp).
 
 #include <Eigen/Core>
+#include <cstdint>
 #include <vector>
 
+#include "core/factors/reprojection.h"
 #include "core/factors/rig_pose.h"
 #include "core/interface/adjustment_problem.h"
-#include "core/model/gauge.h"
-#include "core/model/parameter_layout.h"
+#include "core/model/free_parameters.h"
 
 namespace bundle {
 
@@ -73,5 +74,9 @@ class FreeMotions {
   Eigen::Index num_rows_ = 0;
   Eigen::VectorXd squares_;  ///< of the columns before they are projected
 };
+
+/// Degrees of freedom that no observation sees and that `free` leaves (gauge_count.cpp): at most
+/// seven, rotation, translation and scale of the world.
+int CountGaugeDegrees(const AdjustmentProblem& problem, const FreeParameters& free);
 
 }  // namespace bundle

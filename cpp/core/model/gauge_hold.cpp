@@ -1,3 +1,5 @@
+#include "core/model/gauge_hold.h"
+
 /// The gauge is held by as many numbers of poses as there are motions that change no image.
 ///
 /// Let N be a basis of these motions (gauge_count.h), m columns, and g_j N what they do to a number
@@ -18,8 +20,6 @@
 /// several, the number goes that moves most. With nothing held these are all six of the first pose.
 /// The motion left then scales the world about its centre, and moves a second pose's translation by
 /// t_2 -> t_2 + (s - 1) t_21, with t_21 that of cam2_from_cam1: its largest coordinate is held.
-
-#include "core/model/gauge_hold.h"
 
 #include <Eigen/Core>
 #include <algorithm>

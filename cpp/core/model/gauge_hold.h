@@ -5,7 +5,7 @@
 #include <string>
 
 #include "core/interface/adjustment_problem.h"
-#include "core/model/parameter_layout.h"
+#include "core/model/free_parameters.h"
 
 namespace bundle {
 

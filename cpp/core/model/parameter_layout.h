@@ -1,59 +1,5 @@
 #pragma once
 
-/// Which numbers of a problem a solve may change.
-
-#include <algorithm>
-#include <array>
-#include <cstddef>
-#include <cstdint>
-#include <memory>
-#include <set>
-#include <utility>
-#include <vector>
-
-#include "core/cameras/camera_model.h"
-#include "core/factors/reprojection.h"
-#include "core/factors/rig_pose.h"
-#include "core/interface/adjustment_problem.h"
-#include "core/interface/options.h"
-
-namespace bundle {
-
-/// Bit j of a pose: entry j of (w, t) (factors/reprojection.h). Bit j of a camera: parameter j.
-struct FreeParameters {
-  static constexpr uint8_t kWholePose = 0b111111;
-
-  std::vector<uint8_t> pose;     ///< num_images; 0 for images of rigs, which have none of their own
-  std::vector<uint32_t> camera;  ///< num_cameras
-  std::vector<uint8_t> point;    ///< num_points: 0 or 1
-  std::vector<uint8_t> frame;    ///< num_frames: of rig_from_world
-  std::vector<uint8_t> sensor;   ///< num_sensors: of sensor_from_rig
-
-  /// Of an image's own pose, a frame's or a sensor's, by its number (NumPoses).
-  uint8_t& OfPose(int number) {
-    size_t k = number;
-    for (std::vector<uint8_t>* bits : {&pose, &frame}) {
-      if (k < bits->size()) return (*bits)[k];
-      k -= bits->size();
-    }
-    return sensor[k];
-  }
-
-  bool operator==(const FreeParameters& other) const {
-    return pose == other.pose && camera == other.camera && point == other.point &&
-           frame == other.frame && sensor == other.sensor;
-  }
-};
-
-/// Of each image: 1 if it has observations.
-std::vector<uint8_t> FindObservedImages(const AdjustmentProblem& problem);
-
-/// What the options leave free. Nothing is free that neither an observation nor a factor touches.
-/// An image that is fixed fixes its frame. The sensors of a rig whose reference sensor observes
-/// nothing are fixed: moving all of them on the rig is what moving its frames is.
-/// Throws InputError if an id to be fixed is not in the problem.
-FreeParameters SelectFreeParameters(const AdjustmentProblem& problem, const SolveOptions& options);
-
 /// How the free parameters of a problem lie in one state vector.
 ///
 /// The state is [block 0 | block 1 | ...], each block the free numbers of one image (pose, then its
@@ -66,7 +12,20 @@ FreeParameters SelectFreeParameters(const AdjustmentProblem& problem, const Solv
 ///
 /// Column j of a camera Jacobian row counts (w, t) of the pose as 0..5 and intrinsics from 6.
 
-inline constexpr int kPoseSize = 6;
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <set>
+#include <vector>
+
+#include "core/cameras/camera_model.h"
+#include "core/factors/reprojection.h"
+#include "core/interface/adjustment_problem.h"
+#include "core/model/free_parameters.h"
+#include "core/problem/problem_view.h"
+
+namespace bundle {
 
 /// Poses are counted image by image, then frame by frame, then sensor by sensor. Those of rigs'
 /// images have a number but are no variables (factors/rig_pose.h).
@@ -239,73 +198,5 @@ struct ProblemShape {
 
 /// `num_residuals` is the number of residuals that reach the solver.
 ProblemShape ShapeOf(const ParameterLayout& layout, int64_t num_residuals);
-
-/// One anchor per pose (factors/reprojection.h).
-using PoseAnchors = std::vector<PoseAnchor>;
-
-/// The camera parameters of a problem at one state, expanded once per evaluation so that an
-/// observation only reads: rotation, translation and left Jacobian of each image, parameters of
-/// each camera. Images of rigs follow from their frames and sensors (factors/rig_pose.h); their
-/// coordinates here are the local ones.
-///
-/// A state has a meaning about certain anchors only: a candidate needs those of the state that the
-/// step starts from.
-class CameraStates {
- public:
-  /// Keeps references to both; starts at the problem's own values.
-  CameraStates(const AdjustmentProblem& problem, const ParameterLayout& layout);
-
-  /// Goes to the problem's own values, after these changed.
-  void Reset();
-
-  void Update(const double* state);
-
-  /// Gives each pose that is too far from its anchor a new one, where it is. Same state, same
-  /// poses. True if there is any; others keep every bit.
-  bool MoveAnchors();
-  /// From the next Update on. They are never changed, but replaced.
-  void SetAnchors(std::shared_ptr<const PoseAnchors> anchors) { anchors_ = std::move(anchors); }
-  const std::shared_ptr<const PoseAnchors>& anchors() const { return anchors_; }
-
-  /// Of an image, a frame or a sensor, by its number (NumPoses).
-  const PoseState& pose(int pose) const { return poses_[pose]; }
-  /// What an image's pose follows from.
-  RigPose rig(int image) const;
-  const double* params(int camera) const {
-    return camera_params_.data() + static_cast<int64_t>(camera) * stride_;
-  }
-
-  /// Where the chart of an image's observations is: the rotation that it is about, and (v, t), six
-  /// numbers. Of an image of a rig it is about the image's rotation.
-  const double* chart_rotation(int image) const;
-  void Chart(int image, double* chart) const;
-
-  /// The refined poses as quaternion and translation (num_images x 7): Exp(v) q_a. A pose that did
-  /// not move keeps every bit of what it was.
-  std::vector<double> CamFromWorld() const;
-  /// The same of frames and of sensors.
-  std::vector<double> RigFromWorld() const;
-  std::vector<double> SensorFromRig() const;
-  /// The same of one image, frame or sensor, by its number.
-  void ValueOf(int pose, double value[7]) const;
-  const std::vector<double>& camera_params() const { return camera_params_; }
-
- private:
-  void Expand();
-  void TurnAboutCentre(int image);
-  void ChartOf(int pose, double* chart) const;
-  bool HasMoved(int pose) const;
-  /// ValueOf a pose that is a variable of its own.
-  void ValueOfVariable(int pose, double value[7]) const;
-  std::vector<double> Values(int first, int count) const;
-
-  const AdjustmentProblem& problem_;
-  const ParameterLayout& layout_;
-  const int stride_;
-  std::shared_ptr<const PoseAnchors> anchors_;
-  std::vector<double> charts_;  ///< (w, t) of each pose
-  std::vector<PoseState> poses_;
-  std::vector<double> camera_params_;
-};
 
 }  // namespace bundle

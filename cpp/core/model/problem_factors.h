@@ -33,6 +33,7 @@
 
 #include "core/factors/factor.h"
 #include "core/interface/adjustment_problem.h"
+#include "core/model/camera_states.h"
 #include "core/model/parameter_layout.h"
 
 namespace bundle {

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "core/linear/block_structure.h"
-#include "core/linear/linear_solver.h"
+#include "core/linear/fill_ordering.h"
 #include "core/pose_graph/pose_graph.h"
 
 namespace bundle {

@@ -1,3 +1,5 @@
+#include "core/pose_graph/chordal.h"
+
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
@@ -7,9 +9,9 @@
 
 #include "core/dense/decompositions.h"
 #include "core/error.h"
+#include "core/linear/direct_solvers.h"
 #include "core/linear/linear_solver.h"
 #include "core/pose_graph/block_pattern_of_edges.h"
-#include "core/pose_graph/initialise.h"
 
 /// Chordal relaxation (Martinec and Pajdla, Robust rotation and translation estimation in multiview
 /// reconstruction, 2007; Carlone, Tron, Daniilidis, Dellaert, Initialization techniques for 3D

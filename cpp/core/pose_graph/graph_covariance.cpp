@@ -1,3 +1,5 @@
+#include "core/pose_graph/graph_covariance.h"
+
 /// Poses move by X Exp(d). At a minimum the covariance of all d is G = H^-1 with H = J^T W J, the
 /// undamped normal equations with held poses left out; weights of a loss are part of W. Blocks of
 /// pairs that share an edge lie in the pattern of H, hence among those that the selected inverse of
@@ -30,8 +32,6 @@
 /// Poses are eliminated in the order of a solve (block_pattern_of_edges.h). What a level of the
 /// elimination tree rounds, the selected inverse multiplies on its way down: FindInflation looks
 /// for variances below what they are with all else known.
-
-#include "core/pose_graph/graph_covariance.h"
 
 #include <Eigen/Core>
 #include <algorithm>

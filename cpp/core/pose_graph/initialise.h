@@ -36,8 +36,4 @@ std::pair<int32_t, int32_t> FindOdometryGap(const PoseGraph& graph, const int64_
 /// several edges join the two, the first counts. Poses that it does not reach keep theirs.
 std::vector<double> OdometryPoses(const PoseGraph& graph, const int64_t* ids);
 
-/// Poses by chordal relaxation.
-std::vector<double> ChordalPoses(const PoseGraph& graph, const double* information,
-                                 int num_threads);
-
 }  // namespace bundle

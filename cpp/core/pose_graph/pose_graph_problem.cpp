@@ -8,6 +8,7 @@
 
 #include "core/interface/summary.h"
 #include "core/linear/block_structure.h"
+#include "core/linear/direct_solvers.h"
 #include "core/minimize/damping.h"
 #include "core/parallel/thread_pool.h"
 #include "core/pose_graph/block_pattern_of_edges.h"

@@ -1,3 +1,5 @@
+#include "core/prepare/choose_solver.h"
+
 /// Choosing a linear solver.
 ///
 /// For Ceres, by the shape of the problem: with the points eliminated, what is left to solve is the
@@ -41,13 +43,12 @@
 #include <cstdio>
 
 #include "core/linear/block_structure.h"
-#include "core/linear/linear_solver.h"
-#include "core/linear/supernodal_cholesky.h"
+#include "core/linear/supernodes.h"
 #include "core/model/coupled_blocks.h"
 #include "core/parallel/blas.h"
 #include "core/parallel/thread_pool.h"
-#include "core/prepare/prepare.h"
-#include "core/symbolic/symbolic.h"
+#include "core/prepare/memory.h"
+#include "core/symbolic/factor_counts.h"
 
 namespace bundle {
 

@@ -1,3 +1,5 @@
+#include "core/prepare/memory.h"
+
 /// Memory: predicted for each solver, and available to this process.
 
 #include <sys/resource.h>
@@ -10,8 +12,6 @@
 #include <limits>
 #include <sstream>
 #include <vector>
-
-#include "core/prepare/prepare.h"
 
 namespace bundle {
 namespace {
@@ -156,6 +156,48 @@ std::string FormatBytes(double bytes) {
   char text[32];
   std::snprintf(text, sizeof(text), bytes < 999.5 ? "%.3g %s" : "%.0f %s", bytes, units[unit]);
   return text;
+}
+
+namespace {
+
+/// The free memory where `bytes` are more than nine tenths of it; else -1.
+double AvailableIfTooLittle(double bytes) {
+  const double available = AvailableMemoryFor(bytes);
+  return FitsIntoMemory(bytes, available) ? -1 : available;
+}
+
+}  // namespace
+
+void RefuseTooMuchMemory(LinearSolverType type, double bytes, const char* what,
+                         const char* instead) {
+  const double available = AvailableIfTooLittle(bytes);
+  if (available < 0) return;
+  throw NotEnoughMemoryError("linear_solver_type: " + UpperName(type, kLinearSolverTypes) +
+                             " needs " + FormatBytes(bytes) + " for its " + what +
+                             ", of which this machine has " + FormatBytes(available) +
+                             " free; use " + instead);
+}
+
+void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape,
+                         bool cameras_eliminated) {
+  RefuseTooMuchMemory(type, PredictDenseMatrixBytes(type, shape, cameras_eliminated),
+                      "dense matrices", "sparse_schur or iterative_schur");
+}
+
+bool FitsIntoMemory(double bytes, double available) { return bytes <= 0.9 * available; }
+
+void RefuseTooMuchMemory(double working_bytes) {
+  const double available = AvailableIfTooLittle(working_bytes);
+  if (available < 0) return;
+  throw NotEnoughMemoryError(
+      "not enough memory: the observations and points take " + FormatBytes(working_bytes) +
+      " within a solve, of which this machine has " + FormatBytes(available) + " free");
+}
+
+void RefuseTooMuchMemory(LinearSolverType type, double factor_bytes, double working_bytes) {
+  RefuseTooMuchMemory(type, factor_bytes + working_bytes,
+                      working_bytes > 0 ? "factor, observations and points" : "factor",
+                      "iterative_schur");
 }
 
 }  // namespace bundle

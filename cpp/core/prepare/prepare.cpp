@@ -75,15 +75,7 @@ PreparedSolve PrepareSolve(const AdjustmentProblem& problem, const SolveOptions&
           num_free,          std::llround(longest_of_all), std::move(factor_for_ceres)};
 }
 
-namespace {
-
-/// The free memory where `bytes` are more than nine tenths of it; else -1.
-double AvailableIfTooLittle(double bytes) {
-  const double available = AvailableMemoryFor(bytes);
-  return FitsIntoMemory(bytes, available) ? -1 : available;
-}
-
-}  // namespace
+namespace {}  // namespace
 
 bool IsIterative(LinearSolverType type) {
   return type == LinearSolverType::kIterativeSchur || type == LinearSolverType::kCgnr;
@@ -116,24 +108,6 @@ std::string FindIdleOrdering(const SolveOptions& options) {
          " does not eliminate block by block.";
 }
 
-void RefuseTooMuchMemory(LinearSolverType type, double bytes, const char* what,
-                         const char* instead) {
-  const double available = AvailableIfTooLittle(bytes);
-  if (available < 0) return;
-  throw NotEnoughMemoryError("linear_solver_type: " + UpperName(type, kLinearSolverTypes) +
-                             " needs " + FormatBytes(bytes) + " for its " + what +
-                             ", of which this machine has " + FormatBytes(available) +
-                             " free; use " + instead);
-}
-
-void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape,
-                         bool cameras_eliminated) {
-  RefuseTooMuchMemory(type, PredictDenseMatrixBytes(type, shape, cameras_eliminated),
-                      "dense matrices", "sparse_schur or iterative_schur");
-}
-
-bool FitsIntoMemory(double bytes, double available) { return bytes <= 0.9 * available; }
-
 void RefuseTooLarge(const ProblemView& problem) {
   constexpr int64_t kMost = std::numeric_limits<int>::max();
   const auto refuse = [](const char* what, int64_t most, int64_t found) {
@@ -152,20 +126,6 @@ void RefuseTooLarge(const ProblemView& problem) {
     refuse("cam_from_world", kMost / (kPoseSize + 2 * kMaxCameraParams), problem.num_images);
   const int64_t most_points = (kMost - camera_state) / 3;
   if (problem.num_points > most_points) refuse("points", most_points, problem.num_points);
-}
-
-void RefuseTooMuchMemory(double working_bytes) {
-  const double available = AvailableIfTooLittle(working_bytes);
-  if (available < 0) return;
-  throw NotEnoughMemoryError(
-      "not enough memory: the observations and points take " + FormatBytes(working_bytes) +
-      " within a solve, of which this machine has " + FormatBytes(available) + " free");
-}
-
-void RefuseTooMuchMemory(LinearSolverType type, double factor_bytes, double working_bytes) {
-  RefuseTooMuchMemory(type, factor_bytes + working_bytes,
-                      working_bytes > 0 ? "factor, observations and points" : "factor",
-                      "iterative_schur");
 }
 
 }  // namespace bundle

@@ -25,6 +25,7 @@
 #include "core/interface/adjustment_problem.h"
 #include "core/linear/block_structure.h"
 #include "core/minimize/least_squares.h"
+#include "core/model/camera_states.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
 #include "core/schur/assembly/assembler.h"

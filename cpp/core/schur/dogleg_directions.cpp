@@ -1,4 +1,6 @@
-/// The two directions of a dogleg, of all points and unknowns, and their products.
+/// Part of SchurProblem (schur_problem.h).
+///
+/// Gradient and Newton direction for doglegs, and their inner products.
 
 #include <algorithm>
 #include <cstddef>

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "core/parallel/thread_pool.h"
+#include "core/schur/sort_points.h"
 #include "core/schur/state_records.h"
 #include "core/sums/communicator.h"
 

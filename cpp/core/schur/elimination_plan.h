@@ -1,15 +1,12 @@
 #pragma once
 
-#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <utility>
 #include <vector>
 
-#include "core/factors/loss.h"
 #include "core/interface/adjustment_problem.h"
 #include "core/model/parameter_layout.h"
-#include "core/sums/double_double.h"
 
 namespace bundle {
 
@@ -147,25 +144,6 @@ EliminationPlan PlanFixedPoints(const AdjustmentProblem& problem, const Paramete
 /// order.
 void TakeMeasurements(const AdjustmentProblem& problem, EliminationPlan* plan);
 
-struct ImageOrder {
-  std::vector<uint8_t> refined;  ///< of each image: has something to refine
-  /// Place of each image: refined ones in the order of their blocks, which S likes best, then the
-  /// others.
-  std::vector<int> rank;
-  /// Of each image: the first of those whose poses are in the same block, which are next to each
-  /// other in the order. Itself, but for images of a rig.
-  std::vector<int> owner;
-};
-
-ImageOrder OrderImages(const AdjustmentProblem& problem, const ParameterLayout& layout);
-
-/// Everything of a plan but the chunks and what refers to them: the points with observations that
-/// have something to refine, if `active`, or else with others, by sections if `in_sections`, and
-/// sorted lexicographically by the ranks of the images in these observations.
-EliminationPlan SortPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
-                           const ImageOrder& images, bool active, bool in_sections, int num_threads,
-                           bool keep_order);
-
 /// The sizes that decide what the passes over the points cost, without a pass.
 
 struct PlanSize {
@@ -186,52 +164,5 @@ PlanSize MeasurePlan(const AdjustmentProblem& problem, const ParameterLayout& la
 
 /// The observations of a plan that hold a residual at a state (factors/reprojection.h). Memory:
 /// 24 bytes for each of them, nothing for those that count.
-
-struct HeldResidual {
-  int64_t observation;  ///< of the plan
-  double residual[2];
-};
-
-/// Where a pass puts the observations of a chunk that hold a residual; nowhere if `add` is nullptr.
-struct HeldSink {
-  void (*add)(void* list, const HeldResidual& held) = nullptr;
-  void* list = nullptr;
-};
-
-class HeldResiduals {
- public:
-  explicit HeldResiduals(size_t num_chunks) : of_chunk_(num_chunks) {}
-
-  /// Forgets what a chunk held and takes what a pass over it finds. Chunks are independent.
-  HeldSink Collect(size_t chunk);
-
-  /// Puts together what all chunks hold, after a pass.
-  void Merge();
-
-  /// Forgets all.
-  void Clear();
-
-  /// Forgets those of which `counts` is true. Returns their number.
-  template <typename Predicate>
-  int64_t Release(const Predicate& counts) {
-    const auto end = std::remove_if(all_.begin(), all_.end(), counts);
-    const int64_t number = all_.end() - end;
-    all_.erase(end, all_.end());
-    return number;
-  }
-
-  /// The held cost: sum of 1/2 rho(||h||^2).
-  DoubleDouble Cost(LossType loss, double loss_scale) const;
-
-  /// Ascending.
-  const std::vector<HeldResidual>& all() const { return all_; }
-
-  /// True if the same observations hold a residual.
-  bool HasSameObservations(const HeldResiduals& other) const;
-
- private:
-  std::vector<std::vector<HeldResidual>> of_chunk_;
-  std::vector<HeldResidual> all_;
-};
 
 }  // namespace bundle

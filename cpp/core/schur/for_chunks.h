@@ -2,7 +2,7 @@
 
 #include <atomic>
 
-#include "core/schur/assembly/assembler.h"
+#include "core/schur/assembly/ordered_sums.h"
 #include "core/schur/schur_problem.h"
 
 namespace bundle {

@@ -1,4 +1,6 @@
-/// The linearisation of a SchurProblem: a pass over the points, sums over ranks, damping.
+/// Part of SchurProblem (schur_problem.h).
+///
+/// Linearisation: a pass over the points, sums over ranks, damping.
 ///
 /// Conjugate gradients amplify rounding errors, so their sums are made on a grid
 /// (schur/assembly/sum_grid.h). Other sums are double-doubles (sums/double_double.h). Sums over

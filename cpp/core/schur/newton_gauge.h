@@ -30,6 +30,7 @@
 #include <vector>
 
 #include "core/interface/adjustment_problem.h"
+#include "core/model/camera_states.h"
 #include "core/model/gauge.h"
 #include "core/model/parameter_layout.h"
 #include "core/schur/elimination_plan.h"

@@ -6,7 +6,6 @@
 
 #include "core/model/gauge.h"
 #include "core/parallel/thread_pool.h"
-#include "core/schur/assembly/assembler.h"
 #include "core/schur/assembly/sum_systems.h"
 #include "core/schur/camera_factors.h"
 #include "core/schur/elimination_plan.h"

@@ -1,7 +1,7 @@
+#include "core/schur/schur_setup.h"
+
 #include <algorithm>
 #include <utility>
-
-#include "core/schur/schur_problem.h"
 
 namespace bundle {
 

@@ -1,3 +1,5 @@
+#include "core/schur/sort_points.h"
+
 /// Problems often list their observations point by point, as BAL does, but the order in which
 /// points are sorted leads anywhere. Each point is therefore read once on the way to its key and
 /// once on the way to its place, both times in the order of the problem. In between, the keys are

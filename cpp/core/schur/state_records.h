@@ -4,8 +4,10 @@
 #include <vector>
 
 #include "core/interface/adjustment_problem.h"
+#include "core/model/camera_states.h"
 #include "core/model/parameter_layout.h"
 #include "core/schur/elimination_plan.h"
+#include "core/schur/held_residuals.h"
 #include "core/schur/kernels/kernels.h"
 #include "core/sums/double_double.h"
 

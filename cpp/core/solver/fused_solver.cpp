@@ -10,14 +10,20 @@
 
 #include "core/checking/check_solution.h"
 #include "core/linear/block_structure.h"
+#include "core/linear/conjugate_gradients.h"
+#include "core/linear/direct_solvers.h"
 #include "core/linear/linear_solver.h"
 #include "core/minimize/trust_region.h"
+#include "core/model/camera_states.h"
 #include "core/model/coupled_blocks.h"
 #include "core/model/parameter_layout.h"
 #include "core/parallel/thread_pool.h"
+#include "core/prepare/choose_solver.h"
+#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/schur_problem.h"
+#include "core/schur/schur_setup.h"
 #include "core/sums/communicator.h"
 
 namespace bundle {

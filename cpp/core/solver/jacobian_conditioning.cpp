@@ -7,7 +7,6 @@
 
 #include "core/error.h"
 #include "core/model/problem_factors.h"
-#include "core/prepare/prepare.h"
 #include "core/solver/block_qr.h"
 #include "core/solver/graph_jacobian.h"
 

@@ -2,7 +2,7 @@
 
 /// The last step of a graph whose residuals are linear.
 
-#include "core/ceres/solve_with_ceres.h"
+#include "core/ceres/solve_graph.h"
 #include "core/graph/factor_graph.h"
 
 namespace bundle {

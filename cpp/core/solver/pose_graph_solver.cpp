@@ -6,13 +6,13 @@
 #include <memory>
 #include <utility>
 
-#include "core/ceres/solve_with_ceres.h"
+#include "core/ceres/solve_graph.h"
 #include "core/checking/check_solution.h"
 #include "core/error.h"
 #include "core/minimize/trust_region.h"
 #include "core/pose_graph/pose_edge_factor.h"
 #include "core/pose_graph/pose_graph_problem.h"
-#include "core/solver/fused_solver.h"
+#include "core/solver/summarize_fused.h"
 
 namespace bundle {
 namespace {

@@ -25,6 +25,7 @@
 #include "core/model/scene_frame.h"
 #include "core/model/world_scale.h"
 #include "core/parallel/blas.h"
+#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
 #include "core/solver/fov_jump.h"

@@ -23,10 +23,9 @@
 #include "core/minimize/damping.h"
 #include "core/minimize/trust_region.h"
 #include "core/model/problem_factors.h"
-#include "core/prepare/prepare.h"
 #include "core/solver/block_qr.h"
-#include "core/solver/fused_solver.h"
 #include "core/solver/graph_jacobian.h"
+#include "core/solver/summarize_fused.h"
 
 namespace bundle {
 namespace {

@@ -2,7 +2,7 @@
 
 /// Factor graphs without normal equations: steps by a QR factorisation of the whitened Jacobian.
 
-#include "core/ceres/solve_with_ceres.h"
+#include "core/ceres/solve_graph.h"
 #include "core/graph/factor_graph.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"

@@ -1,3 +1,5 @@
+#include "core/solver/summarize_fused.h"
+
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -7,7 +9,6 @@
 #include "core/interface/options.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/camera_factors.h"
-#include "core/solver/fused_solver.h"
 #include "core/sums/communicator.h"
 
 namespace bundle {

@@ -1,3 +1,5 @@
+#include "core/symbolic/block_pattern.h"
+
 /// Patterns of symmetric block matrices: checked, permuted, counted.
 
 #include <algorithm>
@@ -6,7 +8,6 @@
 #include <utility>
 
 #include "core/error.h"
-#include "core/symbolic/symbolic.h"
 
 namespace bundle {
 namespace {

@@ -1,3 +1,5 @@
+#include "core/symbolic/factor_counts.h"
+
 /// The structure of L without L (Liu, The role of elimination trees in sparse factorization, 1990;
 /// Gilbert, Ng and Peyton, An efficient algorithm to compute row and column counts for sparse
 /// Cholesky factorization, 1994).
@@ -21,8 +23,6 @@
 #include <cstddef>
 #include <numeric>
 #include <utility>
-
-#include "core/symbolic/symbolic.h"
 
 namespace bundle {
 namespace {

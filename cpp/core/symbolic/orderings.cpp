@@ -1,3 +1,5 @@
+#include "core/symbolic/orderings.h"
+
 /// Elimination orders by CHOLMOD: AMD, COLAMD, METIS, NESDIS.
 
 #include <algorithm>
@@ -8,7 +10,6 @@
 #include <utility>
 
 #include "core/error.h"
-#include "core/symbolic/symbolic.h"
 
 namespace bundle {
 namespace {

@@ -1,5 +1,7 @@
-/// Landmarks go first: three numbers each, by a Cholesky factor of their own 3 x 3 block
-/// (window_problem.h has the formulae).
+/// Part of WindowProblem (window_problem.h).
+///
+/// Elimination of the landmarks, three unknowns each, by Cholesky factors of their 3 x 3 blocks.
+/// The formulas are in window_problem.h.
 
 #include <algorithm>
 #include <cmath>

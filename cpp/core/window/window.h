@@ -31,12 +31,13 @@
 #include <vector>
 
 #include "core/factors/loss.h"
+#include "core/factors/reprojection.h"
 #include "core/inertial/preintegration.h"
 
 namespace bundle {
 
 inline constexpr int kStateNumbers = 16;
-inline constexpr int kPoseSize = 6, kMotionSize = 9, kStateTangent = kPoseSize + kMotionSize;
+inline constexpr int kMotionSize = 9, kStateTangent = kPoseSize + kMotionSize;
 
 /// A quadratic form of d = (where blocks are) - `points`, one block after the other:
 ///

@@ -1,3 +1,5 @@
+/// Part of WindowProblem (window_problem.h).
+///
 /// What the normal equations of a window say of its certainty, undamped: eigenvalues, the
 /// covariance of the last state, and what its IMU factors should cost.
 ///

@@ -4,6 +4,9 @@
 #include <numeric>
 #include <utility>
 
+#include "core/linear/direct_solvers.h"
+#include "core/linear/fill_ordering.h"
+
 namespace bundle {
 namespace {
 

@@ -1,6 +1,6 @@
 #include <gtest/gtest.h>
 
-#include "core/ceres/translate.h"
+#include "core/ceres/summarize.h"
 #include "core/prepare/prepare.h"
 #include "support/scene.h"
 

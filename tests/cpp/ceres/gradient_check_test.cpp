@@ -1,10 +1,10 @@
+#include "core/ceres/gradient_check.h"
+
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
 #include <vector>
-
-#include "core/ceres/cost_functions.h"
 
 namespace bundle {
 namespace {

@@ -1,9 +1,9 @@
+#include "core/ceres/summarize.h"
+
 #include <gtest/gtest.h>
 
 #include <string>
 #include <vector>
-
-#include "core/ceres/translate.h"
 
 namespace bundle {
 namespace {

@@ -1,9 +1,9 @@
+#include "core/checking/convergence_watch.h"
+
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <vector>
-
-#include "core/checking/check_solution.h"
 
 namespace bundle {
 namespace {

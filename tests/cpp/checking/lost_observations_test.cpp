@@ -1,3 +1,5 @@
+#include "core/checking/lost_observations.h"
+
 #include <gtest/gtest.h>
 
 #include <cstddef>
@@ -5,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "core/checking/check_solution.h"
+#include "core/model/free_parameters.h"
 #include "core/model/parameter_layout.h"
 #include "support/scene.h"
 

@@ -8,8 +8,9 @@
 #include <vector>
 
 #include "core/cameras/registry.h"
-#include "core/ceres/reference_checks.h"
+#include "core/ceres/gradient_check.h"
 #include "core/error.h"
+#include "core/factors/linear_prior.h"
 #include "core/factors/measurement_factors.h"
 
 namespace bundle {

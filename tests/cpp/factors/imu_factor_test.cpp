@@ -6,7 +6,7 @@
 #include <memory>
 #include <vector>
 
-#include "core/ceres/reference_checks.h"
+#include "core/ceres/gradient_check.h"
 #include "core/error.h"
 #include "core/inertial/propagation.h"
 

@@ -8,7 +8,7 @@
 #include <random>
 #include <vector>
 
-#include "core/ceres/reference_checks.h"
+#include "core/ceres/gradient_check.h"
 #include "core/error.h"
 #include "core/geometry/rotation.h"
 

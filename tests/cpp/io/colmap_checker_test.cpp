@@ -1,3 +1,5 @@
+#include "core/io/colmap_checker.h"
+
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -8,7 +10,6 @@
 
 #include "core/error.h"
 #include "core/io/colmap_index.h"
-#include "core/io/colmap_model.h"
 #include "support/colmap_files.h"
 #include "support/damage.h"
 #include "support/scene.h"

@@ -6,7 +6,7 @@
 #include <stdexcept>
 #include <vector>
 
-#include "core/linear/supernodal_cholesky.h"
+#include "core/linear/supernodes.h"
 #include "linear/random_system.h"
 
 namespace bundle {

@@ -1,3 +1,5 @@
+#include "core/linear/direct_solvers.h"
+
 #include <gtest/gtest.h>
 
 #include <limits>
@@ -5,8 +7,9 @@
 #include <string>
 #include <vector>
 
+#include "core/linear/fill_ordering.h"
 #include "core/linear/linear_solver.h"
-#include "core/symbolic/symbolic.h"
+#include "core/symbolic/factor_counts.h"
 #include "linear/random_system.h"
 
 namespace bundle {

@@ -1,10 +1,13 @@
+#include "core/linear/fill_ordering.h"
+
 #include <gtest/gtest.h>
 
 #include <vector>
 
 #include "core/linear/block_structure.h"
-#include "core/linear/linear_solver.h"
-#include "core/symbolic/symbolic.h"
+#include "core/symbolic/block_pattern.h"
+#include "core/symbolic/factor_counts.h"
+#include "core/symbolic/orderings.h"
 #include "symbolic/graphs.h"
 
 namespace bundle {

@@ -10,7 +10,9 @@
 #include <vector>
 
 #include "core/linear/block_structure.h"
+#include "core/linear/conjugate_gradients.h"
 #include "core/linear/linear_solver.h"
+#include "core/linear/symmetric_product.h"
 #include "core/parallel/thread_pool.h"
 #include "linear/random_system.h"
 

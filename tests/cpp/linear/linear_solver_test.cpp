@@ -12,6 +12,9 @@
 #include <vector>
 
 #include "core/linear/block_structure.h"
+#include "core/linear/conjugate_gradients.h"
+#include "core/linear/direct_solvers.h"
+#include "core/linear/fill_ordering.h"
 #include "linear/random_system.h"
 
 namespace bundle::linear_solver_test {

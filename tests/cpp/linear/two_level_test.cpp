@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "core/dense/decompositions.h"
+#include "core/linear/clusters.h"
 #include "core/linear/preconditioners.h"
 #include "linear/random_system.h"
 

@@ -7,7 +7,7 @@
 #include <string>
 #include <tuple>
 
-#include "core/ceres/translate.h"
+#include "core/ceres/summarize.h"
 #include "core/minimize/trust_region.h"
 #include "minimize/ceres_oracle.h"
 #include "minimize/classic_functions.h"

@@ -8,7 +8,7 @@
 #include <algorithm>
 #include <vector>
 
-#include "core/ceres/translate.h"
+#include "core/ceres/translate_options.h"
 #include "core/interface/options.h"
 #include "minimize/classic_functions.h"
 

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <random>
 
+#include "core/minimize/dogleg.h"
 #include "core/minimize/strategy.h"
 #include "support/dense_oracle.h"
 

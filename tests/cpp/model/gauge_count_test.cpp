@@ -1,3 +1,5 @@
+#include "core/model/gauge_count.h"
+
 #include <gtest/gtest.h>
 
 #include <functional>

@@ -8,6 +8,8 @@
 
 #include "core/interface/options.h"
 #include "core/linear/block_structure.h"
+#include "core/model/camera_states.h"
+#include "core/model/free_parameters.h"
 #include "core/model/gauge.h"
 #include "core/model/parameter_layout.h"
 #include "support/scene.h"

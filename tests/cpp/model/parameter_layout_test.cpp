@@ -12,6 +12,8 @@
 
 #include "core/geometry/rotation.h"
 #include "core/interface/options.h"
+#include "core/model/camera_states.h"
+#include "core/model/free_parameters.h"
 #include "core/model/parameter_layout.h"
 #include "support/scene.h"
 

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "core/model/free_parameters.h"
 #include "core/model/parameter_layout.h"
 #include "support/scene.h"
 

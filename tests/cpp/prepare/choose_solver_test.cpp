@@ -1,4 +1,6 @@
 
+#include "core/prepare/choose_solver.h"
+
 #include <gtest/gtest.h>
 #include <sys/resource.h>
 

@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "core/prepare/prepare.h"
+#include "core/prepare/choose_solver.h"
 
 namespace bundle {
 namespace {

@@ -1,4 +1,6 @@
 
+#include "core/prepare/memory.h"
+
 #include <gtest/gtest.h>
 #include <sys/resource.h>
 

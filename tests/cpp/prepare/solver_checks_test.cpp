@@ -5,6 +5,7 @@
 #include <string>
 
 #include "core/error.h"
+#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
 
 namespace bundle {

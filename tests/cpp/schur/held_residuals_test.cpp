@@ -1,10 +1,10 @@
+#include "core/schur/held_residuals.h"
+
 #include <gtest/gtest.h>
 
 #include <cstddef>
 #include <cstdint>
 #include <vector>
-
-#include "core/schur/elimination_plan.h"
 
 namespace bundle {
 namespace {

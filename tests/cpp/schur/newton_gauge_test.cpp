@@ -7,6 +7,7 @@
 #include <memory>
 #include <vector>
 
+#include "core/linear/direct_solvers.h"
 #include "core/linear/linear_solver.h"
 #include "core/model/gauge.h"
 #include "core/schur/schur_problem.h"

@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "core/linear/block_structure.h"
-#include "core/linear/supernodal_cholesky.h"
+#include "core/linear/supernodes.h"
 #include "core/model/coupled_blocks.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/schur_problem.h"

@@ -1,4 +1,3 @@
-#include "core/solver/fused_solver.h"
 
 #include <gtest/gtest.h>
 

@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include "core/solver/fused_solver.h"
+#include "core/solver/summarize_fused.h"
 
 namespace bundle {
 namespace {

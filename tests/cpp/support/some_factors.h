@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/factors/linear_prior.h"
 #include "core/factors/measurement_factors.h"
 #include "core/model/problem_factors.h"
 #include "support/scene.h"

@@ -1,10 +1,11 @@
+#include "core/symbolic/block_pattern.h"
+
 #include <gtest/gtest.h>
 
 #include <string>
 #include <vector>
 
 #include "core/error.h"
-#include "core/symbolic/symbolic.h"
 #include "symbolic/graphs.h"
 
 namespace bundle {

@@ -1,3 +1,5 @@
+#include "core/symbolic/factor_counts.h"
+
 #include <cholmod.h>
 #include <gtest/gtest.h>
 
@@ -6,7 +8,7 @@
 #include <numeric>
 #include <vector>
 
-#include "core/symbolic/symbolic.h"
+#include "core/symbolic/block_pattern.h"
 #include "symbolic/graphs.h"
 
 namespace bundle {

@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "core/symbolic/symbolic.h"
+#include "core/symbolic/block_pattern.h"
 
 namespace bundle {
 

@@ -1,3 +1,5 @@
+#include "core/symbolic/orderings.h"
+
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -6,7 +8,8 @@
 #include <vector>
 
 #include "core/error.h"
-#include "core/symbolic/symbolic.h"
+#include "core/symbolic/block_pattern.h"
+#include "core/symbolic/factor_counts.h"
 #include "symbolic/graphs.h"
 
 namespace bundle {

@@ -1,3 +1,5 @@
+#include "core/schur/assembly/ordered_sums.h"
+
 #include <algorithm>
 #include <cstddef>
 #include <numeric>

@@ -6,6 +6,7 @@
 
 #include "core/interface/options.h"
 #include "core/schur/elimination_plan.h"
+#include "core/schur/held_residuals.h"
 
 namespace bundle {
 

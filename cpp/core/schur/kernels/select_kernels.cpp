@@ -1,5 +1,7 @@
-/// Which instruction set the passes run on. Every build holds all that its processor family knows,
-/// so that one binary serves every machine at its best.
+/// Part of kernels.h.
+///
+/// Choice of the instruction set of the kernels. A build contains the kernels for all instruction
+/// sets of its processor family, so that one binary is fast on each machine.
 
 #include <cstdlib>
 #include <string>

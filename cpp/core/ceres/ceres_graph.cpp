@@ -1,10 +1,12 @@
+#include "core/ceres/ceres_graph.h"
+
 #include <algorithm>
 #include <cmath>
 #include <set>
 #include <utility>
 
-#include "core/ceres/cost_functions.h"
-#include "core/ceres/translate.h"
+#include "core/ceres/gradient_check.h"
+#include "core/ceres/losses.h"
 #include "core/error.h"
 #include "core/factors/factor.h"
 #include "core/parallel/thread_pool.h"

@@ -1,5 +1,6 @@
-#include "core/geometry/retraction.h"
 #include "core/window/window.h"
+
+#include "core/geometry/retraction.h"
 
 namespace bundle {
 namespace {

@@ -1,0 +1,109 @@
+#pragma once
+
+/// Factors (factors/factor.h) as cost functions of Ceres, and factor graphs as its problems.
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "core/ceres/active_bounds.h"
+#include "core/ceres/ceres_version.h"
+#include "core/ceres/step_lengths.h"
+#include "core/factors/factor.h"
+#include "core/graph/factor_graph.h"
+#include "core/model/camera_states.h"
+#include "core/model/problem_factors.h"
+#include "core/parallel/thread_pool.h"
+
+namespace bundle {
+
+/// A Ceres manifold by name, for a block of `size` numbers; nullptr for "euclidean".
+///
+/// "quaternion_wxyz", "quaternion_xyzw" (4), "se3" (7: qx qy qz qw tx ty tz, as COLMAP stores a
+/// pose), "sphere" (at least 2), "subset" with the entries that stay `constant`. Throws InputError
+/// for any other name or a size that does not fit.
+std::unique_ptr<ceres::Manifold> MakeManifold(const std::string& name, int size,
+                                              const std::vector<int>& constant);
+
+/// Why costs have no value any more, so that Ceres ends: the user wants it, or a factor threw.
+struct Abandonment {
+  std::atomic<bool> happened{false};
+  FirstException exception;  ///< that a factor threw; Interrupted is none of it
+
+  /// What `evaluate` returns, but no exception leaves: Ceres does not expect any.
+  template <typename Evaluate>
+  bool Guard(const Evaluate& evaluate) noexcept {
+    if (happened.load(std::memory_order_relaxed)) return false;
+    try {
+      return evaluate();
+    } catch (const Interrupted&) {
+    } catch (...) {
+      exception.Keep();
+    }
+    happened.store(true);
+    return false;
+  }
+};
+
+/// A factor beside the observations of a problem as Ceres sees it. Its parameter blocks are its
+/// free points, then its blocks of the layout (ChartedFactor::unknowns). Values of the camera
+/// parameters are read from `states`, as MakeReprojectionCost does.
+std::unique_ptr<ceres::CostFunction> MakeFactorCost(ChartedFactor factor,
+                                                    const CameraStates& states,
+                                                    Abandonment* abandonment);
+
+/// A factor graph as a ceres::Problem.
+///
+/// A factor's Jacobian J is by tangent coordinates, but Ceres asks a cost function for derivatives
+/// by the numbers that are stored and multiplies them with the manifold's PlusJacobian. As it uses
+/// that matrix for nothing else, both are chosen so that the product is J itself: the cost function
+/// writes [J 0], as wide as the stored value, and PlusJacobian is [I 0]^T, without the columns of
+/// coordinates that are held. No digit is lost and nothing is differentiated twice.
+///
+/// Lives as long as the ceres::Problem does. The graph stays where it is and is not changed.
+class CeresGraph {
+ public:
+  /// With `all_free`, held coordinates count as free ones and bounds are left out.
+  CeresGraph(const FactorGraph& graph, bool all_free);
+  ~CeresGraph();
+  CeresGraph(const CeresGraph&) = delete;
+  CeresGraph& operator=(const CeresGraph&) = delete;
+
+  ceres::Problem& problem() { return *problem_; }
+  /// Those that Ceres works on, which begin as the graph's.
+  const std::vector<std::vector<double>>& values() const { return values_; }
+  StepLengths& step_lengths() { return step_lengths_; }
+  bool IsThreadSafe() const;
+  /// nnz(J^T J) over the free coordinates, blocks full.
+  int64_t CountInformationNonzeros() const;
+
+  /// True once no factor has a value any more, because the user wants the solve to end or a factor
+  /// threw. Looks for the user's wish before a candidate is evaluated, when Ceres can still be left
+  /// with the best state.
+  const std::atomic<bool>& abandoned() const { return abandonment_.happened; }
+  /// Throws what a factor threw, if one did; Interrupted is none of it.
+  void RethrowFactorException() { abandonment_.exception.Rethrow(); }
+
+ private:
+  class Cost;
+  class BlockManifold;
+  class Watch;
+  /// Evaluates a factor; what it throws is kept, as nothing may leave through Ceres.
+  bool Evaluate(const Factor& factor, double const* const* parameters, double* residuals,
+                double** jacobians) const;
+
+  const FactorGraph& graph_;
+  std::vector<std::vector<double>> values_;
+  std::vector<std::unique_ptr<ceres::Manifold>> manifolds_;
+  std::vector<std::unique_ptr<ceres::CostFunction>> costs_;
+  std::vector<std::unique_ptr<ceres::LossFunction>> losses_;
+  ActiveBounds active_bounds_;
+  StepLengths step_lengths_;
+  std::unique_ptr<ceres::EvaluationCallback> watch_;
+  std::unique_ptr<ceres::Problem> problem_;
+  mutable Abandonment abandonment_;
+};
+
+}  // namespace bundle

@@ -1,0 +1,100 @@
+#pragma once
+
+/// Two references for the Jacobians of one residual function at one point.
+///
+/// The first is ceres::GradientChecker, which users know. It differentiates along the tangent space
+/// of the manifolds, so that errors along their normals stay hidden. Its step is 1e-2 (or 1e-2 of
+/// the parameter), which it shrinks at most a thousandfold. Where one side is exactly zero, it
+/// compares absolutely. Its numbers are kept; its verdict is only counted.
+///
+/// The second reference is Richardson extrapolation (checking/richardson.h). It differentiates in
+/// the ambient space, parameter by parameter, and along the manifolds' Plus, without their
+/// PlusJacobian. It bounds its own error.
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "core/geometry/retraction.h"
+
+namespace ceres {
+class CostFunction;
+class Manifold;
+}  // namespace ceres
+
+namespace bundle {
+
+/// A Jacobian of all blocks side by side, row-major, num_residuals x columns, and for each entry a
+/// bound on its error, infinite where there is no derivative.
+struct NumericJacobian {
+  std::vector<double> values;
+  std::vector<double> uncertainty;
+};
+
+struct ReferenceJacobians {
+  NumericJacobian ambient;
+  NumericJacobian tangent;
+};
+
+/// What GradientChecker found. Matrices are num_residuals x tangent columns, row-major; empty where
+/// the cost function has no value at one of the points it needs.
+struct GradientCheckerProbe {
+  bool agrees = false;  ///< its own verdict at the given relative precision
+  std::vector<double> local_jacobian;
+  std::vector<double> local_numeric_jacobian;
+  std::string message;  ///< its error_log
+};
+
+/// A residual, as ceres::CostFunction::Evaluate: Jacobians row-major, `jacobians` or single ones
+/// may be nullptr; false where there is no value.
+using ResidualFunction =
+    std::function<bool(double const* const* parameters, double* residuals, double** jacobians)>;
+
+/// What MakeManifold (ceres_graph.h) takes.
+struct ManifoldSpec {
+  std::string name;
+  std::vector<int> constant;
+};
+
+/// A function at a point of its parameters.
+struct FunctionAtPoint {
+  ResidualFunction function;
+  int num_residuals = 0;
+  std::vector<std::vector<double>> blocks;
+  std::vector<ManifoldSpec> manifolds;  ///< one a block
+};
+
+/// Both throw InputError if a manifold does not fit its block.
+ReferenceJacobians DifferentiateByRichardson(const FunctionAtPoint& at);
+GradientCheckerProbe RunGradientChecker(const FunctionAtPoint& at, double relative_precision);
+
+/// The number of tangent directions of a block, and a point moved along them. Throw InputError if
+/// the manifold does not fit the block.
+int ManifoldTangentSize(const ManifoldSpec& spec, int size);
+std::vector<double> ManifoldPlus(const ManifoldSpec& spec, const std::vector<double>& x,
+                                 const std::vector<double>& delta);
+
+/// Manifolds of a cost function's blocks, one each; nullptr: Euclidean.
+using Manifolds = std::vector<const ceres::Manifold*>;
+
+int AmbientSize(const ceres::CostFunction& cost);
+int TangentSize(const ceres::CostFunction& cost, const Manifolds& manifolds);
+
+/// What is known of a cost function beforehand.
+struct KnownScales {
+  /// Bounds of the first step of each ambient column, unless empty: the distance to a singularity.
+  std::vector<double> largest_steps;
+  /// Size of the numbers whose difference a residual is: it is rounded as they are.
+  double minuend = 0;
+};
+
+ReferenceJacobians DifferentiateByRichardson(const ceres::CostFunction& cost,
+                                             const Manifolds& manifolds,
+                                             const std::vector<const double*>& parameters,
+                                             const KnownScales& known = {});
+
+GradientCheckerProbe RunGradientChecker(const ceres::CostFunction& cost, const Manifolds& manifolds,
+                                        const std::vector<const double*>& parameters,
+                                        double relative_precision);
+
+}  // namespace bundle

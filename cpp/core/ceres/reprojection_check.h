@@ -1,0 +1,34 @@
+#pragma once
+
+/// Test of the reprojection Jacobians of a problem against both references of gradient_check.h.
+
+#include <cstdint>
+
+#include "core/factors/reprojection.h"
+#include "core/interface/adjustment_problem.h"
+
+namespace bundle {
+
+/// Where the Jacobians of checked observations go: num_checked x 2 x columns, row-major, columns
+/// (w, t) of the pose, the camera's parameters (camera_params_stride), the point. What the model
+/// does not have or never refines stays zero.
+struct ReprojectionCheck {
+  double* analytic = nullptr;     ///< by the cost function that a solve uses
+  double* reference = nullptr;    ///< by Richardson extrapolation
+  double* uncertainty = nullptr;  ///< of the reference
+  double* ceres = nullptr;        ///< by ceres::GradientChecker; not a number where it gave up
+  double* rounding = nullptr;     ///< num_checked: delta / L
+  uint8_t* counts = nullptr;      ///< num_checked: 0 for an observation that contributes nothing
+  uint8_t* agrees = nullptr;      ///< num_checked: GradientChecker's own verdict
+  uint8_t* stable = nullptr;  ///< num_checked: the residual is the same with and without Jacobians
+};
+
+/// Checks the observations of these indices, each at its image's pose, which is written as Exp(w)
+/// R0 with w = offsets (num_checked x 3): the Jacobian is tried away from the start of its chart.
+///
+/// Throws InputError, naming model and image, if an observed image has an unknown camera model.
+void CheckReprojections(const AdjustmentProblem& problem, const int64_t* observations,
+                        int64_t num_checked, const double* offsets, Cheirality cheirality,
+                        double relative_precision, int num_threads, const ReprojectionCheck& out);
+
+}  // namespace bundle

@@ -1,0 +1,68 @@
+#pragma once
+
+/// The reprojection residual (factors/reprojection.h) as a cost function of Ceres.
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+
+#include "core/ceres/ceres_version.h"
+#include "core/factors/loss.h"
+#include "core/factors/reprojection.h"
+#include "core/interface/adjustment_problem.h"
+#include "core/model/camera_states.h"
+#include "core/model/parameter_layout.h"
+
+namespace bundle {
+
+/// Residuals that observations hold, as the reprojection costs of a solve count them.
+struct HoldingWatch {
+  LossType loss = LossType::kTrivial;
+  double loss_scale = 1;
+  std::atomic<int64_t> num_held{0};  ///< at the last state
+  /// Since this was last set to false, others counted at a candidate than at the state before.
+  std::atomic<bool> has_changed{false};
+  /// Derivatives that are asked for now are at a candidate.
+  std::atomic<bool> is_at_candidate{false};
+  /// The state that derivatives are asked for is a start, where all counts that can.
+  std::atomic<bool> is_at_start{false};
+  /// The held cost, as far as it has been evaluated: of the last state, of the last candidate.
+  std::atomic<double> state_cost{0}, candidate_cost{0};
+
+  /// Adds an observation that holds a residual, with its squared norm in sigmas.
+  void AddHeld(double squared_norm, std::atomic<double>* cost) const {
+    double rho[3];
+    ValueOfLoss(loss, loss_scale, squared_norm, rho);
+    double sum = cost->load(std::memory_order_relaxed);
+    while (!cost->compare_exchange_weak(sum, sum + 0.5 * rho[0], std::memory_order_relaxed)) {
+    }
+  }
+};
+
+/// What all reprojection costs of a solve share. Outlives them.
+struct ReprojectionContext {
+  const AdjustmentProblem& problem;
+  const ParameterLayout& layout;
+  const CameraStates& states;
+  Cheirality cheirality;
+  HoldingWatch* watch = nullptr;  ///< nullptr: what does not count is zero, and nothing is held
+  /// Once true, no cost can be evaluated any more, so that Ceres ends. nullptr: never.
+  const std::atomic<bool>* abandoned = nullptr;
+};
+
+/// The residual of one observation, divided by its sigma, as Ceres sees it. Its parameter blocks
+/// are, in this order and as far as they are free: the point, then the image's blocks
+/// (ParameterLayout::blocks_of). The derivatives by an image's own pose, if that is a rig's, are
+/// multiplied with the maps to its frame and its sensor (factors/rig_pose.h).
+///
+/// Camera parameters are read from `context.states`, not from the parameters: an EvaluationCallback
+/// keeps the two equal. The model is one of the registry's and known.
+///
+/// An observation that does not count has the residual that it holds (factors/reprojection.h),
+/// which depends on the states of the solve. Ceres' trust region asks for derivatives at these, and
+/// for the residual alone at candidates; only its search along a projected step asks for
+/// derivatives at candidates, which HoldingWatch::is_at_candidate tells apart.
+std::unique_ptr<ceres::CostFunction> MakeReprojectionCost(const ReprojectionContext& context,
+                                                          int64_t observation);
+
+}  // namespace bundle

@@ -1,0 +1,62 @@
+#pragma once
+
+/// Iterations and summary of Ceres as ours.
+
+#include <atomic>
+#include <vector>
+
+#include "core/ceres/ceres_version.h"
+#include "core/ceres/step_lengths.h"
+#include "core/interface/adjustment_problem.h"
+#include "core/interface/options.h"
+#include "core/interface/summary.h"
+#include "core/model/parameter_layout.h"
+
+namespace bundle {
+
+/// What Ceres factorises with the linear solver that it used, `type`. Ceres does not report
+/// it: sparse factors are counted here, on the pattern that Ceres builds and in CHOLMOD's AMD order
+/// of its blocks. Ceres asks CHOLMOD for the same kind of order but numbers the blocks its own way
+/// and may have it keep the groups of the ordering apart, so that its factor can be some per cent
+/// larger or smaller. The symbolic time is that of this count.
+FactorSummary CountCeresFactor(const AdjustmentProblem& problem, const ParameterLayout& layout,
+                               EliminationOrdering ordering, ceres::LinearSolverType type);
+
+/// Ceres' summary in our words. `fixed_cost` is the cost of observations that Ceres never saw; it
+/// is added to every cost.
+SolveSummary Summarize(const ceres::Solver::Summary& summary, double fixed_cost);
+
+/// A warning for each choice of a linear solver or of its preconditioner that Ceres did not keep.
+std::vector<Warning> FindFallbacks(const ceres::Solver::Summary& summary);
+
+IterationRecord ToRecord(const ceres::IterationSummary& iteration, double fixed_cost,
+                         const StepLengths& lengths);
+
+/// Reports each iteration and looks for an interruption. `abandoned` is set where a candidate could
+/// not be evaluated because the user ended the solve: such a step is not reported.
+class ReportProgress final : public ceres::IterationCallback {
+ public:
+  ReportProgress(const ProgressCallback& progress, double fixed_cost, const StepLengths& lengths,
+                 const std::atomic<bool>& abandoned)
+      : progress_(progress), fixed_cost_(fixed_cost), lengths_(lengths), abandoned_(abandoned) {}
+
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override;
+
+  bool interrupted() const { return interrupted_; }
+
+ private:
+  const ProgressCallback& progress_;
+  const double fixed_cost_;
+  const StepLengths& lengths_;
+  const std::atomic<bool>& abandoned_;
+  bool interrupted_ = false;
+};
+
+/// Puts the summary of a solve in front of that of the next, which went on from its end and is left
+/// out where it says the same: `repeats`, at its start.
+void PutBefore(const ceres::Solver::Summary& first, bool repeats, ceres::Solver::Summary* next);
+
+/// Removes a step that could not be evaluated from the summary, as if it had not been tried.
+void ForgetAbandonedStep(ceres::Solver::Summary* summary);
+
+}  // namespace bundle

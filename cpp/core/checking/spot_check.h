@@ -1,0 +1,40 @@
+#pragma once
+
+/// Test of Jacobians on a sample of observations (derived in spot_check.cpp).
+
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "core/cameras/camera_model.h"
+#include "core/factors/reprojection.h"
+
+namespace bundle {
+
+/// An observation and the numbers that its residual depends on: x = (v, t, parameters of the
+/// model, point), v as in factors/reprojection.h; of an image of a rig (v, t) are local
+/// coordinates.
+struct ObservationAtPoint {
+  static constexpr int kMaxSize = kPoseSize + kMaxCameraParams + 3;
+
+  int64_t observation = 0;
+  const CameraModel* model = nullptr;
+  uint32_t free = 0;  ///< bit j: x_j is refined; the others are not checked
+  double x[kMaxSize] = {};
+
+  int size() const { return kPoseSize + model->num_params + 3; }
+};
+
+/// The residual (2) of an observation at x and, unless `jacobian` is nullptr, the derivatives that
+/// are claimed for it: 2 x size, row-major. False where the observation does not count.
+using ClaimedDerivatives =
+    std::function<bool(int64_t observation, const double* x, double* residual, double* jacobian)>;
+
+/// Holds the claimed Jacobian columns against differences of the residual (spot_check.cpp). One
+/// sentence that says which kind of column is wrong by how much, and names `bundle check`; "" if
+/// none is. Takes some 5 microseconds an observation.
+std::string SpotCheck(const std::vector<ObservationAtPoint>& sample,
+                      const ClaimedDerivatives& derivatives);
+
+}  // namespace bundle

@@ -1,0 +1,31 @@
+#pragma once
+
+/// Rigs of a COLMAP model as our problem has them.
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+namespace bundle {
+
+struct ColmapModel;  // colmap_model.h
+
+/// Rigs that are more than a reference camera, as our problem has them: frames with an image by id,
+/// cameras with a sensor_from_rig by the ids of rig and camera. All empty where no such rig has a
+/// frame with an image. Other sensors (IMUs, cameras of unknown pose) stay in the files.
+struct ColmapRigs {
+  struct Place {
+    size_t rig;     ///< in index.rigs
+    size_t sensor;  ///< in its sensors
+  };
+  std::vector<size_t> frames;  ///< positions in index.frames
+  std::vector<Place> sensors;
+  std::vector<int32_t> image_frame;   ///< of each row of our images: row in `frames`; -1: none
+  std::vector<int32_t> image_sensor;  ///< row in `sensors`; -1: the reference sensor, or no frame
+};
+
+/// Fills `image_of_frame` and `rigs` from the index and its order. Throws InputError as
+/// ReadColmapModel does.
+void FindColmapRigs(ColmapModel* model);
+
+}  // namespace bundle

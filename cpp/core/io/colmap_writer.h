@@ -1,0 +1,42 @@
+#pragma once
+
+/// COLMAP models written with refined values.
+
+#include <cstddef>
+#include <cstdint>
+#include <filesystem>
+#include <vector>
+
+#include "core/io/colmap_model.h"
+
+namespace bundle {
+
+/// The numbers that a solve changes, one row a record in the order of the ids.
+struct ColmapValues {
+  const double* cam_from_world = nullptr;   ///< (num_images, 7) qx qy qz qw tx ty tz
+  const double* rig_from_world = nullptr;   ///< (frames of ColmapRigs, 7)
+  const double* sensor_from_rig = nullptr;  ///< (sensors of ColmapRigs, 7)
+  const double* camera_params = nullptr;    ///< (num_cameras, params_width)
+  size_t params_width = 0;
+  const double* points = nullptr;        ///< (num_points, 3)
+  const double* point_errors = nullptr;  ///< (num_points,) mean reprojection error in pixels
+};
+
+/// Writes the files of a model into an existing folder, in the format in which it was read.
+///
+/// Every byte but the given numbers is that of the files that were read: keypoints, tracks,
+/// colours, rigs, comments. A model from before there were rigs and frames gets them as COLMAP
+/// makes them: a rig a camera and a frame an image, of the same ids. Text has the shortest digits
+/// that read back as the same number.
+///
+/// Throws std::system_error when the system refuses.
+void WriteColmapModel(const ColmapModel& model, const ColmapValues& values,
+                      const std::filesystem::path& folder);
+
+/// The same of a model of which ReadColmapPart has read a part: images and points are copied from
+/// file to file. `point_ids` are those of all points, ascending. Throws InputError where the files
+/// have changed since.
+void RewriteColmapModel(const ColmapModel& model, const std::vector<int64_t>& point_ids,
+                        const ColmapValues& values, const std::filesystem::path& folder);
+
+}  // namespace bundle

@@ -1,0 +1,42 @@
+#pragma once
+
+/// Files read as streams, decompressed on the way.
+
+#include <cstddef>
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <string>
+
+namespace bundle {
+
+/// A file as a stream of bytes, decompressed on the way if its first bytes say gzip or bzip2 (the
+/// name does not matter). Concatenated streams, as pigz and pbzip2 write them, are read as one.
+///
+/// What goes wrong in the system is thrown as std::system_error, damaged compressed data as
+/// InputError with the position in the file as it is stored.
+class InputFile {
+ public:
+  static std::unique_ptr<InputFile> Open(const std::filesystem::path& path);
+  virtual ~InputFile() = default;
+
+  /// Reads up to `size` > 0 bytes into `buffer`; returns how many, 0 only at the end.
+  virtual size_t Read(char* buffer, size_t size) = 0;
+
+  /// The name as messages print it.
+  virtual const std::string& name() const = 0;
+
+  /// Size on disk in bytes, 0 for a pipe or a device.
+  virtual uint64_t stored_size() const = 0;
+
+  virtual bool is_compressed() const = 0;
+};
+
+/// Throws InputError: what is read again is not what was read before. `name`: of the file, for
+/// messages; "" where the caller adds it.
+[[noreturn]] void FailAsChanged(const std::string& name = "");
+
+/// What readers of text take at a time.
+inline constexpr size_t kReadBlockSize = size_t{1} << 20;
+
+}  // namespace bundle

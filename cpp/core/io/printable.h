@@ -1,0 +1,19 @@
+#pragma once
+
+/// Bytes of files and of their names, fit for messages.
+
+#include <cstddef>
+#include <string>
+#include <string_view>
+
+namespace bundle {
+
+/// Bytes of a file or of its name, fit for one line of a message: valid UTF-8 stays, control
+/// characters, line separators and bytes that are no UTF-8 become \xNN, and from `max_bytes` input
+/// bytes on there is "...".
+std::string Printable(std::string_view bytes, size_t max_bytes = std::string_view::npos);
+
+/// The text, fit for a message and not too long for it, in quotes.
+std::string Quoted(std::string_view text);
+
+}  // namespace bundle

@@ -1,0 +1,33 @@
+#pragma once
+
+/// Clusters of strongly coupled blocks of S, for the coarse space (derived in clusters.cpp).
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "core/linear/block_structure.h"
+
+namespace bundle {
+
+/// Groups of strongly coupled blocks, of at most `max_size` each: the cluster of every block, from
+/// 0 on. Blocks marked in `alone` are clusters of their own. `values` are those of S.
+std::vector<int> ClusterBlocks(const BlockStructure& structure, const std::vector<double>& values,
+                               const std::vector<char>& alone, int max_size);
+
+/// Columns of Q (coarse_space.cpp) on the rows of a cluster's blocks, one block after the other.
+struct ClusterDirections {
+  Eigen::MatrixXd q;
+  std::vector<char> is_idle;  ///< of each column: it depends on those before it, and is zero
+};
+
+/// Whether a similarity changes any unknown of a block. `moves`: of each column of S, that one
+/// does.
+bool MovesBlock(const BlockStructure& structure, const std::vector<char>& moves, int block);
+
+/// The gauge directions, if the cluster has blocks that they move, and the k-th intrinsics of all
+/// of its blocks, for each k: `num_columns` in all. `blocks`: those of the cluster.
+ClusterDirections FindClusterDirections(const BlockStructure& structure, const BlockSystem& system,
+                                        const std::vector<char>& moves,
+                                        const std::vector<int>& blocks, int num_columns);
+
+}  // namespace bundle

@@ -1,0 +1,27 @@
+#pragma once
+
+/// Order of the elimination of S, chosen by the cost of its Cholesky factor.
+
+#include <string>
+#include <vector>
+
+#include "core/linear/block_structure.h"
+
+namespace bundle {
+
+/// An order in which to eliminate the blocks of S, and what its Cholesky factor then costs.
+struct FillOrdering {
+  std::string name;        ///< "natural", "amd" or "metis"
+  std::vector<int> order;  ///< order[k]: the block eliminated as the k-th; an etree's postorder
+  double entries = 0;      ///< of the factor
+  double flops = 0;        ///< multiplications and additions; n^3 / 3 where S fills up
+  double elimination_flops = 0;  ///< FactorCounts::flops, which reports speak of
+};
+
+/// The cheapest of the natural order, AMD's and METIS'.
+FillOrdering FindFillOrdering(const BlockStructure& structure);
+
+/// That of one method: "natural", "amd", "metis" or another of symbolic/orderings.h.
+FillOrdering FindFillOrdering(const BlockStructure& structure, const std::string& method);
+
+}  // namespace bundle

@@ -1,0 +1,85 @@
+#pragma once
+
+/// Camera parameters of a problem at one state of a solve.
+
+#include <cstdint>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "core/factors/reprojection.h"
+#include "core/factors/rig_pose.h"
+#include "core/interface/adjustment_problem.h"
+#include "core/model/parameter_layout.h"
+
+namespace bundle {
+
+/// One anchor per pose (factors/reprojection.h).
+using PoseAnchors = std::vector<PoseAnchor>;
+
+/// The camera parameters of a problem at one state, expanded once per evaluation so that an
+/// observation only reads: rotation, translation and left Jacobian of each image, parameters of
+/// each camera. Images of rigs follow from their frames and sensors (factors/rig_pose.h); their
+/// coordinates here are the local ones.
+///
+/// A state has a meaning about certain anchors only: a candidate needs those of the state that the
+/// step starts from.
+class CameraStates {
+ public:
+  /// Keeps references to both; starts at the problem's own values.
+  CameraStates(const AdjustmentProblem& problem, const ParameterLayout& layout);
+
+  /// Goes to the problem's own values, after these changed.
+  void Reset();
+
+  void Update(const double* state);
+
+  /// Gives each pose that is too far from its anchor a new one, where it is. Same state, same
+  /// poses. True if there is any; others keep every bit.
+  bool MoveAnchors();
+  /// From the next Update on. They are never changed, but replaced.
+  void SetAnchors(std::shared_ptr<const PoseAnchors> anchors) { anchors_ = std::move(anchors); }
+  const std::shared_ptr<const PoseAnchors>& anchors() const { return anchors_; }
+
+  /// Of an image, a frame or a sensor, by its number (NumPoses).
+  const PoseState& pose(int pose) const { return poses_[pose]; }
+  /// What an image's pose follows from.
+  RigPose rig(int image) const;
+  const double* params(int camera) const {
+    return camera_params_.data() + static_cast<int64_t>(camera) * stride_;
+  }
+
+  /// Where the chart of an image's observations is: the rotation that it is about, and (v, t), six
+  /// numbers. Of an image of a rig it is about the image's rotation.
+  const double* chart_rotation(int image) const;
+  void Chart(int image, double* chart) const;
+
+  /// The refined poses as quaternion and translation (num_images x 7): Exp(v) q_a. A pose that did
+  /// not move keeps every bit of what it was.
+  std::vector<double> CamFromWorld() const;
+  /// The same of frames and of sensors.
+  std::vector<double> RigFromWorld() const;
+  std::vector<double> SensorFromRig() const;
+  /// The same of one image, frame or sensor, by its number.
+  void ValueOf(int pose, double value[7]) const;
+  const std::vector<double>& camera_params() const { return camera_params_; }
+
+ private:
+  void Expand();
+  void TurnAboutCentre(int image);
+  void ChartOf(int pose, double* chart) const;
+  bool HasMoved(int pose) const;
+  /// ValueOf a pose that is a variable of its own.
+  void ValueOfVariable(int pose, double value[7]) const;
+  std::vector<double> Values(int first, int count) const;
+
+  const AdjustmentProblem& problem_;
+  const ParameterLayout& layout_;
+  const int stride_;
+  std::shared_ptr<const PoseAnchors> anchors_;
+  std::vector<double> charts_;  ///< (w, t) of each pose
+  std::vector<PoseState> poses_;
+  std::vector<double> camera_params_;
+};
+
+}  // namespace bundle

@@ -1,0 +1,49 @@
+#pragma once
+
+/// Free parameters: the numbers of a problem that a solve may change.
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "core/interface/adjustment_problem.h"
+#include "core/interface/options.h"
+
+namespace bundle {
+
+/// Bit j of a pose: entry j of (w, t) (factors/reprojection.h). Bit j of a camera: parameter j.
+struct FreeParameters {
+  static constexpr uint8_t kWholePose = 0b111111;
+
+  std::vector<uint8_t> pose;     ///< num_images; 0 for images of rigs, which have none of their own
+  std::vector<uint32_t> camera;  ///< num_cameras
+  std::vector<uint8_t> point;    ///< num_points: 0 or 1
+  std::vector<uint8_t> frame;    ///< num_frames: of rig_from_world
+  std::vector<uint8_t> sensor;   ///< num_sensors: of sensor_from_rig
+
+  /// Of an image's own pose, a frame's or a sensor's, by its number (NumPoses).
+  uint8_t& OfPose(int number) {
+    size_t k = number;
+    for (std::vector<uint8_t>* bits : {&pose, &frame}) {
+      if (k < bits->size()) return (*bits)[k];
+      k -= bits->size();
+    }
+    return sensor[k];
+  }
+
+  bool operator==(const FreeParameters& other) const {
+    return pose == other.pose && camera == other.camera && point == other.point &&
+           frame == other.frame && sensor == other.sensor;
+  }
+};
+
+/// Of each image: 1 if it has observations.
+std::vector<uint8_t> FindObservedImages(const AdjustmentProblem& problem);
+
+/// What the options leave free. Nothing is free that neither an observation nor a factor touches.
+/// An image that is fixed fixes its frame. The sensors of a rig whose reference sensor observes
+/// nothing are fixed: moving all of them on the rig is what moving its frames is.
+/// Throws InputError if an id to be fixed is not in the problem.
+FreeParameters SelectFreeParameters(const AdjustmentProblem& problem, const SolveOptions& options);
+
+}  // namespace bundle

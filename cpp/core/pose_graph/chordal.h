@@ -1,0 +1,15 @@
+#pragma once
+
+/// Initial poses of a pose graph by chordal relaxation (derived in chordal.cpp).
+
+#include <vector>
+
+#include "core/pose_graph/pose_graph.h"
+
+namespace bundle {
+
+/// Poses by chordal relaxation.
+std::vector<double> ChordalPoses(const PoseGraph& graph, const double* information,
+                                 int num_threads);
+
+}  // namespace bundle

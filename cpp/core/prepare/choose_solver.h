@@ -1,0 +1,55 @@
+#pragma once
+
+/// Choice of a linear solver by its predicted cost (derived in choose_solver.cpp).
+
+#include <string>
+#include <vector>
+
+#include "core/interface/adjustment_problem.h"
+#include "core/interface/options.h"
+#include "core/linear/block_structure.h"
+#include "core/linear/fill_ordering.h"
+#include "core/model/parameter_layout.h"
+#include "core/symbolic/block_pattern.h"
+
+namespace bundle {
+
+struct SolverChoice {
+  LinearSolverType type = LinearSolverType::kDenseSchur;
+  std::string reason;  ///< one sentence
+};
+
+/// Chooses a linear solver of Ceres', by the shape of the problem and what is eliminated first.
+SolverChoice ChooseCeresSolver(const AdjustmentProblem& problem, const ParameterLayout& layout,
+                               const ProblemShape& shape, bool cameras_eliminated = false);
+
+/// What one solve of a reduced camera system is expected to cost.
+struct LinearSolverCost {
+  double flops = 0;
+  double bytes = 0;  ///< of memory: the system itself and what its solver keeps
+  double seconds = 0;
+};
+
+struct LinearSolverCosts {
+  LinearSolverCost dense;
+  LinearSolverCost sparse;
+  LinearSolverCost iterative;
+};
+
+/// `structure` is a sparse one, `ordering` the one that it would be factorised in.
+LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
+                                           const FillOrdering& ordering, int num_threads);
+
+/// Chooses a linear solver of the fused backend: the fastest of dense, sparse and iterative that
+/// fits into the memory.
+SolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrdering& ordering,
+                                int num_threads, double available_bytes);
+
+/// Values that the panels of the factor of S hold (supernodal_cholesky.h), zeros and all, when the
+/// blocks are eliminated in this order. Any order will do; it is postordered first, as in a solve.
+double CountPanelValues(const BlockPatternView& pattern, const std::vector<int>& order);
+
+/// What `auto` takes, on this machine and now. It does not ask below a few hundred columns.
+SolverChoice ChooseByPattern(const BlockPatternView& pattern, int num_threads);
+
+}  // namespace bundle

@@ -1,0 +1,111 @@
+#pragma once
+
+/// Sums over chunks, in the order of the chunks whatever the threads.
+
+#include <algorithm>
+#include <atomic>
+#include <cstdint>
+#include <vector>
+
+#include "core/linear/block_structure.h"
+#include "core/parallel/thread_pool.h"
+#include "core/schur/assembly/assembler.h"
+#include "core/schur/elimination_plan.h"
+#include "core/schur/kernels/kernels.h"
+
+namespace bundle {
+
+class SumGrid;  // sum_grid.h
+
+/// Sums up chunks that several threads work on, in the order of the chunks, so that no bit of the
+/// sum depends on who was faster.
+///
+/// Threads wait for each other at the same queue only (Assembler). A thread that is early keeps its
+/// chunk and goes on to the next.
+class OrderedSums {
+ public:
+  /// Keeps references to all but the last. `keeps_error_terms`: the sums are double-doubles until
+  /// Round.
+  OrderedSums(const EliminationInput& input, const BlockStructure& structure,
+              const Assembler& assembler, int num_images, int num_threads,
+              bool wants_camera_diagonal, bool keeps_error_terms);
+
+  /// Sums on a grid, where one is chosen, from the next Clear on; nullptr: on none.
+  void UseGrid(const SumGrid* grid) { grid_ = grid; }
+
+  /// Starts anew, at zero.
+  void Clear(ThreadPool* pool);
+
+  /// Where a thread sums up a chunk, until it calls End: zeros, or what sums on the grid start at.
+  ChunkSum& Begin(int chunk, int thread);
+  void End(int thread);
+
+  /// Adds what a thread still keeps, after its last chunk.
+  void Flush(int thread);
+
+  /// Thrown by the above where they would wait for a chunk that never comes.
+  struct Abandoned {};
+
+  /// A thread will not end its chunk: the others do not wait for it. Until Clear.
+  void Abandon() { abandoned_.store(true, std::memory_order_release); }
+
+  CameraSums& sums() { return sums_; }
+
+  /// Frees S, until Clear.
+  void FreeSystem();
+
+ private:
+  struct Buffer {
+    std::vector<double> blocks, vectors, camera_diagonal;
+    std::vector<int64_t> block_begin;  ///< ChunkSum::block_begin
+    ChunkSum sum;
+    int chunk = -1;
+  };
+
+  /// A thread's chunks that wait for those before them, a short queue. The buffer that was freed
+  /// last is taken next, as it is still in the cache; most problems touch no other.
+  struct Waiting {
+    static constexpr int kBuffers = 3;
+    Buffer buffers[kBuffers];
+    int order[kBuffers] = {0, 1, 2};  ///< those in the queue, oldest first, then the free ones
+    int count = 0;
+
+    std::vector<int> second_begin, seconds;  ///< GroupBySecond
+
+    bool IsEmpty() const { return count == 0; }
+    bool IsFull() const { return count == kBuffers; }
+    Buffer& Oldest() { return buffers[order[0]]; }
+    Buffer& Push() { return buffers[order[count++]]; }
+    void Pop() {
+      std::rotate(order, order + 1, order + count);
+      --count;
+    }
+  };
+
+  /// Where a chunk's blocks begin, and how many doubles they are, where widths are mixed.
+  int64_t PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block_begin) const;
+
+  /// The pairs of a chunk by their second image: those of image i are
+  /// seconds[second_begin[i]] to seconds[second_begin[i + 1]], ascending.
+  static void GroupBySecond(const Chunk& chunk, Waiting* waiting);
+
+  void MakeSystem();
+  bool HasGrid() const;
+  void AddOldest(Waiting* waiting);
+  void WaitFor(const std::atomic<int>& value, int wanted) const;
+
+  const EliminationInput& input_;
+  const BlockStructure& structure_;
+  const Assembler& assembler_;
+  const bool wants_camera_diagonal_;
+  const bool chunks_have_camera_diagonal_;
+  const SumGrid* grid_ = nullptr;
+  CameraSums sums_;
+  bool is_new_ = false;                       ///< S, and zero therefore
+  std::vector<Waiting> waiting_;              ///< of each thread
+  std::vector<std::atomic<int>> last_added_;  ///< chunk, of each image
+  std::atomic<int> num_added_{0};             ///< chunks
+  std::atomic<bool> abandoned_{false};
+};
+
+}  // namespace bundle

@@ -1,0 +1,63 @@
+#pragma once
+
+/// Observations of a plan that hold a residual at a state (factors/reprojection.h). Memory: 24
+/// bytes for each of them, nothing for those that count.
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "core/factors/loss.h"
+#include "core/sums/double_double.h"
+
+namespace bundle {
+
+struct HeldResidual {
+  int64_t observation;  ///< of the plan
+  double residual[2];
+};
+
+/// Where a pass puts the observations of a chunk that hold a residual; nowhere if `add` is nullptr.
+struct HeldSink {
+  void (*add)(void* list, const HeldResidual& held) = nullptr;
+  void* list = nullptr;
+};
+
+class HeldResiduals {
+ public:
+  explicit HeldResiduals(size_t num_chunks) : of_chunk_(num_chunks) {}
+
+  /// Forgets what a chunk held and takes what a pass over it finds. Chunks are independent.
+  HeldSink Collect(size_t chunk);
+
+  /// Puts together what all chunks hold, after a pass.
+  void Merge();
+
+  /// Forgets all.
+  void Clear();
+
+  /// Forgets those of which `counts` is true. Returns their number.
+  template <typename Predicate>
+  int64_t Release(const Predicate& counts) {
+    const auto end = std::remove_if(all_.begin(), all_.end(), counts);
+    const int64_t number = all_.end() - end;
+    all_.erase(end, all_.end());
+    return number;
+  }
+
+  /// The held cost: sum of 1/2 rho(||h||^2).
+  DoubleDouble Cost(LossType loss, double loss_scale) const;
+
+  /// Ascending.
+  const std::vector<HeldResidual>& all() const { return all_; }
+
+  /// True if the same observations hold a residual.
+  bool HasSameObservations(const HeldResiduals& other) const;
+
+ private:
+  std::vector<std::vector<HeldResidual>> of_chunk_;
+  std::vector<HeldResidual> all_;
+};
+
+}  // namespace bundle

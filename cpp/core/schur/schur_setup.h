@@ -1,0 +1,71 @@
+#pragma once
+
+/// What the passes over the points read beside the states of a solve.
+
+#include <cstdint>
+#include <memory>
+
+#include "core/interface/adjustment_problem.h"
+#include "core/interface/options.h"
+#include "core/linear/block_structure.h"
+#include "core/model/parameter_layout.h"
+#include "core/schur/assembly/assembler.h"
+#include "core/schur/elimination_plan.h"
+#include "core/schur/kernels/kernels.h"
+#include "core/schur/state_records.h"
+#include "core/sums/double_double.h"
+
+namespace bundle {
+
+/// How much of a sum over points depends on the order in which it is made.
+enum class SumOrder {
+  kGrid,      ///< no bit (sum_grid.h)
+  kSections,  ///< no bit between divisions by sections (point_sections.h, double_double.h)
+  kChunks,    ///< the last digits, between plans of other chunks
+};
+
+/// For S with so many block columns and blocks; `has_maps`: Assembler::has_maps.
+SumOrder ChooseSumOrder(LinearSolverType solver, int num_columns, int64_t num_block_columns,
+                        int64_t num_blocks, bool has_maps);
+
+/// What the passes over the points need of a problem beside its states: which columns each image
+/// has, the order of the elimination, where sums go in S, the kernels. It follows from the
+/// structure of the problem, which image sees which point and what is refined, but for the
+/// measurements.
+struct SchurSetup {
+  /// Keeps references to the problem and the layout. `is_reused`: Reset will be called.
+  SchurSetup(const AdjustmentProblem& problem, const ParameterLayout& layout,
+             const SolveOptions& options, BlockStructure structure, bool is_reused);
+  SchurSetup(const SchurSetup&) = delete;
+  SchurSetup& operator=(const SchurSetup&) = delete;
+
+  /// Takes the problem's measurements and the options' loss anew, after these changed.
+  void Reset(const SolveOptions& options);
+
+  /// Cost of the observations with nothing to refine, by the same kernels.
+  DoubleDouble FixedCost(const SolveOptions& options);
+
+  const AdjustmentProblem& problem;
+  const ParameterLayout& layout;
+  const BlockStructure structure;
+  const Kernels& kernels;
+  const ModelGroups groups;
+  Assembler assembler;
+  const SumOrder sums;
+  EliminationPlan plan;
+  EliminationInput input;
+
+ private:
+  struct FixedObservations {
+    EliminationPlan plan;
+    EliminationInput input;
+    State state;
+  };
+
+  EliminationInput MakeInput(const SolveOptions& options, const EliminationPlan& points) const;
+
+  const bool is_reused_;
+  std::unique_ptr<FixedObservations> fixed_;  ///< where they will be needed again
+};
+
+}  // namespace bundle

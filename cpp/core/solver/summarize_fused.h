@@ -1,0 +1,55 @@
+#pragma once
+
+/// Summaries of solves by our own solvers, under the names of Ceres.
+
+#include <cstdint>
+#include <string>
+
+#include "core/interface/options.h"
+#include "core/interface/summary.h"
+#include "core/linear/block_structure.h"
+#include "core/linear/linear_solver.h"
+#include "core/minimize/trust_region.h"
+#include "core/model/parameter_layout.h"
+#include "core/schur/schur_problem.h"
+
+namespace bundle {
+
+/// Wall times in seconds.
+struct SolveTimes {
+  double preprocessor = 0;
+  double minimizer = 0;
+  double postprocessor = 0;
+  double total = 0;
+};
+
+/// A minimum as ceres::Solver::Summary tells it. `options` has nothing left to choose.
+///
+/// Three of Ceres' times name other work here, because linearisation and elimination are one pass:
+/// the Jacobian evaluation includes the elimination of the points, the linear solver's time is that
+/// of the reduced camera system alone, and the residual evaluation includes the back-substitution.
+SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layout,
+                       const SchurProblem& schur, const MinimizerSummary& minimum,
+                       const SolveTimes& times);
+
+/// Whose costs the final cost is the least of: all steps, as Ceres has it, or the accepted ones.
+/// Where steps change what counts, costs of different steps are sums over different observations,
+/// and the final cost is that of the last accepted one.
+enum class Counted { kAll, kAccepted };
+
+/// What our own solvers report alike: of the options, of the minimum (which leaves out the constant
+/// `fixed_cost`), and sizes, of which nothing is constant.
+void SummarizeChoices(const SolveOptions& options, SolveSummary* result);
+void SummarizeMinimum(const MinimizerSummary& minimum, double fixed_cost, Counted counted,
+                      SolveSummary* result);
+void SetSizes(int num_blocks, int num_parameters, int64_t num_residual_blocks,
+              int64_t num_residuals, SolveSummary* result);
+
+/// `structure` as its solver wants it, with that solver's statistics.
+FactorSummary SummarizeFactor(const BlockStructure& structure, const FactorStatistics& statistics,
+                              double symbolic_time_in_seconds);
+
+/// One sentence if the factor takes far more than its ordering predicted; else "".
+std::string FindSwollenFactor(const FactorStatistics& statistics);
+
+}  // namespace bundle

@@ -1,0 +1,41 @@
+#pragma once
+
+/// Symbolic factorisation: fill-in, nnz(L) and flops of a Cholesky factor (derived in
+/// factor_counts.cpp).
+
+#include <cstdint>
+#include <vector>
+
+#include "core/symbolic/block_pattern.h"
+
+namespace bundle {
+
+/// What the Cholesky factor L of a matrix costs under one order of its blocks, exactly and without
+/// arithmetic. All vectors are by position in the order, not by block.
+///
+/// Eliminating a scalar column with c entries below its diagonal changes the c (c + 1) / 2 entries
+/// of a lower triangle and c of the right hand side, each by a multiplication and a subtraction:
+/// c^2 + 3 c flops. CHOLMOD counts (c + 1)^2, which leaves the right hand side out and lets the
+/// divisions and the square root in.
+struct FactorCounts {
+  double entries = 0;         ///< of L: its lower triangle with the diagonal
+  double flops = 0;           ///< sum of c^2 + 3 c
+  double cholmod_flops = 0;   ///< sum of (c + 1)^2, cholmod_common::fl
+  int64_t block_entries = 0;  ///< blocks of L, the diagonal's included
+  int64_t fill_edges = 0;     ///< block_entries without the blocks that the matrix has there
+  int tree_height = 0;      ///< blocks on the longest path from a leaf to a root; 0 without blocks
+  std::vector<int> parent;  ///< in the elimination tree, -1 for a root
+  std::vector<int>
+      postorder;  ///< positions; children first, the one with most rows next to its parent
+  std::vector<int64_t> rows_below;    ///< scalar rows below each diagonal block of L
+  std::vector<int64_t> blocks_below;  ///< block rows below it
+};
+
+/// `order` is a permutation of the blocks (CheckOrder), `pattern` of the right form.
+FactorCounts CountFactor(const BlockPatternView& pattern, const std::vector<int>& order);
+
+/// `entries` and `flops` of a matrix of n columns that has no zeros.
+double DenseFactorEntries(double n);
+double DenseFactorFlops(double n);
+
+}  // namespace bundle
