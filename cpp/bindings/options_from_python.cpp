@@ -2,7 +2,10 @@
 
 #include <pybind11/stl.h>
 
+#include <algorithm>
+#include <iterator>
 #include <string>
+#include <string_view>
 
 #include "core/error.h"
 #include "core/interface/options.h"
@@ -20,86 +23,71 @@ Enum ValueOf(const char* option, const std::string& text,
   throw bundle::InputError(std::string(option) + ": unknown value " + text);
 }
 
-/// Calls visit for every option but `refine`: (name, value) or (name, value, names of its choices).
-template <typename Options, typename Visitor>
-void VisitOptions(Options& o, const Visitor& visit) {
-  visit("backend", o.backend, bundle::kBackends);
-  visit("linear_solver_type", o.linear_solver_type, bundle::kLinearSolverTypes);
-  visit("linear_solver_ordering", o.linear_solver_ordering, bundle::kEliminationOrderings);
-  visit("preconditioner_type", o.preconditioner_type, bundle::kPreconditionerTypes);
-  visit("trust_region_strategy_type", o.trust_region_strategy_type, bundle::kTrustRegionStrategies);
-  visit("loss", o.loss, bundle::kLossTypes);
-  visit("loss_scale", o.loss_scale);
-  visit("max_num_iterations", o.max_num_iterations);
-  visit("function_tolerance", o.function_tolerance);
-  visit("gradient_tolerance", o.gradient_tolerance);
-  visit("parameter_tolerance", o.parameter_tolerance);
-  visit("num_threads", o.num_threads);
-  visit("deterministic", o.deterministic);
-  visit("fixed_camera_ids", o.fixed_camera_ids);
-  visit("fixed_image_ids", o.fixed_image_ids);
-  visit("fixed_point_ids", o.fixed_point_ids);
-  visit("refine_sensor_from_rig", o.refine_sensor_from_rig);
-  visit("fixed_sensors", o.fixed_sensors);
-  visit("gauge", o.gauge, bundle::kGauges);
-  visit("cheirality", o.cheirality, bundle::kCheiralities);
-  visit("check_solution", o.check_solution);
-}
-
-/// The names that `refine` may hold, each with its flag.
-template <typename Options, typename Visitor>
-void VisitRefine(Options& o, const Visitor& visit) {
-  visit("poses", o.refine_poses);
-  visit("points", o.refine_points);
-  visit("focal", o.refine_focal);
-  visit("principal_point", o.refine_principal_point);
-  visit("extra", o.refine_extra);
-}
-
-struct Reader {
-  const py::dict& options;
+/// Reads one option from Python, with the arguments of VisitOptions.
+class Reader {
+ public:
+  Reader(const py::dict& options, bundle::SolveOptions* result)
+      : options_(options), result_(result) {}
 
   template <typename T>
-  void operator()(const char* name, T& value) const {
-    value = py::cast<T>(options[name]);
+  void operator()(bundle::Change /*change*/, const char* name,
+                  T bundle::SolveOptions::* member) const {
+    result_->*member = py::cast<T>(options_[name]);
   }
 
   template <typename Enum, size_t kSize>
-  void operator()(const char* name, Enum& value,
+  void operator()(bundle::Change /*change*/, const char* name, Enum bundle::SolveOptions::* member,
                   const bundle::NamedValue<Enum> (&names)[kSize]) const {
-    value = ValueOf(name, py::cast<std::string>(options[name]), names);
+    result_->*member = ValueOf(name, py::cast<std::string>(options_[name]), names);
   }
+
+ private:
+  const py::dict& options_;
+  bundle::SolveOptions* const result_;
 };
 
+/// Writes the default of one option for Python.
 struct Writer {
   py::dict& options;
 
   template <typename T>
-  void operator()(const char* name, const T& value) const {
-    options[name] = value;
+  void operator()(bundle::Change /*change*/, const char* name,
+                  T bundle::SolveOptions::* member) const {
+    options[name] = bundle::SolveOptions().*member;
   }
 
   template <typename Enum, size_t kSize>
-  void operator()(const char* name, const Enum& value,
+  void operator()(bundle::Change /*change*/, const char* name, Enum bundle::SolveOptions::* member,
                   const bundle::NamedValue<Enum> (&names)[kSize]) const {
-    options[name] = bundle::NameOf(value, names);
+    options[name] = bundle::NameOf(bundle::SolveOptions().*member, names);
   }
 };
 
+/// Lists the choices of one option.
 struct ChoiceLister {
   py::dict& choices;
 
   template <typename T>
-  void operator()(const char*, const T&) const {}
+  void operator()(bundle::Change /*change*/, const char* /*name*/,
+                  T bundle::SolveOptions::* /*member*/) const {}
 
   template <typename Enum, size_t kSize>
-  void operator()(const char* name, const Enum&,
+  void operator()(bundle::Change /*change*/, const char* name,
+                  Enum bundle::SolveOptions::* /*member*/,
                   const bundle::NamedValue<Enum> (&names)[kSize]) const {
     py::list list;
     for (const auto& [choice, value] : names) list.append(std::string(choice));
     choices[name] = list;
   }
 };
+
+/// The options that pose graphs have in common with other problems.
+constexpr std::string_view kPoseGraphOptions[] = {"backend",
+                                                  "max_num_iterations",
+                                                  "function_tolerance",
+                                                  "gradient_tolerance",
+                                                  "parameter_tolerance",
+                                                  "num_threads"};
 
 constexpr double kLargestRadius = 1e16;  ///< of Levenberg-Marquardt: no damping to speak of
 
@@ -119,27 +107,25 @@ bundle::Cheirality CheiralityFromName(const std::string& name) {
 
 bundle::SolveOptions OptionsFromPython(const py::dict& options) {
   bundle::SolveOptions result;
-  VisitOptions(result, Reader{options});
+  bundle::VisitOptions(Reader(options, &result));
   const py::object refine = options["refine"];
-  VisitRefine(result,
-              [&](const char* name, bool& value) { value = refine.contains(py::str(name)); });
+  bundle::VisitRefine([&](const char* name, bool bundle::SolveOptions::* member) {
+    result.*member = refine.contains(py::str(name));
+  });
   return result;
 }
 
 void ReadPoseGraphOptions(const py::dict& options, bundle::SolveOptions* result) {
-  const Reader read{options};
-  read("backend", result->backend, bundle::kBackends);
-  read("max_num_iterations", result->max_num_iterations);
-  read("function_tolerance", result->function_tolerance);
-  read("gradient_tolerance", result->gradient_tolerance);
-  read("parameter_tolerance", result->parameter_tolerance);
-  read("num_threads", result->num_threads);
-  if (IsGaussNewton(options)) {
-    result->initial_trust_region_radius = kLargestRadius;
-  } else {
-    read("trust_region_strategy_type", result->trust_region_strategy_type,
-         bundle::kTrustRegionStrategies);
-  }
+  const Reader read(options, result);
+  const bool is_gauss_newton = IsGaussNewton(options);
+  bundle::VisitOptions(
+      [&](bundle::Change change, const char* name, auto member, const auto&... choices) {
+        const bool is_strategy = std::string_view(name) == "trust_region_strategy_type";
+        const bool is_common = std::find(std::begin(kPoseGraphOptions), std::end(kPoseGraphOptions),
+                                         name) != std::end(kPoseGraphOptions);
+        if (is_common || (is_strategy && !is_gauss_newton)) read(change, name, member, choices...);
+      });
+  if (is_gauss_newton) result->initial_trust_region_radius = kLargestRadius;
 }
 
 bundle::SolveOptions GraphOptionsFromPython(const py::dict& options) {
@@ -152,20 +138,18 @@ bundle::SolveOptions GraphOptionsFromPython(const py::dict& options) {
 }
 
 py::dict DefaultOptions() {
-  const bundle::SolveOptions defaults;
   py::dict result;
-  VisitOptions(defaults, Writer{result});
+  bundle::VisitOptions(Writer{result});
   py::list refine;
-  VisitRefine(defaults, [&](const char* name, bool value) {
-    if (value) refine.append(name);
+  bundle::VisitRefine([&](const char* name, bool bundle::SolveOptions::* member) {
+    if (bundle::SolveOptions().*member) refine.append(name);
   });
   result["refine"] = refine;
   return result;
 }
 
 py::dict OptionChoices() {
-  const bundle::SolveOptions defaults;
   py::dict result;
-  VisitOptions(defaults, ChoiceLister{result});
+  bundle::VisitOptions(ChoiceLister{result});
   return result;
 }

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bundle import SolveOptions
-from bundle.interface.options import REFINABLE
+from bundle.interface.options import CHANGEABLE, REFINABLE
 
 HEADER = (Path(__file__).parents[2] / "cpp" / "core" / "interface" / "options.h").read_text()
 PYTHON = {field.name: field for field in dataclasses.fields(SolveOptions)}
@@ -45,6 +45,15 @@ def test_names_agree() -> None:
     assert set(STRUCT) >= SWITCHES
     assert set(STRUCT) - SWITCHES == set(PYTHON) - {"refine"}
     assert set(STRUCT) - SWITCHES == {*CHOSEN, *NUMBERS, *LISTS, *FLAGS}
+
+
+def test_visitors_list_every_member() -> None:
+    """The list says as well what a Solver may change."""
+    listed = dict(re.findall(r'visit\(k(\w+), "\w+", &Options::(\w+)', HEADER))
+    assert set(listed) == set(STRUCT) - SWITCHES
+    assert {name for name, change in listed.items() if change == "BetweenSolves"} == {*CHANGEABLE}
+    named = dict(re.findall(r'visit\("(\w+)", &SolveOptions::(\w+)\)', HEADER))
+    assert named == {what: f"refine_{what}" for what in REFINABLE}
 
 
 @pytest.mark.parametrize("name", NUMBERS)

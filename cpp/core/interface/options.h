@@ -117,16 +117,56 @@ struct SolveOptions {
   bool check_solution = true;  ///< look for signs of a wrong Jacobian (checking/check_solution.h)
 };
 
-/// Copies what may change from one solve to the next of a Solver: the loss, when to stop, and what
-/// is checked afterwards.
+/// May an option differ from one solve of a Solver to the next?
+enum class Change { kNever, kBetweenSolves };
+
+/// The list of all options but `refine`. Calls visit(change, name, member) for each option, and
+/// visit(change, name, member, choices) where it has named choices. A new option is a member above
+/// and a line here; readers, writers and CopyChangeable follow.
+template <typename Visitor>
+void VisitOptions(const Visitor& visit) {
+  using Options = SolveOptions;
+  constexpr Change kNever = Change::kNever, kBetweenSolves = Change::kBetweenSolves;
+  visit(kNever, "backend", &Options::backend, kBackends);
+  visit(kNever, "linear_solver_type", &Options::linear_solver_type, kLinearSolverTypes);
+  visit(kNever, "linear_solver_ordering", &Options::linear_solver_ordering, kEliminationOrderings);
+  visit(kNever, "preconditioner_type", &Options::preconditioner_type, kPreconditionerTypes);
+  visit(kNever, "trust_region_strategy_type", &Options::trust_region_strategy_type,
+        kTrustRegionStrategies);
+  visit(kBetweenSolves, "loss", &Options::loss, kLossTypes);
+  visit(kBetweenSolves, "loss_scale", &Options::loss_scale);
+  visit(kBetweenSolves, "max_num_iterations", &Options::max_num_iterations);
+  visit(kBetweenSolves, "function_tolerance", &Options::function_tolerance);
+  visit(kBetweenSolves, "gradient_tolerance", &Options::gradient_tolerance);
+  visit(kBetweenSolves, "parameter_tolerance", &Options::parameter_tolerance);
+  visit(kNever, "num_threads", &Options::num_threads);
+  visit(kNever, "deterministic", &Options::deterministic);
+  visit(kNever, "fixed_camera_ids", &Options::fixed_camera_ids);
+  visit(kNever, "fixed_image_ids", &Options::fixed_image_ids);
+  visit(kNever, "fixed_point_ids", &Options::fixed_point_ids);
+  visit(kNever, "refine_sensor_from_rig", &Options::refine_sensor_from_rig);
+  visit(kNever, "fixed_sensors", &Options::fixed_sensors);
+  visit(kNever, "gauge", &Options::gauge, kGauges);
+  visit(kNever, "cheirality", &Options::cheirality, kCheiralities);
+  visit(kBetweenSolves, "check_solution", &Options::check_solution);
+}
+
+/// The list of the names in `refine`. Calls visit(name, member) for each.
+template <typename Visitor>
+void VisitRefine(const Visitor& visit) {
+  visit("poses", &SolveOptions::refine_poses);
+  visit("points", &SolveOptions::refine_points);
+  visit("focal", &SolveOptions::refine_focal);
+  visit("principal_point", &SolveOptions::refine_principal_point);
+  visit("extra", &SolveOptions::refine_extra);
+}
+
+/// Copies the options that may differ from one solve of a Solver to the next: the loss, the
+/// stopping rules, and the checks after the solve.
 inline void CopyChangeable(const SolveOptions& from, SolveOptions* to) {
-  to->loss = from.loss;
-  to->loss_scale = from.loss_scale;
-  to->max_num_iterations = from.max_num_iterations;
-  to->function_tolerance = from.function_tolerance;
-  to->gradient_tolerance = from.gradient_tolerance;
-  to->parameter_tolerance = from.parameter_tolerance;
-  to->check_solution = from.check_solution;
+  VisitOptions([&](Change change, const char* /*name*/, auto member, const auto&... /*choices*/) {
+    if (change == Change::kBetweenSolves) to->*member = from.*member;
+  });
 }
 
 /// An option's value as users write it: "dense_schur".
