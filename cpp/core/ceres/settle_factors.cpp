@@ -6,7 +6,7 @@
 #include <utility>
 
 #include "core/interface/settling.h"
-#include "core/model/problem_factors.h"
+#include "core/model/factor_costs.h"
 
 namespace bundle {
 namespace {

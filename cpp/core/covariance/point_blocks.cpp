@@ -5,6 +5,8 @@
 #include <algorithm>
 
 #include "core/geometry/rotation.h"
+#include "core/model/factor_costs.h"
+#include "core/model/problem_factors.h"
 #include "core/schur/kernels/kernels.h"
 
 namespace bundle {

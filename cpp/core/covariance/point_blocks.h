@@ -23,7 +23,6 @@
 #include "core/interface/options.h"
 #include "core/model/camera_states.h"
 #include "core/model/parameter_layout.h"
-#include "core/model/problem_factors.h"
 
 namespace bundle {
 

@@ -10,6 +10,7 @@
 
 #include "core/covariance/eliminated_rows.h"
 #include "core/covariance/reduced_system.h"
+#include "core/model/factor_costs.h"
 
 namespace bundle {
 namespace {

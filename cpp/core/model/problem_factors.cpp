@@ -10,6 +10,7 @@
 
 #include "core/cameras/camera_model.h"
 #include "core/geometry/rotation.h"
+#include "core/model/factor_costs.h"
 
 namespace bundle {
 namespace {
@@ -135,61 +136,6 @@ bool MayFixGauge(const AdjustmentProblem& problem) {
   return std::any_of(variables.begin(), variables.end(), [](const ProblemVariable& variable) {
     return variable.kind != Kind::kCamera;
   });
-}
-
-double ApplyLoss(const Factor& factor, int columns, double* residual, double* jacobian) {
-  const int rows = factor.num_residuals();
-  const double squared_norm = SquaredNorm(residual, rows);
-  double rho[3];
-  ValueOfLoss(factor.loss(), factor.loss_scale(), squared_norm, rho);
-  if (jacobian != nullptr && factor.loss() != LossType::kTrivial) {
-    // It exists: no loss of ours has rho'' > 0.
-    const auto correction = SolveTriggs(rho, squared_norm, SecondOrderTerm::kClamped);
-    ApplyTriggs(*correction, rows, columns, residual, jacobian);
-  }
-  return 0.5 * rho[0];
-}
-
-uint32_t KindOf(const Factor& factor, const AdjustmentProblem& problem) {
-  std::string key = typeid(factor).name() + std::to_string(factor.num_residuals());
-  for (const int block : factor.blocks()) {
-    key += static_cast<char>('a' + static_cast<int>(problem.factors->variables[block].kind));
-  }
-  uint32_t hash = 2166136261U;  // Fowler, Noll and Vo's, 1a
-  for (const char letter : key) hash = (hash ^ static_cast<unsigned char>(letter)) * 16777619U;
-  return hash;
-}
-
-double LargestRelativeChange(const std::vector<double>& before, const std::vector<double>& after) {
-  double largest = 0;
-  for (size_t k = 0; k < before.size(); ++k) {
-    const double change = std::abs(after[k] - before[k]);
-    if (change > 0) largest = std::max(largest, change / std::max(before[k], after[k]));
-  }
-  return largest;
-}
-
-std::vector<double> FactorCosts(const AdjustmentProblem& problem) {
-  std::vector<double> costs;
-  if (problem.factors == nullptr) return costs;
-  for (const auto& factor : problem.factors->factors) {
-    std::vector<const double*> values;
-    std::vector<double> poses(kPoseNumbers * factor->blocks().size());
-    for (size_t v = 0; v < factor->blocks().size(); ++v) {
-      const ProblemVariable& variable = VariableOf(*factor, problem, v);
-      values.push_back(ValueOf(variable, problem));
-      if (!IsPose(variable.kind)) continue;
-      double* const pose = poses.data() + kPoseNumbers * v;
-      std::copy_n(values.back(), kPoseNumbers, pose);
-      NormalizeQuaternion(pose);
-      values.back() = pose;
-    }
-    std::vector<double> residual(factor->num_residuals());
-    const bool has_value = factor->Evaluate(values.data(), residual.data(), nullptr);
-    costs.push_back(has_value ? ApplyLoss(*factor, 0, residual.data(), nullptr)
-                              : std::numeric_limits<double>::quiet_NaN());
-  }
-  return costs;
 }
 
 ChartedFactor::ChartedFactor(const Factor& factor, const AdjustmentProblem& problem,

@@ -72,18 +72,8 @@ inline bool LeavesPointsApart(const FactorUnknowns& unknowns) {
   return unknowns.points.empty() || (unknowns.points.size() == 1 && unknowns.blocks.empty());
 }
 
-/// A number that factors of one kind share: of the same class, number of residuals and kinds of
-/// variables. Within a run of a program it is the same in all its processes.
-uint32_t KindOf(const Factor& factor, const AdjustmentProblem& problem);
-
-/// The largest change of one of the costs, relative to the cost itself; 0 without any.
-double LargestRelativeChange(const std::vector<double>& before, const std::vector<double>& after);
-
 /// True if a factor touches anything but cameras, and so may say where the world is.
 bool MayFixGauge(const AdjustmentProblem& problem);
-
-/// 1/2 rho(||r||^2) of each factor at the problem's own values; NaN where it has none.
-std::vector<double> FactorCosts(const AdjustmentProblem& problem);
 
 /// A factor by the unknowns of a solver. Threads may evaluate one at the same time if the factor
 /// allows it.
@@ -133,9 +123,5 @@ class ChartedFactor {
   std::vector<int> column_begin_;
   int num_columns_ = 0;
 };
-
-/// Turns r and J (rows x columns) of a factor into those that a solver sees, and returns the cost
-/// 1/2 rho(||r||^2). Without a Jacobian, `jacobian` is nullptr and the residual stays as it is.
-double ApplyLoss(const Factor& factor, int columns, double* residual, double* jacobian);
 
 }  // namespace bundle

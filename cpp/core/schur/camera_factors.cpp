@@ -5,6 +5,7 @@
 #include <limits>
 #include <utility>
 
+#include "core/model/factor_costs.h"
 #include "core/parallel/blas.h"
 #include "core/sums/communicator.h"
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "core/model/factor_costs.h"
 #include "core/model/gauge.h"
 #include "core/parallel/thread_pool.h"
 #include "core/schur/assembly/sum_systems.h"

@@ -3,7 +3,12 @@
 #include <algorithm>
 #include <utility>
 
+#include "core/model/gauge.h"
+
 namespace bundle {
+
+static_assert(BlockSystem::kMaxBlockSize == ColumnMap::kMaxSize);
+static_assert(BlockSystem::kNumGaugeDirections == kNumGaugeDirections);
 
 namespace {
 

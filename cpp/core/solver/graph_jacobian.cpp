@@ -5,7 +5,8 @@
 #include <limits>
 #include <utility>
 
-#include "core/model/problem_factors.h"
+#include "core/model/factor_costs.h"
+
 
 namespace bundle {
 namespace {

@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "core/error.h"
-#include "core/model/problem_factors.h"
 #include "core/solver/block_qr.h"
 #include "core/solver/graph_jacobian.h"
 

@@ -30,6 +30,7 @@
 #include "core/schur/elimination_plan.h"
 #include "core/solver/fov_jump.h"
 #include "core/solver/fused_solver.h"
+#include "core/model/factor_costs.h"
 
 namespace bundle {
 

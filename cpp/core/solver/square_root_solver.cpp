@@ -22,7 +22,6 @@
 #include "core/error.h"
 #include "core/minimize/damping.h"
 #include "core/minimize/trust_region.h"
-#include "core/model/problem_factors.h"
 #include "core/solver/block_qr.h"
 #include "core/solver/graph_jacobian.h"
 #include "core/solver/summarize_fused.h"

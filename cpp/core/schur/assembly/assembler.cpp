@@ -2,14 +2,9 @@
 
 #include <algorithm>
 
-#include "core/model/gauge.h"
 #include "core/sums/double_double.h"
 
 namespace bundle {
-
-static_assert(BlockSystem::kMaxBlockSize == ColumnMap::kMaxSize);
-static_assert(BlockSystem::kNumGaugeDirections == kNumGaugeDirections);
-
 namespace {
 
 constexpr size_t kPairsAhead = 6;  // as many misses as a core has on their way at once, about

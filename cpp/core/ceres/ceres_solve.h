@@ -1,0 +1,108 @@
+#pragma once
+
+/// Part of solve_with_ceres.cpp and build_ceres_problem.cpp, which alone include it.
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "core/ceres/active_bounds.h"
+#include "core/ceres/ceres_graph.h"
+#include "core/ceres/ceres_version.h"
+#include "core/ceres/reprojection_cost.h"
+#include "core/ceres/settle_factors.h"
+#include "core/ceres/solve_callbacks.h"
+#include "core/ceres/step_lengths.h"
+#include "core/ceres/summarize.h"
+#include "core/factors/factor.h"
+#include "core/interface/adjustment_problem.h"
+#include "core/interface/options.h"
+#include "core/interface/summary.h"
+#include "core/model/camera_states.h"
+#include "core/model/parameter_layout.h"
+#include "core/prepare/prepare.h"
+
+namespace bundle {
+
+/// How to continue a solve that Ceres calls converged.
+struct Continuation {
+  /// True: continue at the same state with the same held residuals, because Ceres compares changes
+  /// of the cost with a cost that includes the held cost. False: continue with all observations
+  /// that can count.
+  bool repeats = false;
+  /// Share of the cost without the held cost in the cost that Ceres sees.
+  double share = 1;
+};
+
+/// One solve by Ceres.
+class CeresSolve {
+ public:
+  CeresSolve(const AdjustmentProblem& problem, const SolveOptions& options, PreparedSolve prepared);
+
+  SolveOutput Run(const ProgressCallback& progress);
+
+ private:
+  ceres::Solver::Summary SolveOnce(const ProgressCallback& progress,
+                                   ceres::Solver::Options ceres_options, SolveOutput* output,
+                                   const Continuation& continuation = {});
+  /// Rewrites the message of Ceres about the function tolerance for the cost without the held cost.
+  void TellOfCostWithoutHeld(ceres::Solver::Summary* summary) const;
+  /// Finds whether a converged solve has to continue. Ceres judges steps by the cost with the held
+  /// cost (factors/reprojection.h), but the function tolerance is a share of the cost without it.
+  /// And observations that were left out may now be in front of their cameras.
+  std::optional<Continuation> FindContinuation(const ceres::Solver::Summary& summary) const;
+  ceres::Solver::Options OptionsToGoOn(ceres::Solver::Options result,
+                                       const ceres::Solver::Summary& summary,
+                                       const Continuation& next);
+  void Settle(ceres::Solver::Options options, ReportProgress* report,
+              ceres::Solver::Summary* summary);
+  /// True if a factor is not thread-safe: Ceres then gets one thread. Warns.
+  bool UseOneThread();
+  ceres::Solver::Options ChooseSolver();
+  /// Threads of OpenBLAS: more than one only for the factorisation of a large reduced system.
+  int BlasThreads(const ceres::Solver::Options& options) const;
+  void Collect(const ceres::Solver::Summary& summary, SolveOutput* output);
+  double* PointData(int point) { return numbers_.data() + 3 * static_cast<int64_t>(point); }
+  double* State() { return numbers_.data() + num_coordinates_; }
+
+  // build_ceres_problem.cpp
+  void BuildProblem();
+  void AddFactor(const Factor& factor);
+  void AddBounds();
+  void AddObservation(int64_t i);
+  /// 1/2 rho(||r||^2) of an observation with nothing to refine.
+  double Cost(const ceres::CostFunction& cost) const;
+  static std::vector<double> StartNumbers(const AdjustmentProblem& problem,
+                                          const ParameterLayout& layout);
+
+  const AdjustmentProblem& problem_;
+  const SolveOptions& options_;
+  std::vector<Warning> warnings_;
+  std::string linear_solver_choice_;
+  ParameterLayout layout_;
+  CameraStates states_;
+  HoldingWatch watch_;
+  RecordHolding record_holding_{&watch_};
+  double share_ = 1;               ///< Continuation::share of the last solve
+  const int64_t num_coordinates_;  ///< coordinates of all points
+  /// Coordinates of the points, then the state. Both are in one array because Ceres orders
+  /// parameter blocks by address: in two arrays, their order and the last digits of results would
+  /// vary.
+  std::vector<double> numbers_;
+  Abandonment abandonment_;
+  ActiveBounds active_bounds_;
+  StepLengths lengths_;
+  UpdateCameraStates update_states_;
+  ReprojectionContext context_;
+  std::unique_ptr<ceres::LossFunction> loss_;
+  std::vector<std::unique_ptr<ceres::LossFunction>> factor_losses_;
+  std::vector<std::unique_ptr<ceres::CostFunction>> costs_;
+  KindCosts factor_costs_;
+  int64_t num_residuals_ = 0;
+  std::unique_ptr<ceres::Problem> ceres_problem_;
+  double fixed_cost_ = 0;
+};
+
+}  // namespace bundle

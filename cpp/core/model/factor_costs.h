@@ -1,0 +1,27 @@
+#pragma once
+
+/// Costs of the factors beside the observations, each and by kind.
+
+#include <cstdint>
+#include <vector>
+
+#include "core/factors/factor.h"
+#include "core/interface/adjustment_problem.h"
+
+namespace bundle {
+
+/// A number that factors of one kind share: of the same class, number of residuals and kinds of
+/// variables. Within a run of a program it is the same in all its processes.
+uint32_t KindOf(const Factor& factor, const AdjustmentProblem& problem);
+
+/// The largest change of one of the costs, relative to the cost itself; 0 without any.
+double LargestRelativeChange(const std::vector<double>& before, const std::vector<double>& after);
+
+/// 1/2 rho(||r||^2) of each factor at the problem's own values; NaN where it has none.
+std::vector<double> FactorCosts(const AdjustmentProblem& problem);
+
+/// Turns r and J (rows x columns) of a factor into those that a solver sees, and returns the cost
+/// 1/2 rho(||r||^2). Without a Jacobian, `jacobian` is nullptr and the residual stays as it is.
+double ApplyLoss(const Factor& factor, int columns, double* residual, double* jacobian);
+
+}  // namespace bundle
