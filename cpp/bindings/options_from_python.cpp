@@ -89,7 +89,7 @@ constexpr std::string_view kPoseGraphOptions[] = {"backend",
                                                   "parameter_tolerance",
                                                   "num_threads"};
 
-constexpr double kLargestRadius = 1e16;  ///< of Levenberg-Marquardt: no damping to speak of
+constexpr double kLargestRadius = 1e16;  ///< radius of Levenberg-Marquardt with negligible damping
 
 bool IsGaussNewton(const py::dict& options) {
   return py::cast<std::string>(options["trust_region_strategy_type"]) == "gauss_newton";

@@ -155,7 +155,7 @@ class ActiveBounds {
     const std::unique_ptr<ceres::CostFunction> cost_;
     const ceres::LossFunction* const loss_;
     const std::vector<double*> parameters_;
-    const std::vector<int> places_;  ///< of each parameter block in blocks_; -1: without bounds
+    const std::vector<int> places_;  ///< per parameter block: place in blocks_; -1: without bounds
     const ActiveBounds& active_;
   };
 

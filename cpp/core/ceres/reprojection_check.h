@@ -15,7 +15,7 @@ namespace bundle {
 struct ReprojectionCheck {
   double* analytic = nullptr;     ///< by the cost function that a solve uses
   double* reference = nullptr;    ///< by Richardson extrapolation
-  double* uncertainty = nullptr;  ///< of the reference
+  double* uncertainty = nullptr;  ///< uncertainty of the reference
   double* ceres = nullptr;        ///< by ceres::GradientChecker; not a number where it gave up
   double* rounding = nullptr;     ///< num_checked: delta / L
   uint8_t* counts = nullptr;      ///< num_checked: 0 for an observation that contributes nothing

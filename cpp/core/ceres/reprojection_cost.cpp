@@ -174,8 +174,8 @@ class ReprojectionCost final : public ceres::CostFunction {
   mutable double held_[2] = {0, 0};  ///< what is held if the observation stops counting, or is held
   int image_;
   int8_t num_blocks_ = 0;
-  int8_t place_[4] = {};         ///< of each block: its place in ImageBlocks
-  bool has_map_[4] = {};         ///< of each block
+  int8_t place_[4] = {};         ///< per block: its place in ImageBlocks
+  bool has_map_[4] = {};         ///< per block
   mutable bool counted_ = true;  ///< at the last state
 };
 

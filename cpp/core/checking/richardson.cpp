@@ -8,7 +8,7 @@
 namespace bundle {
 namespace {
 
-constexpr int kRows = 8;             ///< of a tableau
+constexpr int kRows = 8;             ///< rows of a tableau
 constexpr int kTableaux = 5;         ///< before we give up
 constexpr double kRestart = 64;      ///< by which the first step of the next tableau is smaller
 constexpr double kEnough = 1e-10;    ///< relative error that needs no further step

@@ -89,7 +89,7 @@ enum class Verdict { kUndecided, kAgrees, kConvicted };
 
 struct Comparison {
   Verdict verdict = Verdict::kUndecided;
-  double factor = 0;  ///< of the claimed column in the differences, which explains it best
+  double factor = 0;  ///< factor of the claimed column that explains the differences best
   double error = 0;   ///< ||J_j - R|| / ||R||
   bool is_multiple = false;
 };
@@ -258,7 +258,7 @@ std::string Deviation(const std::vector<Comparison>& convictions) {
 /// The wrong columns of one kind.
 struct WrongKind {
   std::string name;
-  int observations = 0, decided = 0;  ///< of the column that most convict
+  int observations = 0, decided = 0;  ///< counts for the column that most observations convict
   std::vector<Comparison> convictions;
 
   double share() const { return static_cast<double>(observations) / decided; }

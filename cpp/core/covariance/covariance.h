@@ -54,7 +54,7 @@ struct CovarianceOutput {
   int64_t num_parameters = 0;  ///< free ones that something determines, gauge not deducted
   /// What the cost falls by if the solver's model of it is right: 0 at a minimum.
   double predicted_decrease = 0;
-  int gauge_degrees = 0;  ///< of these that only the inner constraints determine
+  int gauge_degrees = 0;  ///< parameters that only the inner constraints determine
   std::vector<Warning> warnings;
 };
 

@@ -297,7 +297,7 @@ class CovarianceComputation {
   std::unique_ptr<InnerConstraints> constraints_;  ///< where the gauge has degrees
   std::unique_ptr<ScatterGauge> scatter_gauge_;    ///< likewise, of the sandwich of a large system
   LongMatrix lower_;                               ///< L of S, of a small system
-  std::unique_ptr<LongScatter> long_scatter_;      ///< of a small one
+  std::unique_ptr<LongScatter> long_scatter_;      ///< scatter of a small system
   std::vector<double> scatter_;                    ///< D, and in the end D'; of the sandwich
   CovarianceOutput output_;
 };

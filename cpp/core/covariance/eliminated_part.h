@@ -47,8 +47,8 @@ class EliminatedPart {
   const int threads_;
   int num_unknowns_ = 0;
   bool is_regular_ = true;
-  std::vector<int> place_;  ///< of each unknown of the whole in this part; -1: it is kept
-  std::vector<int> block_;  ///< of each block of the whole in structure_, likewise
+  std::vector<int> place_;  ///< per unknown of the whole: its place in this part; -1: it is kept
+  std::vector<int> block_;  ///< per block of the whole: its place in structure_; -1: it is kept
   std::vector<double> own_diagonal_;
   BlockStructure structure_;
   std::unique_ptr<LinearSolver> solver_;

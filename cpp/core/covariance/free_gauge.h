@@ -89,7 +89,7 @@ class FreeGauge {
   const ReducedSystem& system_;
   const SimilarityMoves moves_;
   Eigen::MatrixXd cameras_, reduced_, of_points_;
-  Eigen::MatrixXd combinations_;  ///< of the seven, 7 x d
+  Eigen::MatrixXd combinations_;  ///< combinations of the seven similarities, 7 x d
   Eigen::Matrix<double, kSimilarities, kMoves, Eigen::RowMajor> padded_;
 };
 

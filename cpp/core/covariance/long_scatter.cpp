@@ -54,7 +54,7 @@ Columns3 BlockTimes(const LongMatrix& whole, const std::vector<int>& unknowns,
 
 /// What the formulas of a point are made of.
 struct LongScatter::Shares {
-  std::vector<int> unknowns;  ///< of its blocks
+  std::vector<int> unknowns;  ///< unknowns of its blocks
   LongMatrix y;               ///< Y, unknowns x 3
   LongMatrix inverse;         ///< V^-1
   LongMatrix e, p;            ///< E, unknowns x 3, and P

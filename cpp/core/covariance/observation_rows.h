@@ -68,7 +68,7 @@ class ObservationEvaluator {
   const AdjustmentProblem& problem_;
   const ParameterLayout& layout_;
   const CameraStates states_;
-  std::vector<std::vector<LocalMap>> maps_;  ///< of each image
+  std::vector<std::vector<LocalMap>> maps_;  ///< per image
   const LossType loss_;
   const double loss_scale_;
   const Cheirality cheirality_;

@@ -35,11 +35,11 @@ void PointShare(const ObservationRows& rows, double share[3]);
 /// 3 x 3 and symmetric, so that rows are columns.
 struct PointBlocks {
   double v[9];
-  double inverse[9];         ///< of V, without its null directions
+  double inverse[9];         ///< V^-1 without null directions
   double null_projector[9];  ///< sum n n^T of the null directions
   double largest;            ///< eigenvalue of V, or about that
   int num_null = 0;          ///< null directions
-  std::vector<int> blocks;   ///< of the layout, ascending
+  std::vector<int> blocks;   ///< blocks of the layout, ascending
   std::vector<int> begin;    ///< first row of each block's W in `w`
   std::vector<double> w;     ///< rows x 3, row-major
   std::vector<double> y;     ///< W V^-1, alike
@@ -51,7 +51,7 @@ class PointAssembler {
   /// Observations by their point, and factors of one free point each, for all threads.
   struct Tracks {
     std::vector<int64_t> begin;        ///< num_points + 1
-    std::vector<int64_t> observation;  ///< of the problem, in its order within a point
+    std::vector<int64_t> observation;  ///< indices in the problem, in its order within a point
     std::vector<double> prior;         ///< J^T J of each point's factors, 9 each; empty: no factors
     std::vector<double> prior_gradient;  ///< and their J^T r, 3 each
   };
@@ -80,7 +80,7 @@ class PointAssembler {
   const bool second_order_;
   std::vector<ObservationRows> rows_;  ///< the first num_rows_ of them
   int num_rows_ = 0;
-  std::vector<int> place_;  ///< of each block of the layout in PointBlocks::blocks
+  std::vector<int> place_;  ///< per block of the layout: place in PointBlocks::blocks
 };
 
 }  // namespace bundle

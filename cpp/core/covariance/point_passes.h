@@ -21,7 +21,7 @@ class PointPasses {
   PointPasses(const SchurProblem& schur, int num_threads);
 
   struct Found {
-    double squares = 0;         ///< of residuals
+    double squares = 0;         ///< sum of squared residuals
     int64_t num_residuals = 0;  ///< that count
     double decrease = 0;        ///< sum 1/2 g^T V^-1 g
     std::vector<int> unclear;   ///< free points that are not in these sums, ascending
@@ -40,7 +40,7 @@ class PointPasses {
   struct RecordBlock {
     int block = -1;
     int size = 0;
-    std::vector<int> column;  ///< of each unknown; empty: `map` says
+    std::vector<int> column;  ///< column per unknown; empty: `map` says
     int first = -1;           ///< column of the first unknown, where the others follow it
     std::vector<double> map;  ///< record's columns x size, row-major
   };
@@ -58,7 +58,7 @@ class PointPasses {
 
   const SchurProblem& schur_;
   const int num_threads_;
-  std::vector<std::vector<RecordBlock>> blocks_;  ///< of each image
+  std::vector<std::vector<RecordBlock>> blocks_;  ///< per image
 };
 
 }  // namespace bundle

@@ -41,10 +41,10 @@ class GaugeSums;  // gauge_sums.h
 /// A free point with null directions.
 struct NullPoint {
   int point = 0;
-  int num_null = 0;     ///< of three
+  int num_null = 0;     ///< null directions, of three
   double direction[3];  ///< one of them, of norm 1
   double projector[9];  ///< onto all of them
-  double root;          ///< of about what is known of the point's other directions
+  double root;          ///< square root of about the information along the other directions
 };
 
 /// Two parts of a vector of unknowns, or of several side by side (column-major).
@@ -78,7 +78,7 @@ class ReducedSystem {
 
   /// Over the observations of free points.
   struct PointSums {
-    double squares = 0;  ///< of their residuals
+    double squares = 0;  ///< sum of squared residuals
     int64_t num_residuals = 0;
     double decrease = 0;  ///< 1/2 sum g_p^T V^-1 g_p: of the cost, were the points alone free
   };
@@ -203,10 +203,10 @@ class ReducedSystem {
   bool is_finite_ = true;  ///< the linearisation
   bool second_order_ = false;
   bool by_rows_ = false;
-  std::map<int, std::vector<double>> prior_rows_;  ///< of points; of EliminateByRows
+  std::map<int, std::vector<double>> prior_rows_;  ///< per point; made by EliminateByRows
   std::vector<uint8_t> held_;
   std::vector<double> diagonal_;
-  std::vector<double> no_values_;  ///< of a system without unknowns
+  std::vector<double> no_values_;  ///< values of a system without unknowns
 };
 
 }  // namespace bundle

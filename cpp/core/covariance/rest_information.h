@@ -50,7 +50,7 @@ struct RestInformation {
   std::vector<double> eta;     ///< n
   int num_eliminated = 0;      ///< unknowns of images and cameras that are gone
   int num_points = 0;          ///< points that are gone
-  int num_null_points = 0;     ///< of these with a direction that nothing sees, left out along it
+  int num_null_points = 0;     ///< points among these with a direction that no residual determines
   bool is_regular = true;      ///< false: something of the eliminated part is free, as above
 };
 

@@ -35,7 +35,7 @@ class Deflation {
     return x(rows_[piece], Eigen::all);
   }
 
-  std::vector<std::vector<int>> rows_;  ///< of each piece
+  std::vector<std::vector<int>> rows_;  ///< per piece
   std::vector<int> counts_;             ///< directions of each piece
   Eigen::MatrixXd of_pieces_;
   Eigen::MatrixXd others_;

@@ -11,7 +11,7 @@ namespace bundle {
 struct GraphSpectrum {
   std::vector<double> eigenvalues;  ///< the lowest of the scaled system, ascending
   double max_eigenvalue = 0;        ///< likewise scaled
-  double condition_number = 0;      ///< of the scaled system; NaN without a free pose
+  double condition_number = 0;      ///< condition of the scaled system; NaN without a free pose
   double condition_number_unscaled = 0;
 };
 

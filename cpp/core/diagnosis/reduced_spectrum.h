@@ -25,21 +25,21 @@ struct ReducedSpectrum {
   std::vector<NullPoint> null_points;
   std::vector<Warning> warnings;
 
-  int expected_nullity = 0;  ///< by CountGaugeDegrees, of the world as one piece
-  int nullity = 0;           ///< of S, and similarities that move no camera
-  int num_gauge = 0;         ///< of the similarities of the world, those that no observation sees
+  int expected_nullity = 0;      ///< by CountGaugeDegrees, of the world as one piece
+  int nullity = 0;               ///< nullity of S, plus similarities that move no camera
+  int num_gauge = 0;             ///< similarities of the world that no observation sees
   bool nullity_is_exact = true;  ///< false: there are more null directions than are looked for
 
   /// Null directions beyond the similarities of the pieces and the unseen unknowns, orthonormal;
   /// unknowns x num_null_directions, row-major.
   std::vector<double> null_directions;
   int num_null_directions = 0;
-  double max_null_eigenvalue = 0;  ///< of all that count as zero
+  double max_null_eigenvalue = 0;  ///< largest eigenvalue that counts as zero
   /// The lowest eigenvalues that are not zero, ascending, and their directions, orthonormal; alike.
   std::vector<double> eigenvalues;
   std::vector<double> directions;
 
-  double max_eigenvalue = 0;  ///< of the scaled S
+  double max_eigenvalue = 0;  ///< largest eigenvalue of the scaled S
   /// Largest by smallest eigenvalue that is not zero, of S as it is; NaN if unknown.
   double condition_number_unscaled = 0;
 

@@ -40,7 +40,7 @@ class ScaledSystem {
   void Scale();
 
   ReducedSystem* const reduced_;
-  const BlockStructure compact_;  ///< of values_: without the fill of the factor
+  const BlockStructure compact_;  ///< structure of values_, without fill-in
   std::vector<double> scale_;
   Eigen::VectorXd rounding_;
   std::vector<double> values_;

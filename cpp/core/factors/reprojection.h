@@ -54,7 +54,7 @@ struct PoseState {
 /// What the chart of a pose is about.
 struct PoseAnchor {
   double w[3];           ///< w_a
-  double quaternion[4];  ///< of R_a, of any norm
+  double quaternion[4];  ///< R_a as a quaternion of any norm
   double rotation[9];    ///< R_a
 };
 

@@ -127,8 +127,8 @@ inline std::optional<double> CostOfWhatCounts(const std::vector<IterationRecord>
 /// where there is no such number (conjugate gradients have no factor) or none is known.
 struct FactorSummary {
   std::optional<int64_t> num_columns;           ///< n
-  std::optional<int64_t> num_reduced_nonzeros;  ///< of S as its solver holds it: n^2 if dense
-  std::optional<int64_t> num_nonzeros;          ///< of L
+  std::optional<int64_t> num_reduced_nonzeros;  ///< nnz(S) as its solver stores it: n^2 if dense
+  std::optional<int64_t> num_nonzeros;          ///< nnz(L)
   std::optional<double> flops;                  ///< FactorCounts::flops
   std::string ordering;                         ///< by which the columns are eliminated
   std::optional<double> symbolic_time_in_seconds;
@@ -186,9 +186,9 @@ struct SolveSummary {
   std::string backend_given;
   std::string backend_used;
   std::string backend_choice;             ///< why this backend, where we chose it
-  std::string instruction_set;            ///< of the fused backend's kernels
+  std::string instruction_set;            ///< instruction set of the fused kernels
   std::string linear_solver_choice;       ///< why this solver, where we chose it
-  int64_t num_information_nonzeros = -1;  ///< of J^T J, all that is free
+  int64_t num_information_nonzeros = -1;  ///< nnz(J^T J) over all free unknowns
   FactorSummary factor;
   bool interrupted = false;
   /// Predicted for the step that met the parameter tolerance, which is not taken and leaves no

@@ -57,8 +57,8 @@ class ModelFile {
   Kind kind_ = Kind::kText;
   std::unique_ptr<char[]> contents_;
   size_t size_ = 0;
-  std::shared_ptr<const int> descriptor_;  ///< of a stream
-  int64_t changed_at_ = 0;                 ///< of a stream, nanoseconds
+  std::shared_ptr<const int> descriptor_;  ///< descriptor of a stream
+  int64_t changed_at_ = 0;                 ///< time of the last change of a stream, in nanoseconds
   std::function<void()> on_block_;
 };
 
@@ -115,7 +115,7 @@ struct ColmapIndex {
     uint32_t id;
     uint64_t at;
     std::vector<Sensor> sensors{};    ///< the reference sensor first
-    std::vector<SensorPose> poses{};  ///< of each sensor; not known of the reference sensor
+    std::vector<SensorPose> poses{};  ///< pose per sensor; not known for the reference sensor
   };
   struct Datum {
     Sensor sensor;
@@ -133,7 +133,7 @@ struct ColmapIndex {
     uint32_t id;
     uint32_t camera_id;
     uint64_t at;
-    uint64_t keypoints_at;    ///< of the first keypoint
+    uint64_t keypoints_at;    ///< place of the first keypoint
     uint64_t first_keypoint;  ///< in keypoint_point_ids
     uint64_t num_keypoints;
     std::string name{};
@@ -158,10 +158,11 @@ struct ColmapIndex {
   std::vector<Camera> cameras;
   std::vector<Frame> frames;
   std::vector<Image> images;
-  std::vector<uint64_t> keypoint_point_ids;  ///< of all images; kInvalidPoint3DId for none
-  std::vector<double> triangulated_xy;       ///< x, y of the keypoints with a point, in their order
+  std::vector<uint64_t>
+      keypoint_point_ids;  ///< point ids of the keypoints of all images; kInvalidPoint3DId: none
+  std::vector<double> triangulated_xy;  ///< x, y of the keypoints with a point, in their order
   std::vector<Point> points;
-  std::vector<TrackElement> track_elements;  ///< of all points
+  std::vector<TrackElement> track_elements;  ///< track elements of all points
 
   /// Names with white space in them, by image id. COLMAP writes them to text files but reads only
   /// their first word back.

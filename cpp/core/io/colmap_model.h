@@ -36,8 +36,8 @@ struct ColmapModel {
 
   /// As the images file has them, rows as those of CamFromWorld.
   std::vector<double> ImagePoses() const;
-  std::vector<double> RigFromWorld() const;   ///< of `rigs.frames`
-  std::vector<double> SensorFromRig() const;  ///< of `rigs.sensors`
+  std::vector<double> RigFromWorld() const;   ///< poses of `rigs.frames`
+  std::vector<double> SensorFromRig() const;  ///< poses of `rigs.sensors`
 };
 
 /// Reads the files of a COLMAP model from end to end, and keeps them. `may_be_empty`: accept a

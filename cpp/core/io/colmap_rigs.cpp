@@ -27,7 +27,7 @@ bool IsTrivial(const ColmapIndex::Rig& rig) {
 }
 
 struct FramedImage {
-  int64_t row;    ///< of the image in our arrays
+  int64_t row;    ///< row of the image in our arrays
   size_t sensor;  ///< in the sensors of its rig
 };
 

@@ -20,7 +20,7 @@ struct ColmapRigs {
   };
   std::vector<size_t> frames;  ///< positions in index.frames
   std::vector<Place> sensors;
-  std::vector<int32_t> image_frame;   ///< of each row of our images: row in `frames`; -1: none
+  std::vector<int32_t> image_frame;   ///< per row of our images: row in `frames`; -1: none
   std::vector<int32_t> image_sensor;  ///< row in `sensors`; -1: the reference sensor, or no frame
 };
 

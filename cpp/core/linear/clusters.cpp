@@ -91,7 +91,7 @@ class Sets {
 
  private:
   std::vector<int> parent_;
-  std::vector<int> size_;  ///< of a set, by its name
+  std::vector<int> size_;  ///< size of a set, by its name
 };
 
 }  // namespace

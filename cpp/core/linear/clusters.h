@@ -17,7 +17,7 @@ std::vector<int> ClusterBlocks(const BlockStructure& structure, const std::vecto
 /// Columns of Q (coarse_space.cpp) on the rows of a cluster's blocks, one block after the other.
 struct ClusterDirections {
   Eigen::MatrixXd q;
-  std::vector<char> is_idle;  ///< of each column: it depends on those before it, and is zero
+  std::vector<char> is_idle;  ///< per column: it depends on columns before it, and is zero
 };
 
 /// Whether a similarity changes any unknown of a block. `moves`: of each column of S, that one

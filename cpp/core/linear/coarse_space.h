@@ -36,7 +36,7 @@ class CoarseSpace {
   struct Term {
     int64_t value;  ///< where the block's first value is
     int stride;     ///< from one of its columns to the next
-    int row_block;  ///< of the coarse block's rows, thus transposed if ...
+    int row_block;  ///< coarse block row; transposed if ...
     int col_block;
     bool transposed;  ///< ... S stores the block the other way around
     bool diagonal;    ///< only its lower triangle means anything
@@ -50,18 +50,18 @@ class CoarseSpace {
 
   const BlockStructure& fine_;
   const int num_threads_;
-  std::vector<char> moves_;                ///< of each column of S: a similarity changes it
-  std::vector<int> cluster_;               ///< of each block of S
+  std::vector<char> moves_;                ///< per column of S: 1 if a similarity changes it
+  std::vector<int> cluster_;               ///< cluster per block of S
   std::vector<std::vector<int>> members_;  ///< the blocks of each cluster, ascending
-  BlockStructure coarse_;                  ///< of A: a block a cluster, placed in its factor
+  BlockStructure coarse_;  ///< structure of A: a block per cluster, placed in its factor
   std::unique_ptr<SupernodalCholesky> cholesky_;
-  std::vector<int> coarse_column_;   ///< of each coarse entry
-  std::vector<int64_t> term_begin_;  ///< of each coarse entry
+  std::vector<int> coarse_column_;   ///< per coarse entry
+  std::vector<int64_t> term_begin_;  ///< per coarse entry
   std::vector<Term> input_;
-  std::vector<int64_t> direction_begin_;  ///< of each block of S in directions_
+  std::vector<int64_t> direction_begin_;  ///< per block of S: its begin in directions_
   std::vector<double> directions_;        ///< Q: a block's rows, one after the other
-  std::vector<char> is_idle_;             ///< of each column of Q: it is zero
-  std::vector<double> values_;            ///< of A
+  std::vector<char> is_idle_;             ///< per column of Q: it is zero
+  std::vector<double> values_;            ///< values of A
 };
 
 }  // namespace bundle

@@ -172,7 +172,7 @@ class IterativeSolver final : public LinearSolver {
   SymmetricProduct product_;
   std::unique_ptr<Preconditioner> preconditioner_;
   const int max_iterations_;
-  const BlockSystem* system_ = nullptr;  ///< of the last Factorize
+  const BlockSystem* system_ = nullptr;  ///< system of the last Factorize
   std::vector<double> b_, x_, r_, z_, p_, q_;
 };
 

@@ -13,7 +13,7 @@ namespace bundle {
 struct FillOrdering {
   std::string name;        ///< "natural", "amd" or "metis"
   std::vector<int> order;  ///< order[k]: the block eliminated as the k-th; an etree's postorder
-  double entries = 0;      ///< of the factor
+  double entries = 0;      ///< nnz(L)
   double flops = 0;        ///< multiplications and additions; n^3 / 3 where S fills up
   double elimination_flops = 0;  ///< FactorCounts::flops, which reports speak of
 };

@@ -11,7 +11,8 @@ namespace bundle {
 
 struct LinearSolution {
   LinearStatus status = LinearStatus::kSuccess;
-  int num_iterations = 1;  ///< of conjugate gradients; 1 for a factorisation, as in Ceres
+  int num_iterations =
+      1;  ///< iterations of conjugate gradients; 1 for a factorisation, as in Ceres
   std::string message;
   int failed_minor = 0;  ///< order of the leading minor that is not positive definite; 0: unknown
 };
@@ -19,7 +20,7 @@ struct LinearSolution {
 /// What a factorisation costs, for reports.
 struct FactorStatistics {
   std::string ordering;  ///< "natural", "amd" or "metis"; empty without a factorisation
-  double entries = 0;    ///< of the factor, without the zeros that supernodes add
+  double entries = 0;    ///< nnz(L) without the zeros that supernodes add
   double flops = 0;      ///< FactorCounts::flops
   double predicted = 0;  ///< entries, by the ordering
   double stored = 0;     ///< entries with the zeros, diagonal blocks by their lower triangle

@@ -47,11 +47,11 @@ class SupernodalCholesky {
 
   const std::vector<int> offset_;
   const Supernodes supernodes_;
-  std::vector<int> panel_of_;      ///< of each block column
-  std::vector<int> position_;      ///< of each block row in the panel that is updated
-  std::vector<int> first_update_;  ///< of each panel: the first of those waiting to update it; -1
-  std::vector<int> next_update_;   ///< of each panel: the next in the queue that it waits in; -1
-  std::vector<int64_t> next_row_;  ///< of each panel: the first row that no panel has had yet
+  std::vector<int> panel_of_;      ///< panel per block column
+  std::vector<int> position_;      ///< per block row: its position in the panel that is updated
+  std::vector<int> first_update_;  ///< per panel: the first panel waiting to update it; -1: none
+  std::vector<int> next_update_;   ///< per panel: the next panel in its queue; -1: none
+  std::vector<int64_t> next_row_;  ///< per panel: its first row that no panel has received yet
   std::vector<RowRange> row_ranges_;
   std::vector<double> product_;
 };

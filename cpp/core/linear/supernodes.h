@@ -19,7 +19,7 @@ struct Supernodes {
   std::vector<int> row_in_panel;      ///< first row of each of these within its panel
   std::vector<int> height;            ///< rows of a panel, its own columns' included
   std::vector<int64_t> values_begin;  ///< num_panels + 1
-  double entries = 0;                 ///< of L, its lower triangle with the diagonal
+  double entries = 0;                 ///< nnz(L): lower triangle with the diagonal
   double zeros = 0;                   ///< that sharing panels adds to them
 
   int num_panels() const { return static_cast<int>(height.size()); }

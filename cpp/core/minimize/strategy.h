@@ -11,7 +11,7 @@ namespace bundle {
 
 struct Step {
   LinearStatus status = LinearStatus::kSuccess;
-  int num_iterations = 0;  ///< of the linear solver; 0 where it had nothing to do
+  int num_iterations = 0;  ///< iterations of the linear solver; 0 if it did not run
   std::string message;
   Candidate candidate;  ///< where `status` is kSuccess
 };

@@ -324,7 +324,7 @@ class TrustRegion {
   Clock::time_point iteration_start_ = start_;
   IterationRecord record_;
   double seconds_before_ = 0;
-  Costs x_;        ///< of the linearisation at x
+  Costs x_;        ///< costs of the linearisation at x
   Costs current_;  ///< at x too, as the candidate's: what a decrease is measured from
   bool has_succeeded_ = false;
   bool is_settling_ = false;          ///< met a tolerance, with factors beside the observations

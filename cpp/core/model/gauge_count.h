@@ -65,14 +65,14 @@ class FreeMotions {
   std::vector<int> images_;               ///< with observations
   std::vector<int> poses_;                ///< by which these move, in the order of images
   std::vector<std::vector<int>> moving_;  ///< the images that move by each of poses_
-  std::vector<int> first_column_;         ///< of each sensor, behind those of d
+  std::vector<int> first_column_;         ///< per sensor, after the columns of d
   int num_sensor_columns_ = 0;
   Eigen::Vector3d centre_;
   double size_ = 1;
   double longest_move_ = 0;
   Eigen::MatrixXd rows_;  ///< W: a triangle, and rows below it up to num_rows_
   Eigen::Index num_rows_ = 0;
-  Eigen::VectorXd squares_;  ///< of the columns before they are projected
+  Eigen::VectorXd squares_;  ///< squared norms of the columns before the projection
 };
 
 /// Degrees of freedom that no observation sees and that `free` leaves (gauge_count.cpp): at most

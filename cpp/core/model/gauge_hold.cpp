@@ -129,7 +129,7 @@ class GaugeHolder {
   const MatrixXd basis_;
   FreeParameters* const free_;
   std::vector<int> poses_;
-  size_t num_of_world_ = 0;  ///< of poses_, before the sensors
+  size_t num_of_world_ = 0;  ///< number of poses_ before the sensors
   std::vector<std::optional<FreeMotions::PoseMoves>> moves_;
   MatrixXd left_;  ///< combinations of the basis that are not held yet
 };

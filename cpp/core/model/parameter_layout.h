@@ -74,7 +74,7 @@ inline bool TurnsAboutCentre(const AdjustmentProblem& problem, int image) {
 }
 
 struct CameraBlock {
-  int offset = 0;  ///< of its first number in the state
+  int offset = 0;  ///< place of its first number in the state
   int size = 0;
   int8_t columns[kPoseSize + kMaxCameraParams] = {};  ///< what they are, ascending
 };
@@ -180,8 +180,8 @@ class ParameterLayout {
   std::vector<int> camera_block_;
   std::vector<int> params_block_;
   std::vector<ImageBlocks> image_blocks_;
-  std::vector<std::vector<TiedParameter>> tied_;  ///< of each camera; empty: there are none
-  std::vector<int> tied_block_;                   ///< of each camera, -1: none
+  std::vector<std::vector<TiedParameter>> tied_;  ///< per camera; empty: no camera has ties
+  std::vector<int> tied_block_;                   ///< per camera; -1: none
   std::vector<int> component_sizes_;              ///< numbers that cameras share
   std::vector<TiedParameter> no_ties_;
   int state_size_ = 0;

@@ -58,7 +58,7 @@ struct ProblemFactors {
 /// The unknowns that a factor touches.
 struct FactorUnknowns {
   std::vector<int> points;  ///< free points, in the order of the factor
-  std::vector<int> blocks;  ///< of the layout, ascending
+  std::vector<int> blocks;  ///< blocks of the layout, ascending
 };
 
 /// Of each factor of the problem; empty without factors.

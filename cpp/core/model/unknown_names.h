@@ -16,7 +16,7 @@ namespace bundle {
 struct UnknownName {
   enum Kind : int32_t { kImage, kFrame, kSensor, kCamera };
   int32_t kind = kImage;
-  int32_t index = 0;       ///< of the image, frame, sensor or camera
+  int32_t index = 0;       ///< index of the image, frame, sensor or camera
   int32_t coordinate = 0;  ///< 0..5 of a pose, else the parameter
 };
 

@@ -14,8 +14,8 @@ namespace bundle {
 struct EdgePattern {
   BlockStructure structure;   ///< a block a free pose, in the order of the elimination
   FillOrdering ordering;      ///< what it costs; `order` is by `free poses`, as it found them
-  std::vector<int> block_of;  ///< of each pose; -1 if it is held
-  std::vector<int> pose_of;   ///< of each block
+  std::vector<int> block_of;  ///< block per pose; -1: the pose is constant
+  std::vector<int> pose_of;   ///< pose per block
 };
 
 /// `ordering`: "auto" for AMD's or, where a factorisation takes long, the cheapest; "natural",

@@ -30,7 +30,7 @@ struct EdgeLoss {
   enum class Kind { kOfFactors, kGemanMcClure, kDcs };
 
   Kind kind = Kind::kOfFactors;
-  LossType type = LossType::kTrivial;  ///< of kOfFactors
+  LossType type = LossType::kTrivial;  ///< loss for kOfFactors
 };
 
 /// rho, rho', rho'' at x = ||r||^2; `scale` in sigmas.

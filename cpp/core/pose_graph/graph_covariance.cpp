@@ -281,9 +281,9 @@ class GraphCovariance {
   const Retraction retraction_;
   std::unique_ptr<PoseGraphProblem> problem_;  ///< none where all poses are held
   std::vector<int> block_of_;
-  std::vector<double> diagonal_;  ///< of H
-  std::vector<Matrix> n_, y_;     ///< of each pose
-  std::vector<Matrix> k_;         ///< of each component, at its first pose
+  std::vector<double> diagonal_;  ///< diagonal of H
+  std::vector<Matrix> n_, y_;     ///< N and Y per pose
+  std::vector<Matrix> k_;         ///< per component, stored at its first pose
   std::vector<int32_t> of_component_;
 };
 

@@ -313,7 +313,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   BlockStructure structure_;
   std::unique_ptr<LinearSolver> solver_;
   double symbolic_time_ = 0;
-  std::vector<int> pose_of_;  ///< of each block
+  std::vector<int> pose_of_;  ///< pose per block
   std::vector<EdgePlace> places_;
   double fixed_cost_ = 0;
   BlockSystem system_;

@@ -26,7 +26,7 @@ SolverChoice ChooseCeresSolver(const AdjustmentProblem& problem, const Parameter
 /// What one solve of a reduced camera system is expected to cost.
 struct LinearSolverCost {
   double flops = 0;
-  double bytes = 0;  ///< of memory: the system itself and what its solver keeps
+  double bytes = 0;  ///< memory of the system and its solver
   double seconds = 0;
 };
 

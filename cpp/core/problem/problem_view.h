@@ -66,7 +66,7 @@ struct ProblemView {
 /// - 1], in the order of the problem.
 struct Tracks {
   std::vector<int64_t> starts;  ///< num_points + 1
-  std::vector<int32_t> images;  ///< of each observation
+  std::vector<int32_t> images;  ///< image per observation
 };
 
 Tracks GroupByPoint(const ProblemView& problem);

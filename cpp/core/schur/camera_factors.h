@@ -84,8 +84,8 @@ class CameraFactors {
     ChartedFactor factor;
     int64_t first_residual = 0;  ///< in residuals_
     int64_t first_entry = 0;     ///< in jacobians_
-    std::vector<int> unknown;    ///< of the state, for each column of the Jacobian
-    std::vector<int64_t> entry;  ///< of S, for each pair of its blocks, the smaller first
+    std::vector<int> unknown;    ///< unknown of the state per column of the Jacobian
+    std::vector<int64_t> entry;  ///< entry of S per pair of its blocks, the smaller first
   };
   struct OfPoint {
     ChartedFactor factor;
@@ -104,12 +104,12 @@ class CameraFactors {
   std::vector<OfPoint> of_points_;
   std::vector<ChartedFactor> fixed_;  ///< with nothing to refine
   size_t num_kinds_ = 0;              ///< on all ranks
-  std::vector<int64_t> kind_;         ///< of each of the cameras' factors, then of the points'
+  std::vector<int64_t> kind_;         ///< kind per factor: those of cameras, then those of points
   int num_residuals_ = 0;
   bool has_other_rows_ = false;
-  std::vector<double> residuals_;  ///< of camera factors, one after the other
+  std::vector<double> residuals_;  ///< residuals of camera factors, one after the other
   std::vector<double> jacobians_;
-  std::vector<int32_t> point_prior_;  ///< of each point of the plan: place in prior_sums_, or -1
+  std::vector<int32_t> point_prior_;  ///< per point of the plan: place in prior_sums_; -1: none
   /// Twelve numbers a point with factors: rows of J^T J, each followed by its entry of J^T r.
   std::vector<double> prior_sums_;
 };

@@ -279,9 +279,10 @@ class Planner {
   EliminationPlan plan_;
   Communicator* const communicator_;
   const int num_threads_;
-  std::vector<int> num_refined_;  ///< of each point's observations; 0 for fixed points
-  std::vector<int> image_slot_;   ///< in the chunk in the making; -1: not in it
-  PairNumbers pair_numbers_;      ///< of the chunk in the making
+  std::vector<int>
+      num_refined_;  ///< observations per point with something to refine; 0 for fixed points
+  std::vector<int> image_slot_;  ///< in the chunk in the making; -1: not in it
+  PairNumbers pair_numbers_;     ///< numbers for the current chunk
 };
 
 EliminationPlan Plan(const AdjustmentProblem& problem, const ParameterLayout& layout, bool active,

@@ -99,15 +99,15 @@ struct Chunk {
 
 struct EliminationPlan {
   std::vector<int> point;      ///< index in the problem; free points, then fixed ones
-  int num_free_points = 0;     ///< of those in `point`
+  int num_free_points = 0;     ///< free points in `point`
   std::vector<int64_t> first;  ///< first observation of each point, and the end
   /// Of each observation; within a point in the order of the images' blocks in the layout, then
   /// images with nothing to refine.
   std::vector<int32_t> image;
   std::vector<double> xy;             ///< two of each observation
   std::vector<double> inverse_sigma;  ///< one of each observation; empty where the problem has none
-  std::vector<int32_t> observation;   ///< of each: its index in the problem; empty unless asked for
-  std::vector<uint16_t> image_in_chunk;  ///< of each observation: index into Chunk::images
+  std::vector<int32_t> observation;   ///< index of each in the problem; empty unless asked for
+  std::vector<uint16_t> image_in_chunk;  ///< per observation: index into Chunk::images
   /// Of each pair of observations i < j of a free point, i slowest, whose images have something to
   /// refine: the chunk's block.
   std::vector<uint16_t> pair_block;
@@ -157,7 +157,7 @@ struct PlanSize {
   int64_t num_chunk_pairs = 0;
   int64_t num_chunk_images = 0;
   int64_t largest_chunk_blocks = 0;
-  int64_t block_doubles = 0;  ///< of a block in a chunk's buffer
+  int64_t block_doubles = 0;  ///< doubles of a block in a chunk's buffer
 };
 
 PlanSize MeasurePlan(const AdjustmentProblem& problem, const ParameterLayout& layout);

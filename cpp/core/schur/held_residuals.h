@@ -14,7 +14,7 @@
 namespace bundle {
 
 struct HeldResidual {
-  int64_t observation;  ///< of the plan
+  int64_t observation;  ///< index in the plan
   double residual[2];
 };
 

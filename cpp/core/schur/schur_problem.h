@@ -149,27 +149,27 @@ class SchurProblem final : public LeastSquares {
   CameraFactors factors_;
   EliminationInput input_;
   ThreadPool pool_;
-  std::vector<std::vector<double>> memory_;  ///< of each thread
+  std::vector<std::vector<double>> memory_;  ///< per thread
   State states_[2];
   State* x_ = &states_[0];
   State* candidate_ = &states_[1];
   CameraStep step_;
   CameraStep other_step_;
-  std::vector<double> squared_scale_;  ///< of each point's columns
+  std::vector<double> squared_scale_;  ///< per column of each point
   OrderedSums sums_;
   std::unique_ptr<SumGrid> grid_;       ///< nullptr: the sums need none
   std::vector<double> observed_norms_;  ///< ||J e_j||^2 where the grid was used last
   bool has_camera_factors_ = false;     ///< on any rank
   double x_cost_ = 0, candidate_cost_ = 0;
-  std::vector<double> kind_costs_, candidate_kind_costs_;  ///< of each kind of factors
+  std::vector<double> kind_costs_, candidate_kind_costs_;  ///< cost per kind of factors
   double x_held_cost_ = 0, candidate_held_cost_ = 0;
   std::vector<double> scale_;      ///< Jacobi scaling of the camera parameters' columns
   std::vector<double> d_squared_;  ///< D^2 of the camera parameters
   std::vector<double> newton_;     ///< camera parameters of the Newton direction
   std::vector<double> gradient_direction_;
   std::vector<double> points_p_, points_q_;
-  std::vector<double> points_d_squared_;    ///< D^2 of the points; empty where the world is held
-  int gauge_degrees_ = -1;                  ///< of doglegs; not known yet: -1
+  std::vector<double> points_d_squared_;  ///< D^2 of the points; empty where the world is held
+  int gauge_degrees_ = -1;  ///< degrees of freedom of the gauge, for doglegs; -1: not known yet
   std::vector<double> line_, points_line_;  ///< the last step, not projected
   DoglegProducts products_;
   const StateBounds bounds_;

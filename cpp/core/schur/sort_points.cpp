@@ -235,15 +235,16 @@ class PointSorter {
   const bool active_;
   const int num_threads_;
   const bool keep_order_;
-  std::vector<uint16_t> sections_;     ///< where the problem has none
-  const uint16_t* section_ = nullptr;  ///< of each point of the problem; nullptr: they are not used
-  int num_buckets_ = 0;                ///< of free points, and of fixed ones
-  std::vector<int64_t> begin_;         ///< of each point of the problem in by_point_, and the end
+  std::vector<uint16_t> sections_;  ///< where the problem has none
+  const uint16_t* section_ =
+      nullptr;           ///< section per point of the problem; nullptr: sections are not used
+  int num_buckets_ = 0;  ///< buckets of free points, and of fixed points
+  std::vector<int64_t> begin_;  ///< per point of the problem: its begin in by_point_; and the end
   std::vector<uint64_t> by_point_;
-  std::vector<Key> keys_;              ///< of the points of the problem, then of those in the plan
-  std::vector<int64_t> bucket_begin_;  ///< in keys_, then in plan_.point
-  std::vector<int64_t> first_observation_;  ///< of each bucket in the plan
-  std::vector<int64_t> place_;              ///< of each point's observations in the plan
+  std::vector<Key> keys_;  ///< keys of the points of the problem, then of those in the plan
+  std::vector<int64_t> bucket_begin_;       ///< in keys_, then in plan_.point
+  std::vector<int64_t> first_observation_;  ///< per bucket in the plan
+  std::vector<int64_t> place_;              ///< per point: place of its observations in the plan
   EliminationPlan plan_;
 };
 

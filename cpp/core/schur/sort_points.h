@@ -12,7 +12,7 @@
 namespace bundle {
 
 struct ImageOrder {
-  std::vector<uint8_t> refined;  ///< of each image: has something to refine
+  std::vector<uint8_t> refined;  ///< per image: 1 if it has something to refine
   /// Place of each image: refined ones in the order of their blocks, which S likes best, then the
   /// others.
   std::vector<int> rank;

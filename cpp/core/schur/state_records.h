@@ -16,10 +16,10 @@ namespace bundle {
 /// The images of a problem by camera model, and what each model's Jacobian records hold.
 struct ModelGroups {
   std::vector<ModelGroup> groups;
-  std::vector<uint8_t> image_group;    ///< of each image
-  std::vector<uint8_t> image_columns;  ///< of each image: num_columns of its group
-  std::vector<uint8_t> image_quads;    ///< of each image: num_quads of its group
-  std::vector<uint8_t> image_refined;  ///< of each image: 1 if it has a free column
+  std::vector<uint8_t> image_group;    ///< group per image
+  std::vector<uint8_t> image_columns;  ///< per image: num_columns of its group
+  std::vector<uint8_t> image_quads;    ///< per image: num_quads of its group
+  std::vector<uint8_t> image_refined;  ///< per image: 1 if it has a free column
   int num_rows = 1;                    ///< the largest group's columns
 
   /// Columns of a record.

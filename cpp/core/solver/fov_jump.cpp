@@ -199,7 +199,7 @@ class SeveralSolves {
   SolveRecord total_;  ///< the first solve, and the counts and times of all
   std::vector<double> factor_costs_before_;
   SolveOutput best_;
-  std::vector<IterationRecord> path_;  ///< of all solves, in sequence
+  std::vector<IterationRecord> path_;  ///< iterations of all solves, in sequence
   size_t best_path_size_ = 0;          ///< up to the best state
   bool was_interrupted_ = false;
 };

@@ -61,18 +61,18 @@ class FusedSolver {
   const AdjustmentProblem& problem_;
   SolveOptions options_;  ///< with nothing left to choose
   const bool is_reused_;
-  std::vector<Warning> warnings_;  ///< of the choices
+  std::vector<Warning> warnings_;  ///< warnings of the choices
   std::string linear_solver_choice_;
   ParameterLayout layout_;
   std::vector<int64_t> track_lengths_;  ///< until the memory is predicted
   BlockStructure structure_;            ///< until the problem has it
-  FillOrdering ordering_;               ///< of the sparse structure
+  FillOrdering ordering_;               ///< ordering of the sparse structure
   double working_bytes_ = 0;            ///< beside the system
   std::unique_ptr<LinearSolver> solver_;
   std::unique_ptr<SchurProblem> schur_;
   FactorSummary factor_;
-  double symbolic_time_ = 0;  ///< of finding the structure, its ordering and the solver's panels
-  double build_time_ = 0;     ///< of the constructor, where a solve is to report it
+  double symbolic_time_ = 0;  ///< time of structure, ordering and supernodes
+  double build_time_ = 0;     ///< time of the constructor, if the next solve reports it
   int64_t num_information_nonzeros_ = -1;  ///< -1: not counted yet
 };
 

@@ -36,7 +36,7 @@ class GraphJacobian {
 
  private:
   const FactorGraph& graph_;
-  std::vector<std::vector<int>> column_;  ///< of each coordinate of each variable; -1: held
+  std::vector<std::vector<int>> column_;  ///< per coordinate of each variable; -1: constant
   int num_columns_ = 0, num_rows_ = 0;
 };
 

@@ -20,6 +20,7 @@
 #include "core/error.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
+#include "core/model/factor_costs.h"
 #include "core/model/fov_lenses.h"
 #include "core/model/problem_factors.h"
 #include "core/model/scene_frame.h"
@@ -30,7 +31,6 @@
 #include "core/schur/elimination_plan.h"
 #include "core/solver/fov_jump.h"
 #include "core/solver/fused_solver.h"
-#include "core/model/factor_costs.h"
 
 namespace bundle {
 
@@ -316,9 +316,9 @@ class Solver::Impl {
   AdjustmentProblem problem_;
   const SolveOptions options_;
   const bool is_reused_;
-  std::optional<PreparedSolve> prepared_;  ///< of the next solve by Ceres
+  std::optional<PreparedSolve> prepared_;  ///< for the next solve by Ceres
   BackendChoice choice_;
-  std::vector<Warning> warnings_;       ///< of PrepareSolve
+  std::vector<Warning> warnings_;       ///< warnings of PrepareSolve
   std::unique_ptr<FusedSolver> fused_;  ///< nullptr: not prepared, or Ceres'
   int64_t process_ = ProcessId();       ///< where its threads are
   std::atomic<int64_t> user_{kNobody};  ///< the process that solves

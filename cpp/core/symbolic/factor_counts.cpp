@@ -125,8 +125,8 @@ class RowSubtrees {
   }
 
   std::vector<int> first_;       ///< place in postorder of the first block of the tree below
-  std::vector<int> last_first_;  ///< of a row: first_ of its last leaf
-  std::vector<int> last_leaf_;   ///< of a row
+  std::vector<int> last_first_;  ///< per row: first_ of its last leaf
+  std::vector<int> last_leaf_;   ///< per row: its last leaf
   std::vector<int> ancestor_;
   std::vector<int> leaves_;
 };

@@ -18,7 +18,7 @@ namespace bundle {
 /// c^2 + 3 c flops. CHOLMOD counts (c + 1)^2, which leaves the right hand side out and lets the
 /// divisions and the square root in.
 struct FactorCounts {
-  double entries = 0;         ///< of L: its lower triangle with the diagonal
+  double entries = 0;         ///< nnz(L): lower triangle with the diagonal
   double flops = 0;           ///< sum of c^2 + 3 c
   double cholmod_flops = 0;   ///< sum of (c + 1)^2, cholmod_common::fl
   int64_t block_entries = 0;  ///< blocks of L, the diagonal's included

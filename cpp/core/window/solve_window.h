@@ -17,8 +17,8 @@ struct WindowSolveOptions {
   double function_tolerance = 1e-6;
   double gradient_tolerance = 1e-10;
   double parameter_tolerance = 1e-8;
-  bool spectrum = false;    ///< of the reduced normal equations
-  bool covariance = false;  ///< of the last state
+  bool spectrum = false;    ///< compute the spectrum of the reduced normal equations
+  bool covariance = false;  ///< compute the covariance of the last state
   bool expected_imu_cost = false;
   /// Covariance with the first position and yaw held, where nothing else holds them.
   bool fix_gauge = false;
@@ -34,7 +34,7 @@ struct WindowOutput {
   std::vector<IterationRecord> iterations;
   double linearization_time = 0, linear_solver_time = 0, candidate_time = 0, total_time = 0;
   std::vector<double> spectrum;        ///< ascending, of a unit diagonal; empty unless asked for
-  std::vector<double> residual_norms;  ///< of the observations, in sigmas, without the loss
+  std::vector<double> residual_norms;  ///< norms per observation, in sigmas, without the loss
   std::vector<double> covariance;      ///< 15 x 15; empty where there is none
   double expected_imu_cost = 0;        ///< not a number where there is none
 };

@@ -48,7 +48,7 @@ struct WindowPrior {
   /// offset the first 7 and the first.
   std::vector<double> points;
   bool is_square_root = false;
-  int num_rows = 0;            ///< of M
+  int num_rows = 0;            ///< rows of M
   std::vector<double> matrix;  ///< M, row-major
   std::vector<double> vector;
   double constant = 0;
@@ -77,7 +77,7 @@ struct WindowView {
   const int32_t* observers = nullptr;   ///< states
   const double* xy = nullptr;           ///< k x 2, normalised
   const double* xy_velocity = nullptr;  ///< k x 2, 1/s
-  double sigma = 1;                     ///< of a coordinate, normalised
+  double sigma = 1;                     ///< sigma of a normalised coordinate
   LossType loss = LossType::kTrivial;
   double loss_scale = 1;  ///< in sigmas
 

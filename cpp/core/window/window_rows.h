@@ -25,7 +25,7 @@ struct AnchorRows {
 
 /// Preintegrated samples (9 rows: rotation, position, velocity) and the biases' walk (6).
 struct InertialRows {
-  static constexpr int kRows = 15, kImuRows = 9;  ///< number of these columns
+  static constexpr int kRows = 15, kImuRows = 9;  ///< rows of these factors
   int first = 0;                                  ///< from this state to the next
   double r[kRows];
   double by_first[kRows * kStateTangent], by_second[kRows * kStateTangent];  ///< row-major
@@ -42,7 +42,7 @@ struct WindowRows {
   bool is_finite = true;
   WindowCosts costs;
   std::vector<VisualRows> visual;
-  std::vector<AnchorRows> anchors;  ///< of the landmarks in `visual`, in the same order
+  std::vector<AnchorRows> anchors;  ///< one per landmark in `visual`, in the same order
   std::vector<InertialRows> inertial;
   std::vector<PriorForm> priors;
 };

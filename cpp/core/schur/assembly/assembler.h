@@ -163,11 +163,11 @@ class Assembler {
   /// The map of an image's block, by its place in ParameterLayout::ImageBlocks and in ImageBlocks.
   struct MapOf {
     int image, place, k;
-    size_t first;  ///< of its values
+    size_t first;  ///< index of its first value
   };
   std::vector<MapOf> maps_;
   std::vector<double> map_values_;
-  std::vector<uint8_t> image_is_mapped_;  ///< of each image; empty if maps are not of sensors alone
+  std::vector<uint8_t> image_is_mapped_;  ///< per image; empty unless all maps are of sensors
 };
 
 }  // namespace bundle

@@ -102,7 +102,7 @@ class OrderedSums {
   const SumGrid* grid_ = nullptr;
   CameraSums sums_;
   bool is_new_ = false;                       ///< S, and zero therefore
-  std::vector<Waiting> waiting_;              ///< of each thread
+  std::vector<Waiting> waiting_;              ///< per thread
   std::vector<std::atomic<int>> last_added_;  ///< chunk, of each image
   std::atomic<int> num_added_{0};             ///< chunks
   std::atomic<bool> abandoned_{false};

@@ -70,8 +70,8 @@ class SumGrid {
   int WidthOf(int image) const;
 
   const EliminationInput& input_;
-  size_t stride_;                  ///< of an image in column_ and scale_
-  std::vector<int32_t> column_;    ///< of the layout, for each column of each image; -1: none
+  size_t stride_;                  ///< stride of an image in column_ and scale_
+  std::vector<int32_t> column_;    ///< column of the layout, per column of each image; -1: none
   std::vector<double> scale_;      ///< s of each image's columns
   std::vector<double> of_column_;  ///< s of each column of the layout
   double residual_ = 0;            ///< t

@@ -211,7 +211,7 @@ class Elimination {
   // Copies, as every store to a block could change what a reference leads to.
   const StripRecords records_;
   const ChunkSum sum_;
-  const int num_columns_;  ///< of the widest record
+  const int num_columns_;  ///< columns of the widest record
   const int64_t block_size_;
   const uint16_t* image_ = nullptr;
 };

@@ -13,11 +13,11 @@ namespace bundle {
 /// The images of one camera model: what its Jacobians look like.
 struct ModelGroup {
   int model = 0;       ///< index into CameraModels
-  int num_params = 0;  ///< of the model
+  int num_params = 0;  ///< parameters of the model
   /// Camera parameters that any image of the group refines, as in ParameterLayout.
   int num_columns = 0;
   int8_t columns[kPoseSize + kMaxCameraParams] = {};
-  int num_quads = 1;  ///< of a row of its Jacobian records: num_columns in whole quads
+  int num_quads = 1;  ///< quads in a row of its Jacobian records: num_columns, rounded up
 };
 
 /// What no pass changes.
@@ -25,17 +25,17 @@ struct EliminationInput {
   const EliminationPlan* plan = nullptr;
   const ModelGroup* groups = nullptr;
   int num_groups = 0;
-  const uint8_t* image_group = nullptr;    ///< of each image
-  const uint8_t* image_columns = nullptr;  ///< of each image: num_columns of its group
-  const uint8_t* image_quads = nullptr;    ///< of each image: num_quads of its group
+  const uint8_t* image_group = nullptr;    ///< group per image
+  const uint8_t* image_columns = nullptr;  ///< per image: num_columns of its group
+  const uint8_t* image_quads = nullptr;    ///< per image: num_quads of its group
   const uint8_t* image_refined = nullptr;
   int num_rows = 0;     ///< the largest group's columns
-  int num_columns = 0;  ///< of the widest Jacobian record: num_rows in whole quads
+  int num_columns = 0;  ///< columns of the widest Jacobian record: num_rows in whole quads
   bool mixed = false;   ///< the groups' widths differ: each block is as large as its images' groups
   Cheirality cheirality = Cheirality::kAuto;
   LossType loss = LossType::kTrivial;
   double loss_scale = 1;
-  const double* inverse_sigma = nullptr;  ///< of each observation of the plan; nullptr: 1 each
+  const double* inverse_sigma = nullptr;  ///< per observation of the plan; nullptr: 1 each
   int64_t longest_track = 0;
   /// Of each point of the plan: its place in `prior_sums`, or -1. nullptr: no factor is of a point.
   const int32_t* point_prior = nullptr;
@@ -61,14 +61,14 @@ struct StateRecords {
   /// identity. Of an image of a rig, this and the left Jacobian are by the chart of its frame.
   int translation_jacobian = 0;
   const double* images = nullptr;
-  int stride = 0;  ///< of `images`; a multiple of 4
+  int stride = 0;  ///< stride of `images`; a multiple of 4
   const double* points = nullptr;
-  const StateRecords* before = nullptr;  ///< of a candidate: the state that the step starts from
+  const StateRecords* before = nullptr;  ///< for a candidate: the state that the step starts from
   /// Observations that hold a residual at this state, of a candidate at the state before;
   /// ascending.
   const HeldResidual* held = nullptr;
   int64_t num_held = 0;
-  HeldSink sink;  ///< of those at a candidate, or at the start
+  HeldSink sink;  ///< for observations that hold a residual at a candidate, or at the start
 };
 
 /// What a chunk adds to the normal equations, in units of its images and blocks.
@@ -84,8 +84,8 @@ struct ChunkSum {
   double* vectors = nullptr;
   double* camera_diagonal = nullptr;  ///< num_images x num_rows x num_columns; nullptr: not wanted
   double cost = 0;
-  double gradient_squared = 0;  ///< of the points
-  double gradient_max = 0;      ///< of the points
+  double gradient_squared = 0;  ///< squared norm over the points
+  double gradient_max = 0;      ///< maximum norm over the points
 };
 
 /// A step of the camera parameters, as the passes read it, a record per image: J_l dw (3), dt (3)
@@ -99,8 +99,8 @@ struct StepRecords {
 struct CandidateSum {
   double model_cost_change = 0;
   double cost = 0;
-  double step_squared = 0;   ///< of the points
-  double state_squared = 0;  ///< of the candidate's points
+  double step_squared = 0;   ///< squared norm over the points
+  double state_squared = 0;  ///< squared norm over the candidate's points
 };
 
 /// The products of the two directions over the points and all residuals.
@@ -131,7 +131,7 @@ inline constexpr double kClearPivot = 1e-6;
 
 /// Sums over the free points of chunks whose V is clearly regular.
 struct PointSurvey {
-  double squares = 0;   ///< of residuals
+  double squares = 0;   ///< sum of squared residuals
   double decrease = 0;  ///< sum 1/2 g^T V^-1 g
   int64_t num_observations = 0;
   /// Where similarities are wanted: squares of the parts of J N's rows, by images and by points;

@@ -81,11 +81,11 @@ struct ThreeRows {
 /// Of one point: its refined observations, their Z^T and the blocks of C.
 struct PointPairs {
   const EliminationInput& input;
-  const double* blocks;        ///< of the chunk, as in Kernels::point_covariances
+  const double* blocks;        ///< blocks of the chunk, as in Kernels::point_covariances
   const int64_t* block_begin;  ///< where widths are mixed
   const int32_t* image;
   const uint16_t* image_in_chunk;
-  const uint16_t* pair_block;  ///< of the point's first pair
+  const uint16_t* pair_block;  ///< block of the point's first pair
   int refined;
   const double* z;  ///< three rows an observation, of input.num_columns doubles
 
