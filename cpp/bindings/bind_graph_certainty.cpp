@@ -85,8 +85,7 @@ py::dict GraphSpectrumFromPython(const py::object& graph, const Array<bool>& hel
   return result;
 }
 
-/// What a solve takes where the ordering is left to it: "natural", "amd" or "metis"; "" where
-/// nothing is free.
+/// Ordering that a solve chooses: "natural", "amd" or "metis"; "" if nothing is free.
 std::string AutoOrdering(const py::object& graph, const Array<bool>& held) {
   const GraphArrays arrays(graph);
   PoseGraphView view = ViewGraph(arrays, held);

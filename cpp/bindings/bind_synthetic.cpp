@@ -18,7 +18,7 @@ namespace {
 template <typename T>
 using Array = py::array_t<T, py::array::c_style>;
 
-/// What NumPy's bit generators hand out in their capsules (numpy/random/bitgen.h).
+/// Layout of the capsules of NumPy's bit generators (numpy/random/bitgen.h).
 struct BitGenerator {
   void* state;
   uint64_t (*next_uint64)(void*);
@@ -66,7 +66,7 @@ class Images {
   std::vector<py::object> kept_;
 };
 
-/// Of all images.
+/// Pairs of all images.
 py::tuple PairsOf(const Images& images, const Array<double>& positions,
                   const Array<double>& normals, const Array<double>& reach,
                   const Array<double>& keys, const Array<double>& cell_centers,

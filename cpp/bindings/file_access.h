@@ -1,6 +1,6 @@
 #pragma once
 
-/// What the readers and writers of files have in common towards Python.
+/// Common parts of the bindings of readers and writers of files.
 
 #include <pybind11/pybind11.h>
 #include <pybind11/stl/filesystem.h>
@@ -23,8 +23,8 @@ inline void CheckSignals() {
   if (PyErr_CheckSignals() != 0) throw pybind11::error_already_set();
 }
 
-/// What readers and writers of text call between blocks: lets Ctrl-C end them, and tells
-/// `progress`, if it is not None, how many bytes there were so far, about. Keeps a reference to it.
+/// Callback of readers and writers of text, between blocks. Handles Ctrl-C, and passes about the
+/// number of bytes so far to `progress`, unless it is None. Keeps a reference to `progress`.
 class BlockWatch {
  public:
   BlockWatch(const pybind11::object& progress, int64_t bytes_per_block)

@@ -12,7 +12,8 @@
 #include "core/graph/factor_graph.h"
 #include "core/model/problem_factors.h"
 
-/// Of (variables, factors, what each variable is in the problem), the first two as in bind_graph.
+/// Made from (variables, factors, the problem variable of each variable), the first two as in
+/// bind_graph.
 class GivenFactors {
  public:
   explicit GivenFactors(const pybind11::object& given) {

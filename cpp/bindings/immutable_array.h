@@ -19,7 +19,7 @@ pybind11::array Freeze(const pybind11::array& array);
 
 bool IsImmutable(const pybind11::array& array);
 
-/// As ToNumpy, immutable.
+/// ToNumpy for an immutable array.
 template <typename T>
 pybind11::array ToImmutableNumpy(std::vector<T> values, std::vector<pybind11::ssize_t> shape) {
   return Freeze(ToNumpy(std::move(values), std::move(shape)));

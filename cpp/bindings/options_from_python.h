@@ -12,7 +12,7 @@ bundle::SolveOptions OptionsFromPython(const pybind11::dict& options);
 /// Options of a factor graph: "gauss_newton" is Levenberg-Marquardt with negligible damping.
 bundle::SolveOptions GraphOptionsFromPython(const pybind11::dict& options);
 
-/// Of a bundle.PoseGraphOptions as a dict: what a solve of pose graphs has in common with others.
+/// Reads the common options from a bundle.PoseGraphOptions as a dict.
 void ReadPoseGraphOptions(const pybind11::dict& options, bundle::SolveOptions* result);
 
 /// Reads the name of a loss.

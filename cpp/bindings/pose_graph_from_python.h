@@ -16,7 +16,7 @@ namespace bundle {
 template <typename T>
 using Array = pybind11::array_t<T, pybind11::array::c_style>;
 
-/// Of a bundle.PoseGraph, which has checked shapes and values.
+/// Arrays of a bundle.PoseGraph, which has checked shapes and values.
 struct GraphArrays {
   explicit GraphArrays(const pybind11::handle& graph)
       : ids(pybind11::cast<Array<int64_t>>(graph.attr("ids"))),

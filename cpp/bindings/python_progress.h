@@ -1,6 +1,6 @@
 #pragma once
 
-/// What a solve and Python have to tell each other while it runs: iterations, Ctrl-C, exceptions.
+/// Exchange between Python and a running solve: iterations, Ctrl-C, exceptions.
 
 #include <pybind11/pybind11.h>
 

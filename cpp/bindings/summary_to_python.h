@@ -6,7 +6,7 @@
 
 #include "core/interface/summary.h"
 
-/// By the names of the C++ fields.
+/// Converts to a dict with the names of the C++ fields.
 pybind11::dict ToDict(const bundle::SolveSummary& summary);
 pybind11::dict ToDict(const bundle::IterationRecord& record);
 

@@ -1,6 +1,6 @@
 #pragma once
 
-/// What a camera model is.
+/// Camera models.
 ///
 /// A model maps a point P = (X, Y, Z) in the frame of the camera (x right, y down, z forward, any
 /// length unit) to pixels, given its parameters in COLMAP's order. Each model is one struct in one
@@ -92,7 +92,7 @@ void ModelDifference(const double* params, const double* xy, const double* measu
   }
 }
 
-/// How most models are put together: rays, then a distortion, then pixels.
+/// Composition of most models: rays, then a distortion, then pixels.
 ///
 ///   (u, v) = Rays(P),    (u_d, v_d) = Distortion(k; u, v),    x = fx u_d + cx,   y = fy v_d + cy.
 ///

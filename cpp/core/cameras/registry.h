@@ -21,7 +21,7 @@
 
 namespace bundle {
 
-/// In the order of COLMAP's ids.
+/// All camera models, in the order of COLMAP's ids.
 using CameraModels =
     std::tuple<SimplePinhole, Pinhole, SimpleRadial, Radial, OpenCv, OpenCvFisheye, FullOpenCv, Fov,
                SimpleRadialFisheye, RadialFisheye, ThinPrismFisheye, RadTanThinPrismFisheye,

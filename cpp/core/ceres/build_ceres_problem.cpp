@@ -8,8 +8,8 @@
 
 #include "core/ceres/ceres_solve.h"
 #include "core/ceres/losses.h"
-#include "core/model/problem_factors.h"
 #include "core/model/factor_costs.h"
+#include "core/model/problem_factors.h"
 
 namespace bundle {
 

@@ -27,12 +27,13 @@ namespace bundle {
 std::unique_ptr<ceres::Manifold> MakeManifold(const std::string& name, int size,
                                               const std::vector<int>& constant);
 
-/// Why costs have no value any more, so that Ceres ends: the user wants it, or a factor threw.
+/// Reason why costs have no value any more, so that Ceres ends: the user's wish or an exception of
+/// a factor.
 struct Abandonment {
   std::atomic<bool> happened{false};
   FirstException exception;  ///< that a factor threw; Interrupted is none of it
 
-  /// What `evaluate` returns, but no exception leaves: Ceres does not expect any.
+  /// Returns the result of `evaluate`. Keeps its exceptions, which Ceres does not expect.
   template <typename Evaluate>
   bool Guard(const Evaluate& evaluate) noexcept {
     if (happened.load(std::memory_order_relaxed)) return false;
@@ -72,7 +73,7 @@ class CeresGraph {
   CeresGraph& operator=(const CeresGraph&) = delete;
 
   ceres::Problem& problem() { return *problem_; }
-  /// Those that Ceres works on, which begin as the graph's.
+  /// Values that Ceres changes, at first those of the graph.
   const std::vector<std::vector<double>>& values() const { return values_; }
   StepLengths& step_lengths() { return step_lengths_; }
   bool IsThreadSafe() const;

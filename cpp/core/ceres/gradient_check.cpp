@@ -20,7 +20,7 @@ constexpr double kLeastFirstStep = 1.0 / 128;
 
 double FirstStep(double parameter) { return std::max(std::abs(parameter) / 16, kLeastFirstStep); }
 
-/// What rounding does to each residual: how far it moves when all parameters move by a few units in
+/// Rounding error of each residual: how far it moves when all parameters move by a few units in
 /// their last place. A residual is often small beside the numbers that it is the difference of, so
 /// that its own size says nothing.
 std::vector<double> RoundingNoise(const ceres::CostFunction& cost,
@@ -266,7 +266,7 @@ class FunctionCost final : public ceres::CostFunction {
   const ResidualFunction& function_;
 };
 
-/// The same in Ceres' terms.
+/// The same function as a cost function of Ceres.
 struct CostAtPoint {
   explicit CostAtPoint(const FunctionAtPoint& at) : cost(at) {
     for (size_t b = 0; b < at.blocks.size(); ++b) {

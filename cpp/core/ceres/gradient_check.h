@@ -36,8 +36,8 @@ struct ReferenceJacobians {
   NumericJacobian tangent;
 };
 
-/// What GradientChecker found. Matrices are num_residuals x tangent columns, row-major; empty where
-/// the cost function has no value at one of the points it needs.
+/// Result of ceres::GradientChecker. Matrices are num_residuals x tangent columns, row-major; empty
+/// where the cost function has no value at one of the points it needs.
 struct GradientCheckerProbe {
   bool agrees = false;  ///< its own verdict at the given relative precision
   std::vector<double> local_jacobian;
@@ -50,7 +50,7 @@ struct GradientCheckerProbe {
 using ResidualFunction =
     std::function<bool(double const* const* parameters, double* residuals, double** jacobians)>;
 
-/// What MakeManifold (ceres_graph.h) takes.
+/// Arguments of MakeManifold (ceres_graph.h).
 struct ManifoldSpec {
   std::string name;
   std::vector<int> constant;
@@ -80,7 +80,7 @@ using Manifolds = std::vector<const ceres::Manifold*>;
 int AmbientSize(const ceres::CostFunction& cost);
 int TangentSize(const ceres::CostFunction& cost, const Manifolds& manifolds);
 
-/// What is known of a cost function beforehand.
+/// Known scales of a cost function.
 struct KnownScales {
   /// Bounds of the first step of each ambient column, unless empty: the distance to a singularity.
   std::vector<double> largest_steps;

@@ -17,8 +17,8 @@ namespace bundle {
 void EvaluateLoss(LossType type, double scale, int64_t count, const double* squared_norms,
                   double* values);
 
-/// What Ceres makes of a residual block under a loss: r (rows) and J (rows x columns, row-major)
-/// are overwritten by those that the solver sees, given rho, rho', rho'' at ||r||^2. rho' must be
+/// Corrects a residual block for a loss as Ceres does: overwrites r (rows) and J (rows x columns,
+/// row-major) by those that the solver sees, given rho, rho', rho'' at ||r||^2. rho' must be
 /// positive where rho'' is.
 void CorrectWithCeres(const double* rho, int rows, int columns, double* residual, double* jacobian);
 

@@ -184,7 +184,7 @@ class Columns {
 
   int size() const { return size_; }
 
-  /// From a 2 x (3 + block.size) matrix.
+  /// Copies from a 2 x (3 + block.size) matrix.
   void Scatter(const double* from, double* to) const {
     for (int row = 0; row < 2; ++row, from += sources_, to += size_) {
       std::copy_n(from, 3, to + size_ - 3);

@@ -9,9 +9,9 @@
 
 namespace bundle {
 
-/// Where the Jacobians of checked observations go: num_checked x 2 x columns, row-major, columns
-/// (w, t) of the pose, the camera's parameters (camera_params_stride), the point. What the model
-/// does not have or never refines stays zero.
+/// Output arrays for checked observations. Jacobians are num_checked x 2 x columns, row-major, with
+/// columns (w, t) of the pose, the camera's parameters (camera_params_stride), the point. Columns
+/// that the model does not have or never refines stay zero.
 struct ReprojectionCheck {
   double* analytic = nullptr;     ///< by the cost function that a solve uses
   double* reference = nullptr;    ///< by Richardson extrapolation

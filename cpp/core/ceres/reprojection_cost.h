@@ -39,7 +39,7 @@ struct HoldingWatch {
   }
 };
 
-/// What all reprojection costs of a solve share. Outlives them.
+/// Data that all reprojection costs of a solve share. Outlives them.
 struct ReprojectionContext {
   const AdjustmentProblem& problem;
   const ParameterLayout& layout;

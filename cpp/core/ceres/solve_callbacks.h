@@ -16,9 +16,9 @@
 
 namespace bundle {
 
-/// Expands the camera parameters once per evaluation. Looks for an interruption before a candidate
-/// is evaluated: Ceres has no other moment within a step at which it can be left with the best
-/// state. From then on no cost can be evaluated, and the candidate is rejected.
+/// Expands the camera parameters once per evaluation. Tests for an interruption before a candidate
+/// is evaluated: within a step, Ceres can be left with the best state only then. After an
+/// interruption no cost can be evaluated, so that Ceres rejects the candidate.
 class UpdateCameraStates final : public ceres::EvaluationCallback {
  public:
   UpdateCameraStates(const double* state, CameraStates* states, HoldingWatch* watch,
@@ -48,7 +48,7 @@ class UpdateCameraStates final : public ceres::EvaluationCallback {
     (is_at_state ? watch_->state_cost : watch_->candidate_cost).store(0);
   }
 
-  /// Before a solve. `all_count`: all observations count that can, at its start.
+  /// Call before a solve. `all_count`: at its start, all observations count that can.
   void BeginSolve(bool all_count) {
     has_start_ = false;
     all_count_ = all_count;
@@ -66,9 +66,9 @@ class UpdateCameraStates final : public ceres::EvaluationCallback {
   bool all_count_ = true;
 };
 
-/// Remembers of each iteration whether other observations counted at the candidate than at the
-/// state, and the held cost that is part of its cost. An iteration is one of several solves, each
-/// of which goes on from the end of the one before.
+/// Records for each iteration whether other observations counted at the candidate than at the
+/// state, and the held cost that is part of its cost. Iterations are those of several solves, each
+/// of which continues from the end of the previous one.
 class RecordHolding final : public ceres::IterationCallback {
  public:
   explicit RecordHolding(HoldingWatch* watch) : watch_(watch) {}
@@ -91,8 +91,8 @@ class RecordHolding final : public ceres::IterationCallback {
     return ceres::SOLVER_CONTINUE;
   }
 
-  /// Puts what it knows into the record of an iteration of the current solve, which gets the number
-  /// that it has among those of all.
+  /// Completes the record of an iteration of the current solve, and numbers it among the iterations
+  /// of all solves.
   void CompleteCurrent(IterationRecord* record) const {
     record->iteration += first_;
     Complete(record);
@@ -116,8 +116,8 @@ class RecordHolding final : public ceres::IterationCallback {
   bool changes_ = false;
 };
 
-/// Remembers the anchors of the state that Ceres ends with: the best one, which others may follow
-/// that rounding keeps from being better; or the start, if the solve fails.
+/// Records the anchors of the state with which Ceres ends: the best state, or the start if the
+/// solve fails. After the best state, states may follow that are worse by rounding.
 class RememberAnchors final : public ceres::IterationCallback {
  public:
   explicit RememberAnchors(const CameraStates& states)

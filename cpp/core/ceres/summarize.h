@@ -14,11 +14,11 @@
 
 namespace bundle {
 
-/// What Ceres factorises with the linear solver that it used, `type`. Ceres does not report
-/// it: sparse factors are counted here, on the pattern that Ceres builds and in CHOLMOD's AMD order
-/// of its blocks. Ceres asks CHOLMOD for the same kind of order but numbers the blocks its own way
-/// and may have it keep the groups of the ordering apart, so that its factor can be some per cent
-/// larger or smaller. The symbolic time is that of this count.
+/// Factor of Ceres with the linear solver that it used, `type`. Ceres does not report it: sparse
+/// factors are counted here, on the pattern that Ceres builds and in CHOLMOD's AMD order of its
+/// blocks. Ceres asks CHOLMOD for the same kind of order but numbers the blocks its own way and may
+/// have it keep the groups of the ordering apart, so that its factor can be some per cent larger or
+/// smaller. The symbolic time is that of this count.
 FactorSummary CountCeresFactor(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                EliminationOrdering ordering, ceres::LinearSolverType type);
 

@@ -22,7 +22,7 @@ struct FirstGroup {
   std::set<int> blocks_left_out;
 };
 
-/// Of the unknowns of one kind that a factor touches, all but the first leave the group.
+/// Removes from the group all but the first of the unknowns of one kind that a factor touches.
 FirstGroup FindFirstGroup(bool points_first, const AdjustmentProblem& problem,
                           const ParameterLayout& layout) {
   FirstGroup group;

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Checks at the end of a solve: is the Jacobian right, is the solution one.
+/// Checks at the end of a solve, of the Jacobian and of the solution.
 
 #include <cstdint>
 #include <string>
@@ -70,12 +70,11 @@ std::string FindOverflow(const ProblemView& problem, Cheirality cheirality);
 /// out of them, and no slope is told.
 void JudgeEnd(bool has_bounds, double function_tolerance, SolveRecord* record);
 
-/// What every backend ends with: looks at the iterations and the solution that a backend left in
-/// `output`, says in its warnings, after `warnings`, what is wrong with them, and drops a solution
-/// that is none. Without SolveOptions::check_solution it does not look for signs of a wrong
-/// Jacobian; it always looks for what makes a solution unusable. `states` are the camera parameters
-/// of the solution; `num_held` is the number of observations that hold a residual there
-/// (factors/reprojection.h).
+/// Last step of each backend. Checks the iterations and the solution in `output`, adds warnings to
+/// `warnings`, and drops a solution that is impossible. Without SolveOptions::check_solution it
+/// does not look for signs of a wrong Jacobian; it always looks for what makes a solution unusable.
+/// `states` are the camera parameters of the solution; `num_held` is the number of observations
+/// that hold a residual there (factors/reprojection.h).
 void FinishSolve(const AdjustmentProblem& problem, const ParameterLayout& layout,
                  const CameraStates& states, const SolveOptions& options,
                  std::vector<Warning> warnings, int64_t num_held, SolveOutput* output);

@@ -11,7 +11,7 @@
 
 namespace bundle {
 
-/// Of the observations that count at the start, how many may end behind their cameras.
+/// Largest share of the observations counted at the start that may end behind their cameras.
 inline constexpr double kMaxLostShare = 0.01;
 
 /// Judges a solve with `num_held` observations with something to refine that hold a residual at the

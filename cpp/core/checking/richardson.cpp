@@ -175,7 +175,8 @@ class Search {
     return found;
   }
 
-  /// Of the differences of some rows; infinite if the value stood still in one of them.
+  /// Spread of the differences in rows [begin, end); infinite if one of them is NaN because the
+  /// value did not change.
   double Spread(int i, int begin, int end) const {
     double lowest = kInfinity, highest = -kInfinity;
     for (int row = begin; row < end; ++row) {

@@ -177,7 +177,7 @@ class Differences {
   double x_[ObservationAtPoint::kMaxSize];
 };
 
-/// What became of one column in the observations of one camera model.
+/// Verdicts on one column over the observations of one camera model.
 struct Tally {
   int tried = 0;
   int agrees = 0;
@@ -194,7 +194,7 @@ struct Tally {
 
 using Tallies = std::array<Tally, ObservationAtPoint::kMaxSize>;
 
-/// What rounding each x_j to its last digit, and the residual, may change.
+/// Effect of rounding each x_j and the residual to their last digits.
 double RoundingErrors(const ObservationAtPoint& at, const double* residual,
                       const double* jacobian) {
   const int size = at.size();
@@ -237,7 +237,7 @@ double Median(const std::vector<Comparison>& comparisons, Field field) {
   return *middle;
 }
 
-/// By how much columns are wrong, as a part of a sentence.
+/// Error of the columns, as a part of a sentence.
 std::string Deviation(const std::vector<Comparison>& convictions) {
   const double factor = Median(convictions, &Comparison::factor);
   const auto alike =

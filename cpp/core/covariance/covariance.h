@@ -1,6 +1,6 @@
 #pragma once
 
-/// How certain a solution is: marginal covariances of poses, intrinsics and points.
+/// Marginal covariances of poses, intrinsics and points at a solution.
 ///
 /// With the normal equations of reduced_system.h, C = S^-1 is the covariance of the unknowns of the
 /// camera parameters, all others marginalised, and of a point
@@ -52,7 +52,7 @@ struct CovarianceOutput {
       0;                       ///< sum of squared residuals, divided by sigma, weighted by the loss
   int64_t num_residuals = 0;   ///< that count, of observations and factors
   int64_t num_parameters = 0;  ///< free ones that something determines, gauge not deducted
-  /// What the cost falls by if the solver's model of it is right: 0 at a minimum.
+  /// Decrease of the cost by one more step, as predicted by the model; 0 at a minimum.
   double predicted_decrease = 0;
   int gauge_degrees = 0;  ///< parameters that only the inner constraints determine
   std::vector<Warning> warnings;

@@ -115,8 +115,8 @@ class CovarianceComputation {
     throw InputError("problem: expected normal equations of full rank but for the gauge: " + why);
   }
 
-  /// Where a dense S is held along the gauge (FreeGauge::Hold), that spreads what is not determined
-  /// over all unknowns: the one at which it shows accuses nobody.
+  /// Holding a dense S along the gauge (FreeGauge::Hold) spreads an undetermined direction over all
+  /// unknowns. The unknown at which it shows then says nothing and is not named.
   [[noreturn]] void NotDetermined(int unknown, const std::string& found) const {
     std::string at;
     if (!system_.structure().dense || output_.gauge_degrees == 0) {
@@ -127,7 +127,7 @@ class CovarianceComputation {
         ": something is not determined by what is observed; bundle diagnose says what");
   }
 
-  /// What the gauges of a solve leave free is seen when S is factorised.
+  /// The factorisation of S detects degrees of freedom that the gauges of a solve leave.
   void HoldGauge() {
     if (!wanted_.inner && options_.gauge != Gauge::kNone) return;
     gauge_ = std::make_unique<FreeGauge>(system_);
@@ -149,8 +149,8 @@ class CovarianceComputation {
     constraints_ = std::make_unique<InnerConstraints>(*gauge_, std::move(y));
   }
 
-  /// Of blocks (a, b) of the layout, under the constraints, after all are; zero where it is not
-  /// known. Unknowns on a bound have none.
+  /// Covariance of blocks (a, b) of the layout under the constraints; zero where it is not known.
+  /// Unknowns on a bound have no covariance.
   Matrix BlockOf(int a, int b) const {
     Matrix block = Matrix::Zero(layout().blocks()[a].size, layout().blocks()[b].size);
     if (!system_.HasBlock(a, b)) return block;
@@ -189,7 +189,8 @@ class CovarianceComputation {
     return joint;
   }
 
-  /// From a pose about the centre that the scene is solved about to the problem's: t = t' - R c.
+  /// Transforms the covariance of a pose about the centre of the scene to the problem's origin: t =
+  /// t' - R c.
   Matrix6 MovedBack(int pose, const Matrix6& covariance) const {
     if (!centered_.is_moved()) return covariance;
     const PoseState& state = system_.states().pose(pose);
@@ -225,7 +226,7 @@ class CovarianceComputation {
     }
   }
 
-  /// What is refined of the intrinsics, stride x stride.
+  /// Covariance of the refined intrinsics, stride x stride.
   void PutCamera(int image, const Matrix& joint, double* to) const {
     const int stride = view().camera_params_stride;
     const uint32_t refined = layout().RefinedColumns(view(), image) >> kPoseSize;
@@ -266,8 +267,8 @@ class CovarianceComputation {
     return m;
   }
 
-  /// Of L_jj^2 beside S_jj, and of S_jj^-1 beside a variance: where S is singular, rounding leaves
-  /// a pivot below, or variances above. Sound blocks stay below 1e10.
+  /// Threshold for L_jj^2 / S_jj, and for S_jj^-1 over a variance. If S is singular, rounding
+  /// leaves a pivot below it, or variances above it. Regular blocks stay below 1e10.
   static constexpr double kSingular = 1e-13;
   static constexpr int kLocal = kPoseSize + kMaxCameraParams;
 

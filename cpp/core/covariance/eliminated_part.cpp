@@ -16,7 +16,8 @@
 namespace bundle {
 namespace {
 
-/// Of L_jj^2 beside the diagonal of J^T J: a pivot below is too close to rounding.
+/// Threshold for L_jj^2 over the diagonal of J^T J. A smaller pivot is too close to rounding
+/// errors.
 constexpr double kWeakPivot = 1e-9;
 constexpr double kDamping = 1e-12;
 constexpr double kMaxDamping = 1e-6;

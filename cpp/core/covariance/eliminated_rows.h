@@ -27,10 +27,10 @@ namespace bundle {
 
 /// I + gamma r r^T; false where an observation counts negatively along its residual.
 bool RootOfCurvature(const ObservationRows& rows, Eigen::Matrix2d* root);
-/// What an observation's rows are multiplied by: that, or the identity to first order.
+/// Root of the curvature; to first order the identity.
 Eigen::Matrix2d RootOrIdentity(const ObservationRows& rows, bool second_order);
 
-/// Of block b of an observation, 2 x its size.
+/// Rows of block b of an observation, 2 x its size.
 using TwoRows = Eigen::Matrix<double, 2, Eigen::Dynamic, Eigen::RowMajor>;
 Eigen::Map<const TwoRows> RowsByBlock(const ObservationRows& rows, int b);
 
@@ -63,7 +63,7 @@ Eigen::MatrixXd AllRows(const PointBlocks& blocks, const PointAssembler& assembl
 
 class EliminatedRows {
  public:
-  /// Of a point that was just assembled; `priors`: rows of its own factors, three columns each.
+  /// Eliminates the point assembled last. `priors`: rows of its own factors, three columns each.
   EliminatedRows(const PointBlocks& blocks, const PointAssembler& assembler,
                  const std::vector<double>& priors);
 

@@ -10,8 +10,9 @@
 namespace bundle {
 namespace {
 
-/// Of a singular value of J N beside the parts of its rows: rounding is 1e-16 times what scenes far
-/// from their centre add; a prior with a sigma of a hundred times the scene is 1e-8 or so.
+/// Threshold for a singular value of J N relative to the parts of its rows. Rounding errors are
+/// 1e-16 times a factor of scenes far from their centre; a prior with a sigma of a hundred times
+/// the scene gives about 1e-8.
 constexpr double kNull = 1e-11;
 
 /// J N of the whole problem.

@@ -1,7 +1,7 @@
 #pragma once
 
-/// What a problem leaves free of the seven similarities of the world, and the S-transformation that
-/// makes a covariance independent of how this was held.
+/// Gauge: the similarities of the world that a problem leaves free, and the S-transformation, which
+/// makes a covariance independent of how they were held.
 ///
 /// Let N hold, column by column, what the similarities do to all that is free (gauge_sums.h). A
 /// combination N q is free if no residual changes: J N q = 0. J N is summed up row by row, before
@@ -67,7 +67,7 @@ class FreeGauge {
   /// A, d x d.
   const Eigen::MatrixXd& of_points() const { return of_points_; }
   const SimilarityMoves& moves() const { return moves_; }
-  /// Of the seven, 7 x kMoves, padded with zeros: N is what these combinations do.
+  /// Combinations of the seven similarities that make N, 7 x kMoves, padded with zeros.
   const double* combinations() const { return padded_.data(); }
   /// N_p of a point, 3 x d; of one without parallax zero, (E N)_p.
   using PointRows = Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::ColMajor, 3, kSimilarities>;

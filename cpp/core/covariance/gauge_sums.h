@@ -51,7 +51,7 @@ class GaugeTriangle {
   int count_ = 0;
 };
 
-/// What the similarities do to points and to the unknowns of a layout.
+/// Derivatives of points and of the unknowns of a layout by the similarities.
 class SimilarityMoves {
  public:
   SimilarityMoves(const AdjustmentProblem& problem, const ParameterLayout& layout,
@@ -61,7 +61,7 @@ class SimilarityMoves {
   SimilarityRow OfUnknown(int unknown) const {
     return Eigen::Map<const SimilarityRow>(&cameras_[size_t(unknown) * kSimilarities]);
   }
-  /// What they do to all of the pose of an image, free or not: kPoseSize rows.
+  /// Derivatives of the whole pose of an image, free or not: kPoseSize rows.
   Eigen::Matrix<double, kPoseSize, kSimilarities> OfPose(const PoseState& pose) const;
   const double* center() const { return center_; }
   double size() const { return size_; }

@@ -52,7 +52,7 @@ Columns3 BlockTimes(const LongMatrix& whole, const std::vector<int>& unknowns,
 
 }  // namespace
 
-/// What the formulas of a point are made of.
+/// Terms of the formulas of a point.
 struct LongScatter::Shares {
   std::vector<int> unknowns;  ///< unknowns of its blocks
   LongMatrix y;               ///< Y, unknowns x 3

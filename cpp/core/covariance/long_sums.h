@@ -37,7 +37,7 @@ struct ReducedShares {
 ReducedShares FindReducedShares(const ReducedSystem& system, int point, const PointBlocks& blocks,
                                 const PointAssembler& rows);
 
-/// Those of its blocks, one after the other.
+/// Unknowns of its blocks, one after the other.
 std::vector<int> UnknownsOf(const ParameterLayout& layout, const PointBlocks& blocks);
 
 /// L of S = L L^T; nothing if S is not positive definite.

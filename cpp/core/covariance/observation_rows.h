@@ -23,8 +23,8 @@
 
 namespace bundle {
 
-/// How the unknowns of one block move the local columns of an image: of a row a by these, a M is
-/// the row by the unknowns.
+/// Map M from the unknowns of one block to the local columns of an image. A row a by local columns
+/// is the row a M by unknowns.
 struct LocalMap {
   int block = -1;
   int size = 0;                 ///< unknowns of the block

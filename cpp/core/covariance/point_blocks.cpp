@@ -14,7 +14,7 @@ namespace {
 
 using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 
-/// By V = L L^T; false where V is not clearly regular.
+/// Inverts by V = L L^T. False if V is not clearly regular.
 bool InvertRegular(PointBlocks* blocks) {
   const double* const v = blocks->v;
   const double a = v[0];

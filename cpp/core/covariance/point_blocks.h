@@ -62,7 +62,7 @@ class PointAssembler {
   PointAssembler(const ParameterLayout& layout, const ObservationEvaluator& evaluator,
                  const Tracks& tracks, bool second_order = false);
 
-  /// Of a free point.
+  /// Assembles the blocks of a free point.
   void Assemble(int point, PointBlocks* blocks);
 
   /// The observations of the point that was assembled last, those that count.

@@ -11,7 +11,7 @@
 namespace bundle {
 namespace {
 
-/// Where a pass puts what it lists.
+/// Lists that a pass fills.
 struct SurveyLists {
   GaugeSums* gauge;
   int thread;

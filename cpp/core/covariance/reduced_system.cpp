@@ -122,7 +122,7 @@ void ReducedSystem::LinearizeSchur(const SolveOptions& options) {
   is_finite_ = schur_->Linearize(0).is_finite;
 }
 
-/// Of the last linearisation, which has no null points.
+/// Completes the last linearisation, which has no null points.
 void ReducedSystem::FinishLinearization() {
   if (!is_finite_) {
     throw InputError("problem: expected finite residuals and derivatives of all observations");

@@ -89,12 +89,12 @@ class ReducedSystem {
 
   /// Ascending.
   const std::vector<NullPoint>& null_points() const { return null_points_; }
-  /// Of each unknown: 1 if it is held on a bound. Empty: none is.
+  /// Per unknown: 1 if it is held on a bound. Empty: none is.
   const std::vector<uint8_t>& held() const { return held_; }
   /// Sentences of the choices: a gauge that could not be held as asked.
   const std::vector<Warning>& warnings() const { return warnings_; }
 
-  /// Where S is in values(): its blocks in the order of the layout.
+  /// Structure of S in values(), with its blocks in the order of the layout.
   const BlockStructure& structure() const { return structure_; }
   /// S; after Factorize what the solver makes of it, after Invert the same blocks of S^-1.
   std::vector<double>& values();
@@ -104,7 +104,7 @@ class ReducedSystem {
   /// Entry (j, j) of S as it was summed up, of each unknown.
   const std::vector<double>& diagonal() const { return diagonal_; }
 
-  /// From now on, V and W have the second derivatives of the loss (sandwich.h); S is given.
+  /// Makes V and W contain the second derivatives of the loss (sandwich.h); S is given.
   void UseSecondOrder() { second_order_ = true; }
   bool is_second_order() const { return second_order_; }
   void SetSystem(std::vector<double> values);
@@ -127,8 +127,8 @@ class ReducedSystem {
 
   /// S is dense, and the tracks are so short and few that long sums of their rows are soon made.
   bool is_small() const;
-  /// From now on the points of ForPoints are eliminated from their rows (eliminated_rows.h). False
-  /// where an observation has none, as it counts negatively along its residual.
+  /// Makes ForPoints eliminate points from their rows (eliminated_rows.h). False if an observation
+  /// has no rows, because its weight along its residual is negative.
   bool EliminateByRows();
   /// Rows of the point's own factors, whitened, three columns each; after EliminateByRows, whatever
   /// that returned.
@@ -139,11 +139,11 @@ class ReducedSystem {
   using PointVisitor =
       std::function<void(int point, const PointBlocks&, const PointAssembler&, int thread)>;
   void ForPoints(const PointVisitor& visit) const { ForPoints(num_threads_, point_order_, visit); }
-  /// The same on so many threads.
+  /// ForPoints on a number of threads.
   void ForPoints(int num_threads, const PointVisitor& visit) const {
     ForPoints(num_threads, point_order_, visit);
   }
-  /// Of these points alone.
+  /// ForPoints over these points only.
   void ForPoints(int num_threads, const std::vector<int>& points, const PointVisitor& visit) const;
   /// Free points of which V is not clearly regular, or which very many observations have: passes
   /// of kernels leave these out. All of a system without unknowns.

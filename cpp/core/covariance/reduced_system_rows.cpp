@@ -15,7 +15,7 @@
 namespace bundle {
 namespace {
 
-/// Of the cubes of all track lengths: of each, their long sums take 100 multiplications, about.
+/// Limit of the sum of cubes of track lengths. Long sums take about 100 multiplications for each.
 constexpr double kMaxTrackCubes = 3e5;
 
 }  // namespace

@@ -1,6 +1,6 @@
 #pragma once
 
-/// What a problem knows of some of its images and cameras once all else is marginalised.
+/// Information on some images and cameras of a problem after everything else is marginalised.
 ///
 /// Let b be the unknowns that are kept, a all others that are free but for the points. The reduced
 /// camera system (reduced_system.h) has the points eliminated already; the Schur complement of a,

@@ -40,7 +40,7 @@ struct PointScores {
   std::vector<double> f;  ///< as PointBlocks::w
 };
 
-/// Of the point that was assembled last; `prior` as in PointAssembler::Tracks, or nullptr.
+/// Sums the scores of the point assembled last. `prior` as in PointAssembler::Tracks, or nullptr.
 void SumScores(const PointBlocks& blocks, const PointAssembler& assembler, const double* prior,
                PointScores* scores);
 

@@ -17,7 +17,7 @@ SymmetricEigen DecomposeSymmetric(const Eigen::MatrixXd& matrix);
 /// The values alone, ascending: a fraction of the work.
 Eigen::VectorXd EigenvaluesOfSymmetric(const Eigen::MatrixXd& matrix);
 
-/// Of A = U diag(values) V^T.
+/// Singular values and V of A = U diag(values) V^T.
 struct RightSingularVectors {
   Eigen::VectorXd values;   ///< descending, as many as the smaller side of A
   Eigen::MatrixXd vectors;  ///< V, square: the last columns span the null space

@@ -21,7 +21,7 @@ class Deflation {
   /// Takes more, orthonormal and orthogonal to all so far.
   void Add(const Eigen::MatrixXd& directions);
 
-  /// Of all pieces side by side. Columns that a piece has not are zero.
+  /// Vectors of all pieces side by side. Columns that a piece does not have are zero.
   const Eigen::MatrixXd& directions() const { return of_pieces_; }
   int count() const;
   /// Takes the directions out of the columns of x.

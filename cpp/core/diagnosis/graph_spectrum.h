@@ -1,6 +1,6 @@
 #pragma once
 
-/// How well conditioned the normal equations of a pose graph are (graph_spectrum.cpp).
+/// Condition of the normal equations of a pose graph (derived in graph_spectrum.cpp).
 
 #include <vector>
 

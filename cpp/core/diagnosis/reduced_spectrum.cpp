@@ -145,7 +145,7 @@ class SpectrumSearch {
     return false;
   }
 
-  /// In units of the unknowns. The scale is left out where it moves no camera.
+  /// Similarities in units of the unknowns. The scale is left out if it moves no camera.
   MatrixXd WorldSimilarities() {
     const std::vector<double> rows =
         GaugeDirections(problem_, reduced_.layout(), reduced_.states());
@@ -173,7 +173,7 @@ class SpectrumSearch {
     return similarities;
   }
 
-  /// Of points from the images that see them.
+  /// Median distance of points from the images that see them.
   double MedianDistance() const {
     std::vector<double> distances;
     const int64_t step = std::max<int64_t>(problem_.num_observations / 1000, 1);

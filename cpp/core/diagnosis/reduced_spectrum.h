@@ -1,7 +1,7 @@
 #pragma once
 
-/// What the reduced camera system S of a problem says about what its observations determine: its
-/// null space, how much of that is the gauge, and its weakest directions (reduced_spectrum.cpp).
+/// Spectrum of the reduced camera system S: its null space, the part of the null space that is the
+/// gauge, and its weakest directions (derived in reduced_spectrum.cpp).
 
 #include <cstdint>
 #include <string>

@@ -1,10 +1,10 @@
 #include "core/diagnosis/scaled_system.h"
 
-/// Which unknowns nothing determines: those of which a change as large as they can have moves no
-/// pixel by kInvisible, and those whose every effect moving points can undo,
-/// S_jj = U_jj - w_j^T V^-1 w_j = 0. Of the latter, the elimination leaves rounding of the size of
-/// U_jj, which scaling would blow up: they count as undetermined where S_jj is less than kAbsorbed
-/// U_jj. The rows of both leave the system.
+/// Unknowns that nothing determines. Either the largest change that they can have moves no pixel by
+/// kInvisible, or motions of points can undo their every effect, S_jj = U_jj - w_j^T V^-1 w_j = 0.
+/// Of the latter, the elimination leaves rounding of the size of U_jj, which scaling would blow up:
+/// they count as undetermined where S_jj is less than kAbsorbed U_jj. The rows of both leave the
+/// system.
 ///
 /// Of the others, the elimination leaves rounding of e U_jj, e = 2^-53, times a few dozen for the
 /// sums, which is e U_jj / S_jj in units of the unknown. So of z^T S z about

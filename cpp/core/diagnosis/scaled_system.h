@@ -24,7 +24,8 @@ class ScaledSystem {
   int size() const { return static_cast<int>(scale_.size()); }
   /// d; 0 for unknowns that nothing determines.
   const std::vector<double>& scale() const { return scale_; }
-  /// What of z^T S z is rounding, for the columns z of a matrix, as a diagonal matrix times z.
+  /// Bound of the rounding errors in z^T S z for the columns z of a matrix, as a diagonal matrix
+  /// times z.
   Eigen::MatrixXd Rounding(const Eigen::MatrixXd& z) const { return rounding_.asDiagonal() * z; }
   bool is_seen(int unknown) const { return scale_[unknown] > 0; }
 

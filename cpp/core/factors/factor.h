@@ -18,7 +18,7 @@
 
 namespace bundle {
 
-/// What all factors have.
+/// Base class of factors.
 struct FactorHead {
   std::string name;         ///< names the factor and its variables in messages
   std::vector<int> blocks;  ///< the variables, by their places in a graph
@@ -65,7 +65,7 @@ class Factor {
 /// L^T e and L^T J, so that squared norms are e^T Omega e and normal equations J^T Omega J.
 class Whitening {
  public:
-  /// From n x n numbers, row-major. Throws InputError, beginning with `subject`, unless they are
+  /// Reads n x n numbers, row-major. Throws InputError, beginning with `subject`, unless they are
   /// finite, symmetric and positive definite. Pivots are judged beside their diagonal entries:
   /// coordinates may have any units.
   Whitening(const std::string& subject, std::vector<double> information, int n);

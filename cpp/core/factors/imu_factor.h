@@ -1,6 +1,6 @@
 #pragma once
 
-/// What an IMU measured between two states, as a factor: W r of inertial/imu_residual.h.
+/// Preintegrated IMU samples between two states as a factor: W r of inertial/imu_residual.h.
 ///
 /// Variables, in this order: pose of the IMU i (se3, world_from_imu), velocity i (3), biases i (6:
 /// gyroscope, accelerometer), pose j, velocity j, and, where wanted, gravity and the scale of the

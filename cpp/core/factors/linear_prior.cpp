@@ -31,10 +31,10 @@ namespace {
 
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-/// How much of eta may lie outside the range of Lambda, both scaled: rounding of whoever made them.
+/// Largest share of eta outside the range of Lambda, both scaled: rounding errors of their maker.
 constexpr double kOutsideRange = 1e-6;
 
-/// How negative an eigenvalue of the scaled Lambda may be beside the largest, for the same reason.
+/// Most negative eigenvalue of the scaled Lambda, relative to the largest, for the same reason.
 constexpr double kNegative = 1e-9;
 
 int TotalTangentSize(const std::vector<Retraction>& retractions) {

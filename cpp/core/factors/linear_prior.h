@@ -12,7 +12,7 @@ namespace bundle {
 
 class LinearPrior final : public Factor {
  public:
-  /// Of Lambda = A^T A and eta = A^T b.
+  /// Prior from Lambda = A^T A and eta = A^T b.
   struct Root {
     int rows = 0;
     std::vector<double> a;  ///< rows x n, row-major
@@ -24,7 +24,7 @@ class LinearPrior final : public Factor {
   LinearPrior(FactorHead head, std::vector<Retraction> retractions,
               std::vector<std::vector<double>> linearization_point,
               const std::vector<double>& lambda, const std::vector<double>& eta);
-  /// Of a root that has rows and as many columns as the tangent sizes sum to.
+  /// Prior from a root with rows and as many columns as the tangent sizes sum to.
   LinearPrior(FactorHead head, std::vector<Retraction> retractions,
               std::vector<std::vector<double>> linearization_point, Root root);
 

@@ -11,7 +11,7 @@
 
 namespace bundle {
 
-/// What is known of one variable: r = W Log(Z^-1 X), X near Z with information W^T W.
+/// Prior on one variable: r = W Log(Z^-1 X), X near Z with information W^T W.
 ///
 /// The manifold may be any; on a Euclidean one r = W (x - z), a prior on a point or on a camera's
 /// parameters. With e = Log(Z^-1 X), Log(Z^-1 X Exp(d)) = e + J_r(e)^-1 d + O(|d|^2), so that
@@ -31,7 +31,7 @@ class PriorFactor final : public Factor {
   Whitening whitening_;
 };
 
-/// What is known of one number x of a Euclidean variable, such as a parameter of a camera:
+/// Prior on one number x of a Euclidean variable, such as a parameter of a camera:
 ///
 ///   r = (x - z) / sigma,            dr/dx = 1 / sigma,
 ///
@@ -95,8 +95,8 @@ class PositionFactor final : public Factor {
 ///   J_i = -W J_r(e)^-1 Ad_B,        J_j = W J_r(e)^-1.
 class BetweenFactor final : public Factor {
  public:
-  /// Of two variables on the same manifold. Throws InputError if the measurement is no value of it
-  /// or the information is not positive definite.
+  /// Measurement between two variables on the same manifold. Throws InputError if the measurement
+  /// is no value of it or the information is not positive definite.
   BetweenFactor(FactorHead head, const Retraction& retraction, std::vector<double> measurement,
                 std::vector<double> information);
 

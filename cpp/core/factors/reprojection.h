@@ -44,14 +44,14 @@ namespace bundle {
 /// Tangent coordinates of a pose: rotation w, translation t.
 inline constexpr int kPoseSize = 6;
 
-/// What all observations of an image share in one evaluation.
+/// Pose of an image in one evaluation, shared by its observations.
 struct PoseState {
   double rotation[9];       ///< cam_from_world, Exp(v) R_a
   double translation[3];    ///< t
   double left_jacobian[9];  ///< J_l(v)
 };
 
-/// What the chart of a pose is about.
+/// Anchor: the pose about which a chart is taken.
 struct PoseAnchor {
   double w[3];           ///< w_a
   double quaternion[4];  ///< R_a as a quaternion of any norm

@@ -34,8 +34,8 @@
 
 namespace bundle {
 
-/// What an image's pose follows from. Both are nullptr where the pose is a variable of its own; the
-/// sensor is, too, where it is the reference one.
+/// Frame and sensor from which an image's pose follows. Both are nullptr if the pose is a variable
+/// of its own. The sensor is nullptr for a reference sensor.
 struct RigPose {
   const PoseState* frame = nullptr;
   const PoseState* sensor = nullptr;
@@ -80,7 +80,7 @@ inline void MinusCross(const double* a, const double* m, double* out) {
   }
 }
 
-/// By the adjugate, for matrices as well conditioned as J_l is where |v| <= pi.
+/// Inverse by the adjugate, for matrices as well conditioned as J_l for |v| <= pi.
 inline void InvertMatrix3(const double* m, double* out) {
   double rows[9];  // cross products of columns
   for (int i = 0; i < 3; ++i) {

@@ -1,6 +1,6 @@
 #pragma once
 
-/// How a variable moves: its manifold, and the tangent coordinates in which solvers take steps.
+/// Retractions: manifolds of variables, and the tangent coordinates in which solvers take steps.
 ///
 /// All manifolds are Lie groups X with the right perturbation
 ///
@@ -67,8 +67,8 @@ class Retraction {
   int tangent_size_;
 };
 
-/// By the names of the table above. Throws InputError for any other name, or a size that does not
-/// fit.
+/// Finds a retraction by its name in the table above. Throws InputError for any other name, or a
+/// size that does not fit.
 Retraction RetractionFromName(const std::string& name, int ambient_size);
 
 /// A variable of a problem: where it is, how it moves, and what of it is held.
@@ -78,7 +78,7 @@ struct Block {
   std::vector<double> value;  ///< where the chart starts, as the manifold stores it
   /// One entry a tangent coordinate, true where it stays; empty: all are free.
   std::vector<bool> held;
-  /// Of Euclidean values, one entry a number, infinite where there is none; empty: none at all.
+  /// Bounds of Euclidean values, one entry per number, infinite if it has none; empty: no bounds.
   std::vector<double> lower;
   std::vector<double> upper;
 

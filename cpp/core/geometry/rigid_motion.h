@@ -62,7 +62,7 @@ inline void ExpPlanarMotion(const double d[3], double x[3]) {
   x[2] = d[2];
 }
 
-/// Of an angle in [-pi, pi], whatever turns the motion's own has.
+/// Logarithm with an angle in [-pi, pi], also if the motion's angle has more turns.
 inline void LogPlanarMotion(const double x[3], double d[3]) {
   const double a = WrapAngle(x[2]);
   const double diagonal = 1 - a * a * LogCoefficient(a * a);

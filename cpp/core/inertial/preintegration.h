@@ -17,7 +17,7 @@ struct ImuNoise {
   double integration_covariance = 1e-8;
 };
 
-/// What is taken for the motion between two samples.
+/// Assumption on the motion between two samples.
 enum class IntegrationRule {
   kZeroOrderHold,  ///< a sample holds for the interval that follows it
   kMidpoint,       ///< the mean of the samples at both ends of an interval
@@ -55,7 +55,7 @@ class Preintegration {
   /// Integrates the samples of the interval that follows, at the biases of this one.
   void Append(const Preintegration& next);
   void Append(const std::vector<ImuSample>& samples);
-  /// The same samples at other biases.
+  /// Preintegrates the same samples at other biases.
   Preintegration Repropagated(const double gyro_bias[3], const double accel_bias[3]) const;
   /// The deltas at other biases, to first order in them.
   void Corrected(const double gyro_bias[3], const double accel_bias[3], double rotation[9],

@@ -1,6 +1,6 @@
 #pragma once
 
-/// What a solve is asked for, whichever backend runs it. No solver's header is included here:
+/// Options of a solve, for both backends. No solver's header is included here:
 /// `ceres/translate_options.cpp` turns these into Ceres' options. Names, defaults and ranges are
 /// those of python/bundle/options.py (a test holds them against each other); values arrive here
 /// checked for range.
@@ -84,7 +84,7 @@ inline constexpr NamedValue<Cheirality> kCheiralities[] = {{"auto", Cheirality::
                                                            {"algebraic", Cheirality::kAlgebraic},
                                                            {"zero", Cheirality::kZero}};
 
-/// Of the rig and of the camera.
+/// Ids of the rig and of the camera.
 using SensorId = std::pair<int64_t, int64_t>;
 
 struct SolveOptions {
@@ -169,7 +169,7 @@ inline void CopyChangeable(const SolveOptions& from, SolveOptions* to) {
   });
 }
 
-/// An option's value as users write it: "dense_schur".
+/// Name of an option's value as users write it: "dense_schur".
 template <typename Enum, size_t kSize>
 std::string NameOf(Enum value, const NamedValue<Enum> (&names)[kSize]) {
   for (const auto& [name, named] : names) {
@@ -178,7 +178,7 @@ std::string NameOf(Enum value, const NamedValue<Enum> (&names)[kSize]) {
   return "";
 }
 
-/// As summaries and Ceres write it: "DENSE_SCHUR".
+/// Upper-case name of an option's value, as in summaries and in Ceres: "DENSE_SCHUR".
 template <typename Enum, size_t kSize>
 std::string UpperName(Enum value, const NamedValue<Enum> (&names)[kSize]) {
   std::string name = NameOf(value, names);

@@ -1,6 +1,6 @@
 #pragma once
 
-/// How a solve lets the factors beside its observations settle, by either backend.
+/// Settling of the factors beside the observations, in both backends.
 ///
 /// The cost of thousands of observations hides a few factors, such as the positions that alone
 /// determine where a model is. The remaining progress of these factors changes the total cost by

@@ -1,7 +1,8 @@
 #pragma once
 
-/// What a solve reports, whichever backend ran it: iterations and a summary under Ceres' names, and
-/// warnings, each a sentence with a name that programs can rely on.
+/// Report of a solve, for both backends: iterations and a summary with Ceres' names (as in
+/// ceres::Solver::Summary::FullReport), and warnings. A warning is a sentence with a name for
+/// programs.
 
 #include <chrono>
 #include <cstdint>
@@ -74,12 +75,12 @@ struct Warning {
   std::string text;  ///< one sentence
 };
 
-/// Appends a warning, unless its sentence is "": there is nothing to say.
+/// Appends a warning, unless its sentence is empty.
 inline void Warn(WarningKind kind, std::string text, std::vector<Warning>* warnings) {
   if (!text.empty()) warnings->push_back({kind, std::move(text)});
 }
 
-/// Wall time since it was made.
+/// Wall time since construction.
 class Stopwatch {
  public:
   double seconds() const { return std::chrono::duration<double>(Clock::now() - start_).count(); }
@@ -104,14 +105,13 @@ struct IterationRecord {
   double cumulative_time_in_seconds = 0;
 
   // Beyond Ceres, and not reported.
-  /// The step makes observations count that did not, or the reverse: the decrease that the
-  /// model predicts does not apply to it. Or there is no step, and observations count that were
-  /// left out.
+  /// The step changes which observations count, so that the decrease predicted by the model does
+  /// not apply. Or there is no step, and observations count that were left out before.
   bool changes_what_counts = false;
 };
 
-/// Where iterations changed what counts: the cost of the last accepted one. The costs of others
-/// are sums over other observations.
+/// Cost of the last accepted iteration, if iterations changed which observations count. The costs
+/// of other iterations are then sums over other observations.
 inline std::optional<double> CostOfWhatCounts(const std::vector<IterationRecord>& iterations) {
   std::optional<double> cost;
   bool changed = false;
@@ -138,10 +138,10 @@ struct FactorSummary {
 struct SolveSummary {
   double initial_cost = -1;
   double final_cost = -1;
-  /// Of observations and factors with nothing to refine; part of the other two.
+  /// Cost of observations and factors with nothing to refine; part of the other two.
   double fixed_cost = -1;
-  /// Of observations that do not count at the solution but hold a residual
-  /// (factors/reprojection.h); part of none of the others.
+  /// Cost of observations that do not count at the solution but hold a residual
+  /// (factors/reprojection.h); not part of the others.
   double held_cost = 0;
   std::string termination_type;
   std::string message;
@@ -191,8 +191,8 @@ struct SolveSummary {
   int64_t num_information_nonzeros = -1;  ///< nnz(J^T J) over all free unknowns
   FactorSummary factor;
   bool interrupted = false;
-  /// Predicted for the step that met the parameter tolerance, which is not taken and leaves no
-  /// record; 0: unknown. Not reported.
+  /// Predicted decrease of the step that met the parameter tolerance. This step is not taken and
+  /// leaves no record. 0: unknown. Not reported.
   double untaken_decrease = 0;
   std::vector<double> origin;  ///< the centre that the scene was solved about; empty: as given
   std::vector<Warning> warnings;
@@ -217,8 +217,8 @@ struct SolveOutput : SolveRecord {
   std::vector<double> sensor_from_rig;  ///< as in ProblemView
   std::vector<double> camera_params;    ///< as in ProblemView
   std::vector<double> points;           ///< as in ProblemView
-  /// Of each factor beside the observations 1/2 rho(||r||^2), at the start and at the solution; NaN
-  /// where it has no value.
+  /// Cost 1/2 rho(||r||^2) of each factor beside the observations, at the start and at the
+  /// solution; NaN if it has no value.
   std::vector<double> factor_costs_before;
   std::vector<double> factor_costs_after;
 };

@@ -34,7 +34,7 @@
 
 namespace bundle {
 
-/// From a BAL camera's rotation (angle-axis, radians) and translation, 6 numbers, to the 7 of
+/// Converts a BAL camera's rotation (angle-axis, radians) and translation, 6 numbers, to
 /// cam_from_world: qx qy qz qw tx ty tz.
 inline void CamFromWorldFromBal(const double* bal, double* cam_from_world) {
   const double angle = std::hypot(bal[0], bal[1], bal[2]);
@@ -91,8 +91,8 @@ struct BalProblem {
 /// Throws InputError `NAME:LINE: expected ..., found ...` and std::system_error.
 BalProblem ReadBal(const std::filesystem::path& path, const std::function<void()>& on_block);
 
-/// What a BAL file can hold, in COLMAP's conventions; arrays owned by somebody else, row-major,
-/// units pixels and the reconstruction's length unit. Every image has its own camera.
+/// Contents of a BAL file in COLMAP's conventions. The arrays belong to the caller, row-major, in
+/// pixels and the reconstruction's length unit. Every image has its own camera.
 struct BalView {
   int64_t num_images = 0;
   int64_t num_points = 0;
@@ -116,8 +116,8 @@ struct BalView {
 void WriteBal(const BalView& problem, const std::filesystem::path& path, Compression compression,
               const std::function<void()>& on_block);
 
-/// The same with the observations of the BAL file `source`, as a stream; those of `problem` are not
-/// looked at. Throws InputError where the file has other counts, or as ReadBal.
+/// Writes a BAL file with the observations of the BAL file `source`, as a stream; ignores those of
+/// `problem`. Throws InputError where the file has other counts, or as ReadBal.
 void WriteBalLike(const std::filesystem::path& source, const BalView& problem,
                   const std::filesystem::path& path, Compression compression,
                   const std::function<void()>& on_block);

@@ -11,7 +11,7 @@
 
 namespace bundle {
 
-/// What tells which points belong together.
+/// Survey of a BAL file: which images see which points.
 struct BalSurvey {
   int32_t num_images = 0;
   int32_t num_observations = 0;

@@ -29,7 +29,7 @@ class BalStream {
   void AddPoints(int file, const BalView& part);
   void Close();
 
-  /// Of the first file, for messages.
+  /// Name of the first file, for messages.
   const std::filesystem::path& path() const { return path_; }
 
  private:

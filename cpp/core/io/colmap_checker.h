@@ -21,7 +21,7 @@ ColmapIndex ScanColmapModel(const std::string& folder);
 /// positions of the images.
 IdMap CheckColmapViews(const ColmapIndex& index, bool may_be_empty = false);
 
-/// The same and points with their tracks. Returns the position in `points` of each keypoint's
+/// Checks views, and points with their tracks. Returns the position in `points` of each keypoint's
 /// point, -1 where it has none.
 std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index, bool may_be_empty = false);
 

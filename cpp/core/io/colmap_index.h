@@ -1,6 +1,6 @@
 #pragma once
 
-/// What the files of a COLMAP model hold, and the parts of reading them: files, scanners, checks.
+/// Contents of the files of a COLMAP model, and checks of their values.
 
 #include <algorithm>
 #include <array>
@@ -38,14 +38,14 @@ class ModelFile {
   uint64_t size() const { return size_; }
   bool is_stream() const { return descriptor_ != nullptr; }
 
-  /// Of a file that was read whole; empty of a stream.
+  /// Contents of a file that was read whole; empty for a stream.
   std::string_view contents() const { return {contents_.get(), is_stream() ? 0 : size_}; }
 
   /// Reads bytes of a stream. Throws InputError when the file cannot be read or has changed since
   /// it was opened.
   void ReadAt(uint64_t position, char* buffer, size_t count) const;
 
-  /// What `Fail` throws.
+  /// Message of the error that `Fail` throws.
   std::string Complaint(uint64_t position, const std::string& message) const;
 
   /// Throws InputError "PATH:POSITION: message" (a line, counted from 1) for text and
@@ -83,7 +83,7 @@ struct ColmapSpan {
   uint64_t end = 0;
 };
 
-/// What the files of a COLMAP model say: every id, every reference, where it stands, and the values
+/// Contents of the files of a COLMAP model: all ids, references and their places, and the values
 /// that a solve changes. The scanners of the text and of the binary format fill one, after checking
 /// what can be checked on the spot; CheckColmapReferences does the rest.
 ///

@@ -20,7 +20,7 @@ struct ColmapModel {
   std::vector<size_t> cameras_by_id;  ///< positions in `index`
   std::vector<size_t> images_by_id;
   std::vector<size_t> points_by_id;
-  /// Of each frame of a rig of one camera, the row of its image in our arrays; -1 for one without
+  /// Per frame of a rig of one camera: the row of its image in our arrays; -1 for a frame without
   /// an image, and for frames of other rigs.
   std::vector<int64_t> image_of_frame;
   ColmapRigs rigs;
@@ -34,7 +34,7 @@ struct ColmapModel {
   /// but one camera, and that of images.bin in frames of other rigs.
   std::vector<double> CamFromWorld() const;
 
-  /// As the images file has them, rows as those of CamFromWorld.
+  /// Poses in the images file, with the rows of CamFromWorld.
   std::vector<double> ImagePoses() const;
   std::vector<double> RigFromWorld() const;   ///< poses of `rigs.frames`
   std::vector<double> SensorFromRig() const;  ///< poses of `rigs.sensors`

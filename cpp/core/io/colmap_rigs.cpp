@@ -1,6 +1,6 @@
 #include "core/io/colmap_rigs.h"
 
-/// Which images of a COLMAP model are where their rig says, and which have a pose of their own.
+/// Images of a COLMAP model whose poses follow from a rig, and images with a pose of their own.
 ///
 /// COLMAP puts every image into a frame of a rig. Most rigs are a camera alone, their frames an
 /// image alone: such an image is at rig_from_world, and our problem knows neither rig nor frame. An
@@ -19,7 +19,7 @@
 namespace bundle {
 namespace {
 
-/// Whether the only camera of a rig is its reference sensor.
+/// True if the only camera of a rig is its reference sensor.
 bool IsTrivial(const ColmapIndex::Rig& rig) {
   return std::none_of(
       rig.sensors.begin() + (rig.sensors.empty() ? 0 : 1), rig.sensors.end(),

@@ -50,7 +50,7 @@ void OrderViews(ColmapModel* model) {
   FindColmapRigs(model);
 }
 
-/// Of each image of the file its row in our arrays.
+/// Per image of the file: its row in our arrays.
 std::vector<int32_t> RowsOfImages(const ColmapModel& model) {
   std::vector<int32_t> rows(model.images_by_id.size());
   for (size_t row = 0; row < rows.size(); ++row) {

@@ -12,8 +12,7 @@
 
 namespace bundle {
 
-/// What tells which points belong together. Images and points are counted in the order of their
-/// ids.
+/// Images that see each point. Images and points are numbered in the order of their ids.
 struct ColmapSurvey {
   int64_t num_images = 0;
   int64_t num_observations = 0;
@@ -34,7 +33,7 @@ ColmapIndex OpenColmapModel(const std::string& folder, const std::function<void(
 /// Orders cameras and images by id and finds the rigs. Throws InputError as ReadColmapModel.
 void OrderViews(ColmapModel* model);
 
-/// Of each image of the file its row in our arrays.
+/// Per image of the file: its row in our arrays.
 std::vector<int32_t> RowsOfImages(const ColmapModel& model);
 
 }  // namespace bundle

@@ -32,7 +32,7 @@ namespace bundle {
 
 namespace {
 
-/// What COLMAP strips from both ends of a line.
+/// Characters that COLMAP strips from both ends of a line.
 bool IsTrimmed(char c) { return c == ' ' || c == '\t' || c == '\r'; }
 
 /// std::from_chars takes no plus sign, the streams that COLMAP reads with do.

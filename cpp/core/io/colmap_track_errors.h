@@ -1,7 +1,7 @@
 #pragma once
 
-/// What is said of tracks and keypoints that contradict each other: of an element of a track, after
-/// "point 3: "; of a keypoint that no track has.
+/// Messages about tracks and keypoints that contradict each other: for an element of a track, after
+/// "point 3: "; for a keypoint that no track has.
 
 #include <cstdint>
 #include <string>

@@ -14,7 +14,6 @@
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_model.h"
 #include "core/io/colmap_records.h"
-#include "core/io/colmap_rigs.h"
 #include "core/io/input_file.h"
 #include "core/io/output_file.h"
 
@@ -72,7 +71,7 @@ class Patcher {
   uint64_t position_ = 0;
 };
 
-/// Where each record of the file stands in our arrays.
+/// Place of each record of the file in our arrays.
 std::vector<size_t> Rows(const std::vector<size_t>& by_id) {
   std::vector<size_t> rows(by_id.size());
   for (size_t row = 0; row < by_id.size(); ++row) rows[by_id[row]] = row;

@@ -33,9 +33,9 @@ struct ColmapValues {
 void WriteColmapModel(const ColmapModel& model, const ColmapValues& values,
                       const std::filesystem::path& folder);
 
-/// The same of a model of which ReadColmapPart has read a part: images and points are copied from
-/// file to file. `point_ids` are those of all points, ascending. Throws InputError where the files
-/// have changed since.
+/// Writes a model of which ReadColmapPart has read a part: copies images and points from file to
+/// file. `point_ids` are those of all points, ascending. Throws InputError where the files have
+/// changed since.
 void RewriteColmapModel(const ColmapModel& model, const std::vector<int64_t>& point_ids,
                         const ColmapValues& values, const std::filesystem::path& folder);
 

@@ -16,7 +16,7 @@
 namespace bundle {
 namespace {
 
-/// What differs between the plane and space.
+/// Differences between the plane and space.
 struct G2oKind {
   int dimension;
   std::string_view vertex, edge;
@@ -196,7 +196,7 @@ class G2oReader {
     } while (!cursor_.AtEndOfLine());
   }
 
-  /// Of a pose in the file.
+  /// Numbers of a pose in the file.
   int NumPoseNumbers() const { return kind_->is_toro ? kind_->tangent : kind_->ambient; }
 
   template <typename Name>

@@ -64,7 +64,7 @@ struct G2oGraph {
 /// Throws InputError `NAME:LINE: expected ..., found ...` and std::system_error.
 G2oGraph ReadG2o(const std::filesystem::path& path, const std::function<void()>& on_block);
 
-/// What a g2o file holds; arrays owned by somebody else, as in G2oGraph.
+/// Contents of a g2o file, in arrays of the caller, as in G2oGraph.
 struct G2oView {
   int dimension = 0;
   int64_t num_poses = 0;

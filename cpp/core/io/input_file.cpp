@@ -101,7 +101,7 @@ class PlainFile final : public InputFile {
   RawFile raw_;
 };
 
-/// How one call of a decoder ended.
+/// Outcome of one call of a decoder.
 enum class Decoded { kSome, kEndOfStream, kDamaged };
 
 struct GzipDecoder {

@@ -36,7 +36,7 @@ class InputFile {
 /// messages; "" where the caller adds it.
 [[noreturn]] void FailAsChanged(const std::string& name = "");
 
-/// What readers of text take at a time.
+/// Bytes that readers of text read at a time.
 inline constexpr size_t kReadBlockSize = size_t{1} << 20;
 
 }  // namespace bundle

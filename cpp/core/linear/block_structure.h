@@ -19,7 +19,7 @@
 
 namespace bundle {
 
-/// Which blocks of S may be nonzero and where they lie.
+/// Blocks of S that may be nonzero, and where they are stored.
 struct BlockStructure {
   std::vector<int> offset;            ///< num_blocks + 1: first row and column of a block
   std::vector<int64_t> column_begin;  ///< num_blocks + 1: first entry of a block column
@@ -65,8 +65,7 @@ struct BlockStructure {
   }
 };
 
-/// Where the diagonal blocks begin when they stand one after the other, squares of their sizes, and
-/// the end.
+/// Begins of the diagonal blocks when they are stored one after the other, and the end.
 std::vector<int64_t> DiagonalBlockOffsets(const BlockStructure& structure);
 
 /// Every block nonzero. `block_sizes` in the order of the layout.
@@ -84,8 +83,8 @@ BlockStructure StructureOfPairs(int num_nodes, int block_size,
 /// A sparse structure with the blocks in another order: order[k] becomes the k-th.
 BlockStructure Reorder(const BlockStructure& structure, const std::vector<int>& order);
 
-/// The same blocks in the same order with nothing between them: a panel per block column, as tall
-/// as its blocks. What S takes without the fill of a factor, to be kept, summed or sent.
+/// The same blocks in the same order without room for fill-in between them: a panel per block
+/// column, as tall as its blocks. For copies of S that are kept, summed or sent.
 BlockStructure CompactStructure(const BlockStructure& structure);
 
 /// Adds the values of all blocks of `from` to the same blocks of `to`, where other blocks may stand

@@ -20,8 +20,7 @@ struct ClusterDirections {
   std::vector<char> is_idle;  ///< per column: it depends on columns before it, and is zero
 };
 
-/// Whether a similarity changes any unknown of a block. `moves`: of each column of S, that one
-/// does.
+/// True if a similarity changes an unknown of a block. `moves`: per column of S.
 bool MovesBlock(const BlockStructure& structure, const std::vector<char>& moves, int block);
 
 /// The gauge directions, if the cluster has blocks that they move, and the k-th intrinsics of all

@@ -21,7 +21,7 @@ struct FillOrdering {
 /// The cheapest of the natural order, AMD's and METIS'.
 FillOrdering FindFillOrdering(const BlockStructure& structure);
 
-/// That of one method: "natural", "amd", "metis" or another of symbolic/orderings.h.
+/// Ordering by one method: "natural", "amd", "metis" or another of symbolic/orderings.h.
 FillOrdering FindFillOrdering(const BlockStructure& structure, const std::string& method);
 
 }  // namespace bundle

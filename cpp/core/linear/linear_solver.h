@@ -17,7 +17,7 @@ struct LinearSolution {
   int failed_minor = 0;  ///< order of the leading minor that is not positive definite; 0: unknown
 };
 
-/// What a factorisation costs, for reports.
+/// Cost of a factorisation, for reports.
 struct FactorStatistics {
   std::string ordering;  ///< "natural", "amd" or "metis"; empty without a factorisation
   double entries = 0;    ///< nnz(L) without the zeros that supernodes add

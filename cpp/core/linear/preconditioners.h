@@ -20,12 +20,12 @@ class Preconditioner {
 
   virtual void Multiply(const double* r, double* z) = 0;
 
-  /// As LinearSolver::ForgetValues.
+  /// Same as LinearSolver::ForgetValues.
   virtual void ForgetValues() {}
 
   virtual bool NeedsCameraDiagonal() const { return false; }
   virtual bool NeedsGaugeDirections() const { return false; }
-  /// Of the forcing term that conjugate gradients stop by.
+  /// Factor on the forcing term by which conjugate gradients stop.
   virtual double ForcingFactor() const { return 1; }
 };
 
@@ -52,7 +52,7 @@ class BlockDiagonalInverse {
   /// y = inverse x
   void Multiply(const double* x, double* y) const;
 
-  /// Where a block's values begin among those of all blocks, one after the other.
+  /// Begin of a block's values among the values of all blocks.
   int64_t begin(int block) const { return begin_[block]; }
 
  private:

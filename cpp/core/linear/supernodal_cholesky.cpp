@@ -107,7 +107,7 @@ void SupernodalCholesky::Update(int panel, int by, double* values) {
   QueueUpdate(by, row);
 }
 
-/// In columns of rows [first_row, last_row) of `by`.
+/// Updates the columns of `panel` that are rows [first_row, last_row) of `by`.
 void SupernodalCholesky::UpdateColumns(int panel, int by, int64_t first_row, int64_t last_row,
                                        double* values) {
   constexpr char kPlain = 'N', kTransposed = 'T';
@@ -142,7 +142,7 @@ void SupernodalCholesky::UpdateColumns(int panel, int by, int64_t first_row, int
   }
 }
 
-/// Of the rows of panel `by` from `first_row` on.
+/// Finds the ranges of the rows of panel `by` from `first_row` on.
 void SupernodalCholesky::FindRowRanges(int by, int64_t first_row) {
   row_ranges_.clear();
   const int top = supernodes_.row_in_panel[first_row];

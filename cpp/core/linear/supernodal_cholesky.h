@@ -21,8 +21,8 @@ class SupernodalCholesky {
   /// right-hand side goes by vectors, more by matrix products, whose rounding differs.
   void Solve(const double* values, double* x, int num_rhs = 1);
 
-  /// Replaces the values that Factorize left by those of S^-1 at the same places
-  /// (selected_inverse.cpp). Diagonal blocks of panels become whole.
+  /// Replaces the values of the factor by those of S^-1 at the same places (selected_inverse.cpp).
+  /// Diagonal blocks of panels become whole.
   void Invert(double* values);
 
  private:

@@ -54,14 +54,14 @@ struct Panel {
   double zeros;
 };
 
-/// What the panel of `left` and `right` would be, which follows it.
+/// The panel that `left` and the following `right` would form.
 Panel Merged(const Panel& left, const Panel& right) {
   Panel both{left.first_block, right.last_block, left.columns + right.columns, right.below, 0};
   both.zeros = left.zeros + right.zeros + left.columns * (right.columns + right.below - left.below);
   return both;
 }
 
-/// Of the lower triangle and what is below it, the zeros included.
+/// Entries of the lower triangle and below it, with zeros.
 double Entries(const Panel& panel) {
   return panel.columns * (panel.columns + 1) / 2 + panel.columns * panel.below;
 }
@@ -72,8 +72,8 @@ bool IsWorthIt(const Panel& panel) {
   return panel.zeros <= share * Entries(panel);
 }
 
-/// From the last column to the first, each joined to the panel that follows it where that is worth
-/// it and holds its parent.
+/// Goes from the last column to the first. Joins a column to the following panel if that pays and
+/// the panel holds its parent.
 std::vector<Panel> FindPanels(const BlockStructure& structure,
                               const std::vector<std::vector<int>>& rows) {
   std::vector<Panel> reversed;

@@ -23,7 +23,7 @@ Combination SubspaceDogleg(const DoglegProducts& products, double radius);
 /// Powell's dogleg: the Newton step as far as the radius allows, bent towards the gradient.
 class Dogleg final : public Strategy {
  public:
-  /// Where a combination of the two directions is best for a radius.
+  /// Finds the best combination of the two directions within a radius.
   using Path = Combination (*)(const DoglegProducts& products, double radius);
 
   Dogleg(Path path, double initial_radius) : path_(path), radius_(initial_radius) {}

@@ -1,7 +1,7 @@
 #pragma once
 
-/// What a trust region sees of a least-squares problem: f(x) = 1/2 sum rho(||r_i(x)||^2), in passes
-/// over all residuals. The problem keeps the state x, a candidate next to it, and the two
+/// Interface of a least-squares problem to a trust region: f(x) = 1/2 sum rho(||r_i(x)||^2), in
+/// passes over all residuals. The problem keeps the state x, a candidate next to it, and the two
 /// directions that every step is made of; the trust region sees numbers only.
 ///
 /// J and r are corrected for the loss (factors/loss.h). s_j = 1 / (1 + ||J e_j||) at the first
@@ -57,8 +57,8 @@ struct Candidate {
   double held_cost = 0;          ///< at the candidate
   /// Other residuals than at x count, so that the model is of another function.
   bool changes_what_counts = false;
-  /// What the order in which costs are summed up may change in their difference, with a margin; 0:
-  /// it is the same in all orders that occur.
+  /// Bound on the effect of the order of summation on the difference of costs, with a margin. 0:
+  /// the difference is the same in all orders that occur.
   double cost_uncertainty = 0;
   bool has_factors = false;  ///< beside the observations
   /// Largest change of the cost of one kind of these, relative to its own cost.
@@ -82,7 +82,7 @@ class LeastSquares {
   /// Finds q. `eta`: forcing term for iterative solvers.
   virtual NewtonResult SolveNewton(double eta) = 0;
 
-  /// What Candidate x + q would be; LevenbergMarquardt's step.
+  /// The candidate x + q: the step of LevenbergMarquardt.
   virtual Candidate EvaluateNewtonStep() = 0;
 
   /// Products of p and q after SolveNewton; for doglegs only.

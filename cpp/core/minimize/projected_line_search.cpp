@@ -78,7 +78,7 @@ Polynomial Derivative(const Polynomial& polynomial) {
   return derivative;
 }
 
-/// Where a polynomial that rises or falls from `low` to `high` changes its sign.
+/// Root of a polynomial that is monotonic from `low` to `high`.
 double Bisect(const Polynomial& polynomial, double low, double high) {
   const bool rises = Evaluate(polynomial, low) < 0;
   for (;;) {
@@ -88,8 +88,8 @@ double Bisect(const Polynomial& polynomial, double low, double high) {
   }
 }
 
-/// Where the polynomial changes its sign between `low` and `high`, ascending: at most once between
-/// two such places of its derivative.
+/// Roots of a polynomial between `low` and `high`, ascending: at most one between two roots of its
+/// derivative.
 std::vector<double> SignChanges(const Polynomial& polynomial, double low, double high) {
   std::vector<double> changes;
   if (polynomial.size() < 2) return changes;
@@ -104,8 +104,8 @@ std::vector<double> SignChanges(const Polynomial& polynomial, double low, double
   return changes;
 }
 
-/// Where the polynomial is least in [low, high]: at an end or where its derivative changes its
-/// sign. In the middle where its values are no numbers.
+/// Minimum of a polynomial in [low, high]: at an end or at a root of its derivative. The middle if
+/// its values are NaN.
 double Minimum(const Polynomial& polynomial, double low, double high) {
   std::vector<double> candidates = SignChanges(Derivative(polynomial), low, high);
   candidates.push_back(low);

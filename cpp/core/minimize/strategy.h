@@ -1,6 +1,6 @@
 #pragma once
 
-/// How a trust region finds a step for its radius, and a radius after the step.
+/// Strategies: how a trust region finds a step for its radius, and the next radius.
 
 #include <string>
 
@@ -20,7 +20,7 @@ class Strategy {
  public:
   virtual ~Strategy() = default;
 
-  /// What the problem is to be linearised with at a new x.
+  /// Damping for the linearisation at a new x.
   virtual double Damping() const = 0;
 
   /// Finds a step at x, where the problem has been linearised with Damping(), and tries it. Does so

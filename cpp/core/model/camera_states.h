@@ -37,30 +37,30 @@ class CameraStates {
   /// Gives each pose that is too far from its anchor a new one, where it is. Same state, same
   /// poses. True if there is any; others keep every bit.
   bool MoveAnchors();
-  /// From the next Update on. They are never changed, but replaced.
+  /// Sets the anchors from the next Update on. Anchors are never changed, only replaced.
   void SetAnchors(std::shared_ptr<const PoseAnchors> anchors) { anchors_ = std::move(anchors); }
   const std::shared_ptr<const PoseAnchors>& anchors() const { return anchors_; }
 
-  /// Of an image, a frame or a sensor, by its number (NumPoses).
+  /// Pose of an image, a frame or a sensor, by its number (NumPoses).
   const PoseState& pose(int pose) const { return poses_[pose]; }
-  /// What an image's pose follows from.
+  /// Frame and sensor from which an image's pose follows.
   RigPose rig(int image) const;
   const double* params(int camera) const {
     return camera_params_.data() + static_cast<int64_t>(camera) * stride_;
   }
 
-  /// Where the chart of an image's observations is: the rotation that it is about, and (v, t), six
-  /// numbers. Of an image of a rig it is about the image's rotation.
+  /// Chart of an image's observations: its rotation, and (v, t), six numbers. For an image of a rig
+  /// the chart is about the image's rotation.
   const double* chart_rotation(int image) const;
   void Chart(int image, double* chart) const;
 
   /// The refined poses as quaternion and translation (num_images x 7): Exp(v) q_a. A pose that did
   /// not move keeps every bit of what it was.
   std::vector<double> CamFromWorld() const;
-  /// The same of frames and of sensors.
+  /// Refined poses of frames and of sensors.
   std::vector<double> RigFromWorld() const;
   std::vector<double> SensorFromRig() const;
-  /// The same of one image, frame or sensor, by its number.
+  /// Refined pose of one image, frame or sensor, by its number.
   void ValueOf(int pose, double value[7]) const;
   const std::vector<double>& camera_params() const { return camera_params_; }
 

@@ -29,7 +29,7 @@ namespace bundle {
 
 namespace {
 
-/// Which rows some columns have, a bit each. Threads may mark at the same time.
+/// Rows of some columns, one bit each. Threads may mark at the same time.
 class ColumnBits {
  public:
   ColumnBits(int num_columns, int num_rows)
@@ -65,8 +65,8 @@ class ColumnBits {
   std::vector<std::atomic<uint64_t>> words_;
 };
 
-/// Of the images that see a point; a block that several of them share comes more than once only
-/// where others come in between.
+/// Blocks of the images that see a point. A block that several images share is repeated only if
+/// others come in between.
 void CollectBlocks(const ParameterLayout& layout, const int32_t* begin, const int32_t* end,
                    std::vector<int>* blocks) {
   blocks->clear();

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Which blocks of a problem couple: the patterns of S and of the information matrix.
+/// Coupled blocks of a problem: the patterns of S and of the information matrix.
 
 #include <cstdint>
 #include <vector>
@@ -16,8 +16,8 @@ namespace bundle {
 std::vector<std::vector<int>> FindCoupledBlocks(const AdjustmentProblem& problem,
                                                 const ParameterLayout& layout, int num_threads = 1);
 
-/// Those that a residual couples, whatever its point: a shared camera or sensor and the poses of
-/// its images.
+/// Block pairs that a residual couples whatever its point: a shared camera or sensor, and the poses
+/// of its images.
 std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const AdjustmentProblem& problem,
                                                         const ParameterLayout& layout);
 

@@ -13,7 +13,7 @@ namespace bundle {
 namespace {
 
 constexpr int kOmega = 4;  // fx, fy, cx, cy, omega
-/// Where to go on from within the jump, and between which omegas outside it.
+/// Omega from which to continue within the jump, and the range of omegas outside it.
 constexpr double kWithin = 5e-3;
 constexpr double kOutside = 0.1, kFarOutside = 1;
 

@@ -42,7 +42,7 @@ PoseState FreeMotions::Centered(int pose) const {
   return state;
 }
 
-/// From (w, t) of a pose in the world to its local coordinates about the centre.
+/// Map from (w, t) of a pose in the world to its local coordinates about the centre.
 Map6 FreeMotions::ChartMap(int pose, const PoseState& centered) const {
   double arm[3], by_turn[9];
   const bool turns = pose < problem_.num_images && TurnsAboutCentre(problem_, pose);

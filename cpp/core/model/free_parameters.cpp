@@ -121,7 +121,7 @@ void HoldImage(const AdjustmentProblem& problem, int image, FreeParameters* free
   free->OfPose(MovingPose(problem, image)) = 0;
 }
 
-/// What factors touch may be seen by no observation.
+/// Frees the variables of factors. No observation may see them.
 void FreeTouched(const AdjustmentProblem& problem, const SolveOptions& options,
                  FreeParameters* free) {
   for (const ProblemVariable& variable : problem.factors->variables) {
@@ -179,7 +179,7 @@ void HoldParts(const AdjustmentProblem& problem, FreeParameters* free) {
   }
 }
 
-/// What is one number is free as a whole.
+/// Makes tied parameters free together.
 void FreeTied(const AdjustmentProblem& problem, FreeParameters* free) {
   if (problem.restrictions.camera_tie == nullptr) return;
   const int64_t stride = problem.camera_params_stride;

@@ -21,7 +21,7 @@ struct FreeParameters {
   std::vector<uint8_t> frame;    ///< num_frames: of rig_from_world
   std::vector<uint8_t> sensor;   ///< num_sensors: of sensor_from_rig
 
-  /// Of an image's own pose, a frame's or a sensor's, by its number (NumPoses).
+  /// Bits of an image's own pose, a frame or a sensor, by its number (NumPoses).
   uint8_t& OfPose(int number) {
     size_t k = number;
     for (std::vector<uint8_t>* bits : {&pose, &frame}) {
@@ -37,13 +37,13 @@ struct FreeParameters {
   }
 };
 
-/// Of each image: 1 if it has observations.
+/// Per image: 1 if it has observations.
 std::vector<uint8_t> FindObservedImages(const AdjustmentProblem& problem);
 
-/// What the options leave free. Nothing is free that neither an observation nor a factor touches.
+/// Selects the parameters that the options leave free and that an observation or a factor touches.
 /// An image that is fixed fixes its frame. The sensors of a rig whose reference sensor observes
-/// nothing are fixed: moving all of them on the rig is what moving its frames is.
-/// Throws InputError if an id to be fixed is not in the problem.
+/// nothing are fixed: moving all of them on the rig is what moving its frames is. Throws InputError
+/// if an id to be fixed is not in the problem.
 FreeParameters SelectFreeParameters(const AdjustmentProblem& problem, const SolveOptions& options);
 
 }  // namespace bundle

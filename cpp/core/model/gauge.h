@@ -23,16 +23,16 @@ std::string FixGauge(const AdjustmentProblem& problem, Gauge gauge, FreeParamete
 /// Translations, rotations and the scale of the world.
 inline constexpr int kNumGaugeDirections = 7;
 
-/// What they do to the chart (w, t) of a pose that is not a sensor's, turned and scaled about a
-/// point: (w, t) x directions, row-major.
+/// Derivatives of the chart (w, t) of a pose by the gauge directions, for turns and scaling about a
+/// point: (w, t) x directions, row-major. Not for sensors.
 void GaugeRowsOfPose(const PoseState& pose, const double centre[3],
                      double rows[kPoseSize * kNumGaugeDirections]);
 
-/// Of the cameras of all images.
+/// Mean of the camera centres of all images.
 std::array<double, 3> MeanCentre(const CameraStates& cameras, int num_images);
 
-/// What moving, turning and scaling the world about MeanCentre does to the camera parameters: for
-/// each column of the layout, its derivative by three translations, three rotations and the scale.
+/// Derivatives of the camera parameters by the similarities of the world about MeanCentre: for each
+/// column of the layout, by three translations, three rotations and the scale.
 std::vector<double> GaugeDirections(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                     const CameraStates& cameras);
 

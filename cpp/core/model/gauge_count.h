@@ -27,10 +27,10 @@ class FreeMotions {
   /// Poses that images with observations move by: of images, frames, then sensors that are refined.
   std::vector<int> Poses() const;
 
-  /// How far a motion of norm 1 moves a number of an image or a frame, at most.
+  /// Largest change of a number of an image or a frame by a motion of norm 1.
   double LongestMove() const { return longest_move_; }
 
-  /// What motions do to (w, t) of a pose, a row each, in radians and units of the scene.
+  /// Changes of (w, t) of a pose by motions, one row each, in radians and units of the scene.
   struct PoseMoves {
     Eigen::MatrixXd chart;     ///< in the solver's coordinates
     Eigen::MatrixXd centered;  ///< with t about the centre of the scene

@@ -82,7 +82,7 @@ class GaugeHolder {
     return largest;
   }
 
-  /// By the basis: of most poses nobody asks for them.
+  /// Moves by the basis, computed on demand: those of most poses are never needed.
   const FreeMotions::PoseMoves& MovesOf(size_t place) {
     std::optional<FreeMotions::PoseMoves>& moves = moves_[place];
     if (!moves) moves = motions_.MovesOf(poses_[place], basis_);

@@ -1,6 +1,6 @@
 #pragma once
 
-/// How the free parameters of a problem lie in one state vector.
+/// Layout of the free parameters of a problem in one state vector.
 ///
 /// The state is [block 0 | block 1 | ...], each block the free numbers of one image (pose, then its
 /// camera's intrinsics if no other image uses that camera), of one frame or one sensor of rigs, or
@@ -54,8 +54,8 @@ struct TiedParameter {
   bool is_first = false;  ///< the parameter by which the state begins
 };
 
-/// How a step of the unknowns of a block moves the columns of an image, M of schur/column_map.h
-/// without the rows that are zero: num_columns x size, row-major.
+/// Map from a step of the unknowns of a block to the columns of an image: M of schur/column_map.h
+/// without its zero rows, num_columns x size, row-major.
 struct ColumnMap {
   static constexpr int kMaxSize = kPoseSize + kMaxCameraParams;
   int num_columns = 0;
@@ -128,7 +128,7 @@ class ParameterLayout {
 
   /// Index of the block with a pose, and an image's intrinsics where merged; -1 if all is fixed.
   int pose_block(int pose) const { return pose_block_[pose]; }
-  /// The same of an image's own pose.
+  /// pose_block of an image's own pose.
   int image_block(int image) const { return pose_block_[image]; }
   /// Index of the block of a camera's intrinsics alone; -1 if merged or fixed.
   int camera_block(int camera) const { return camera_block_[camera]; }
@@ -141,10 +141,10 @@ class ParameterLayout {
   /// True if the unknowns of a block of an image, by its place in ImageBlocks, are no columns of
   /// its own but move these by a map. A sensor's are not meant.
   bool HasMap(const AdjustmentProblem& problem, int image, int place) const;
-  /// That map at a pose of the image.
+  /// Fills that map at a pose of the image.
   void FillMap(const AdjustmentProblem& problem, int image, int place, const PoseState& pose,
                ColumnMap* map) const;
-  /// Bit j: the observations of an image depend on unknowns by column j. A sensor is not meant.
+  /// Bit j: the observations of an image depend on unknowns by column j. Sensors do not count.
   uint32_t RefinedColumns(const AdjustmentProblem& problem, int image) const;
   /// True if an observation depends on something free.
   bool IsRefined(const AdjustmentProblem& problem, int64_t observation) const;
@@ -164,8 +164,8 @@ class ParameterLayout {
 
  private:
   int AddBlock(uint8_t pose_bits, uint32_t camera_bits);
-  /// What is left of the free parameters of each camera without those in tied_, whose blocks are
-  /// not known yet but for the number of the component.
+  /// Free parameters of each camera without those in tied_. The blocks of the latter are not known
+  /// yet, only the number of their component.
   std::vector<uint32_t> FindTies(const AdjustmentProblem& problem);
   void AddTiedBlocks();
   void FindImageBlocks(const AdjustmentProblem& problem);

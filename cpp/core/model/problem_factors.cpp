@@ -194,7 +194,7 @@ void ToChart(const PoseState& pose, const double* origin, const double* row, dou
   MatrixVector3(pose.rotation, row + 3, out + 3);
 }
 
-/// Of an image that turns about its centre: what w moves t by.
+/// For an image that turns about its centre: adds the effect of w through t.
 void AddTurn(const PoseState& pose, double* by_chart) {
   double by_turn[9], moved[3];
   MinusCross(pose.translation, pose.left_jacobian, by_turn);

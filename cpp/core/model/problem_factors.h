@@ -61,7 +61,7 @@ struct FactorUnknowns {
   std::vector<int> blocks;  ///< blocks of the layout, ascending
 };
 
-/// Of each factor of the problem; empty without factors.
+/// Unknowns of each factor of the problem; empty without factors.
 std::vector<FactorUnknowns> FindFactorUnknowns(const AdjustmentProblem& problem,
                                                const ParameterLayout& layout);
 
@@ -87,7 +87,7 @@ class ChartedFactor {
   const FactorUnknowns& unknowns() const { return unknowns_; }
   bool is_fixed() const { return num_columns_ == 0; }
   int num_residuals() const { return factor_.num_residuals(); }
-  /// Of the Jacobian: three a free point, then those of the blocks.
+  /// Columns of the Jacobian: three per free point, then those of the blocks.
   int num_columns() const { return num_columns_; }
   /// First column of each free point, then of each block, and the end.
   const std::vector<int>& column_begin() const { return column_begin_; }

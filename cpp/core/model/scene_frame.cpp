@@ -21,7 +21,8 @@ double Median(std::vector<double>* values) {
   return *middle;
 }
 
-/// Of COLMAP's Reconstruction::Normalize: all of three values or fewer.
+/// Trimmed mean as in COLMAP's Reconstruction::Normalize. Uses all values if there are three or
+/// fewer.
 double TrimmedMean(std::vector<double>* values) {
   const auto last = static_cast<double>(values->size() - 1);
   const bool few = values->size() <= 3;
@@ -46,7 +47,7 @@ void MoveTranslation(const double* pose, const double* center, double sign, doub
   for (int j = 0; j < 3; ++j) out[j] = pose[4 + j] + sign * moved[j];
 }
 
-/// Of every observation, in pixels squared; NaN where it does not count.
+/// Squared error of each observation, in pixels; NaN if it does not count.
 std::vector<double> SquaredErrors(const AdjustmentProblem& problem, const SolveOptions& options) {
   std::vector<double> errors(problem.num_observations);
   std::vector<uint8_t> behind(problem.num_observations);

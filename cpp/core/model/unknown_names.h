@@ -1,6 +1,6 @@
 #pragma once
 
-/// What each unknown of a layout is, for messages and for programs.
+/// Names of the unknowns of a layout, for messages and for programs.
 
 #include <cstdint>
 #include <string>

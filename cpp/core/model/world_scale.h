@@ -33,7 +33,7 @@ class ScaledProblem {
   ScaledProblem& operator=(const ScaledProblem&) = delete;
 
   const AdjustmentProblem& view() const { return scaled_; }
-  /// Of view(); its unit is in lengths of the problem.
+  /// Frame of view(); its unit is in lengths of the problem.
   const SceneFrame& frame() const { return frame_; }
   /// Why an extreme scene stays as it is; "": it does not, or is none.
   const std::string& warning() const { return warning_; }

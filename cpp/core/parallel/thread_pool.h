@@ -46,7 +46,7 @@ inline int EffectiveNumThreads(int num_threads) {
 /// the others here. Waits for all; then throws the first exception of any.
 void RunOnThreads(int64_t count, const std::function<void(int64_t)>& run);
 
-/// How many threads, up to `wanted`, the system starts at the moment; the caller's counts.
+/// Number of threads, up to `wanted`, that the system can start now, with the caller's.
 int CountStartableThreads(int wanted);
 
 /// Calls function(begin, end) on consecutive ranges of [0, count), one per thread. Ranges below

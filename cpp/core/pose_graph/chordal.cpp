@@ -145,7 +145,7 @@ class ChordalStage {
   std::vector<double> rhs_, solution_;
 };
 
-/// What the two stages read of an edge.
+/// Data of an edge for the two stages.
 struct ChordalEdge {
   int32_t i, j;
   double rotation[9];

@@ -73,7 +73,7 @@ void EvaluateWhitened(const PoseGraph& graph, int64_t edge, const double* poses,
   if (a != nullptr) ApplyRoot<Group::kTangent, Group::kTangent>(root, a);
 }
 
-/// What an edge adds; matrices row-major.
+/// Contributions of an edge; matrices row-major.
 template <typename Group>
 struct EdgeTerms {
   static constexpr int kSize = Group::kTangent;

@@ -1,6 +1,6 @@
 #pragma once
 
-/// How certain the poses of a graph are, and how far its edges check each other.
+/// Covariances of the poses of a graph, and redundancy of its edges.
 
 #include <cstdint>
 #include <utility>
@@ -21,12 +21,12 @@ struct GraphCovarianceOptions {
 struct GraphCovarianceOutput {
   std::vector<double> poses;     ///< num_poses x d x d
   std::vector<double> relative;  ///< pairs x d x d: of X_a^-1 X_b
-  /// Of each edge, if asked for: how much of its d errors the other edges check, r^T K^+ r with K
-  /// the covariance of its whitened error, and the rank of K, by which the test is distributed.
-  /// NaN, NaN and 0 where rounding leaves nothing of K.
+  /// Per edge, if asked for: how much of its d errors the other edges check, r^T K^+ r with K the
+  /// covariance of its whitened error, and the rank of K, which is the degrees of freedom of the
+  /// test. NaN, NaN and 0 if rounding leaves nothing of K.
   std::vector<double> edge_redundancy, edge_test;
   std::vector<int32_t> edge_rank;
-  /// What the cost falls by if its quadratic model is right: 0 at a minimum.
+  /// Decrease of the cost by one more step, as predicted by its quadratic model; 0 at a minimum.
   double predicted_decrease = 0;
   /// The largest variance by what it would be with all else known; digits are lost accordingly.
   /// Infinite where variances are rounding alone.

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Where a pose graph's solve may start, from its edges alone.
+/// Initial poses of a pose graph, from its edges alone.
 ///
 /// Odometry and spanning tree compose measurements along a path from a held pose: the chain of
 /// consecutive ids, or a tree of as few edges from the root as there can be.
@@ -15,8 +15,8 @@
 
 namespace bundle {
 
-/// Which poses stay: those of `fixed`, and in each connected component without one the first, which
-/// takes the gauge away: 3 degrees of freedom in the plane, 6 in space.
+/// Constant poses: those of `fixed`, and the first pose of each connected component without one.
+/// That removes the gauge: 3 degrees of freedom in the plane, 6 in space.
 struct HeldPoses {
   std::vector<uint8_t> held;
   int num_components = 0;

@@ -31,7 +31,7 @@ struct PoseGraphView {
   }
 };
 
-/// What the errors of a graph are.
+/// Kind of the errors of a graph.
 struct PoseErrorOptions {
   PoseError error = PoseError::kLog;
   EdgeLoss loss;
@@ -69,7 +69,7 @@ std::vector<int32_t> FindComponents(int64_t num_poses, int64_t num_edges, const 
 /// r^T Omega r of each edge at `poses`, no loss, no 1/2.
 std::vector<double> EdgeChi2(const PoseGraph& graph, const double* poses);
 
-/// What the loss leaves of the information of each edge, rho', with r^T Omega r as EdgeChi2 has it.
+/// Weight rho' of the loss on the information of each edge, with r^T Omega r as in EdgeChi2.
 std::vector<double> EdgeWeights(const PoseGraph& graph, const std::vector<double>& chi2);
 
 }  // namespace bundle

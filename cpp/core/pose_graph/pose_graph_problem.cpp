@@ -30,7 +30,7 @@ int CountThreads(int64_t num_edges, int tangent, int num_threads) {
   return static_cast<int>(std::min<int64_t>(EffectiveNumThreads(num_threads), worth));
 }
 
-/// Where an edge's blocks are. Of a held pose there is none: column -1.
+/// Places of an edge's blocks; column -1 for a constant pose.
 struct EdgePlace {
   int64_t edge = 0;
   int i = -1, j = -1;  ///< block columns of its poses

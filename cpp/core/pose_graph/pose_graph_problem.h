@@ -30,20 +30,20 @@ namespace bundle {
 
 class PoseGraphProblem : public LeastSquares {
  public:
-  /// As the graph stores them, at x.
+  /// Poses at x, as the graph stores them.
   virtual const std::vector<double>& poses() const = 0;
-  /// Of edges between held poses.
+  /// Cost of edges between constant poses.
   virtual double fixed_cost() const = 0;
   virtual int num_free_poses() const = 0;
   virtual int64_t num_active_edges() const = 0;
   virtual const BlockStructure& structure() const = 0;
   /// The pose of each block of the structure.
   virtual const std::vector<int>& pose_of_blocks() const = 0;
-  /// What Linearize has left: H plus its damping, -g; and what factorises it.
+  /// System of the last Linearize, H plus damping and -g, and its solver.
   virtual BlockSystem& system() = 0;
   virtual LinearSolver& solver() = 0;
   virtual FactorStatistics factor_statistics() const = 0;
-  /// Of finding the pattern, the ordering and the factor's structure.
+  /// Time of finding the pattern, the ordering and the factor's structure.
   virtual double symbolic_time_in_seconds() const = 0;
 };
 

@@ -23,7 +23,7 @@ struct SolverChoice {
 SolverChoice ChooseCeresSolver(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                const ProblemShape& shape, bool cameras_eliminated = false);
 
-/// What one solve of a reduced camera system is expected to cost.
+/// Predicted cost of one solve of a reduced camera system.
 struct LinearSolverCost {
   double flops = 0;
   double bytes = 0;  ///< memory of the system and its solver
@@ -49,7 +49,8 @@ SolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrder
 /// blocks are eliminated in this order. Any order will do; it is postordered first, as in a solve.
 double CountPanelValues(const BlockPatternView& pattern, const std::vector<int>& order);
 
-/// What `auto` takes, on this machine and now. It does not ask below a few hundred columns.
+/// Choice of `auto` on this machine and now. Does not ask for the memory below a few hundred
+/// columns.
 SolverChoice ChooseByPattern(const BlockPatternView& pattern, int num_threads);
 
 }  // namespace bundle

@@ -31,7 +31,7 @@ double LeftByMachine(const std::string& root) {
   return 1024 * ReadNumber(root + "/proc/meminfo", "MemAvailable:", kUnlimited / 1024);
 }
 
-/// What one control group leaves; its files have other names in version 1.
+/// Memory that one control group leaves. Its files have other names in version 1.
 double LeftByGroup(const std::string& group, const char* limit, const char* usage,
                    const char* droppable) {
   const double most = ReadNumber(group + limit, "", kUnlimited);

@@ -45,7 +45,7 @@ double PredictCeresWorkingBytes(const ProblemShape& shape);
 /// "1.4 GB": powers of 1000 and three digits, as python/bundle/memory_sizes.py writes them.
 std::string FormatBytes(double bytes);
 
-/// A solve that needs more memory than there is, said before it begins.
+/// Error: a solve would need more memory than is available.
 class NotEnoughMemoryError : public InputError {
  public:
   using InputError::InputError;
@@ -57,14 +57,15 @@ bool FitsIntoMemory(double bytes, double available);
 /// Throws NotEnoughMemoryError if the dense matrices of a solver do not fit into the free memory.
 void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape, bool cameras_eliminated);
 
-/// The same for matrices of so many bytes: `what` they are, and which solver to use `instead`.
+/// Throws if matrices of a number of bytes do not fit. `what`: their name; `instead`: the solver to
+/// use.
 void RefuseTooMuchMemory(LinearSolverType type, double bytes, const char* what,
                          const char* instead);
 
-/// The same for a solver whose matrix takes so many bytes, beside those of observations and points.
+/// Throws if a factor does not fit, beside the bytes of observations and points.
 void RefuseTooMuchMemory(LinearSolverType type, double factor_bytes, double working_bytes = 0);
 
-/// The same for what any solver of a backend keeps of the observations and points.
+/// Throws if the observations and points do not fit, whatever the solver of a backend.
 void RefuseTooMuchMemory(double working_bytes);
 
 }  // namespace bundle

@@ -1,8 +1,7 @@
 #pragma once
 
-/// From a problem and options to a layout and a linear solver (choose_solver.cpp), or a refusal
-/// before any work is done: options that exclude each other, and memory, predicted and available
-/// (memory.cpp).
+/// Preparation of a solve: from a problem and options to a layout. Refuses options that exclude
+/// each other before any work is done.
 
 #include <cstdint>
 #include <string>
@@ -17,7 +16,7 @@
 
 namespace bundle {
 
-/// What every backend starts from.
+/// Input of both backends.
 struct PreparedSolve {
   ParameterLayout layout;
   std::vector<Warning> warnings;
@@ -29,8 +28,8 @@ struct PreparedSolve {
   std::string factor_for_ceres;
 };
 
-/// What the options leave free and the gauge does not hold; the values of the problem matter to the
-/// gauge alone. Warns where the gauge could not be held as asked, or need not be.
+/// Parameters that the options leave free and the gauge does not hold. The values of the problem
+/// matter only for the gauge. Warns if the gauge could not be held as asked, or need not be held.
 FreeParameters ChooseFreeParameters(const AdjustmentProblem& problem, const SolveOptions& options,
                                     std::vector<Warning>* warnings);
 

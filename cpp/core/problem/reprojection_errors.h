@@ -20,7 +20,7 @@ namespace bundle {
 void ComputeReprojectionErrors(const ProblemView& problem, int num_threads, Cheirality cheirality,
                                double* errors, uint8_t* behind);
 
-/// The same with r itself: residuals (num_observations x 2).
+/// Reprojection residuals r of all observations (num_observations x 2).
 void ComputeReprojectionResiduals(const ProblemView& problem, int num_threads,
                                   Cheirality cheirality, double* residuals, uint8_t* behind);
 

@@ -14,7 +14,7 @@ namespace {
 
 constexpr double kNoValue = std::numeric_limits<double>::quiet_NaN();
 constexpr int kPriorSums = 12;
-/// From so many columns on, J^T J is a matrix product of the BLAS.
+/// Number of columns from which J^T J is computed by the BLAS.
 constexpr int kColumnsWorthBlas = 64;
 
 /// J^T J of a row-major J; on one thread, so that no bit depends on their number.

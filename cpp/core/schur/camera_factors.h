@@ -41,12 +41,12 @@ class CameraFactors {
   CameraFactors(const AdjustmentProblem& problem, const ParameterLayout& layout,
                 const BlockStructure& structure, const EliminationPlan& plan);
 
-  /// Of factors with something to refine.
+  /// Number of factors with something to refine.
   int num_factors() const { return static_cast<int>(of_cameras_.size() + of_points_.size()); }
   int num_residuals() const { return num_residuals_; }
   /// True if AddTo adds anything.
   bool has_camera_factors() const { return !of_cameras_.empty(); }
-  /// Of those without, at a state; not finite where one has no value.
+  /// Cost of factors with nothing to refine, at a state; not finite if one has no value.
   double FixedCost(const CameraStates& cameras) const;
   /// True if a factor of a point has not the two rows of an observation.
   bool has_other_rows() const { return has_other_rows_; }
@@ -58,8 +58,8 @@ class CameraFactors {
   /// Adds the camera parameters' part of the normal equations.
   void AddTo(CameraSums* sums) const;
 
-  /// Also those of each kind of factor (KindOf), of this rank, in an order that is that of all
-  /// ranks; empty where no rank has factors.
+  /// Cost at a state. Also the costs of each kind of factor (KindOf) on this rank, in an order that
+  /// is the same on all ranks; empty if no rank has factors.
   double Cost(const CameraStates& cameras, const double* points,
               std::vector<DoubleDouble>* kinds) const;
 

@@ -1,6 +1,6 @@
 #pragma once
 
-/// How the unknowns of a block move the columns of an image.
+/// Maps from the unknowns of a block to the columns of an image.
 ///
 /// The passes sum by image: blocks S_ab, and vectors g, by the columns of its observations'
 /// Jacobians A_a, its *local columns*. Most unknowns are such columns, and their sums only have to
@@ -36,7 +36,7 @@ struct ImageBlock {
   /// M without the rows that are zero, num_local x size; nullptr: unknown k is local column k.
   const double* map = nullptr;
 
-  /// As if the unknowns themselves were the local columns.
+  /// Identity map: the unknowns are the local columns.
   ImageBlock WithoutMap() const {
     ImageBlock plain = *this;
     plain.map = nullptr;

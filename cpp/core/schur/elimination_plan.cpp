@@ -82,7 +82,7 @@ class Planner {
     return pairs;
   }
 
-  /// The same on all ranks.
+  /// Size of a chunk, the same on all ranks.
   int64_t ChunkSize() const {
     const int64_t work = SumOverRanks(communicator_, WorkOf(0, plan_.num_points()));
     const int64_t observations = SumOverRanks(communicator_, plan_.num_observations());

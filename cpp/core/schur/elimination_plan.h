@@ -35,7 +35,7 @@ class PairNumbers {
     uint16_t number = 0;
   };
 
-  /// Where a pair is, or belongs.
+  /// Place of a pair, or the place where it belongs.
   Slot& SlotOf(uint32_t pair) {
     constexpr uint32_t kGoldenRatio = 0x9e3779b9;
     size_t at = pair * kGoldenRatio >> shift_;
@@ -56,7 +56,7 @@ class PairNumbers {
   std::vector<Slot> slots_ = std::vector<Slot>(1024);
 };
 
-/// In which order the points are eliminated, and in which portions.
+/// Plan of the elimination of the points: their order, and their division into chunks.
 ///
 /// What one point adds to S are products of its observations' Jacobians, a block for every pair of
 /// images that see it. Adding each to S where it lies costs more than computing it: the block comes
@@ -79,14 +79,15 @@ class PairNumbers {
 struct Chunk {
   int first_point = 0;
   int last_point = 0;
-  /// Where it has one point: which of its observations' rows are added. All, where last_row is 0.
+  /// For a chunk of one point: the rows of its observations that are added. All rows if last_row is
+  /// 0.
   int first_row = 0;
   int last_row = 0;
   int64_t first_pair = 0;  ///< in EliminationPlan::pair_block
   /// The images that occur, in the order of their blocks in the layout; block i of the chunk is the
   /// diagonal one of images[i].
   std::vector<int> images;
-  /// Of each image, the last chunk before this one in which one of its owner occurs; -1: none.
+  /// Per image: the last chunk before this one with an image of the same owner; -1: none.
   std::vector<int> previous_chunk;
   /// Blocks images.size() and up: pairs of indices into `images`, the first the smaller.
   struct Pair {
@@ -101,15 +102,15 @@ struct EliminationPlan {
   std::vector<int> point;      ///< index in the problem; free points, then fixed ones
   int num_free_points = 0;     ///< free points in `point`
   std::vector<int64_t> first;  ///< first observation of each point, and the end
-  /// Of each observation; within a point in the order of the images' blocks in the layout, then
+  /// Image per observation. Within a point in the order of the images' blocks in the layout, then
   /// images with nothing to refine.
   std::vector<int32_t> image;
   std::vector<double> xy;             ///< two of each observation
   std::vector<double> inverse_sigma;  ///< one of each observation; empty where the problem has none
   std::vector<int32_t> observation;   ///< index of each in the problem; empty unless asked for
   std::vector<uint16_t> image_in_chunk;  ///< per observation: index into Chunk::images
-  /// Of each pair of observations i < j of a free point, i slowest, whose images have something to
-  /// refine: the chunk's block.
+  /// Block of the chunk per pair of observations i < j of a free point, i slowest, whose images
+  /// have something to refine.
   std::vector<uint16_t> pair_block;
   std::vector<Chunk> chunks;
   std::vector<int> image_owner;  ///< ImageOrder::owner

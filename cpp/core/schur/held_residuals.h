@@ -18,7 +18,7 @@ struct HeldResidual {
   double residual[2];
 };
 
-/// Where a pass puts the observations of a chunk that hold a residual; nowhere if `add` is nullptr.
+/// Receiver of the observations of a chunk that hold a residual; none if `add` is nullptr.
 struct HeldSink {
   void (*add)(void* list, const HeldResidual& held) = nullptr;
   void* list = nullptr;

@@ -19,8 +19,8 @@
 namespace bundle {
 namespace {
 
-/// Within it all points of a plan are held: a pass then costs half, as no pair of images adds
-/// anything, and has the squared norms nevertheless.
+/// Holds all points of a plan constant while it lives. A pass then costs half, because no pair of
+/// images adds anything, and still gives the squared norms.
 class HeldPoints {
  public:
   explicit HeldPoints(EliminationPlan* plan) : plan_(plan), num_free_(plan->num_free_points) {

@@ -58,7 +58,7 @@ class SchurProblem final : public LeastSquares {
   int64_t num_active_observations() const { return plan_.num_observations(); }
   /// Cost of the others, and of factors with nothing to refine; not part of Linearization::cost.
   double fixed_cost() const { return fixed_cost_; }
-  /// Those beside the observations.
+  /// Factors beside the observations.
   const CameraFactors& factors() const { return factors_; }
   /// The name of the instruction set that its kernels were compiled for: "baseline", "avx2+fma",
   /// "avx512".
@@ -67,7 +67,7 @@ class SchurProblem final : public LeastSquares {
   /// Observations of this rank that do not count at the state but hold a residual
   /// (factors/reprojection.h).
   int64_t num_held() const { return static_cast<int64_t>(x_->held.all().size()); }
-  /// What those of all ranks cost.
+  /// Cost of the factors of all ranks.
   double held_cost() const { return x_held_cost_; }
   /// Makes those count that are in front of their cameras at the state, for a minimisation that
   /// starts there. Returns true if there are any, on any rank.
@@ -75,7 +75,7 @@ class SchurProblem final : public LeastSquares {
 
   /// S and its right-hand side, as the last linearisation left them.
   BlockSystem& system() { return sums_.sums().system; }
-  /// Of each column at the last linearisation: 1 if its number is held on a bound. Empty without
+  /// Per column at the last linearisation: 1 if its number is held on a bound. Empty without
   /// bounds.
   const std::vector<uint8_t>& active_columns() const { return active_; }
 
@@ -125,7 +125,7 @@ class SchurProblem final : public LeastSquares {
   /// <q,q> loses.
   double TakeOutGauge();
   void MoveCameras(const std::vector<double>& step);
-  /// What is left of a step of one number of the camera parameters within its bounds.
+  /// Step of one camera parameter, projected onto its bounds.
   double ProjectedStep(size_t j, double step) const;
   /// Moves the candidate's points, number i by point_step(i), and evaluates its cost.
   template <typename PointStep>

@@ -1,6 +1,6 @@
 #pragma once
 
-/// What the passes over the points read beside the states of a solve.
+/// Setup of the passes over the points: all that they read beside the states of a solve.
 
 #include <cstdint>
 #include <memory>
@@ -17,7 +17,7 @@
 
 namespace bundle {
 
-/// How much of a sum over points depends on the order in which it is made.
+/// Effect of the order of summation on a sum over points.
 enum class SumOrder {
   kGrid,      ///< no bit (sum_grid.h)
   kSections,  ///< no bit between divisions by sections (point_sections.h, double_double.h)
@@ -28,10 +28,9 @@ enum class SumOrder {
 SumOrder ChooseSumOrder(LinearSolverType solver, int num_columns, int64_t num_block_columns,
                         int64_t num_blocks, bool has_maps);
 
-/// What the passes over the points need of a problem beside its states: which columns each image
-/// has, the order of the elimination, where sums go in S, the kernels. It follows from the
-/// structure of the problem, which image sees which point and what is refined, but for the
-/// measurements.
+/// Input of the passes over the points beside states: columns of each image, the order of the
+/// elimination, places of the sums in S, and kernels. It follows from the structure of the problem,
+/// which image sees which point and what is refined, but for the measurements.
 struct SchurSetup {
   /// Keeps references to the problem and the layout. `is_reused`: Reset will be called.
   SchurSetup(const AdjustmentProblem& problem, const ParameterLayout& layout,

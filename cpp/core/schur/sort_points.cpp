@@ -94,7 +94,7 @@ class PointSorter {
     }
   }
 
-  /// By rank, those of one image in the order of the problem.
+  /// Sorted by rank, those of one image in the order of the problem.
   void SortObservations() {
     keys_.resize(problem_.num_points);
     ParallelFor(problem_.num_points, num_threads_, [this](int64_t begin, int64_t end) {
@@ -105,8 +105,8 @@ class PointSorter {
     });
   }
 
-  /// Where a point belongs: its bucket, that of its section or its first image, and its images as
-  /// far as it has so many.
+  /// Sorting key of a point: its bucket, which is that of its section or its first image, and its
+  /// first images.
   struct Key {
     uint64_t first_and_second;
     uint64_t third_and_fourth;
@@ -165,7 +165,7 @@ class PointSorter {
     place_.resize(problem_.num_points);
   }
 
-  /// Those of the buckets that begin in [first_point, last_point).
+  /// Sorts the buckets that begin in [first_point, last_point).
   void PlacePoints(int64_t first_point, int64_t last_point) {
     const auto at = std::lower_bound(bucket_begin_.begin(), bucket_begin_.end() - 1, first_point);
     for (size_t b = at - bucket_begin_.begin();

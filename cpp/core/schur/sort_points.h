@@ -16,8 +16,8 @@ struct ImageOrder {
   /// Place of each image: refined ones in the order of their blocks, which S likes best, then the
   /// others.
   std::vector<int> rank;
-  /// Of each image: the first of those whose poses are in the same block, which are next to each
-  /// other in the order. Itself, but for images of a rig.
+  /// Per image: the first of the images whose poses are in the same block, which are neighbours in
+  /// the order. The image itself, except for images of a rig.
   std::vector<int> owner;
 };
 

@@ -141,7 +141,8 @@ void State::Update() {
   }
 }
 
-/// By the chart of the frame: R_s J_f and R_s; without a rig the translation is its own.
+/// Derivatives by the chart of the frame: R_s J_f and R_s. Without a rig, the translation is a
+/// coordinate itself.
 void State::PutFrameChart(const RigPose& rig, double* record) const {
   double* const translation = record + stride_ - kTranslationJacobian;
   const bool turned = rig.frame != nullptr && rig.sensor != nullptr;

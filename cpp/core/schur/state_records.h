@@ -46,13 +46,13 @@ class State {
   void Reset(const ParameterLayout& layout, const EliminationPlan& plan);
   /// Expands `camera_state`, after it changed.
   void Update();
-  /// The same state about anchors where its images are, if some have gone too far from theirs
-  /// (factors/reprojection.h).
+  /// Moves the anchors of images that have gone too far from them (factors/reprojection.h). The
+  /// state stays the same.
   void MoveAnchors();
-  /// Before the Update of a candidate: its step starts from `state`.
+  /// Call before the Update of a candidate: its step starts from `state`.
   void ShareAnchors(const State& state) { cameras_.SetAnchors(state.cameras_.anchors()); }
   StateRecords records() const;
-  /// Of a candidate for the state after `before`, for a pass over one chunk that fills `held`.
+  /// Records of a candidate after `before`, for a pass over one chunk that fills `held`.
   StateRecords CandidateRecords(const StateRecords& before, int chunk);
   const CameraStates& cameras() const { return cameras_; }
   /// All points of the problem, in its order.

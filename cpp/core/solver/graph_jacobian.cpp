@@ -7,7 +7,6 @@
 
 #include "core/model/factor_costs.h"
 
-
 namespace bundle {
 namespace {
 

@@ -1,6 +1,6 @@
 #pragma once
 
-/// How many digits normal equations would lose of a factor graph: the condition of its Jacobian.
+/// Condition of the Jacobian of a factor graph: the digits that normal equations would lose.
 
 #include <vector>
 
@@ -8,8 +8,8 @@
 
 namespace bundle {
 
-/// Of J S, the free columns of a graph's Jacobian scaled to norm 1, which is what normal equations
-/// square whatever the units.
+/// Conditioning of J S, the free columns of a graph's Jacobian scaled to norm 1. Normal equations
+/// square it, whatever the units.
 struct JacobianConditioning {
   double max_singular_value = 0;
   double min_singular_value = 0;  ///< 0 where the columns depend on each other
@@ -18,8 +18,8 @@ struct JacobianConditioning {
   std::vector<int> dependent;
 };
 
-/// By QR factorisation, power iteration on J^T J and inverse iteration with R^T R: both singular
-/// values to a few percent. Throws InputError where nothing is free.
+/// Estimates both singular values to a few percent, by QR factorisation, power iteration on J^T J
+/// and inverse iteration with R^T R. Throws InputError where nothing is free.
 JacobianConditioning EstimateConditioning(const FactorGraph& graph);
 
 }  // namespace bundle

@@ -34,8 +34,7 @@ using Eigen::Index;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-/// Where each tangent coordinate of a graph is among the columns of its variable; -1: nowhere, as
-/// it is held.
+/// Column of each tangent coordinate of a graph within its variable; -1: it is constant.
 struct Columns {
   std::vector<int> variable, place, size;  ///< the last one a variable
   std::vector<double> scale;

@@ -295,7 +295,7 @@ class Solver::Impl {
     prepared_.reset();
   }
 
-  /// What is free depends on the values by the gauge alone.
+  /// True if the layout fits the values. Free parameters depend on values only by the gauge.
   bool IsPreparedForValues() const {
     if (fused_ == nullptr) return false;
     if (options_.gauge == Gauge::kNone) return true;

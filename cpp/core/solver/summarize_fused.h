@@ -37,8 +37,8 @@ SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layou
 /// and the final cost is that of the last accepted one.
 enum class Counted { kAll, kAccepted };
 
-/// What our own solvers report alike: of the options, of the minimum (which leaves out the constant
-/// `fixed_cost`), and sizes, of which nothing is constant.
+/// Common parts of the summaries of our own solvers: options, the minimum (without the constant
+/// `fixed_cost`), and sizes.
 void SummarizeChoices(const SolveOptions& options, SolveSummary* result);
 void SummarizeMinimum(const MinimizerSummary& minimum, double fixed_cost, Counted counted,
                       SolveSummary* result);

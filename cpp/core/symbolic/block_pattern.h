@@ -44,7 +44,7 @@ struct BlockRows {
   std::vector<int> column;
 };
 
-/// Of the same matrix with block `blocks[k]` as its k-th.
+/// Rows of the same matrix with block `blocks[k]` as its k-th.
 BlockRows PermuteRows(const BlockPatternView& pattern, const std::vector<int>& blocks);
 
 BlockPattern PatternOfRows(const BlockRows& rows, std::vector<int> size);

@@ -116,7 +116,7 @@ class RowSubtrees {
   }
 
  private:
-  /// Of the finished part of the tree that holds j. Paths are shortened.
+  /// Root of the finished part of the tree that holds j. Shortens paths.
   int Root(int j) {
     int root = j;
     while (ancestor_[root] != root) root = ancestor_[root];
@@ -145,8 +145,8 @@ struct Weight {
   }
 };
 
-/// What lies in each block column of L, the diagonal included, for a matrix in the order that its
-/// elimination tree is of.
+/// Counts of each block column of L, with the diagonal, for a matrix in the order of its
+/// elimination tree.
 std::vector<Weight> CountColumns(const BlockPatternView& matrix, const std::vector<int>& parent,
                                  const std::vector<int>& postorder) {
   std::vector<Weight> count(parent.size());

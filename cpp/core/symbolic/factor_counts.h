@@ -10,8 +10,8 @@
 
 namespace bundle {
 
-/// What the Cholesky factor L of a matrix costs under one order of its blocks, exactly and without
-/// arithmetic. All vectors are by position in the order, not by block.
+/// Exact cost of the Cholesky factor L of a matrix under one order of its blocks. All vectors are
+/// by position in the order, not by block.
 ///
 /// Eliminating a scalar column with c entries below its diagonal changes the c (c + 1) / 2 entries
 /// of a lower triangle and c of the right hand side, each by a multiplication and a subtraction:

@@ -32,7 +32,7 @@ class CholmodSession {
   cholmod_common common;
 };
 
-/// How an order of elimination is found, on the graph of the blocks.
+/// Methods that find an order of the elimination on the graph of the blocks.
 enum class OrderingMethod { kNatural, kReverse, kAmd, kColamd, kMetis, kNesdis };
 
 /// Throws InputError if there is no method of that name.

@@ -32,7 +32,7 @@ std::vector<int64_t> Thin(std::vector<int64_t> members, const double* share, dou
   return static_cast<int64_t>(kept.size()) >= fewest ? kept : members;
 }
 
-/// Of each image, the cells that its ball may touch, ascending.
+/// Per image: the cells that its ball may touch, ascending.
 std::vector<std::vector<int64_t>> FindTouchedCells(const SyntheticImages& images,
                                                    const PointCells& cells, int num_threads) {
   std::vector<std::vector<int64_t>> touched(images.num_images);
@@ -53,7 +53,7 @@ std::vector<std::vector<int64_t>> FindTouchedCells(const SyntheticImages& images
   return touched;
 }
 
-/// Of each point, the share of its candidates that stay.
+/// Per point: the share of its candidates that stay.
 std::vector<double> FindShares(const PointCells& cells,
                                const std::vector<std::vector<int64_t>>& touched,
                                const double* wanted, int64_t num_points) {

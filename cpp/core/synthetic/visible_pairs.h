@@ -1,6 +1,6 @@
 #pragma once
 
-/// Which images could observe which points of a synthetic scene.
+/// Pairs of images and points of a synthetic scene that could see each other.
 ///
 /// Points are sorted into the cells of a grid over their keys. An image looks at the points in the
 /// cells that its ball may touch, the candidates. Where points have far more candidates than their

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Which points of a synthetic scene an image sees.
+/// Points of a synthetic scene that an image sees.
 ///
 /// A point X with unit normal n (zero: seen from all sides), key k and reach d is seen by an image
 /// with rotation R, centre c and a ball (b, r) in the space of the keys if

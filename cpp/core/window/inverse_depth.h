@@ -47,7 +47,7 @@ struct CameraOfImu {
   double translation[3];
 };
 
-/// What two images saw of a landmark.
+/// Observations of a landmark by two images.
 struct LandmarkSight {
   double anchor_velocity[2];
   double seen[2], velocity[2];

@@ -39,7 +39,7 @@ void WindowProblem::AddLandmark(const VisualRows& row, Landmark* landmark) {
   }
 }
 
-/// The same of the anchoring image's own rows.
+/// Adds the anchoring image's own rows.
 void WindowProblem::AddAnchor(const AnchorRows& row, Landmark* landmark) {
   landmark->hessian[0] += Squared(row.scale);
   landmark->hessian[3] += Squared(row.scale);

@@ -74,7 +74,7 @@ Eigen::MatrixXd MatrixOf(const WindowPrior& prior) {
   return Eigen::Map<const RowMajor>(prior.matrix.data(), prior.num_rows, columns);
 }
 
-/// From the coordinates about the current state to those about the prior's points.
+/// Transforms from coordinates about the current state to those about the prior's points.
 void MoveToPoints(const WindowView& view, const Marginalization& request, const WindowState& at,
                   WindowPrior* prior) {
   Eigen::MatrixXd m = MatrixOf(*prior);
@@ -116,7 +116,7 @@ void MoveToPoints(const WindowView& view, const Marginalization& request, const 
   }
 }
 
-/// What single precision keeps of a prior.
+/// A prior rounded to single precision.
 void Round(WindowPrior* prior) {
   for (double& x : prior->matrix) x = static_cast<float>(x);
   for (double& x : prior->vector) x = static_cast<float>(x);

@@ -57,7 +57,7 @@ MarginalizedWindow MarginalizeWindow(const WindowView& view, const Marginalizati
 
 /// Eigenvalues of a prior's Lambda, ascending.
 std::vector<double> SpectrumOfPrior(const WindowPrior& prior);
-/// The same with its diagonal scaled to 1: free of units.
+/// Same with its diagonal scaled to 1: free of units.
 std::vector<double> ScaledSpectrumOfPrior(const WindowPrior& prior);
 
 }  // namespace bundle

@@ -104,7 +104,7 @@ inline int PriorBlockSize(int block, int num_states) {
   return block % 2 == 0 ? kPoseSize : kMotionSize;
 }
 
-/// What a solve changes.
+/// Values that a solve changes.
 struct WindowState {
   std::vector<double> states;
   std::vector<double> points;
@@ -126,7 +126,7 @@ struct WindowState {
 void MoveState(const double* state, const double* d, double* out);
 /// The coordinates d of `state` about `point`, of 15: MoveState(point, d) is `state`.
 void StateFrom(const double* point, const double* state, double* d);
-/// The same of camera_from_imu, 7 numbers and 6 coordinates.
+/// Both for camera_from_imu, 7 numbers and 6 coordinates.
 void MoveCamera(const double* camera, const double* d, double* out);
 void CameraFromPoint(const double* point, const double* camera, double* d);
 

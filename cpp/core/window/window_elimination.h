@@ -19,7 +19,7 @@
 
 namespace bundle {
 
-/// Where the blocks stand among the columns: those that go, then those that stay.
+/// Places of the blocks among the columns: eliminated blocks, then kept blocks.
 struct ColumnsOfBlocks {
   std::vector<int> at;    ///< first column of a block; -1: not touched, or held
   std::vector<int> kept;  ///< blocks that stay, ascending
@@ -222,7 +222,7 @@ class WindowElimination {
     return out;
   }
 
-  /// Of the landmark whose rows begin at k.
+  /// Landmark whose rows begin at k.
   std::vector<int> BlocksOfLandmark(size_t k) const {
     const VisualRows& first = rows_.visual[k];
     std::vector<int> blocks = {2 * first.anchor};

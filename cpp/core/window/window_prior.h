@@ -1,6 +1,6 @@
 #pragma once
 
-/// What a prior says at a state of the window.
+/// Gradient and Hessian of a prior at a state of the window.
 ///
 /// A prior is a quadratic form of d = (state about its points). With d' the coordinates about the
 /// state, d(d)/d(d') is I but for rotations, where it is J_r^-1 (d_rotation). Jacobians of an
@@ -12,7 +12,7 @@
 
 namespace bundle {
 
-/// By the coordinates about the state: gradient and second derivatives of the prior's blocks.
+/// Gradient and second derivatives of the prior's blocks by the coordinates about the state.
 struct PriorForm {
   double cost = 0;
   std::vector<double> gradient;
@@ -26,10 +26,10 @@ double CostOfPrior(const WindowView& view, const WindowPrior& prior, const Windo
 void RowsOfPrior(const WindowView& view, const WindowPrior& prior, const WindowState& at,
                  std::vector<double>* jacobian, std::vector<double>* residual);
 
-/// Where a block is, about a point as priors store it: PriorBlockSize numbers.
+/// Coordinates of a block about a point as priors store it: PriorBlockSize numbers.
 void BlockFromPoint(int block, int num_states, const double* point, const WindowState& at,
                     double* d);
-/// What a prior stores of a block: 16 numbers.
+/// Numbers of a block as a prior stores it: 16.
 void PointOfBlock(int block, int num_states, const WindowState& at, double* point);
 /// True for blocks that begin with a rotation.
 inline bool HasRotation(int block, int num_states) {

@@ -51,8 +51,8 @@ class WindowProblem final : public LeastSquares {
   /// that what the gauge does not move, biases and tilt, is as in any other gauge).
   std::vector<double> CovarianceOfLastState(bool fix_gauge);
 
-  /// What preintegrated samples cost on average at a minimum where all sigmas are right
-  /// (window_certainty.cpp); not a number where S is singular. `fix_gauge` as above.
+  /// Expected cost of preintegrated samples at a minimum if all sigmas are right
+  /// (window_certainty.cpp); NaN if S is singular. `fix_gauge` as above.
   double ExpectedImuCost(bool fix_gauge);
 
  private:

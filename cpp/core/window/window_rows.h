@@ -31,7 +31,7 @@ struct InertialRows {
   double by_first[kRows * kStateTangent], by_second[kRows * kStateTangent];  ///< row-major
 };
 
-/// Which factors count: all, or those that marginalising some states and landmarks absorbs.
+/// Factors that count: all, or those absorbed by marginalising some states and landmarks.
 struct FactorSelection {
   bool all = true;
   std::vector<uint8_t> landmarks;  ///< flags
@@ -51,7 +51,7 @@ struct WindowRows {
 void LinearizeWindow(const WindowView& view, const WindowState& at,
                      const FactorSelection& selection, WindowRows* rows);
 
-/// Not finite where a landmark is not before a camera that sees it.
+/// Not finite if a landmark is behind a camera that sees it.
 WindowCosts CostsOfWindow(const WindowView& view, const WindowState& at);
 
 /// ||r|| of each observation without its loss; infinite where it has no value.

@@ -1,8 +1,8 @@
 #pragma once
 
-/// Which blocks of a window's reduced system may be nonzero, in which order they are eliminated,
-/// and by which solver: dense for a window, whose states all share landmarks or a prior; for a long
-/// batch supernodal, in AMD's or METIS' order.
+/// Structure of a window's reduced system: its nonzero blocks, their elimination order, and the
+/// solver: dense for a window, whose states all share landmarks or a prior; for a long batch
+/// supernodal, in AMD's or METIS' order.
 
 #include <memory>
 #include <vector>

@@ -12,9 +12,9 @@
 
 #include "core/ceres/ceres_version.h"
 #include "core/interface/options.h"
+#include "core/model/factor_costs.h"
 #include "core/model/problem_factors.h"
 #include "core/solver/solver.h"
-#include "core/model/factor_costs.h"
 #include "support/cost.h"
 #include "support/helix_factor.h"
 #include "support/scene.h"

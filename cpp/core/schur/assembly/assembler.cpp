@@ -9,7 +9,7 @@ namespace {
 
 constexpr size_t kPairsAhead = 6;  // as many misses as a core has on their way at once, about
 
-/// Of the rows of an image's Jacobian, and of the blocks whose second image it is.
+/// Width of the rows of an image's Jacobian, and of the blocks whose second image it is.
 int WidthOf(const EliminationInput& input, int image) {
   return input.mixed ? 4 * input.image_quads[image] : input.num_columns;
 }

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Where a chunk's sums go: from blocks of image pairs to blocks of the parameter layout.
+/// Assembly of S: adds a chunk's blocks of image pairs to blocks of the parameter layout.
 ///
 /// The passes work by image, with the columns that any image of its camera model refines: its pose,
 /// then its intrinsics. In the layout, an image's columns are one block, or two where the
@@ -68,8 +68,8 @@ class Assembler {
   void SetMaps(const CameraStates& cameras);
   /// True if there are any; chunks then need the camera_diagonal of the images that have them.
   bool has_maps() const { return !maps_.empty(); }
-  /// Where only poses have maps: whether an image has one. nullptr: others have, too, which need
-  /// all of the camera_diagonal.
+  /// Per image: 1 if it has a map, if only poses have maps. nullptr: other blocks have maps, too,
+  /// which need all of the camera_diagonal.
   const uint8_t* image_is_mapped() const {
     return image_is_mapped_.empty() ? nullptr : image_is_mapped_.data();
   }
@@ -110,7 +110,7 @@ class Assembler {
   int num_blocks(int image) const { return images_[image].count; }
   const ImageBlock* blocks_of(int image) const { return images_[image].of; }
 
-  /// Where block j of the layout begins in BlockSystem::camera_diagonal.
+  /// Begin of block j of the layout in BlockSystem::camera_diagonal.
   const std::vector<int64_t>& diagonal_begin() const { return diagonal_begin_; }
 
  private:
@@ -120,10 +120,10 @@ class Assembler {
     int num_columns = 0;  ///< local ones
   };
 
-  /// Which of an image's segments a sum is for.
+  /// Segments of an image that a sum is for.
   enum class Part { kOwn, kShared };
-  /// Which blocks of a pair: those of the first's pose, those of the second's pose with what the
-  /// first shares, or those of what both share.
+  /// Blocks of a pair: those of the first image's pose, those of the second image's pose with
+  /// shared blocks of the first, or those of shared blocks of both.
   enum class PairPart { kFirst, kSecond, kShared };
 
   /// Consecutive sums and their error terms; nullptr: no error terms are kept.
@@ -147,7 +147,7 @@ class Assembler {
                  CameraSums* sums) const;
   static void AddColumn(const ImageBlock& rows, const double* from, const Target& column);
   void RoundColumn(int j, CameraSums* sums) const;
-  /// Where entry (r, c) of a block is, and what follows it in its column.
+  /// Place of entry (r, c) of a block, followed by the rest of its column.
   Target Block(CameraSums* sums, int column, int64_t entry, int r, int c) const;
   void PrefetchPair(int first, int second, CameraSums* sums) const;
   int64_t Entry(int column, int row) const { return structure_.Entry(column, row); }

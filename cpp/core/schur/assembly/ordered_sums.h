@@ -36,7 +36,8 @@ class OrderedSums {
   /// Starts anew, at zero.
   void Clear(ThreadPool* pool);
 
-  /// Where a thread sums up a chunk, until it calls End: zeros, or what sums on the grid start at.
+  /// Buffer in which a thread sums up a chunk until it calls End. It holds zeros, or the start
+  /// values of sums on the grid.
   ChunkSum& Begin(int chunk, int thread);
   void End(int thread);
 
@@ -82,7 +83,7 @@ class OrderedSums {
     }
   };
 
-  /// Where a chunk's blocks begin, and how many doubles they are, where widths are mixed.
+  /// Begins of a chunk's blocks, and their number of doubles, for mixed widths.
   int64_t PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block_begin) const;
 
   /// The pairs of a chunk by their second image: those of image i are

@@ -57,7 +57,7 @@ inline void WhitenRows(const StripRecords& records, int64_t slot, int count,
   }
 }
 
-/// Of a point's observations [begin, end), refined images' come first.
+/// Number of refined images among a point's observations [begin, end), which come first.
 inline int CountRefined(const EliminationInput& input, int64_t begin, int64_t end) {
   while (end > begin && input.image_refined[input.plan->image.data()[end - 1]] == 0) --end;
   return static_cast<int>(end - begin);
@@ -76,7 +76,7 @@ void SubtractRowsOf(const double* t_0, const double* t_1, int num_rows, const do
   }
 }
 
-/// By the quads of the rows less one.
+/// Indexed by the quads of the rows less one.
 inline constexpr SubtractRows kSubtractRows[] = {&SubtractRowsOf<1>, &SubtractRowsOf<2>,
                                                  &SubtractRowsOf<3>, &SubtractRowsOf<4>,
                                                  &SubtractRowsOf<5>, &SubtractRowsOf<6>};
@@ -216,8 +216,7 @@ class Elimination {
   const uint16_t* image_ = nullptr;
 };
 
-/// The same where widths are mixed. A rare width is in few of the points: all others take the code
-/// for one width.
+/// Variant for mixed widths. Few points have a rare width; all others use the code for one width.
 class MixedElimination {
  public:
   MixedElimination(const EliminationInput& input, const StripRecords& records, ChunkSum* sum)

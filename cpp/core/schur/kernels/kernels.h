@@ -20,7 +20,7 @@ struct ModelGroup {
   int num_quads = 1;  ///< quads in a row of its Jacobian records: num_columns, rounded up
 };
 
-/// What no pass changes.
+/// Input of the passes that none of them changes.
 struct EliminationInput {
   const EliminationPlan* plan = nullptr;
   const ModelGroup* groups = nullptr;
@@ -37,14 +37,14 @@ struct EliminationInput {
   double loss_scale = 1;
   const double* inverse_sigma = nullptr;  ///< per observation of the plan; nullptr: 1 each
   int64_t longest_track = 0;
-  /// Of each point of the plan: its place in `prior_sums`, or -1. nullptr: no factor is of a point.
+  /// Per point of the plan: its place in `prior_sums`, or -1. nullptr: no factor is of a point.
   const int32_t* point_prior = nullptr;
-  /// Of each place what factors add to the point's block, 12 numbers: rows of J^T J, each followed
-  /// by its entry of J^T r. They are those of the last linearisation.
+  /// Per place: contributions of factors to the point's block, 12 numbers: rows of J^T J, each
+  /// followed by its entry of J^T r, from the last linearisation.
   const double* prior_sums = nullptr;
 
-  /// Of each image 1, if the pose's rows of its ChunkSum::camera_diagonal are wanted; nullptr: all
-  /// rows of all images are.
+  /// Per image: 1 if the pose's rows of its ChunkSum::camera_diagonal are wanted. nullptr: all rows
+  /// of all images are wanted.
   const uint8_t* image_is_mapped = nullptr;
 
   const double* PriorOf(int point) const {
@@ -57,8 +57,9 @@ struct EliminationInput {
 /// parameters from 24 on), and the points in the order of the plan.
 struct StateRecords {
   static constexpr int kTranslation = 9, kLeftJacobian = 12, kParams = 24;
-  /// Where a record has the derivative of the translation by that of the chart (9); 0: it is the
-  /// identity. Of an image of a rig, this and the left Jacobian are by the chart of its frame.
+  /// Place in a record of the derivative of the translation by that of the chart (9 numbers); 0: it
+  /// is the identity. For an image of a rig, this and the left Jacobian are by the chart of its
+  /// frame.
   int translation_jacobian = 0;
   const double* images = nullptr;
   int stride = 0;  ///< stride of `images`; a multiple of 4
@@ -71,7 +72,7 @@ struct StateRecords {
   HeldSink sink;  ///< for observations that hold a residual at a candidate, or at the start
 };
 
-/// What a chunk adds to the normal equations, in units of its images and blocks.
+/// Contribution of a chunk to the normal equations, by its images and blocks.
 struct ChunkSum {
   /// num_blocks x num_rows x num_columns, rows of the first image. Where widths are mixed, block b
   /// begins at block_begin[b] and is as large as its images: rows of the group of the first, width
@@ -111,12 +112,12 @@ struct ProductSum {
 /// Numbers of the seven similarities of the world and padding (model/gauge.h).
 inline constexpr int kMoves = 8;
 
-/// What the similarities do to images and points, about a centre and with translations as long as
-/// the scene: N of covariance/gauge_sums.h.
+/// Derivatives of images and points by the similarities about a centre, with translations as long
+/// as the scene: N of covariance/gauge_sums.h.
 struct WorldMoves {
   /// N by the columns of a record, num_columns x kMoves an image; nullptr: none is wanted.
   const double* images = nullptr;
-  /// Of each image 1, if all of it moves along, so that none of its observations of free points
+  /// Per image: 1 if all of it moves along, so that none of its observations of free points
   /// changes.
   const uint8_t* moves_along = nullptr;
   double center[3] = {};
@@ -134,7 +135,7 @@ struct PointSurvey {
   double squares = 0;   ///< sum of squared residuals
   double decrease = 0;  ///< sum 1/2 g^T V^-1 g
   int64_t num_observations = 0;
-  /// Where similarities are wanted: squares of the parts of J N's rows, by images and by points;
+  /// If similarities are wanted: squares of the parts of the rows of J N, by images and by points;
   /// sum N_p^T V^-1 N_p and sum N_p^T N_p, both 7 x kMoves; J_c^T J_p V^-1 N_p of each image, as
   /// WorldMoves::images.
   double parts[kMoves] = {};
@@ -192,7 +193,7 @@ struct Kernels {
                             const int64_t* block_begin, double* memory, double* covariances);
 };
 
-/// Those for the best instruction set that this machine has.
+/// Kernels for the best instruction set of this machine.
 const Kernels& SelectKernels();
 
 }  // namespace bundle

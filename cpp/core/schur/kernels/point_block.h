@@ -150,7 +150,7 @@ struct RightFactor {
     }
   }
 
-  /// The same from the diagonal on, rounded down to whole quads.
+  /// Same from the diagonal on, rounded down to whole quads.
   template <int kFirst = 0>
   void SubtractUpper(const double* t, int num_rows, double* block) const {
     if constexpr (kFirst < kQuads) {
@@ -173,7 +173,8 @@ inline void MiddleProduct(const double* rows, const double m[4], double* t) {
   }
 }
 
-/// What one observation adds to the vectors of its image: J_c^T r, J_c^T (r - Y h), ||J e_j||^2.
+/// Contribution of one observation to the vectors of its image: J_c^T r, J_c^T (r - Y h), ||J
+/// e_j||^2.
 template <int kQuads>
 inline void UpdateVectors(const double* rows, const double r[2], const double reduced[2],
                           double* vectors) {

@@ -21,7 +21,7 @@
 
 namespace bundle::BUNDLE_ISA {
 
-/// As many doubles as a register or a row of so many quads has.
+/// Widest vector type into which a row of kQuads quads divides.
 template <int kQuads>
 struct WideRow {
   static constexpr bool kIsWide = kLanes == 8 && kQuads % 2 == 0;
@@ -78,7 +78,7 @@ struct ThreeRows {
   }
 };
 
-/// Of one point: its refined observations, their Z^T and the blocks of C.
+/// Data of one point: its refined observations, their Z^T and the blocks of C.
 struct PointPairs {
   const EliminationInput& input;
   const double* blocks;        ///< blocks of the chunk, as in Kernels::point_covariances

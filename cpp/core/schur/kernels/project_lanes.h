@@ -174,7 +174,7 @@ struct ProjectTable<std::tuple<Models...>> {
   static constexpr ProjectLanes kOf[] = {ChooseProjectLanes<Models>()...};
 };
 
-/// Of each model in CameraModels.
+/// One per model in CameraModels.
 inline constexpr const ProjectLanes* kProjectLanes = ProjectTable<CameraModels>::kOf;
 
 }  // namespace bundle::BUNDLE_ISA

@@ -26,7 +26,7 @@ extern const Kernels kKernels;
 
 namespace {
 
-/// What the environment allows at most.
+/// Best instruction set that the environment allows.
 std::string_view InstructionSetAllowed() {
   constexpr std::string_view kSets[] = {"avx512", "avx2", "baseline"};
   const char* const variable = std::getenv("BUNDLE_INSTRUCTION_SET");

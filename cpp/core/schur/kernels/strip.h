@@ -16,8 +16,8 @@ namespace bundle::BUNDLE_ISA {
 
 inline constexpr int kStripPoints = 32;
 inline constexpr int kStripObservations = 64;  // reached by its last point
-/// Where widths are mixed. Each group's last lanes of a strip are not full, and the narrow records
-/// are most and leave room.
+/// Variant for mixed widths. The last lanes of each group in a strip are not full; most records are
+/// narrow and leave room.
 inline constexpr int kMixedStripObservations = 128;
 
 /// Points [first, last) of the plan with observations [begin, end).
@@ -86,7 +86,7 @@ inline void VisitLanes(const EliminationInput& input, const Strip& strip, const 
   }
 }
 
-/// What lanes read of a state.
+/// State as the lanes read it.
 struct LaneState {
   Pack pose[24];  ///< rotation, translation, left Jacobian and padding, as in StateRecords
   Pack params[kMaxCameraParams];

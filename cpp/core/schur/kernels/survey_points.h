@@ -1,7 +1,7 @@
 #pragma once
 
-/// What covariances have to know of the points before anything is solved: which of them their
-/// observations determine clearly, sums of squares, and sums for the similarities of the world
+/// Survey of the points for covariances, before anything is solved: points that their observations
+/// determine clearly, sums of squares, and sums for the similarities of the world
 /// (covariance/gauge_sums.h); kernels.cpp says how to include this.
 ///
 /// With V = L L^T and V^-1 N_p = L^-T (L^-1 N_p) of a point, an observation with rows A and B adds
@@ -68,7 +68,7 @@ inline bool IsClear(const Quad* sum) {
   return smallest > kClearPivot * largest;
 }
 
-/// What a point and its observations, with records from `slot` on, add to the sums for N.
+/// Contribution of a point and its observations, with records from `slot` on, to the sums for N.
 inline void SurveyMoves(const EliminationInput& input, const WorldMoves& moves,
                         const StripRecords& records, int64_t slot, int64_t begin, int64_t end,
                         const double* point, const PointBlock& block, PointSurvey* survey) {
