@@ -1,3 +1,5 @@
+// Tests of all factors in one file, since they share one check of Jacobians.
+
 #include <gtest/gtest.h>
 
 #include <algorithm>
