@@ -59,7 +59,7 @@ enum class CameraReach {
 
 inline constexpr int kMaxCameraParams = 16;
 
-/// A model as data: what the run time knows of one of the structs described above.
+/// A model as data, made from one of the structs described above.
 struct CameraModel {
   const char* name;
   const CameraParam* params;

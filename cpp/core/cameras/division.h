@@ -17,8 +17,8 @@
 /// For k > 0 the model folds where D = 0; beyond it there is no value. On the fold itself g has a
 /// value and no derivative, and counts as constant. For k < 0 the lens sees more than 180 degrees.
 ///
-/// Every value is valid, as in COLMAP, which does not look at Z here; behind the camera, for k > 0,
-/// g is negative and the value that of the mirrored ray.
+/// Every value is valid, as in COLMAP, which does not test Z here. Behind the camera, for k > 0, g
+/// is negative and the value is that of the mirrored ray.
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h; Fitzgibbon, CVPR 2001.
 

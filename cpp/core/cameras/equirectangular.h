@@ -14,9 +14,9 @@
 ///   dy/d(X, Y, Z) = h / pi (-X Y / q, q, -Z Y / q) / R^2,
 ///   dx/dw = x / w,   dy/dh = y / h.
 ///
-/// w and h are the size of the image: metadata, which no solve changes. The poles have a value, x
-/// being that of azimuth 0 as in COLMAP, but no derivative by X and Z, which counts as zero. Every
-/// direction is valid; |P| about 2^-52 and less has none.
+/// w and h are the size of the image: metadata, which no solve changes. At the poles, x is that of
+/// azimuth 0, as in COLMAP; the derivatives by X and Z do not exist and count as zero. Every
+/// direction is valid. Points with |P| of about 2^-52 or less have no value.
 ///
 /// Across the seam a residual is short, though pixels are far apart: `Difference` takes whole turns
 /// of w out of x, to [-w/2, w/2). Being piecewise constant they have no derivative.

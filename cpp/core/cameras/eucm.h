@@ -16,10 +16,10 @@
 ///
 ///   m - b X^2 = b Y^2 + (a Z + 1 - alpha) Z,   R - Z = beta (X^2 + Y^2) / (R + Z)    (Z > 0).
 ///
-/// As in COLMAP the camera sees what has Z >= 2^-52 and m >= 2^-52. With a smaller Z the formula
-/// goes on without a break up to m = 0 (kBeyond). Elsewhere it has a value, of the mirrored ray,
-/// unless beta is so negative that R has none, or |m| < 2^-52. Where R is zero m has no derivative
-/// by R, which counts as zero.
+/// As in COLMAP, the camera sees points with Z >= 2^-52 and m >= 2^-52. For smaller Z the formula
+/// continues smoothly up to m = 0 (kBeyond). Elsewhere it gives the value of the mirrored ray,
+/// unless beta is so negative that R has no value, or |m| < 2^-52. At R = 0, the derivative of m by
+/// R does not exist and counts as zero.
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h; Khomutenko, Garcia and Martinet, RA-L 2016.
 

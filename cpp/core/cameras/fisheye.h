@@ -65,9 +65,9 @@ struct ArctanRatio {
 /// Up to 45 degrees from the axis a and g come out of ArctanRatio, which is sound on the axis
 /// itself: with q = (r / Z)^2, a = A(q) / Z and g = 2 A'(q) / Z^3. Farther out nothing cancels.
 ///
-/// As in COLMAP the camera sees what has Z >= 2^-52. Beyond 90 degrees the formula goes on, through
-/// 90 degrees without a break (kBeyond), and ends on the axis behind the camera, which has no
-/// direction.
+/// As in COLMAP, the camera sees points with Z >= 2^-52. The formula continues smoothly through 90
+/// degrees (kBeyond) and ends on the axis behind the camera, where the direction of the image point
+/// is undefined.
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h, FisheyeFromNormal (which has atan(r / Z)).
 struct Equidistant {

@@ -3,10 +3,10 @@
 /// Numbers of a state that stand on a bound beyond which the cost falls, for Ceres.
 ///
 /// Ceres projects a step onto the bounds after it has computed it, and then compares the decrease
-/// of the cost with that of a model in which such numbers have left their bounds. Where they have
-/// most of the gradient the ratio is near zero, every step is rejected, and the solve "converges"
-/// where it stands (ceres-solver issue 187). model/parameter_layout.h (StateBounds) says why these
-/// numbers are active and stay where they are.
+/// of the cost with that of a model in which such numbers have left their bounds. If they have most
+/// of the gradient, the ratio is near zero, every step is rejected, and the solve "converges" at
+/// its state (ceres-solver issue 187). model/parameter_layout.h (StateBounds) explains active
+/// numbers.
 ///
 /// Ceres asks for derivatives at each new state, and before that we find the active numbers by the
 /// gradient; then costs have no derivatives by them, so that no step moves them and the model

@@ -84,7 +84,7 @@ class CeresGraph {
   /// threw. Looks for the user's wish before a candidate is evaluated, when Ceres can still be left
   /// with the best state.
   const std::atomic<bool>& abandoned() const { return abandonment_.happened; }
-  /// Throws what a factor threw, if one did; Interrupted is none of it.
+  /// Rethrows the exception of a factor, if one threw; does not throw Interrupted.
   void RethrowFactorException() { abandonment_.exception.Rethrow(); }
 
  private:

@@ -19,7 +19,7 @@ class KindCosts {
   void Add(uint32_t kind, const ceres::CostFunction& cost, const ceres::LossFunction* loss,
            const std::vector<double*>& blocks);
   bool empty() const { return factors_.empty(); }
-  /// At what the blocks hold.
+  /// Costs by kind at the values of the blocks.
   std::vector<double> ByKind() const;
 
  private:
@@ -35,8 +35,9 @@ class KindCosts {
 /// True if a solve ended by function or parameter tolerance.
 bool EndedByTolerance(const ceres::Solver::Summary& summary);
 
-/// Solves again from where `summary` ended, with its options, and adds that to it. False where the
-/// new solve fails, which leaves all as it was. `callbacks` see the iterations numbered on.
+/// Solves again from the end of `summary`, with its options, and adds the new iterations to it.
+/// False if the new solve fails; everything is then unchanged. `callbacks` get the iterations with
+/// continued numbers.
 bool SettleFactors(const KindCosts& factors, ceres::Solver::Options options,
                    const std::vector<ceres::IterationCallback*>& callbacks, ceres::Problem* problem,
                    ceres::Solver::Summary* summary);

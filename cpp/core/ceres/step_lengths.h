@@ -1,9 +1,9 @@
 #pragma once
 
 /// Lengths of steps, as Ceres 2.1 reports them. Ceres 2.2 reports 0 for each step up to the first
-/// one that it accepts: it looks at the parameter tolerance only after that, and takes the length
-/// there. Until then lengths are measured here, between the numbers at the last state and at a
-/// candidate, which stand in the user's memory when Ceres asks an EvaluationCallback.
+/// accepted one, because it computes the length for the parameter tolerance, which it tests only
+/// after that. Until then, lengths are measured here: between the last state and a candidate, which
+/// are in the user's memory when Ceres calls an EvaluationCallback.
 
 #include <ceres/iteration_callback.h>
 

@@ -22,7 +22,7 @@ namespace bundle {
 FactorSummary CountCeresFactor(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                EliminationOrdering ordering, ceres::LinearSolverType type);
 
-/// Ceres' summary in our words. `fixed_cost` is the cost of observations that Ceres never saw; it
+/// Converts the summary of Ceres. `fixed_cost` is the cost of observations that Ceres never saw; it
 /// is added to every cost.
 SolveSummary Summarize(const ceres::Solver::Summary& summary, double fixed_cost);
 
@@ -52,8 +52,8 @@ class ReportProgress final : public ceres::IterationCallback {
   bool interrupted_ = false;
 };
 
-/// Puts the summary of a solve in front of that of the next, which went on from its end and is left
-/// out where it says the same: `repeats`, at its start.
+/// Prepends the summary of a solve to that of the next solve, which continued from its end.
+/// `repeats`: the first iteration of the next solve repeats the last one and is left out.
 void PutBefore(const ceres::Solver::Summary& first, bool repeats, ceres::Solver::Summary* next);
 
 /// Removes a step that could not be evaluated from the summary, as if it had not been tried.

@@ -12,10 +12,9 @@
 
 namespace bundle {
 
-/// The elimination order for one solve, made anew each time because Ceres changes what it is given.
-/// Group 0 is eliminated first: the points, or the images' blocks for kCamerasFirst; everything
-/// else is group 1. nullptr for kAutomatic. `points` and `state` are where the parameter blocks
-/// live.
+/// Makes the elimination order for one solve; Ceres changes it, so that each solve needs its own.
+/// Group 0 is eliminated first: the points, or the images' blocks for kCamerasFirst. Everything
+/// else is group 1. nullptr for kAutomatic. The parameter blocks are in `points` and `state`.
 std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering ordering,
                                                             const AdjustmentProblem& problem,
                                                             const ParameterLayout& layout,
@@ -26,8 +25,8 @@ std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering 
 bool FactorsCoupleFirstGroup(EliminationOrdering ordering, const AdjustmentProblem& problem,
                              const ParameterLayout& layout);
 
-/// True if group 0 would be empty although group 1 is not. Ceres then takes the one group for no
-/// ordering at all and finds an independent set by itself.
+/// True if group 0 would be empty although group 1 is not. Ceres then ignores the ordering and
+/// finds an independent set itself.
 bool NothingToEliminate(EliminationOrdering ordering, const ParameterLayout& layout);
 
 /// Settings that belong to the whole process, held while Ceres runs and given back afterwards: its

@@ -22,8 +22,8 @@ namespace bundle {
 /// Takes some 3 ns an observation of the problem.
 std::vector<int64_t> SampleObservations(const ProblemView& problem, int64_t size);
 
-/// The reprojection residuals of a solve as a spot check sees them: where the solve is, in its own
-/// charts. Keeps references to everything.
+/// Reprojection residuals of a solve at its state and in its charts, for a spot check. Keeps
+/// references to everything.
 class SolutionUnderCheck {
  public:
   /// `points` as in ProblemView.
@@ -52,22 +52,23 @@ std::string CheckSolution(const AdjustmentProblem& problem, const ParameterLayou
                           const CameraStates& states, const std::vector<double>& points,
                           Cheirality cheirality);
 
-/// One sentence that counts the free points seen by one observation only; "" if there are none.
+/// Returns one sentence with the number of free points seen by one observation only; "" if there
+/// are none.
 std::string CountPointsSeenOnce(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                 const std::vector<int64_t>& track_lengths);
 
-/// If the solver left something that is no reconstruction (a focal length that is not positive, a
-/// number that is not finite), puts the problem's own values back, marks the solution as not usable
-/// and says why in the warnings. Returns true if so.
+/// Rejects an impossible solution (a focal length that is not positive, a number that is not
+/// finite): restores the problem's own values, marks the solution as not usable, and warns. Returns
+/// true if it did so.
 bool RejectImpossibleSolution(const AdjustmentProblem& problem, SolveOutput* output);
 
-/// One sentence that names the first observation whose squared residual is not finite at the
+/// Returns one sentence with the first observation whose squared residual is not finite at the
 /// problem's own values; "" if there is none.
 std::string FindOverflow(const ProblemView& problem, Cheirality cheirality);
 
-/// Judges the end of a solve of anything by its record: one whose cost or gradient is not finite
-/// fails, one that ended by short steps on a slope has a warning. With bounds a gradient may point
-/// out of them, and no slope is told.
+/// Judges the end of any solve by its record. A solve whose cost or gradient is not finite fails. A
+/// solve that ended by short steps on a slope gets a warning, but not with bounds, where the
+/// gradient may point out of them.
 void JudgeEnd(bool has_bounds, double function_tolerance, SolveRecord* record);
 
 /// Last step of each backend. Checks the iterations and the solution in `output`, adds warnings to

@@ -9,9 +9,8 @@
 
 namespace bundle {
 
-/// Looks for the signature of a wrong Jacobian in the iterations (convergence_watch.cpp). One
-/// sentence that says what was seen and ends with `advice`, what finds the mistake; "" if nothing
-/// was.
+/// Tests the iterations for the signature of a wrong Jacobian. Returns one sentence with the
+/// finding, which ends with `advice`; "" if there is no finding.
 std::string WatchConvergence(const std::vector<IterationRecord>& iterations,
                              const std::string& advice = "`bundle check` finds out");
 

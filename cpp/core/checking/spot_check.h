@@ -31,9 +31,9 @@ struct ObservationAtPoint {
 using ClaimedDerivatives =
     std::function<bool(int64_t observation, const double* x, double* residual, double* jacobian)>;
 
-/// Holds the claimed Jacobian columns against differences of the residual (spot_check.cpp). One
-/// sentence that says which kind of column is wrong by how much, and names `bundle check`; "" if
-/// none is. Takes some 5 microseconds an observation.
+/// Compares the claimed Jacobian columns with differences of the residual. Returns one sentence
+/// with the kind of column that is wrong, its error, and a reference to `bundle check`; "" if no
+/// column is wrong. Takes about 5 microseconds per observation.
 std::string SpotCheck(const std::vector<ObservationAtPoint>& sample,
                       const ClaimedDerivatives& derivatives);
 

@@ -8,8 +8,8 @@
 
 namespace bundle {
 
-/// One sentence about a solve that ended by parameter tolerance or radius where its model still
-/// predicts a decrease (steep_end.cpp); "" about any other.
+/// Returns one sentence if a solve ended by parameter tolerance or radius although its model still
+/// predicts a decrease; else "".
 std::string FindSteepEnd(const SolveRecord& record, double function_tolerance);
 
 }  // namespace bundle

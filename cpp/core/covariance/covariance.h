@@ -19,8 +19,8 @@
 ///
 ///   w_ba = w_b - R_ba w_a,      t_ba' = t_b' - R_ba t_a' + [R_ba t_a]x w_ba.
 ///
-/// The whole is scaled for residuals of one pixel, or of their sigmas. sum r^T W r over what is
-/// measured, by which it may be scaled, is given beside it.
+/// All covariances are for residuals with a sigma of one pixel, or with their own sigmas. The
+/// output has sum r^T W r over all measurements, for those who want to scale them.
 
 #include <cstdint>
 #include <utility>

@@ -3,12 +3,12 @@
 /// Gauge: the similarities of the world that a problem leaves free, and the S-transformation, which
 /// makes a covariance independent of how they were held.
 ///
-/// Let N hold, column by column, what the similarities do to all that is free (gauge_sums.h). A
-/// combination N q is free if no residual changes: J N q = 0. J N is summed up row by row, before
-/// anything is eliminated; singular values of its triangle are compared with the parts of the rows,
-/// by cameras and by points, so that what cancels is zero to rounding. That counts fixed parts,
-/// rigs, priors and control points without looking for them. What several pieces of a world, or
-/// points without parallax, leave beyond that is not counted here.
+/// Let the columns of N be the derivatives of all free parameters by the similarities
+/// (gauge_sums.h). A combination N q is free if no residual changes: J N q = 0. J N is summed up
+/// row by row, before anything is eliminated. The singular values of its triangle are compared with
+/// the parts of the rows, by cameras and by points, so that cancellation is recognised as zero up
+/// to rounding. Fixed parts, rigs, priors and control points are so taken into account. Degrees of
+/// freedom of several pieces of a world, or of points without parallax, are not counted here.
 ///
 /// H is then singular. The inner constraints (E. M. Mikhail, F. Ackermann; B. Triggs et al.: Bundle
 /// Adjustment - A Modern Synthesis, 2000, section 9) ask for its pseudo-inverse, the covariance of
@@ -79,7 +79,7 @@ class FreeGauge {
 
  private:
   const NullPoint* FindNullPoint(int point) const;  ///< nullptr: it has parallax
-  /// N_p of a point, without what nothing says of it: 3 x d.
+  /// N_p of a point, also along its undetermined directions: 3 x d.
   PointRows OfAnyPoint(int point) const;
   /// x - L R^T x, by the parts of L and R at points; those of cameras are N_c.
   template <typename Left, typename Right>

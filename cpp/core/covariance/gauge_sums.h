@@ -1,11 +1,11 @@
 #pragma once
 
-/// Sums over the points for the free similarities of the world (free_gauge.h): what all seven do to
-/// the rows of J and to the reduced system, in whatever pass over the points comes first.
+/// Sums over the points for the free similarities of the world (free_gauge.h): products of J and of
+/// the reduced system with all seven, made in the first pass over the points.
 ///
-/// Let N hold, column by column, what the similarities do to all that is free, about the centre of
-/// the scene. Summed up are J N, as the triangle of its QR factorisation, beside the parts of its
-/// rows, and, with Y_p = W_p V_p^-1 (point_blocks.h),
+/// Let the columns of N be the derivatives of all free parameters by the similarities, about the
+/// centre of the scene. Summed up are J N, as the triangle of its QR factorisation, beside the
+/// parts of its rows, and, with Y_p = W_p V_p^-1 (point_blocks.h),
 ///
 ///   sum Y_p N_p,     sum N_p^T V_p^-1 N_p,     sum N_p^T N_p,
 ///

@@ -56,9 +56,9 @@ struct FullVectors {
 
 class ReducedSystem {
  public:
-  /// Chooses what is free, lays it out and linearises. The problem is valid and outlives this; its
-  /// camera models are known. `sums_gauge`: the pass over the points that has to be made sums up
-  /// what a FreeGauge needs.
+  /// Chooses and lays out the free parameters and linearises. The problem is valid and outlives
+  /// this; its camera models are known. `sums_gauge`: the pass over the points also makes the sums
+  /// that a FreeGauge needs.
   ///
   /// Throws InputError if an id to be fixed does not exist, a factor couples a point with something
   /// else that is free or is a function in Python, or the memory does not suffice.
@@ -96,7 +96,7 @@ class ReducedSystem {
 
   /// Structure of S in values(), with its blocks in the order of the layout.
   const BlockStructure& structure() const { return structure_; }
-  /// S; after Factorize what the solver makes of it, after Invert the same blocks of S^-1.
+  /// Values of S; after Factorize those of the solver; after Invert the same blocks of S^-1.
   std::vector<double>& values();
   const std::vector<double>& values() const;
   /// The right-hand side of a step: minus the gradient, points eliminated.

@@ -13,9 +13,9 @@
 ///
 /// S_aa is factorised once. Parts of a that are not connected to b, or only loosely (a component of
 /// images that shares no more than a camera with the others), may turn, move and scale: S_aa n = 0.
-/// As S is positive semidefinite, S_ba n = 0, too: what is free has no influence, and any
-/// generalised inverse serves. Where a pivot is close to rounding, S_aa + D is factorised, with D a
-/// diagonal kDamping times that of J^T J, and
+/// As S is positive semidefinite, S_ba n = 0, too: free motions have no influence, and any
+/// generalised inverse serves. If a pivot is close to rounding errors, S_aa + D is factorised, with
+/// D a diagonal kDamping times that of J^T J, and
 ///
 ///   X <- X + (S_aa + D)^-1 (S_ab - S_aa X)
 ///

@@ -51,7 +51,7 @@ std::vector<double> SumBread(const ReducedSystem& system);
 /// E_p = F - Y P, rows as in PointBlocks::w.
 std::vector<double> ScoresBesidePoint(const PointBlocks& blocks, const PointScores& scores);
 
-/// B, with the structure of S; and what is summed up beside it, unless `gauge` is nullptr.
+/// B, with the structure of S, and the sums for `gauge`, unless it is nullptr.
 std::vector<double> SumMeat(const ReducedSystem& system, ScatterGauge* gauge);
 
 /// D at the blocks of S, of a factorised system; that of scatter_gauge.h, unless `gauge` is

@@ -5,9 +5,8 @@
 
 namespace bundle {
 
-/// Directions that a search for eigenvectors leaves out, orthonormal: those of pieces of the world,
-/// each with unknowns of its own, and others. However many pieces there are, they take the memory
-/// of one.
+/// Orthonormal directions that a search for eigenvectors excludes: those of pieces of the world,
+/// each with its own unknowns, and others. All pieces together take the memory of one.
 class Deflation {
  public:
   /// `piece`: of each unknown; -1: of none. `directions`: unknowns x a few; of each piece its own

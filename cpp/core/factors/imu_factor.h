@@ -23,9 +23,9 @@ namespace bundle {
 
 class ImuFactor final : public Factor {
  public:
-  /// `gravity` is used as it is without a variable of gravity, and turned by one on so3;
-  /// `variable` is that variable's manifold, or nullptr. Throws InputError if the motion's
-  /// covariance is not positive definite, or gravity is not three finite numbers.
+  /// `variable` is the manifold of a gravity variable, or nullptr. `gravity` is constant without
+  /// such a variable, and turned by a variable on so3. Throws InputError if the motion's covariance
+  /// is not positive definite, or gravity is not three finite numbers.
   ImuFactor(FactorHead head, std::shared_ptr<const Preintegration> motion,
             std::vector<double> gravity, const Retraction* variable, bool has_scale);
 

@@ -143,11 +143,10 @@ bool EvaluateReprojection(const PoseState& pose, const double* params, const dou
 /// - It *counts*: its residual is r(x), of cost 1/2 rho(||r(x)||^2).
 /// - It *holds* a constant residual h without derivatives, of cost 1/2 rho(||h||^2).
 ///
-/// The cost f of a state is that of all that counts; what the others hold is its *held cost* g. A
-/// step is measured by f + g, so that both sums decide what is accepted. Everything else is without
-/// g, which is no cost of the state and hardly changes: the gradient, the normal equations, the
-/// decrease that the model predicts, the costs that are reported, and the cost that the function
-/// tolerance is a share of.
+/// The cost f of a state is that of all observations that count; the cost of the residuals held by
+/// the others is its *held cost* g. A step is judged by f + g. Everything else is without g, which
+/// hardly changes: the gradient, the normal equations, the decrease predicted by the model,
+/// reported costs, and the cost to which the function tolerance is relative.
 ///
 /// At the start h = 0 for those that do not count, as COLMAP has it. From a state x to a candidate
 /// y, an observation that

@@ -71,7 +71,7 @@ class Retraction {
 /// size that does not fit.
 Retraction RetractionFromName(const std::string& name, int ambient_size);
 
-/// A variable of a problem: where it is, how it moves, and what of it is held.
+/// A variable of a problem: its value, its retraction, and its constant coordinates.
 struct Block {
   std::string name;  ///< for messages
   Retraction retraction;

@@ -1,7 +1,7 @@
 #pragma once
 
-/// Variables and factors: a least-squares problem of any structure, checked, and what remains of it
-/// when variables are eliminated.
+/// Factor graphs: least-squares problems of any structure, their validation, and the
+/// marginalisation of variables.
 
 #include <cstdint>
 #include <memory>
@@ -56,7 +56,7 @@ struct LinearizedGraph {
 /// The information that a linearised graph holds of some of its variables.
 ///
 /// The graph's cost is 1/2 d^T Lambda d - eta^T d + const with Lambda = J^T J and eta = -J^T r. Let
-/// a be what is eliminated and b what is kept. Minimising over d_a leaves the Schur complement
+/// a be the eliminated and b the kept coordinates. Minimising over d_a leaves the Schur complement
 ///
 ///   Lambda' = Lambda_bb - Lambda_ba Lambda_aa^-1 Lambda_ab,
 ///   eta'    = eta_b - Lambda_ba Lambda_aa^-1 eta_a,
@@ -66,8 +66,8 @@ struct LinearizedGraph {
 ///
 ///   Lambda' = Lambda_bb - Y^T Y,        eta' = eta_b - Y^T y.
 ///
-/// Lambda' is symmetric to the last bit. Where the graph says nothing of a direction of b, nor does
-/// Lambda' (up to rounding).
+/// Lambda' is symmetric to the last bit. If the graph has no information along a direction of b,
+/// nor has Lambda' (up to rounding).
 struct MarginalInformation {
   std::vector<double> lambda;  ///< n x n, row-major, symmetric
   std::vector<double> eta;     ///< n

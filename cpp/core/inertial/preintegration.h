@@ -13,7 +13,7 @@ struct ImuNoise {
   double accel_noise_density = 0;     ///< m/s^2/sqrt(Hz), above 0
   double gyro_bias_random_walk = 0;   ///< rad/s^2/sqrt(Hz)
   double accel_bias_random_walk = 0;  ///< m/s^3/sqrt(Hz)
-  /// m^2/s: what the integration of velocity to position leaves out, per axis.
+  /// m^2/s: error of the integration of velocity to position, per axis.
   double integration_covariance = 1e-8;
 };
 

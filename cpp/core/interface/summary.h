@@ -16,7 +16,7 @@
 
 namespace bundle {
 
-/// python/bundle/warning_kinds.py says what each means (a test holds the names against each other).
+/// python/bundle/interface/warning_kinds.py explains each kind (a test compares the names).
 enum class WarningKind {
   kGaugeNotHeld,
   kGaugeBesideFactors,

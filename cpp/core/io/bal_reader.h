@@ -1,6 +1,6 @@
 #pragma once
 
-/// The grammar of BAL files; bal.h says what their numbers mean.
+/// Grammar of BAL files. bal.h defines the numbers.
 
 #include <algorithm>
 #include <cmath>

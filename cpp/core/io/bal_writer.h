@@ -1,6 +1,6 @@
 #pragma once
 
-/// The parts of a BAL file as text; bal.h says what their numbers mean.
+/// Parts of a BAL file as text. bal.h defines the numbers.
 
 #include <algorithm>
 #include <cstdint>

@@ -205,7 +205,7 @@ void CheckPose(const ModelFile& file, uint64_t position, const std::string& subj
 void CheckCameraSize(const ModelFile& file, uint64_t position, const std::string& subject,
                      uint64_t width, uint64_t height);
 
-/// An image name is UTF-8 without control characters: what pycolmap can hand to Python.
+/// Checks that an image name is UTF-8 without control characters, as pycolmap needs.
 void CheckImageName(const ModelFile& file, uint64_t position, const std::string& subject,
                     std::string_view name);
 

@@ -12,9 +12,9 @@
 
 namespace bundle {
 
-/// A COLMAP model as it was read: its files, checked, what stands in them, and the order of our
-/// arrays, which is that of the ids. The files stay in memory, so that `WriteColmapModel` can write
-/// them again with other numbers whatever has become of them on the disk.
+/// A COLMAP model as it was read: its checked files, their contents, and the order of our arrays,
+/// which is that of the ids. The files stay in memory, so that `WriteColmapModel` can write them
+/// with other numbers even if they have changed on the disk.
 struct ColmapModel {
   ColmapIndex index;
   std::vector<size_t> cameras_by_id;  ///< positions in `index`

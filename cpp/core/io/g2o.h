@@ -12,8 +12,7 @@
 /// upper triangle, in the plane over x y angle, in space over x y z qx qy qz. We store poses as
 /// COLMAP does (qx qy qz qw tx ty tz) and information in the order of the tangent coordinates of
 /// geometry/retraction.h (rotation, then translation): a permutation, exact in floating point. The
-/// numbers themselves stay as they are in the file, lengths of quaternions and turns of angles
-/// among them.
+/// numbers stay as they are in the file, also lengths of quaternions and full turns of angles.
 ///
 /// TORO's files (Grisetti, Stachniss, Grzonka, Burgard: TORO, 2007) differ little and are read,
 /// too:
@@ -26,12 +25,12 @@
 /// R = R_z(yaw) R_y(pitch) R_x(roll); the information in space is over x y z roll pitch yaw, which
 /// near no error are x y z and the rotation vector. An edge without information has that of the
 /// identity. VERTEX and EDGE, as TORO writes them in the plane, are VERTEX2 and EDGE2. EQUIV i j
-/// names an edge that TORO may collapse, and does not when it reads the file: the edge stays as it
-/// is measured. Written are g2o's records.
+/// names an edge that TORO may collapse later; the edge is kept as measured. Files are written with
+/// g2o's records.
 ///
 /// Lines of parameters (PARAMS_...), comments (#) and packets of sensors (ROBOTLASER1 and other
-/// data that g2o hangs on vertices) are passed over; what is passed over is counted. The format is
-/// that of g2o's types slam2d and slam3d (https://github.com/RainerKuemmerle/g2o/wiki/File-Format).
+/// data that g2o attaches to vertices) are skipped and counted. The format is that of g2o's types
+/// slam2d and slam3d (https://github.com/RainerKuemmerle/g2o/wiki/File-Format).
 
 #include <cstdint>
 #include <filesystem>

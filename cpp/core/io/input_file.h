@@ -13,8 +13,8 @@ namespace bundle {
 /// A file as a stream of bytes, decompressed on the way if its first bytes say gzip or bzip2 (the
 /// name does not matter). Concatenated streams, as pigz and pbzip2 write them, are read as one.
 ///
-/// What goes wrong in the system is thrown as std::system_error, damaged compressed data as
-/// InputError with the position in the file as it is stored.
+/// System errors are thrown as std::system_error, damaged compressed data as InputError with the
+/// position in the stored file.
 class InputFile {
  public:
   static std::unique_ptr<InputFile> Open(const std::filesystem::path& path);
@@ -32,8 +32,8 @@ class InputFile {
   virtual bool is_compressed() const = 0;
 };
 
-/// Throws InputError: what is read again is not what was read before. `name`: of the file, for
-/// messages; "" where the caller adds it.
+/// Throws InputError: a file has changed between two readings. `name`: the file, for the message;
+/// "" if the caller adds it.
 [[noreturn]] void FailAsChanged(const std::string& name = "");
 
 /// Bytes that readers of text read at a time.

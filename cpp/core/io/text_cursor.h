@@ -156,7 +156,8 @@ class ColmapTextCursor {
   /// True when nothing but white space is left of the line.
   bool AtEndOfLine();
 
-  /// The next token. `what` says what was expected if there is none: "a camera model".
+  /// Reads the next token. `what` is the expected token, for the message if there is none: "a
+  /// camera model".
   std::string_view Token(const char* what);
 
   /// A whole number from 0 to `max`.

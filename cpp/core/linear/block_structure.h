@@ -7,8 +7,8 @@
 /// Its lower triangle is stored by block columns. Each is a panel of column-major values as tall as
 /// the blocks in it, so that a dense S is the matrix LAPACK takes and a sparse one has the value
 /// array of a compressed-column matrix, and neither is copied before it is factorised. Diagonal
-/// blocks are stored whole; only their lower triangle means anything. A panel may have more rows
-/// than the blocks in it, and stand among others, as the solver of a sparse S wants it
+/// blocks are stored whole; only their lower triangle is defined. A panel may have more rows than
+/// its blocks, and be stored among others, as the solver of a sparse S needs it
 /// (supernodal_cholesky.h).
 
 #include <algorithm>
@@ -118,9 +118,9 @@ struct BlockSystem {
 /// Asks the system for large pages where nothing has been touched yet. No more than a hint.
 void AdviseHugePages(void* begin, size_t num_bytes);
 
-/// Makes room for `size` values and asks the system for large pages before they are touched: sums
-/// into a large S go everywhere, and with pages of 4 kB nearly each of its columns is a miss of the
-/// address translation as well. Where large pages mean nothing, no more than a reserve.
+/// Reserves `size` values and asks the system for large pages before they are touched. Sums into a
+/// large S access it everywhere, and with pages of 4 kB nearly each of its columns is also a miss
+/// of the address translation. Without large pages, only a reserve.
 template <typename T>
 void ReserveHugePages(size_t size, std::vector<T>* values) {
   if (size <= values->capacity()) return;

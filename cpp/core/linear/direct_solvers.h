@@ -15,14 +15,15 @@ namespace bundle {
 std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, int num_threads,
                                               bool same_bits = false);
 
-/// A supernodal Cholesky factorisation, analysed once. `structure` is a sparse one whose blocks
-/// stand in the order of the elimination, which `ordering` counted; it then says where the solver
-/// wants their values, in place of its factor.
+/// Supernodal Cholesky factorisation, analysed once. `structure` is sparse, with blocks in the
+/// order of the elimination, as in `ordering`. Afterwards it has the places of the values in the
+/// factor.
 std::unique_ptr<LinearSolver> MakeSparseSolver(const FillOrdering& ordering, int num_threads,
                                                BlockStructure* structure);
 
-/// Stands for the solver of rank 0 on other ranks, which get its steps (schur/schur_problem.cpp):
-/// it solves nothing. The arguments are properties of the solver of rank 0.
+/// Placeholder on other ranks than rank 0, which receive the steps of rank 0
+/// (schur/schur_problem.cpp). It solves nothing. The arguments are properties of the solver of rank
+/// 0.
 std::unique_ptr<LinearSolver> MakeRemoteSolver(bool needs_camera_diagonal, bool is_iterative);
 
 }  // namespace bundle

@@ -1,7 +1,7 @@
 #pragma once
 
-/// Normal equations of a graph, a block per node and one per edge, solved once: what a
-/// least-squares problem over pairs of nodes leaves in each step.
+/// Normal equations of a least-squares problem over pairs of nodes, with a block per node and one
+/// per edge, solved once.
 
 #include <cstdint>
 #include <vector>

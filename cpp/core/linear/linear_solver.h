@@ -33,9 +33,9 @@ class LinearSolver {
   virtual ~LinearSolver() = default;
 
   /// Factorises S; conjugate gradients prepare their preconditioner. Reads and may overwrite the
-  /// values, which have to stay as it leaves them until the last Solve. `scale` holds the Jacobi
-  /// scaling of the columns: the unknowns that an iterative solver iterates on are x / scale, as in
-  /// Ceres. After a failure, or an exception, there is nothing to solve with until it succeeds.
+  /// values, which must not change until the last Solve. `scale` is the Jacobi scaling of the
+  /// columns: an iterative solver iterates on x / scale, as in Ceres. After a failure or an
+  /// exception, Solve is not allowed until Factorize succeeds.
   LinearSolution Factorize(BlockSystem* system, const std::vector<double>& scale) {
     is_factorized_ = false;
     LinearSolution result = DoFactorize(system, scale);
@@ -44,8 +44,8 @@ class LinearSolver {
   }
 
   /// X = S^-1 B, both num_columns x num_rhs, column-major, and not the same array. `eta` is the
-  /// forcing term of an iterative solver, which counts the iterations of all right-hand sides; the
-  /// others ignore it. Stops at the first right-hand side that fails; X then means nothing.
+  /// forcing term of an iterative solver, which counts the iterations of all right-hand sides;
+  /// direct solvers ignore it. Stops at the first right-hand side that fails; X is then undefined.
   ///
   /// Throws std::logic_error without a successful Factorize.
   LinearSolution Solve(const double* rhs, int num_rhs, double eta, double* x) {
@@ -54,7 +54,7 @@ class LinearSolver {
     return DoSolve(rhs, num_rhs, eta, x);
   }
 
-  /// Both for the system's own right-hand side, as a step needs them.
+  /// Factorizes and solves for the system's own right-hand side, as a step does.
   LinearSolution Solve(BlockSystem* system, const std::vector<double>& scale, double eta,
                        double* x) {
     LinearSolution factorized = Factorize(system, scale);
@@ -62,8 +62,8 @@ class LinearSolver {
     return Solve(system->rhs.data(), 1, eta, x);
   }
 
-  /// Replaces the factor by the blocks of S^-1 where the structure has blocks of S: diagonal blocks
-  /// by their lower triangle. There is nothing to solve with afterwards.
+  /// Replaces the factor by the blocks of S^-1 at the blocks of S, diagonal blocks by their lower
+  /// triangle. Solve is not allowed afterwards.
   ///
   /// Throws std::logic_error without a successful Factorize, and for iterative solvers.
   LinearSolution InvertBlocks() {
@@ -72,13 +72,13 @@ class LinearSolver {
     return DoInvertBlocks();
   }
 
-  /// Forgets what the values of systems before taught it (clusters of blocks, for instance), so
-  /// that it solves as a new one would. What the structure alone says stays.
+  /// Forgets all that depends on values of earlier systems (clusters of blocks, for instance), so
+  /// that it solves as a new solver would. Keeps what follows from the structure.
   virtual void ForgetValues() {}
 
   /// True if it reads BlockSystem::camera_diagonal.
   virtual bool NeedsCameraDiagonal() const { return false; }
-  /// True of conjugate gradients, which may take what rounding leaves in S a long way.
+  /// True for conjugate gradients, which can amplify rounding errors of S.
   virtual bool IsIterative() const { return false; }
   /// True if it reads BlockSystem::gauge_directions.
   virtual bool NeedsGaugeDirections() const { return false; }

@@ -17,8 +17,9 @@ class SupernodalCholesky {
   /// or the order of a leading minor that is not positive definite; `values` then mean nothing.
   int Factorize(double* values);
 
-  /// X = S^-1 X with the values that Factorize left; num_columns x num_rhs, column-major. One
-  /// right-hand side goes by vectors, more by matrix products, whose rounding differs.
+  /// X = S^-1 X with the values of Factorize; num_columns x num_rhs, column-major. A single
+  /// right-hand side is solved by vector operations, several by matrix products, whose rounding
+  /// differs.
   void Solve(const double* values, double* x, int num_rhs = 1);
 
   /// Replaces the values of the factor by those of S^-1 at the same places (selected_inverse.cpp).

@@ -15,9 +15,9 @@
 ///   gradient direction   p = D^-2 J^T r,
 ///   Newton direction     q: (J^T J + damping D^2) q = -J^T r.
 ///
-/// A problem may have a held cost, which is constant near a state but may change from one state to
-/// another: it is added to the cost where a step is judged, and nowhere else
-/// (factors/reprojection.h says what it is for).
+/// A problem may have a held cost, which is constant near a state but may differ between states. It
+/// is added to the cost when a step is judged, and nowhere else (derived in
+/// factors/reprojection.h).
 ///
 /// A problem may have bounds on coordinates of x. Its candidates are then P(x + d), P moving each
 /// coordinate to the nearest value within its bounds; both directions disregard them. x itself is

@@ -30,9 +30,9 @@ struct MinimizerSummary {
 /// Minimises as ceres::internal::TrustRegionMinimizer does, step by step: same strategies, same
 /// radius, same three stopping tests. The state of `problem` is the best one at the end.
 ///
-/// `before`: what led to the state that `problem` has, where this goes on from there after other
-/// residuals count. Everything begins anew, but the iterations follow those of before, the first
-/// being the evaluation of the state, and `options` are for all of them.
+/// `before`: the summary that led to the state of `problem`, if this continues from there because
+/// other residuals count now. Everything restarts, but the iterations continue those of `before`
+/// (the first is the evaluation of the state), and `options` are for all of them.
 MinimizerSummary Minimize(const SolveOptions& options, const ProgressCallback& progress,
                           LeastSquares* problem, MinimizerSummary before = {});
 

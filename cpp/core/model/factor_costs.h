@@ -10,8 +10,8 @@
 
 namespace bundle {
 
-/// A number that factors of one kind share: of the same class, number of residuals and kinds of
-/// variables. Within a run of a program it is the same in all its processes.
+/// Kind of a factor: a number that factors of the same class, number of residuals and kinds of
+/// variables share. It is the same in all processes of a run.
 uint32_t KindOf(const Factor& factor, const AdjustmentProblem& problem);
 
 /// The largest change of one of the costs, relative to the cost itself; 0 without any.
@@ -20,8 +20,8 @@ double LargestRelativeChange(const std::vector<double>& before, const std::vecto
 /// 1/2 rho(||r||^2) of each factor at the problem's own values; NaN where it has none.
 std::vector<double> FactorCosts(const AdjustmentProblem& problem);
 
-/// Turns r and J (rows x columns) of a factor into those that a solver sees, and returns the cost
-/// 1/2 rho(||r||^2). Without a Jacobian, `jacobian` is nullptr and the residual stays as it is.
+/// Corrects r and J (rows x columns) of a factor for its loss, and returns the cost 1/2
+/// rho(||r||^2). If `jacobian` is nullptr, the residual does not change.
 double ApplyLoss(const Factor& factor, int columns, double* residual, double* jacobian);
 
 }  // namespace bundle

@@ -10,10 +10,10 @@
 ///   at z = z'   for z' >= z_0,      at z = -z'  for -z_0 < z' <= 0,
 ///
 /// up to z^2, and for 0 < z' < z_0 and below -z_0 nowhere: the best pixels that a file can hold are
-/// then those of a border or of z = 0, a pinhole. A descent does not see that. It stays before the
-/// jump, on either side, with a gradient towards it, or on a side that has no minimum. Near z = 0,
-/// besides, derivatives by omega, which are 2 omega times those by z, vanish, and steps grow beyond
-/// all bounds.
+/// then those of a border or of z = 0, a pinhole. A descent cannot find that. It stops before the
+/// jump, on either side, with a gradient towards it, or stays on a side without a minimum. Also,
+/// near z = 0, derivatives by omega, which are 2 omega times those by z, vanish, and steps grow
+/// without bound.
 ///
 /// At z = 0 both sides meet, and derivatives by omega are 0: with omega = 0 a solve ends at the
 /// best pinhole. There the slope along z of the inner side,

@@ -82,9 +82,9 @@ struct CameraBlock {
 /// Bounds of the numbers in a state; no numbers where none of them has any.
 ///
 /// A candidate is projected onto them, number by number. A number on a bound beyond which the cost
-/// falls is *active*: it stays until the gradient turns. Without that, the model of a step would
-/// move it, and the numbers coupled to it, to where the projection takes it back; the decrease that
-/// the model promises does not come, and a trust region rejects every step (D. P. Bertsekas:
+/// falls is *active*: it stays until the gradient turns. Otherwise the model would move it, and the
+/// numbers coupled to it, and the projection would take it back. The actual decrease would be far
+/// below the predicted one, and the trust region would reject every step (D. P. Bertsekas:
 /// Projected Newton Methods for Optimization Problems with Simple Constraints, 1982; Ceres knows
 /// the projection only).
 struct StateBounds {
@@ -119,9 +119,9 @@ class ParameterLayout {
   int num_free_points() const { return num_free_points_; }
   bool point_is_free(int point) const { return free_.point[point] != 0; }
 
-  /// The blocks that an image's observations depend on, -1 where there is none: that of its pose
-  /// (its own, with its intrinsics where merged, or its frame's), that of its sensor, that of its
-  /// camera where it is not merged, and that of what its camera shares with others.
+  /// Blocks that an image's observations depend on; -1: none. They are: the block of its pose (its
+  /// own, with its intrinsics if merged, or its frame's), of its sensor, of its camera if not
+  /// merged, and of the parameters that its camera shares with others.
   using ImageBlocks = std::array<int, 4>;
   enum { kPoseBlock, kSensorBlock, kCameraBlock, kTiedBlock };
   const ImageBlocks& blocks_of(int image) const { return image_blocks_[image]; }
@@ -148,8 +148,9 @@ class ParameterLayout {
   uint32_t RefinedColumns(const AdjustmentProblem& problem, int image) const;
   /// True if an observation depends on something free.
   bool IsRefined(const AdjustmentProblem& problem, int64_t observation) const;
-  /// The blocks that stand with another one in some residual, but for the first of each image: no
-  /// two of the others stand in the same one. Where there are any, shared cameras are among them.
+  /// Blocks that occur together with another block in some residual, except the first block of each
+  /// image. No two of the other blocks occur in the same residual. If there are any, shared cameras
+  /// are among them.
   std::set<int> BlocksBesideFirst() const;
 
   /// The state at the problem's own values: w = 0.

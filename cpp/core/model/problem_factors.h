@@ -65,9 +65,9 @@ struct FactorUnknowns {
 std::vector<FactorUnknowns> FindFactorUnknowns(const AdjustmentProblem& problem,
                                                const ParameterLayout& layout);
 
-/// True if the factor touches the camera parameters only, or exactly one point and nothing else
-/// that is free: then eliminating the points leaves it as it is, or is no more than another start
-/// of the point's block.
+/// True if the factor touches only camera parameters, or exactly one point and no other free
+/// unknown. The elimination of the points then leaves the factor unchanged, or only the point's
+/// block starts at another value.
 inline bool LeavesPointsApart(const FactorUnknowns& unknowns) {
   return unknowns.points.empty() || (unknowns.points.size() == 1 && unknowns.blocks.empty());
 }

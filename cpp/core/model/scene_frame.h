@@ -10,8 +10,8 @@
 ///
 /// So a scene that is more than kFarOrigin times its size away from the origin (UTM coordinates,
 /// for instance) is solved about a point c at its centre. With X' = X - c and t' = t + R c it is R
-/// X' + t' = R X + t: no residual changes. The solution is moved back, but for what the solve left
-/// as it was, which keeps its bits.
+/// X' + t' = R X + t: no residual changes. The solution is moved back; unchanged values keep their
+/// bits.
 ///
 /// Points more than kFarPoint sizes away from the centre stay in the problem, but not in the norm:
 /// the tolerance is multiplied by ||x without them|| / ||x||.
@@ -90,13 +90,13 @@ struct FarPoints {
 FarPoints FindFarPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                         const SceneFrame& frame);
 
-/// A solution that far points bent is not usable. The signs of that: they cost more than all the
-/// others at the end, or the others cost more than kMaxNearRise times what they did at the start;
-/// observations behind their cameras at either end are left out. Both only where far points pull:
-/// the square root of the mean of rho' s over their observations, s the squared residual, exceeds
-/// kFarPull pixels, or loss scales. Without that, they may have most of a cost that is all
-/// rounding, or that a loss bounds (rho' s is what an observation adds to the gradient along its
-/// residual). A solve without iterations is not judged.
+/// A solution that is distorted by far points is not usable. The criteria: at the end, far points
+/// cost more than all others, or the others cost more than kMaxNearRise times their cost at the
+/// start. Observations behind their cameras at the start or the end are left out. Both criteria
+/// apply only if far points pull: the square root of the mean of rho' s over their observations, s
+/// the squared residual, exceeds kFarPull pixels, or loss scales (rho' s is the gradient of an
+/// observation along its residual). Otherwise, they may have most of a cost that is rounding, or
+/// that a loss bounds. A solve without iterations is not judged.
 void JudgeFarPoints(const AdjustmentProblem& problem, const FarPoints& far,
                     const SolveOptions& options, SolveOutput* output);
 

@@ -2,16 +2,16 @@
 
 /// The unit of length that a scene is solved in.
 ///
-/// The scale of the world is free, but a solver's numbers know it: Ceres damps a column j by
-/// clamp(s_j^2 c_j, 1e-6, ...) / s_j^2 with c_j = ||J e_j||^2 and s_j = 1 / (1 + sqrt(c_j)), which
-/// follows c_j until sqrt(c_j) falls below 1e-3. In a scene of 1e6 units a point's column does, the
-/// damping no longer does, and steps come out too short. The parameter tolerance compares a step
-/// with all of x, where large coordinates outweigh rotations and small ones count for nothing.
+/// The scale of the world is free, but solvers depend on it: Ceres damps a column j by clamp(s_j^2
+/// c_j, 1e-6, ...) / s_j^2 with c_j = ||J e_j||^2 and s_j = 1 / (1 + sqrt(c_j)), which follows c_j
+/// until sqrt(c_j) falls below 1e-3. In a scene of 1e6 units this happens to a point's column; the
+/// damping no longer follows, and steps become too short. The parameter tolerance compares a step
+/// with all of x, in which large coordinates dominate rotations and small coordinates.
 ///
 /// So a scene whose size is beyond kSmallestWorld and kLargestWorld is solved with all its lengths
-/// times a power of two that makes its size about 1: no bit of a coordinate changes, on the way
-/// there or back. Factors measure in the unit of the problem: a scene that they touch stays in it,
-/// and a warning says so.
+/// times a power of two that makes its size about 1: no bit of a coordinate changes in either
+/// direction. Factors measure in the unit of the problem: a scene with factors is not scaled, and a
+/// warning says so.
 
 #include <string>
 #include <vector>
@@ -35,7 +35,7 @@ class ScaledProblem {
   const AdjustmentProblem& view() const { return scaled_; }
   /// Frame of view(); its unit is in lengths of the problem.
   const SceneFrame& frame() const { return frame_; }
-  /// Why an extreme scene stays as it is; "": it does not, or is none.
+  /// Reason why an extreme scene is not scaled; "" if it is scaled, or not extreme.
   const std::string& warning() const { return warning_; }
 
   /// Takes a solution of view() to the unit of the problem.

@@ -107,11 +107,12 @@ class Interrupted : public std::exception {
   const char* what() const noexcept override { return "interrupted"; }
 };
 
-/// While it lives, long computations on this thread ask `requested` now and then whether the user
-/// wants them to end, at most once in `between_looks`. Once it has said so, it is not asked again.
+/// While it lives, long computations on this thread call `requested` to learn whether the user
+/// wants them to end, at most once per `between_looks`. After it returns true, it is not called
+/// again.
 ///
-/// Known to the thread and not handed down: otherwise every linear solver and every pass over the
-/// points would take an argument that has nothing to do with it. The innermost one counts.
+/// It is stored per thread and not passed as an argument, which every linear solver and every pass
+/// over the points would have to forward. The innermost scope counts.
 class InterruptionScope {
  public:
   using Clock = std::chrono::steady_clock;
@@ -132,8 +133,8 @@ class InterruptionScope {
   InterruptionScope* const outer_;
 };
 
-/// True if the user wants the computation on this thread to end; false on any thread without a
-/// scope. Costs a look at the clock while it does not ask.
+/// True if the user wants the computation on this thread to end; false on a thread without a scope.
+/// Most calls only read the clock.
 bool InterruptionRequested();
 
 /// Throws Interrupted if the user wants the computation on this thread to end.

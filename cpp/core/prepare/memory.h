@@ -18,31 +18,31 @@ namespace bundle {
 double PredictDenseMatrixBytes(LinearSolverType solver, const ProblemShape& shape,
                                bool cameras_eliminated);
 
-/// Bytes of memory that this process may still take: the least of what the machine has, what the
-/// control groups of the process leave (versions 1 and 2, with pages of files that can be dropped)
-/// and what the limits on address space and data segment leave (ulimit -v and -d). A huge number
-/// where nothing of that can be told. `root` stands before the paths in /proc and /sys.
+/// Bytes of memory that this process may still take: the minimum of the machine's memory, the rest
+/// of its control groups (versions 1 and 2, with file pages that can be dropped), and the rest of
+/// the limits on address space and data segment (ulimit -v and -d). A huge number if none of them
+/// is known. `root` is a prefix of the paths in /proc and /sys.
 double AvailableMemoryBytes(const std::string& root = "");
 
-/// AvailableMemoryBytes(), or a huge number where no more than `bytes` are needed and they are few:
-/// asking the system takes a tenth of a millisecond, a tenth of a small problem's solve.
+/// AvailableMemoryBytes(), or a huge number if `bytes` are few. Asking the system takes 0.1 ms, a
+/// tenth of the solve of a small problem.
 double AvailableMemoryFor(double bytes);
 
 /// True if the address space or the data segment of this process has a limit.
 bool HasMemoryLimit();
 
-/// Bytes of what the fused backend keeps beside S or its factor: the sorted observations, the
-/// numbers of their pairs, two states with what belongs to each, and chunk buffers of
-/// `num_threads` threads of at most `buffer_bytes`. `has_sigmas`: observations have them.
+/// Bytes that the fused backend keeps beside S or its factor: the sorted observations, the numbers
+/// of their pairs, two states with their records, and chunk buffers of `num_threads` threads of at
+/// most `buffer_bytes`. `has_sigmas`: observations have them.
 double PredictFusedWorkingBytes(const ParameterLayout& layout,
                                 const std::vector<int64_t>& track_lengths, bool has_sigmas,
                                 int num_threads, double buffer_bytes);
 
 /// Bytes of Ceres' objects for observations and points, and of the Jacobian, as measured
-/// (bundle/inspection/peak_memory.py).
+/// (planning/inspection/peak_memory.py).
 double PredictCeresWorkingBytes(const ProblemShape& shape);
 
-/// "1.4 GB": powers of 1000 and three digits, as python/bundle/memory_sizes.py writes them.
+/// "1.4 GB": powers of 1000 and three digits, as python/bundle/base/memory_sizes.py writes them.
 std::string FormatBytes(double bytes);
 
 /// Error: a solve would need more memory than is available.

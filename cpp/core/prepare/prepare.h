@@ -23,8 +23,8 @@ struct PreparedSolve {
   std::vector<int64_t> track_lengths;  ///< observations of each point
   int64_t num_free_points = 0;         ///< on all ranks
   int64_t longest_track = 0;           ///< on all ranks
-  /// The first factor that couples a point with something else, or that only Ceres evaluates, and
-  /// what is special about it; "": there is none.
+  /// Name and property of the first factor that couples a point with something else, or that only
+  /// Ceres evaluates; "": there is none.
   std::string factor_for_ceres;
 };
 

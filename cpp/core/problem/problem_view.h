@@ -58,7 +58,7 @@ struct ProblemView {
   }
   /// The frame of an image; -1: its pose is its own.
   int FrameOf(int image) const { return num_frames == 0 ? -1 : image_frame[image]; }
-  /// The sensor of an image; -1: it moves with its frame as it is, or has none.
+  /// The sensor of an image; -1: the reference sensor of a rig, or no sensor.
   int SensorOf(int image) const { return num_sensors == 0 ? -1 : image_sensor[image]; }
 };
 

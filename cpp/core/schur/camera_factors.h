@@ -3,7 +3,8 @@
 /// Factors beside the reprojections, in the reduced camera system: Ceres' NoEBlockRowsUpdate.
 ///
 /// A factor with residual r and Jacobian J by the camera parameters alone (model/problem_factors.h;
-/// both corrected for its loss) meets no point: eliminating the points leaves it as it is. It adds
+/// both corrected for its loss) touches no point: the elimination of the points does not change it.
+/// It adds
 ///
 ///   S += J^T J,    b -= J^T r,    gradient += J^T r,    ||J e_j||^2 to the squared norms,
 ///
@@ -51,9 +52,9 @@ class CameraFactors {
   /// True if a factor of a point has not the two rows of an observation.
   bool has_other_rows() const { return has_other_rows_; }
 
-  /// Linearises at a state, whose points are three numbers for each of the plan. Sets what the
-  /// passes read of points and keeps what the methods below need of the camera parameters. Returns
-  /// the cost, which is not finite where a factor has no value.
+  /// Linearises at a state; `points` are three numbers for each point of the plan. Sets the input
+  /// of the passes for points and keeps the Jacobians by camera parameters for the methods below.
+  /// Returns the cost, which is not finite if a factor has no value.
   double Linearize(const CameraStates& cameras, const double* points);
   /// Adds the camera parameters' part of the normal equations.
   void AddTo(CameraSums* sums) const;

@@ -58,16 +58,17 @@ class PairNumbers {
 
 /// Plan of the elimination of the points: their order, and their division into chunks.
 ///
-/// What one point adds to S are products of its observations' Jacobians, a block for every pair of
-/// images that see it. Adding each to S where it lies costs more than computing it: the block comes
-/// from far and goes back. So points are sorted by the images that see them, which puts points with
-/// the same images next to each other, and taken in chunks. A chunk knows the image pairs that
-/// occur in it and sums their blocks in a buffer, of which its points use one part after the other;
-/// one addition a block and chunk then goes to S. Where sums are to have the same bits on any
-/// number of ranks, points are sorted within their sections, where chunks end (point_sections.h).
+/// One point adds to S the products of its observations' Jacobians, a block for every pair of
+/// images that see it. Adding each block directly to S costs more than computing it, because of
+/// cache misses. So points are sorted by the images that see them, which puts points with the same
+/// images next to each other, and taken in chunks. A chunk knows the image pairs that occur in it
+/// and sums their blocks in a buffer, of which its points use one part after the other; one
+/// addition a block and chunk then goes to S. If sums must have the same bits on any number of
+/// ranks, points are sorted within their sections, and chunks end with sections
+/// (sums/point_sections.h).
 ///
-/// A chunk is a pure function of the state: its points in, its part of S, of the right side and of
-/// the cost out. The sum over the chunks, in their order, is the whole, whoever computed them;
+/// A chunk is a pure function of the state. It maps its points to its part of S, of the right-hand
+/// side and of the cost. The chunks are summed up in their order, whichever thread computed them;
 /// results therefore do not depend on the number of threads.
 ///
 /// Memory: 20 bytes an observation (image and measurement, copied into this order, so that every

@@ -28,7 +28,8 @@ class HeldResiduals {
  public:
   explicit HeldResiduals(size_t num_chunks) : of_chunk_(num_chunks) {}
 
-  /// Forgets what a chunk held and takes what a pass over it finds. Chunks are independent.
+  /// Clears the residuals of a chunk and collects those that a pass over it finds. Chunks are
+  /// independent.
   HeldSink Collect(size_t chunk);
 
   /// Puts together what all chunks hold, after a pass.

@@ -2,16 +2,16 @@
 
 /// The gauge of a Newton direction.
 ///
-/// Where nothing holds the world, moving, turning and scaling it changes no residual: J N = 0, the
-/// columns of N being what these similarities do to all that is free. Of the Newton direction q,
-/// (J^T J + damping D^2) q = -J^T r, the product with N^T leaves
+/// If nothing holds the world, its similarities change no residual: J N = 0, where the columns of N
+/// are the derivatives of all free parameters by the similarities. Of the Newton direction q, (J^T
+/// J + damping D^2) q = -J^T r, the product with N^T leaves
 ///
 ///   damping N^T D^2 q = -(J N)^T r = 0.
 ///
-/// So q has no part along N by the products of D^2. But S is rounded, and a solution divides what
-/// rounding puts along N by the damping: with the 1e-8 of doglegs, half of the digits of q are
-/// those of the order in which S was summed up. The model does not see that part, costs at x + q
-/// do: they are curved along N, too. It is taken out:
+/// So q is orthogonal to N in the inner product of D^2. But S is rounded, and solving divides
+/// rounding errors along N by the damping: with the 1e-8 of doglegs, half of the digits of q depend
+/// on the order in which S was summed up. The model does not depend on that part, but costs at x +
+/// q do, because they are curved along N. It is removed:
 ///
 ///   q - N k,    (N^T D^2 N) k = N^T D^2 q,    <q,q> - k^T N^T D^2 q,
 ///

@@ -38,8 +38,9 @@ class SchurProblem final : public LeastSquares {
   SchurProblem(const SchurProblem&) = delete;
   SchurProblem& operator=(const SchurProblem&) = delete;
 
-  /// Starts anew at the problem's values (poses, camera parameters, points, measurements) and with
-  /// the options' loss, after any of these changed. Every bit is that of a new SchurProblem.
+  /// Restarts at the problem's values (poses, camera parameters, points, measurements) and with the
+  /// options' loss, after any of these changed. Results have the same bits as those of a new
+  /// SchurProblem.
   void Reset(const SolveOptions& options);
 
   Linearization Linearize(double damping) override;
@@ -121,8 +122,8 @@ class SchurProblem final : public LeastSquares {
   const std::vector<double>& gradient() { return sums_.sums().gradient; }
   /// Takes the columns of numbers on active bounds out of the normal equations.
   void HoldActive();
-  /// Takes what rounding put along free similarities out of q (newton_gauge.h); returns what
-  /// <q,q> loses.
+  /// Removes rounding errors along free similarities from q (newton_gauge.h). Returns the decrease
+  /// of <q,q>.
   double TakeOutGauge();
   void MoveCameras(const std::vector<double>& step);
   /// Step of one camera parameter, projected onto its bounds.

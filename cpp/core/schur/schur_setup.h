@@ -29,8 +29,8 @@ SumOrder ChooseSumOrder(LinearSolverType solver, int num_columns, int64_t num_bl
                         int64_t num_blocks, bool has_maps);
 
 /// Input of the passes over the points beside states: columns of each image, the order of the
-/// elimination, places of the sums in S, and kernels. It follows from the structure of the problem,
-/// which image sees which point and what is refined, but for the measurements.
+/// elimination, places of the sums in S, and kernels. Except for the measurements, it follows from
+/// the structure of the problem: which image sees which point, and what is refined.
 struct SchurSetup {
   /// Keeps references to the problem and the layout. `is_reused`: Reset will be called.
   SchurSetup(const AdjustmentProblem& problem, const ParameterLayout& layout,

@@ -7,8 +7,8 @@
 /// there with an omega on the side that lowers the cost. The best of all states on the way is the
 /// solution, no worse than the pinhole.
 ///
-/// All this is one solve to the caller: its iterations are those of the way to the solution, its
-/// times and counts those of everything.
+/// For the caller this is one solve. Its iterations are those on the way to the solution; its times
+/// and counts are totals.
 
 #include <functional>
 #include <vector>

@@ -33,9 +33,9 @@ class FusedSolver {
   FusedSolver(const AdjustmentProblem& problem, const SolveOptions& options, PreparedSolve prepared,
               bool is_reused);
 
-  /// `options` may differ from the constructor's in what Solver::Solve says; anything else in them
-  /// has no effect. The summary's warnings are `warnings` and those of the choices made before.
-  /// Whatever keeps the solve from converging is in the summary.
+  /// `options` may differ from the constructor's as in Solver::Solve; other differences have no
+  /// effect. The summary's warnings are `warnings` and those of earlier choices. The summary has
+  /// the reason if the solve does not converge.
   SolveOutput Solve(const SolveOptions& options, std::vector<Warning> warnings,
                     const ProgressCallback& progress);
 

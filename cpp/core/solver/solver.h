@@ -24,22 +24,23 @@ BackendChoice ChooseBackend(const SolveOptions& options, const PreparedSolve& pr
 /// Returns why these options mean Ceres for any problem, in one sentence; "" where they do not.
 std::string ReasonForCeres(const SolveOptions& options);
 
-/// Bundle adjustment of one structure, again and again: which image sees which point, the camera
-/// models, what is refined and how it is solved stay; values and stopping rules may change.
+/// Repeated bundle adjustment of one structure: the observed points of each image, the camera
+/// models, the refined parameters and the method are constant; values and stopping rules may
+/// change.
 ///
 /// The fused backend keeps its threads, the layout, the order of the elimination, the analysed
-/// linear solver and all buffers; a solve does no symbolic work and ends bit for bit as that of a
-/// new solver would. There are two exceptions, which keep it so. Where other values make the gauge
-/// hold other numbers, the solve lays out everything anew; and the two-level preconditioner forms
-/// its clusters by values, in each solve. Ceres keeps nothing and starts from scratch.
+/// linear solver and all buffers. A solve does no symbolic work and has the same bits as that of a
+/// new solver. For these bits there are two exceptions: if new values make the gauge hold other
+/// numbers, the solve lays out everything anew; and the two-level preconditioner forms its clusters
+/// by values, in each solve. Ceres keeps nothing and starts from scratch.
 ///
 /// A process that was forked from the solver's lays out everything anew at its first solve, as
 /// threads do not survive a fork.
 class Solver {
  public:
-  /// Lays out everything. The problem is valid (problem_view.h); its arrays, bounds and factors
-  /// have to live and stay as they are as long as the solver, but for poses, camera parameters,
-  /// points and measurements.
+  /// Lays out everything. The problem is valid (problem_view.h). Its arrays, bounds and factors
+  /// must outlive the solver and not change, except poses, camera parameters, points and
+  /// measurements.
   ///
   /// Throws InputError as bundle::Solve below.
   Solver(const AdjustmentProblem& problem, const SolveOptions& options);

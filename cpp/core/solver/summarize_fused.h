@@ -32,9 +32,9 @@ SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layou
                        const SchurProblem& schur, const MinimizerSummary& minimum,
                        const SolveTimes& times);
 
-/// Whose costs the final cost is the least of: all steps, as Ceres has it, or the accepted ones.
-/// Where steps change what counts, costs of different steps are sums over different observations,
-/// and the final cost is that of the last accepted one.
+/// Steps whose least cost is the final cost: all, as in Ceres, or the accepted ones. If steps
+/// change which observations count, costs are sums over different observations, and the final cost
+/// is that of the last accepted step.
 enum class Counted { kAll, kAccepted };
 
 /// Common parts of the summaries of our own solvers: options, the minimum (without the constant

@@ -5,7 +5,7 @@
 /// A sum over points has the same bits on one rank and on several if it is made of the same parts.
 /// So the points are cut once, by the problem alone: in the order of the first image that sees
 /// them, then of the last, then of their indices, where the observations so far are k/K of all. A
-/// rank has whole sections (bundle/ranks/partition.py) wherever N divides K, and the chunks of an
+/// rank has whole sections (solving/ranks/partition.py) wherever N divides K, and the chunks of an
 /// elimination plan end where sections do. What is added up over chunks is added up so that their
 /// order hardly matters (double_double.h).
 ///

@@ -2,11 +2,11 @@
 
 /// Pairs of images and points of a synthetic scene that could see each other.
 ///
-/// Points are sorted into the cells of a grid over their keys. An image looks at the points in the
-/// cells that its ball may touch, the candidates. Where points have far more candidates than their
-/// tracks need, these are thinned at random: candidate j stays if u < share_j * richness, u uniform
-/// in [0, 1) and share_j = wanted_j / views of its cell, unless that would leave fewer than
-/// `fewest`. visible_points.h says which are seen.
+/// Points are sorted into the cells of a grid over their keys. The candidates of an image are the
+/// points in the cells that its ball may touch. If points have far more candidates than their
+/// tracks need, candidates are thinned at random: candidate j stays if u < share_j * richness, u
+/// uniform in [0, 1) and share_j = wanted_j / views of its cell, unless that would leave fewer than
+/// `fewest`. visible_points.h selects the visible ones.
 
 #include <cstdint>
 #include <functional>

@@ -6,10 +6,10 @@
 /// with rotation R, centre c and a ball (b, r) in the space of the keys if
 ///     |k - b| <= r,   |c - X| <= d,   n . (c - X) >= min_cosine |c - X|   or n = 0,
 ///     P = R (X - c) has Pz > 0 and |(Px, Py)| <= max_tangent Pz,   its projection is in the image,
-/// and nothing stands between. What can stand there are the blocks of a town with a road along
-/// every multiple of `pitch` in x and in y: a place is in a block if both of its distances from the
-/// nearest road's middle are above `clearance`. The line of sight is sampled at
-/// c + t (X - c), t = (i + 1/2) / 12.
+/// and nothing occludes it. Occluders are the blocks of a town with a road along every multiple of
+/// `pitch` in x and in y: a place is in a block if both of its distances from the middle of the
+/// nearest road are above `clearance`. The line of sight is sampled at c + t (X - c), t = (i + 1/2)
+/// / 12.
 
 #include <cstdint>
 #include <vector>

@@ -2,8 +2,8 @@
 
 /// Marginalises states and landmarks of a window into a prior on what they touched.
 ///
-/// The factors that are absorbed have the rows J d + r about the current state, those of anchored
-/// states taken at the anchors. With a the coordinates that go and b those that stay,
+/// The absorbed factors have the rows J d + r about the current state; Jacobians of anchored states
+/// are taken at the anchors. With a the eliminated and b the kept coordinates,
 ///
 ///   information   Lambda = H_bb - H_ba H_aa^-1 H_ab,      eta = -(g_b - H_ba H_aa^-1 g_a)
 ///   square root   Q^T [J_a J_b r] = [R_a R_ab r_a; 0 M v; 0 0 rest]
@@ -21,9 +21,9 @@
 ///
 ///   Lambda <- T^T Lambda T,   eta <- T^T eta + Lambda d0,   M <- M T,   v <- v - M d0.
 ///
-/// Its constant is what the absorbed factors cost, and those of all priors before. A window that
-/// measures its steps by its cost leaves out the least of it, which no step changes: constants add
-/// up as the window goes on, and steps would count for less and less.
+/// Its constant is the cost of the absorbed factors and of all earlier priors. A window that
+/// compares its steps with its cost leaves out the minimum of the prior, which no step changes:
+/// constants accumulate in a running window, and steps would seem smaller and smaller.
 
 #include <cstdint>
 #include <vector>
@@ -51,8 +51,8 @@ struct MarginalizedWindow {
   bool is_regular = true;  ///< false where H_aa had to be inverted on part of its space
 };
 
-/// Absorbs all priors of the view. Throws InputError where a landmark that stays is anchored in a
-/// state that goes, or seen in one.
+/// Absorbs all priors of the view. Throws InputError if a kept landmark is anchored in an
+/// eliminated state, or seen in one.
 MarginalizedWindow MarginalizeWindow(const WindowView& view, const Marginalization& request);
 
 /// Eigenvalues of a prior's Lambda, ascending.

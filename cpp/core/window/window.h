@@ -17,14 +17,15 @@
 /// The cost is 1/2 sum rho(||r||^2) of observations (inverse_depth.h), preintegrated IMU samples
 /// (inertial/imu_residual.h), steps of the biases' random walk, and priors.
 ///
-/// First-estimate Jacobians. A prior that marginalisation left is linear about the estimates of its
-/// time, and knows nothing along the four directions that no sensor sees (position and yaw) as they
-/// run through these estimates. A factor linearised at a newer estimate is blind along other
-/// directions; together both see yaw, which nobody measured. So each state that a prior touches has
-/// an `anchor`, its estimate when it was first touched, where all its Jacobians are taken;
-/// residuals are those of the current estimates. (G. Huang, A. Mourikis, S. Roumeliotis,
-/// Observability-based rules for designing consistent EKF SLAM estimators, IJRR 29, 2010; J. Hesch
-/// et al., Consistency analysis and improvement of vision-aided inertial navigation, TRO 30, 2014.)
+/// First-estimate Jacobians (FEJ). A prior from marginalisation is linear about the estimates of
+/// its time. It has no information along the four unobservable directions (position and yaw) at
+/// these estimates. A factor linearised at a newer estimate has none along other directions.
+/// Together, both seem to determine yaw, although nothing measured it. Therefore each state that a
+/// prior touches has an `anchor`, its estimate when it was first touched, at which all its
+/// Jacobians are taken; residuals are those of the current estimates. (G. Huang, A. Mourikis, S.
+/// Roumeliotis, Observability-based rules for designing consistent EKF SLAM estimators, IJRR 29,
+/// 2010; J. Hesch et al., Consistency analysis and improvement of vision-aided inertial navigation,
+/// TRO 30, 2014.)
 
 #include <array>
 #include <cstdint>

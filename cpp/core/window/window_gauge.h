@@ -19,11 +19,12 @@
 /// first position or heading leaves, or the translations where priors were linearised elsewhere
 /// (window.h) and seem to see the heading. F = N C, with F^T D^2 F = I, are the free directions.
 ///
-/// A Newton step q has no part along them by the products of D^2 (schur/newton_gauge.h):
-/// F^T (H + l D^2) q = l F^T D^2 q = -F^T g = 0. Rounded, it has: a solution divides what rounding
-/// puts along F by l. The more exactly a window is solved, the farther all its frames move
-/// together; the prior, a parabola that knows no turned world, then bends their shape. So
-/// F F^T D^2 q is taken out, and l stays large enough to keep the other digits of q.
+/// A Newton step q has no part along them by the products of D^2 (schur/newton_gauge.h): F^T (H + l
+/// D^2) q = l F^T D^2 q = -F^T g = 0. With rounding it has such a part, because solving divides
+/// rounding errors along F by l. The more exactly a window is solved, the farther all its frames
+/// move together. The prior, which is quadratic and therefore not invariant under a turn of the
+/// world, then distorts their shape. So F F^T D^2 q is removed, and l stays large enough to keep
+/// the other digits of q.
 
 #include <Eigen/Core>
 

@@ -81,12 +81,12 @@ class Assembler {
     size_t num_as_second = 0;
   };
 
-  /// Adds what a chunk has of image i of its images: its vectors, its diagonal block and its pairs,
-  /// all but the rows and columns of shared blocks among themselves.
+  /// Adds a chunk's sums for image i of its images: its vectors, its diagonal block and its pairs,
+  /// except the rows and columns of shared blocks among themselves.
   void AddImage(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum, size_t i,
                 const PairsOfImage& pairs, CameraSums* sums) const;
 
-  /// Adds what AddImage leaves of a chunk. Nothing without shared blocks.
+  /// Adds the rest of a chunk after AddImage. Does nothing without shared blocks.
   void AddSharedBlocks(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum,
                        CameraSums* sums) const;
 

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Back-substitution, and what a step leads to; kernels.cpp says how to include this.
+/// Back-substitution, and the evaluation of a step. Included by kernels.cpp only.
 ///
 /// Given the step d of the cameras, u_i = A_i d (eliminate_point.h) needs no A_i but a directional
 /// derivative, and

@@ -1,7 +1,7 @@
 #pragma once
 
-/// The elimination of a chunk, strip by strip: linearise its observations, factorise its points'
-/// blocks, add what each point adds; kernels.cpp says how to include this.
+/// Elimination of a chunk, strip by strip: linearise its observations, factorise its points'
+/// blocks, add each point's contribution. Included by kernels.cpp only.
 
 #include "core/schur/kernels/eliminate_point.h"
 #include "core/schur/kernels/point_block.h"

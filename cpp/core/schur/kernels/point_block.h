@@ -15,7 +15,7 @@
 
 namespace bundle::BUNDLE_ISA {
 
-/// One point's numbers: what it sums up, then what is made of it.
+/// Sums of one point, and the factor made from them.
 struct PointBlock {
   /// Rows i of V, then entry i of g.
   Quad sum[3];

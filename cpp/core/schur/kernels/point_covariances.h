@@ -1,7 +1,6 @@
 #pragma once
 
-/// Covariances of points, given those of the camera parameters; kernels.cpp says how to include
-/// this.
+/// Covariances of points, given those of the camera parameters. Included by kernels.cpp only.
 ///
 /// With V = L L^T, rows A_i and B_i of the point's observations, Y_i = B_i L^-T (eliminate_point.h)
 /// and Z_i = A_i^T Y_i (d x 3), W_i V^-1 = Z_i L^-1, and
