@@ -24,9 +24,9 @@ namespace py = pybind11;
 // At SIGCONT, which may mean nothing (`fg`), it looks which processes are gone; at SIGTERM there is
 // no time for anything but a line.
 //
-// All processes are told. The one that creates the mark speaks: a file in the folder that mpirun
-// makes for its processes on one machine, and removes. mpirun does not pass on what they print by
-// then: the line goes to the standard error of mpirun itself, the parent.
+// All processes get the error. The process that creates the mark prints it; the mark is a file in
+// the folder that mpirun makes for its processes on one machine, and removes. mpirun does not
+// forward output at this point: the line goes to the standard error of mpirun itself, the parent.
 
 namespace {
 

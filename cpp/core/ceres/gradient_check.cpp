@@ -21,8 +21,8 @@ constexpr double kLeastFirstStep = 1.0 / 128;
 double FirstStep(double parameter) { return std::max(std::abs(parameter) / 16, kLeastFirstStep); }
 
 /// Rounding error of each residual: how far it moves when all parameters move by a few units in
-/// their last place. A residual is often small beside the numbers that it is the difference of, so
-/// that its own size says nothing.
+/// their last place. A residual is often the small difference of large numbers, so that its own
+/// size gives no bound.
 std::vector<double> RoundingNoise(const ceres::CostFunction& cost,
                                   const std::vector<const double*>& parameters,
                                   const KnownScales& known) {

@@ -197,8 +197,8 @@ class Columns {
   const int size_, sources_;
 };
 
-/// Evaluates with Jacobians, side by side as in NumericJacobian; tells whether the residual is that
-/// of an evaluation without.
+/// Evaluates with Jacobians, side by side as in NumericJacobian. True if the residual is that of an
+/// evaluation without Jacobians.
 bool EvaluateJacobian(const SingleObservation& cost, std::vector<double>* jacobian) {
   const int size = cost.block().size;
   const std::vector<const double*> start = cost.start();

@@ -52,8 +52,8 @@ namespace {
 constexpr int kMostDenseColumns = 100;
 constexpr double kMostDenseEntries = 1e6;
 
-/// Keeps the values of the last accepted step: Ceres gives the start back where it fails, as it
-/// does where a Jacobian cannot be evaluated because the user wants the solve to end.
+/// Keeps the values of the last accepted step. Ceres restores the start if it fails, also if a
+/// Jacobian cannot be evaluated because the user wants the solve to end.
 class KeepBestState final : public ceres::IterationCallback {
  public:
   explicit KeepBestState(const CeresGraph& graph) : graph_(graph), values_(graph.values()) {}

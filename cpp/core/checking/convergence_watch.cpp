@@ -79,8 +79,9 @@ constexpr size_t kAcceptedRungs = 6;
 constexpr double kTailSpread = 0.03;
 constexpr double kTailKeeps = 0.05;
 constexpr double kTailMargin = 0.1;
-// A quick one, as a column too large leaves it: steps; the |l| that tell anything; the change of R
-// that shows m = 0. A slow one, as a column too small leaves it: more steps, with R falling.
+// Limits for quick convergence, the sign of a column that is too large: steps; significant |l|; the
+// change of R that shows m = 0. And for slow convergence, the sign of a column that is too small:
+// more steps, with R falling.
 constexpr size_t kQuickTail = 5;
 constexpr double kQuickFrom = 0.2;
 constexpr double kQuickTo = 0.7;

@@ -1,6 +1,6 @@
 #include "core/checking/lost_observations.h"
 
-/// Observations that end behind their cameras, and what that says of the solution.
+/// Observations that end behind their cameras, and the verdict on the solution.
 
 #include <cmath>
 #include <cstddef>

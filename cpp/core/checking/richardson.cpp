@@ -78,8 +78,8 @@ class Search {
 
   const Estimate& best() const { return best_; }
 
-  /// Raises the noise to the resolution of values that stand still where rounding does not explain
-  /// it: what was computed in single precision moves by jumps.
+  /// Raises the noise to the resolution of values that do not change although rounding does not
+  /// explain it: values computed in single precision change in jumps.
   void FindResolution(double largest_step) {
     std::vector<char> stood_still(n_, 0), moves(n_, 0);
     double h = largest_step * std::pow(kRestart, -kTableaux);
@@ -96,8 +96,8 @@ class Search {
     }
   }
 
-  /// Fills a tableau from step h on. Keeps of it what is more certain than what there is, and what
-  /// contradicts that: then the larger steps went across something.
+  /// Fills a tableau from step h on. Keeps entries that are more certain than the present ones, and
+  /// entries that contradict these: then larger steps crossed a discontinuity.
   void Run(double h) {
     const Estimate found = Tableau(h);
     for (int i = 0; i < n_; ++i) {
@@ -113,8 +113,8 @@ class Search {
   /// small beside the largest derivative, or are the rounding of the values.
   bool Enough(double h) const { return Enough(best_, h); }
 
-  /// Holds what has settled at steps of h against smaller ones, and adds to the bounds what these
-  /// leave open.
+  /// Compares the settled values at steps of h with smaller steps, and adds the disagreement to the
+  /// bounds.
   void Confirm(double h) {
     const Estimate settled = best_;
     std::vector<double> disagreement(n_);

@@ -2,9 +2,9 @@
 
 /// The end of a solve whose steps became too short before its gradient became small.
 ///
-/// Parameter tolerance and trust region radius look at steps, not at what these are worth. Where
-/// the cost jumps or bends away from its model, or a unit of length makes every step look small, a
-/// solve ends by them far from a minimum, and Ceres calls that convergence.
+/// Parameter tolerance and trust region radius test the size of steps, not their decrease. If the
+/// cost jumps or bends away from its model, or if a unit of length makes every step look small,
+/// they end a solve far from a minimum, and Ceres calls that convergence.
 ///
 /// The decrease left is read off the predictions of the last steps. Notation as in
 /// convergence_watch.cpp: p = -g^T d - 1/2 d^T G d is the predicted decrease, R the radius, D the
@@ -40,7 +40,7 @@ bool StartsWith(const std::string& text, const char* beginning) {
   return text.rfind(beginning, 0) == 0;
 }
 
-/// The decrease that a step of radius 1 promises, of one of this radius that promises p.
+/// Predicted decrease of a step of radius 1, given the predicted decrease p at this radius.
 double AtUnitRadius(double p, double radius, bool is_dogleg) {
   if (!(radius < 1) || !(radius > 0)) return p;
   return is_dogleg ? std::max(p, 0.5 * (p / radius) * (p / radius)) : p / radius;

@@ -19,8 +19,8 @@
 
 namespace bundle {
 
-/// S and what holds its gauge, in long doubles: by rows, or as it was summed up, of a dense
-/// system that needs it; empty otherwise.
+/// S with the terms that hold its gauge, in long doubles: from rows, or as it was summed up, for a
+/// dense system that needs it; else empty.
 LongMatrix CovarianceComputation::SumHeld(bool by_rows) const {
   if (by_rows) {
     LongMatrix held = SumSystemOfRows(system_);

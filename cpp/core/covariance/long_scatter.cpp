@@ -9,8 +9,8 @@
 namespace bundle {
 namespace {
 
-/// An orthonormal basis of the columns, to the digits of long doubles: what Cholesky's factor of
-/// their squares leaves, Newton's iteration takes off.
+/// Orthonormal basis of the columns, to the digits of long doubles: by the Cholesky factor of their
+/// squares, refined by Newton's iteration.
 LongMatrix LongOrthonormal(const Eigen::MatrixXd& columns) {
   const Eigen::MatrixXd squares = MultiplyTransposed(columns, columns);
   const LongMatrix root = InverseOfCholesky(squares).cast<long double>();

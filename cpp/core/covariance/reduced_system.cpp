@@ -73,10 +73,11 @@ ReducedSystem::~ReducedSystem() = default;
 
 /// The blocks of the layout in the order of the elimination, and the solver.
 ///
-/// By nested dissection, also where another order has less fill: the selected inverse goes down the
-/// elimination tree, and what a level rounds is multiplied by those below it. An order from one end
-/// of a drive to the other makes a path of the tree: of 400 images with a lens each, some variances
-/// come out negative, of 800, 1e36 times too large. Dissected, the tree has the logarithm's depth.
+/// Orders by nested dissection, even if another order has less fill-in. The selected inverse goes
+/// down the elimination tree, and lower levels multiply the rounding errors of higher ones. An
+/// order from one end of a drive to the other makes the tree a path: with 400 images with a lens
+/// each, some variances become negative; with 800, they are 1e36 times too large. With nested
+/// dissection, the depth of the tree is logarithmic.
 void ReducedSystem::Order() {
   if (HasMemoryLimit()) TakeBlasBuffers();
   std::vector<int> sizes;
@@ -133,7 +134,7 @@ void ReducedSystem::FinishLinearization() {
   ReadDiagonal();
 }
 
-/// And makes rows of what is held those of the identity.
+/// Also replaces rows of held unknowns by those of the identity.
 void ReducedSystem::ReadDiagonal() {
   diagonal_.clear();
   std::vector<double>& s = values();

@@ -76,7 +76,7 @@ class ReducedSystem {
   int num_unknowns() const { return layout_.state_size(); }
   int num_threads() const { return num_threads_; }
 
-  /// Over the observations of free points.
+  /// Sums over the observations of free points.
   struct PointSums {
     double squares = 0;  ///< sum of squared residuals
     int64_t num_residuals = 0;

@@ -4,11 +4,11 @@
 ///
 ///   span { X, A X, A^2 X, ... },    X random, of b columns,
 ///
-/// holds the extreme eigenvectors of A soon, those of one eigenvalue b at a time. Each new block is
-/// made orthogonal to all before, twice, so that rounding makes no copies of what has been found
-/// (Parlett: The Symmetric Eigenvalue Problem, 1980, chapter 13). With Q the basis, the eigenpairs
-/// of the small Q^T A Q are those of A within the space (Rayleigh-Ritz); A Q is kept, so that their
-/// residuals cost no product with A.
+/// contains the extreme eigenvectors of A after few steps, up to b of one eigenvalue. Each new
+/// block is made orthogonal to all earlier blocks, twice, so that rounding errors do not produce
+/// copies of eigenvectors (Parlett: The Symmetric Eigenvalue Problem, 1980, chapter 13). With Q the
+/// basis, the eigenpairs of the small Q^T A Q are those of A within the space (Rayleigh-Ritz); A Q
+/// is kept, so that their residuals cost no product with A.
 
 #include <algorithm>
 #include <random>

@@ -1,9 +1,10 @@
 #include "core/diagnosis/reduced_spectrum.h"
 
-/// S has one eigenvalue of zero for each direction in which nothing that is refined changes any
-/// residual. It is scaled first: its diagonal spans many orders of magnitude (radians, metres,
-/// pixels, coefficients), and without that nothing says which eigenvalue is small. Of the scaled S,
-/// zeros are rounding, 1e-13 or less, and everything else stands clear of them.
+/// S has one zero eigenvalue for each direction of the refined parameters that changes no residual:
+/// its null space. It is scaled first, because its diagonal spans many orders of magnitude
+/// (radians, metres, pixels, coefficients), and unscaled eigenvalues cannot be compared. In the
+/// scaled S, zeros are rounding errors of 1e-13 or less, and all other eigenvalues are clearly
+/// larger.
 ///
 /// 1. Points without parallax are taken out, exactly (covariance/point_blocks.h), and unknowns that
 ///    nothing determines (scaled_system.cpp).

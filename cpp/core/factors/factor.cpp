@@ -36,7 +36,7 @@ std::string ShortNumber(double value) {
 
 namespace {
 
-/// Both with as many digits as it takes to tell them apart.
+/// Both numbers with as many digits as are needed to distinguish them.
 std::pair<std::string, std::string> DistinctNumbers(double one, double other) {
   char texts[2][32];
   for (int digits = 6; digits <= 17; ++digits) {

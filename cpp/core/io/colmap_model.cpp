@@ -110,7 +110,7 @@ ColmapObservations SortColmapObservations(const ColmapIndex& index,
   for (size_t rank = 0; rank < points_by_id.size(); ++rank) {
     point_rank[points_by_id[rank]] = static_cast<int32_t>(rank);
   }
-  // The coordinates stand in the order of the file, which need not be that of the ids.
+  // The coordinates are in the order of the file, which may differ from that of the ids.
   std::vector<size_t> first_xy(index.images.size());
   size_t num_rows = 0;
   for (size_t i = 0; i < index.images.size(); ++i) {

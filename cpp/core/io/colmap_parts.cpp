@@ -1,9 +1,9 @@
 #include "core/io/colmap_parts.h"
 
-/// A part is read in two passes: points3D.bin gives its points and their tracks, which say where
-/// each observation goes; images.bin then gives the pixels. A keypoint of a point of the part that
-/// finds no place, and a place that no keypoint fills, are contradictions. So a part needs no
-/// memory beside what it keeps but eight bytes per observation.
+/// A part is read in two passes. points3D.bin gives its points and their tracks, and so the place
+/// of each observation. images.bin then gives the pixels. A keypoint without a place, and a place
+/// without a keypoint, are contradictions. Beside its data, a part needs only eight bytes of memory
+/// per observation.
 
 #include <algorithm>
 #include <cmath>

@@ -2,9 +2,9 @@
 
 /// Images of a COLMAP model whose poses follow from a rig, and images with a pose of their own.
 ///
-/// COLMAP puts every image into a frame of a rig. Most rigs are a camera alone, their frames an
-/// image alone: such an image is at rig_from_world, and our problem knows neither rig nor frame. An
-/// IMU beside the camera changes nothing of that. All other rigs with an image become rows of ours.
+/// COLMAP puts every image into a frame of a rig. Most rigs are one camera and their frames one
+/// image: such an image has the pose rig_from_world, and our problem has neither rig nor frame for
+/// it, also if the rig has an IMU. All other rigs with an image become rows of our arrays.
 
 #include <algorithm>
 #include <map>

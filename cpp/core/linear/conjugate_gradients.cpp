@@ -18,9 +18,9 @@
 /// which rounding saves it from as a rule; with one block and its exact inverse it is no exception
 /// here.
 ///
-/// OpenBLAS, which preconditioners factorise by, gets one thread: it rounds by their number, which
-/// may be that of the cores that a launcher left to the process, and conjugate gradients would make
-/// more of that.
+/// OpenBLAS, which factorises for preconditioners, gets one thread. Its rounding depends on the
+/// number of threads, which may depend on the launcher, and conjugate gradients would amplify the
+/// differences.
 ///
 /// S is explicit. Its products are nearly all of the time, one an iteration and one more every
 /// 10th; 6 with the power series.

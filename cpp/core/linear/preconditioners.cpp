@@ -181,9 +181,9 @@ void BlockDiagonalInverse::Multiply(const double* x, double* y) const {
 ///
 ///   M^-1 = D^-1 + Q A^-1 Q^T,      D the block diagonal of S,   A = Q^T S Q
 ///
-/// D^-1 mends what is local to an image, the second term what is common to clusters of images
-/// (coarse_space.cpp). A is factorised once a step. An iteration costs what Schur-Jacobi
-/// costs and two triangular solves with the factor of A.
+/// D^-1 corrects errors that are local to an image, the second term errors that clusters of images
+/// have in common (coarse_space.cpp). A is factorised once a step. An iteration costs what
+/// Schur-Jacobi costs and two triangular solves with the factor of A.
 ///
 /// At the last steps before convergence, 1000 images along a street took 60 iterations where
 /// Schur-Jacobi stops at the limit of 500, 1000 of a photo collection 23 instead of 490; 5000 along

@@ -11,9 +11,9 @@
 ///   G = L_RJ L_JJ^-1,     Z_RJ = -Z_RR G,     Z_JJ = (L_JJ L_JJ^T)^-1 + G^T Z_RR G.
 ///
 /// The rows R of a panel are a clique of the filled graph, so that Z_RR is within the pattern of L:
-/// in panels behind this one, which are done when one goes from the last to the first. It is never
-/// gathered as a whole, but by the panels that have it: with K the rows of R that are columns of
-/// one of these, and M those below K,
+/// in later panels, which are done when one goes from the last panel to the first. Z_RR is never
+/// gathered as a whole, but panel by panel: with K the rows of R that are columns of one later
+/// panel, and M those below K,
 ///
 ///   (Z_RR G)_K += Z_KK G_K + Z_MK^T G_M,       (Z_RR G)_M += Z_MK G_K.
 ///

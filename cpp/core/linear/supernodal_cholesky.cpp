@@ -1,11 +1,11 @@
 #include "core/linear/supernodal_cholesky.h"
 
-/// Left-looking: a panel first takes what the panels before it give to its columns, then its
-/// diagonal block is factorised, D = L_D L_D^T, and its rows below become B L_D^-T. A panel with
-/// rows in columns of panel s gives them the product of its rows from there on with those rows, a
-/// matrix product, which then goes to the rows' places in s. It waits in the queue of the next
-/// panel that it has rows in, so that all panels together are in one queue each (Ng and Peyton,
-/// Block sparse Cholesky algorithms on advanced uniprocessor computers, 1993; so does CHOLMOD).
+/// Left-looking: a panel first receives the updates of earlier panels to its columns. Then its
+/// diagonal block is factorised, D = L_D L_D^T, and its rows below become B L_D^-T. The update of a
+/// panel with rows in columns of panel s is the product of its rows from there on with those rows,
+/// a matrix product, which is then scattered to the rows' places in s. Each panel waits in one
+/// queue: that of the next panel in which it has rows (Ng and Peyton, Block sparse Cholesky
+/// algorithms on advanced uniprocessor computers, 1993; so does CHOLMOD).
 ///
 /// What differs from CHOLMOD, and why this is not CHOLMOD's: S is put together where L will be.
 /// CHOLMOD takes it as another array, with a row index for each value, and copies. Rows come as

@@ -1,18 +1,17 @@
 #include "core/linear/supernodes.h"
 
 /// Column j of L has below its diagonal block the rows of S's column j and those of the columns
-/// whose first row below the diagonal is j, its children. As those include all that a child has
-/// above its parent's diagonal, columns that follow each other as child and parent can share a
-/// panel, its rows those of the last; what that adds to the earlier columns are zeros that are
-/// stored and multiplied.
+/// whose first row below the diagonal is j, its children. As those include all rows that a child
+/// has above its parent's diagonal, consecutive columns that are child and parent can share a
+/// panel, with the rows of the last one. That adds zeros to the earlier columns, which are stored
+/// and multiplied.
 ///
-/// Wide panels are what BLAS 3 is fast with, so some zeros pay. How many, is CHOLMOD's rule
-/// (Chen, Davis, Hager, Rajamanickam: Algorithm 887, 2008) with less patience for them, as memory
-/// is what large systems run out of: a panel takes in the column before it if the zeros in it then
-/// are fewer than 20 % up to 48 columns, 5 % up to 192 and 1 % beyond. Unlike CHOLMOD's, a panel
-/// has a largest width: it stores the upper triangle of its diagonal blocks for nothing, which at
-/// the root of a tree, where thousands of columns have the same rows, would be half of what it
-/// stores.
+/// BLAS 3 is fast on wide panels, so that some zeros pay. Their number is limited as in CHOLMOD
+/// (Chen, Davis, Hager, Rajamanickam: Algorithm 887, 2008), but lower, to save memory: a panel
+/// includes the column before it if its zeros are then fewer than 20 % up to 48 columns, 5 % up to
+/// 192 and 1 % beyond. Unlike CHOLMOD's, a panel has a largest width: it also stores the upper
+/// triangle of its diagonal blocks. At the root of a tree, where thousands of columns have the same
+/// rows, that would be half of its memory.
 
 #include <algorithm>
 #include <cstddef>

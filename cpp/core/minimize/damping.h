@@ -1,7 +1,6 @@
 #pragma once
 
-/// The scale s and the damping D^2 of a column whose Jacobian has the squared norm c
-/// (least_squares.h).
+/// Scale s and damping D^2 of a column of the Jacobian with the squared norm c (least_squares.h).
 
 #include <algorithm>
 #include <cmath>

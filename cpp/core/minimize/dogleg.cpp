@@ -123,8 +123,8 @@ void Dogleg::StepIsInvalid() {
 /// max(0, P / R - e), e the larger eigenvalue of the curvature, since n >= P / (e + z); that is
 /// above zero where w is zero at z = 0.
 ///
-/// The products know the sine of the angle between p and q to half of the digits only. Below that
-/// they count as parallel and the step goes along -p: the angle between -p and (x, y), whose
+/// The products give the sine of the angle between p and q to half of the digits only. Below that,
+/// p and q count as parallel and the step goes along -p: the angle between -p and (x, y), whose
 /// tangent is B / (C + z), only falls from the Newton step to z, so that the error is below half of
 /// the digits as well.
 

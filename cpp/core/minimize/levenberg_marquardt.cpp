@@ -2,15 +2,14 @@
 
 #include "core/minimize/strategy.h"
 
-/// Levenberg-Marquardt: the step is q with damping 1 / R, R being called the radius though nothing
-/// keeps D q within it. An accepted step of quality t (actual decrease over predicted decrease)
-/// makes
+/// Levenberg-Marquardt: the step is q with damping 1 / R. R is called the radius, although D q may
+/// be longer. An accepted step of quality t (actual decrease over predicted decrease) makes
 ///
 ///   R = R / max(1/3, 1 - (2 t - 1)^3),
 ///
-/// three times R where the model was right, R where it promised twice too much, half of it
-/// where hardly anything came of it. Rejected and invalid steps divide R by 2, 4, 8, ... until one
-/// is accepted. (K. Madsen, H. B. Nielsen, O. Tingleff: Methods for Non-Linear Least Squares
+/// three times R if the model was right, R if it predicted twice the actual decrease, about half of
+/// R if there was hardly any decrease. Rejected and invalid steps divide R by 2, 4, 8, ... until
+/// one is accepted. (K. Madsen, H. B. Nielsen, O. Tingleff: Methods for Non-Linear Least Squares
 /// Problems, 2004, with Ceres' inverted damping.)
 
 #include <algorithm>

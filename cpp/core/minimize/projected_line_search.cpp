@@ -1,8 +1,8 @@
 #include "core/minimize/projected_line_search.h"
 
-/// A step d that disregards the bounds leads to P(x + d), P the projection onto them. The model of
-/// the cost knows nothing of the projection, so that P(x + d) may have a higher cost than the model
-/// promised. The search goes back along the path
+/// A step d that disregards the bounds leads to P(x + d), with P the projection onto them. The
+/// model of the cost does not include the projection, so that P(x + d) may have a higher cost than
+/// predicted. The search goes back along the path
 ///
 ///   phi(a) = f(P(x + a d)),  a <= 1,
 ///

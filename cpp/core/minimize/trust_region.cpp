@@ -1,7 +1,7 @@
 #include "core/minimize/trust_region.h"
 
 /// The outer loop of a trust region method: a step that lowers the cost by more than a thousandth
-/// of what the model promised is taken, any other makes the trust region smaller. The order of
+/// of the predicted decrease is taken; any other step shrinks the trust region. The order of
 /// everything is that of ceres::internal::TrustRegionMinimizer, for monotonic steps, and so are the
 /// conventions:
 ///

@@ -14,7 +14,7 @@
 /// held take part in holding the world, three points would take even more: the rest is then held as
 /// by two cameras.
 ///
-/// Its directions, in which cameras and points may move together without any image changing: the
+/// Directions in which cameras and points can move together without a change of any image: the
 /// world goes to X' = X + a, c + Exp(b) (X - c) or c + (1 + s) (X - c), with c the mean of the
 /// projection centres. An image R X + t stays what it is, up to its scale, if
 ///
@@ -101,8 +101,8 @@ std::vector<int> BulkOfThePoints(const AdjustmentProblem& problem, const std::ve
   return bulk;
 }
 
-/// The point that is furthest from chosen ones, of those that are far from them beside `least`, a
-/// squared distance; -1: there is none.
+/// Finds the point that is furthest from the chosen ones, by more than `least`, a squared distance;
+/// -1: there is none.
 int Furthest(const AdjustmentProblem& problem, const std::vector<int>& points, const int chosen[3],
              int count, double* least) {
   int furthest = -1;

@@ -22,10 +22,10 @@
 /// degrees: 7 without rigs and nothing held, 6 where a fixed baseline gives the scale, 4 where one
 /// point is held, 0 where two images are. Lengths are in units of the scene and columns in those of
 /// [delta_i, -M_s], so that a baseline counts as one down to 1e-10 of the scene. Of W, the triangle
-/// of its QR factorisation is kept. A frame of one image that is wholly free reaches everything and
-/// has no rows. Points that are held need three rows each, in units of their distance where they
-/// are far; but a similarity that leaves two of them leaves their line, and three the world: three
-/// that are far apart stand for all.
+/// of its QR factorisation is kept. A free frame of one image reaches everything and has no rows.
+/// Held points need three rows each, in units of their distance if they are far. But a similarity
+/// that keeps two points keeps their line, and one that keeps three keeps the world: three points
+/// that are far apart represent all.
 ///
 /// A pose is refined by (w, t) with t about the origin of the problem. About the centre c of the
 /// cameras it is t_c = t + R c, which a turn alone, t held, moves by phi x R c. The translation of

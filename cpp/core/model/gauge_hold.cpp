@@ -2,17 +2,17 @@
 
 /// The gauge is held by as many numbers of poses as there are motions that change no image.
 ///
-/// Let N be a basis of these motions (gauge_count.h), m columns, and g_j N what they do to a number
-/// j of a pose. Numbers j_1, ..., j_m whose rows g_j N are independent can be held: of all worlds
-/// that are equal up to a motion, one has these numbers as they are at the start (implicit function
-/// theorem), so that nothing is lost, and as G N is regular, nothing is left free. This holds
-/// whatever else is held, a point, an image, a baseline: N knows it.
+/// Let N be a basis of these motions (gauge_count.h) with m columns, and g_j N the derivative of a
+/// number j of a pose by them. Numbers j_1, ..., j_m with independent rows g_j N can be held: among
+/// all worlds that are equal up to a motion, one has these numbers at their start values (implicit
+/// function theorem), so that nothing is lost. As G N is regular, no motion is left. This is true
+/// whatever else is held (a point, an image, a baseline), because N takes it into account.
 ///
-/// Numbers are taken one by one, and what a number holds leaves N: it becomes an orthonormal basis
-/// of what the number's row does not see. The poses come in the order of images, and each
-/// gives what it can, unless it moves by less than kShare of what another one does: a baseline
-/// that is short beside others would make the scale a guess, and one of noise alone can end on its
-/// other side. Sensors come last: they have the scale where there is no second frame.
+/// Numbers are held one by one. After each, N becomes an orthonormal basis of the null space of the
+/// number's row. Poses are used in the order of images, each as far as possible, unless it moves by
+/// less than kShare of another one: a baseline that is relatively short determines the scale badly,
+/// and one of noise alone can change its sign. Sensors are used last; they have the scale if there
+/// is no second frame.
 ///
 /// Numbers of a pose's rotation come first, as long as it turns by kTurn of what it shifts
 /// (radians beside units of the scene): with the rotation held, its translation is that of its
@@ -54,7 +54,7 @@ class GaugeHolder {
     for (const int pose : poses_) num_of_world_ += pose < problem.num_images + problem.num_frames;
   }
 
-  /// Holds what the poses can, and returns what is left of the motions.
+  /// Holds numbers of the poses, and returns the remaining motions.
   Eigen::Index Hold() {
     HoldBy(0, num_of_world_);
     HoldBy(num_of_world_, poses_.size());

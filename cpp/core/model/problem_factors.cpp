@@ -32,8 +32,8 @@ int PoseNumber(Kind kind, int index, const AdjustmentProblem& problem) {
   return kind == Kind::kFrame ? PoseOfFrame(problem, index) : PoseOfSensor(problem, index);
 }
 
-/// A block of the layout that has unknowns of a variable, and whether they are those of its frame
-/// or sensor; rig_column: what the first of these is counted as.
+/// A block of the layout with unknowns of a variable. is_of_rig: they are those of its frame or
+/// sensor; rig_column: column of the first of these.
 struct VariableBlock {
   int block;
   bool is_of_rig;

@@ -23,15 +23,14 @@
 ///
 /// Redundancy (W. Baarda: A testing procedure for use in geodetic networks, 1968). With A = U E the
 /// whitened Jacobian by d_ij (edge_kernel.h), the whitened error of a least-squares fit has the
-/// covariance K = I - A C_ij A^T, where I leaves out rows without information. Its trace says how
-/// much of the edge the others check, 0 where nothing does, and r~^T K^+ r~ is distributed as chi2
-/// with rank(K) degrees of freedom. Far from the held pose, large numbers cancel in C_ij: what is
-/// rounding beside them counts as unchecked, and edges of which no more than that is left are not
-/// judged.
+/// covariance K = I - A C_ij A^T, where I leaves out rows without information. Its trace is the
+/// redundancy of the edge, 0 if no other edge checks it, and r~^T K^+ r~ is distributed as chi2
+/// with rank(K) degrees of freedom. Far from the constant pose, large numbers cancel in C_ij.
+/// Rounding errors of these count as unchecked, and edges with no more than that are not judged.
 ///
-/// Poses are eliminated in the order of a solve (block_pattern_of_edges.h). What a level of the
-/// elimination tree rounds, the selected inverse multiplies on its way down: FindInflation looks
-/// for variances below what they are with all else known.
+/// Poses are eliminated in the order of a solve (block_pattern_of_edges.h). The selected inverse
+/// multiplies the rounding errors of a level of the elimination tree on its way down. FindInflation
+/// therefore looks for variances below those with all else known.
 
 #include <Eigen/Core>
 #include <algorithm>

@@ -4,13 +4,13 @@
 ///
 /// For Ceres, by the shape of the problem: with the points eliminated, what is left to solve is the
 /// reduced camera system S of n columns, of whose block pairs the share d is not zero. Its dense
-/// factorisation takes n^3 / 3 multiply-adds at the full rate of the machine. The sparse one saves
-/// what S has of zeros but fills in and runs at a lower rate, so it pays only where S is large and
-/// sparse. Where even the sparse factor grows too large, conjugate gradients need only products
-/// with S.
+/// factorisation takes n^3 / 3 multiply-adds at the full rate of the machine. The sparse one skips
+/// the zeros of S but has fill-in and runs at a lower rate, so that it pays only if S is large and
+/// sparse. If even the sparse factor becomes too large, conjugate gradients need only products with
+/// S.
 ///
 /// With the cameras eliminated instead, the reduced system is that of the points: 3 columns each,
-/// and nearly full, as all points that an image sees meet. It is factorised where it is small.
+/// and nearly full, because all points that an image sees couple. It is factorised if it is small.
 ///
 /// Without a symbolic factorisation its cost is a guess: on synthetic streets, orbits and photo
 /// collections of 300 to 4000 images the factor had about 4 d n entries a column, hence n (4 d n)^2

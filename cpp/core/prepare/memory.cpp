@@ -40,8 +40,8 @@ double LeftByGroup(const std::string& group, const char* limit, const char* usag
   return most - used + std::min(used, ReadNumber(group + "/memory.stat", droppable, 0));
 }
 
-/// A group is bound by those around it too. Within a container its path may not be mounted, which
-/// leaves the root of what is.
+/// The groups around a group limit it, too. Within a container its path may not be mounted; then
+/// the root of the mounted ones is used.
 double LeftByControlGroups(const std::string& root) {
   const std::string mount = root + "/sys/fs/cgroup";
   double left = kUnlimited;
@@ -120,8 +120,8 @@ double AvailableMemoryFor(double bytes) {
 double PredictFusedWorkingBytes(const ParameterLayout& layout,
                                 const std::vector<int64_t>& track_lengths, bool has_sigmas,
                                 int num_threads, double buffer_bytes) {
-  // Image, measurement and place in the chunk, and what lists of chunks take (measured). While they
-  // are sorted there is more of an observation, but nothing yet of what follows.
+  // Image, measurement and place in the chunk, and the lists of chunks (measured). While they are
+  // sorted, an observation takes more, but the rest is not allocated yet.
   const double bytes_per_observation = 22 + 5 + (has_sigmas ? 8 : 0);
   // Two states, the scale of the columns, and where the point is in the plan. What is given back
   // comes when steps are over, and only the last state is there.

@@ -9,10 +9,11 @@
 ///   there are bounds, which cut steps), and
 ///   its Jacobian is the same, to rounding, before and after the step q of min ||J q + r||.
 ///
-/// q comes from a QR factorisation, J S = Q R with columns of norm 1 (S), and is repeated with
-/// R^T R, one more refinement each, as long as the gradient falls by half: the cost tells nothing
-/// any more, as it changes by the square of what is left. Directions that no factor determines are
-/// damped by l = 1e-12, as are coordinates at a bound that the gradient pushes outwards.
+/// q comes from a QR factorisation, J S = Q R with columns of norm 1 (S), and is repeated with R^T
+/// R, one more refinement each, as long as the gradient falls by half. The cost is no measure any
+/// more, because it changes by the square of the remaining step. Directions that no factor
+/// determines are damped by l = 1e-12, as are coordinates at a bound that the gradient pushes
+/// outwards.
 
 #include <algorithm>
 #include <cmath>

@@ -12,7 +12,7 @@
 /// subtree of a row i adds its weight w_i at its leaves, takes it off where the paths from two
 /// neighbouring leaves meet and at the parent of i; the sum over the tree below j is then the
 /// weight of rows in column j. The weight is 1 for blocks and the block's size for scalar rows. The
-/// time is that of reading the matrix, nearly, however full L may be.
+/// time is nearly that of reading the matrix, whatever the fill-in of L.
 ///
 /// The blocks of the matrix are full, so the scalar factor is full in the blocks of L: the c-th
 /// last scalar column of a block of size m with h rows below has h + c - 1 entries below its

@@ -114,11 +114,11 @@ constexpr int kBlocksWorthSorting = 20000;
 
 /// Blocks by their number of neighbours, then by the first and the last of these.
 ///
-/// MinimizerSummary degree takes blocks of equal degree in the order of their numbers. The points
-/// of a reconstruction come in any order, and each leaves an element in the lists of the cameras
-/// that see it until one with all of its cameras absorbs it. With points of the same cameras next
-/// to each other the lists stay short: AMD took 7 s in place of 34 for 5000 cameras and 1,000,000
-/// points of a street, COLAMD half its time, for the same fill.
+/// Minimum degree eliminates blocks of equal degree in the order of their numbers. The points of a
+/// reconstruction are in any order, and each leaves an element in the lists of its cameras until an
+/// element with all of its cameras absorbs it. With points of the same cameras next to each other,
+/// the lists stay short: AMD took 7 s in place of 34 for 5000 cameras and 1,000,000 points of a
+/// street, COLAMD half its time, for the same fill.
 std::vector<int> SortByNeighbours(const BlockPatternView& pattern) {
   const int n = pattern.num_blocks;
   std::vector<int> degree(n, 0), first(n, n), last(n, -1), blocks = Natural(n);

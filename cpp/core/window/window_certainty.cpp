@@ -25,7 +25,8 @@ std::vector<double> WindowProblem::ReducedSpectrum() {
   Eigen::MatrixXd s = Eigen::Map<const Eigen::MatrixXd>(system_.values.data(), n, n);
   Eigen::VectorXd scale(n);
   for (int c = 0; c < n; ++c) {
-    // The landmarks' elimination leaves nothing of a coordinate that only they tie down.
+    // The elimination of the landmarks leaves no information on a coordinate that only they
+    // determine.
     scale[c] = d_squared_[c] > 0 ? 1 / std::sqrt(d_squared_[c]) : 1;
   }
   for (int c = 0; c < n; ++c) {
