@@ -4,7 +4,7 @@
 
 #include "core/graph/factor_graph.h"
 
-/// Reads what python/bundle/graph/factor_graph.py makes:
+/// Reads what python/bundle/graphs/factors/factor_graph.py makes:
 ///
 /// - a variable: (name, manifold, value, held, lower, upper), the last three empty for none;
 /// - a factor: (kind, name, places of its variables, loss, scale, what the kind takes).

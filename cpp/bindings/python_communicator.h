@@ -1,7 +1,7 @@
 #pragma once
 
-/// Ranks of a solve that Python connects (bundle/ranks): the core sums and broadcasts by
-/// calling three methods of a Python object with its buffers.
+/// Communicator of ranks that Python connects (python/bundle/solving/ranks): the core sums and
+/// broadcasts by calling three methods of a Python object with its buffers.
 
 #include <pybind11/pybind11.h>
 
@@ -12,7 +12,7 @@
 
 /// Methods of the object: sum_to_first(what, values), sum_twofold_to_first(what, sums, errors) and
 /// broadcast(what, values, root), arrays as writable memoryviews of doubles, in place; attributes
-/// rank and num_ranks. What they raise comes out of the solve.
+/// rank and num_ranks. The solve raises what they raise.
 class PythonCommunicator final : public bundle::Communicator {
  public:
   explicit PythonCommunicator(pybind11::object ranks)

@@ -10,8 +10,8 @@
 #include "core/factors/factor.h"
 
 /// Calls function(values, jacobians wanted), which gives (residual, Jacobians or None), shapes
-/// checked (python/bundle/graph/function_factor.py), or None where the residual has no value. Takes
-/// the GIL for each call. What Python raises comes out of Evaluate, KeyboardInterrupt as
+/// checked (python/bundle/graphs/factors/function_factor.py), or None if the residual has no value.
+/// Takes the GIL for each call. What Python raises comes out of Evaluate, KeyboardInterrupt as
 /// bundle::Interrupted.
 class PythonFactor final : public bundle::Factor {
  public:

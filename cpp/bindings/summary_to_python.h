@@ -13,7 +13,7 @@ pybind11::dict ToDict(const bundle::IterationRecord& record);
 /// One array a field, one entry an iteration.
 pybind11::dict ToArrays(const std::vector<bundle::IterationRecord>& records);
 
-/// Adds what python/bundle/solve_record.py takes out.
+/// Adds what python/bundle/interface/solve_record.py takes out.
 void PutRecord(const bundle::SolveRecord& record, pybind11::dict* result);
 
 /// The reverse of ToArrays. Takes sequences as long as each other; throws InputError for others.

@@ -1,9 +1,8 @@
 #pragma once
 
-/// Options of a solve, for both backends. No solver's header is included here:
-/// `ceres/translate_options.cpp` turns these into Ceres' options. Names, defaults and ranges are
-/// those of python/bundle/options.py (a test holds them against each other); values arrive here
-/// checked for range.
+/// Options of a solve, for both backends. Names, defaults and ranges are those of
+/// python/bundle/interface/options.py (a test compares them), which checks the ranges. No solver's
+/// header is included here; `ceres/translate_options.cpp` converts these options to those of Ceres.
 
 #include <cctype>
 #include <cstddef>

@@ -122,9 +122,10 @@ inline std::optional<double> CostOfWhatCounts(const std::vector<IterationRecord>
   return changed ? cost : std::nullopt;
 }
 
-/// The matrix that each step factorises, and its Cholesky factor L. Matrices count both triangles
-/// and the diagonal, L its lower triangle with the diagonal; blocks count as full. A field is empty
-/// where there is no such number (conjugate gradients have no factor) or none is known.
+/// The matrix that each step factorises, and its Cholesky factor L. Nonzeros of matrices are those
+/// of both triangles and the diagonal, of L those of the lower triangle with the diagonal; blocks
+/// count as full. A field is empty if there is no such number (conjugate gradients have no factor)
+/// or it is not known.
 struct FactorSummary {
   std::optional<int64_t> num_columns;           ///< n
   std::optional<int64_t> num_reduced_nonzeros;  ///< nnz(S) as its solver stores it: n^2 if dense
@@ -198,9 +199,9 @@ struct SolveSummary {
   std::vector<Warning> warnings;
 };
 
-/// Called after each iteration; false stops the solve, which then keeps the best state. So does an
-/// InterruptionScope, within an iteration; before the first evaluation is complete there is nothing
-/// to keep, and Interrupted is thrown.
+/// Called after each iteration. Returning false stops the solve with the best state. An
+/// InterruptionScope does so within an iteration. Before the first evaluation is complete there is
+/// no state to keep, and Interrupted is thrown.
 using ProgressCallback = std::function<bool(const IterationRecord&)>;
 
 /// The report of a solve, whatever was solved.

@@ -13,14 +13,14 @@ struct Combination {
   double length = 0;  ///< ||D d||
 };
 
-/// On the path from x to the minimum of the model along the gradient and on to the Newton step:
-/// its end, or where it leaves the radius.
+/// End of the path from x to the minimum of the model along the gradient and on to the Newton step,
+/// or the point where the path leaves the radius.
 Combination TraditionalDogleg(const DoglegProducts& products, double radius);
 
 /// The minimum of the model among all combinations within the radius.
 Combination SubspaceDogleg(const DoglegProducts& products, double radius);
 
-/// Powell's dogleg: the Newton step as far as the radius allows, bent towards the gradient.
+/// Powell's dogleg: the Newton step within the radius, bent towards the gradient.
 class Dogleg final : public Strategy {
  public:
   /// Finds the best combination of the two directions within a radius.

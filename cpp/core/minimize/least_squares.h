@@ -91,7 +91,7 @@ class LeastSquares {
   /// The candidate x + a p + b q, after Products; again for another a and b after a rejected step.
   virtual Candidate EvaluateDoglegStep(double a, double b) = 0;
 
-  /// x becomes the last candidate, which becomes x: a second call takes the first back.
+  /// Swaps x and the last candidate. A second call takes the first back.
   virtual void Accept() = 0;
 
   /// ||x|| over all that is refined.

@@ -23,20 +23,20 @@ class Strategy {
   /// Damping for the linearisation at a new x.
   virtual double Damping() const = 0;
 
-  /// Finds a step at x, where the problem has been linearised with Damping(), and tries it. Does so
-  /// again with another damping where that is needed after a step that did not succeed.
+  /// Finds a step at x, where the problem has been linearised with Damping(), and evaluates it.
+  /// Linearises again if a failed step requires another damping.
   virtual Step ComputeStep(LeastSquares* problem) = 0;
 
   /// One of these follows each ComputeStep. `quality`: actual decrease over predicted decrease.
   virtual void StepAccepted(double quality) = 0;
   virtual void StepRejected() = 0;
-  /// There was no step, or one that promised nothing.
+  /// There was no step, or one without a predicted decrease.
   virtual void StepIsInvalid() = 0;
 
   virtual double Radius() const = 0;
 
-  /// Takes nearly all damping out of the steps that follow, at this x first; false where there was
-  /// none to speak of.
+  /// Removes nearly all damping from the following steps, beginning at this x. False if there was
+  /// hardly any.
   virtual bool Widen() { return false; }
 };
 

@@ -39,7 +39,7 @@ double PredictFusedWorkingBytes(const ParameterLayout& layout,
                                 int num_threads, double buffer_bytes);
 
 /// Bytes of Ceres' objects for observations and points, and of the Jacobian, as measured
-/// (planning/inspection/peak_memory.py).
+/// (python/bundle/planning/inspection/peak_memory.py).
 double PredictCeresWorkingBytes(const ProblemShape& shape);
 
 /// "1.4 GB": powers of 1000 and three digits, as python/bundle/base/memory_sizes.py writes them.

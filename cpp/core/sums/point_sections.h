@@ -2,21 +2,21 @@
 
 /// Sections of the points. Neither a division among ranks nor a chunk cuts a section.
 ///
-/// A sum over points has the same bits on one rank and on several if it is made of the same parts.
-/// So the points are cut once, by the problem alone: in the order of the first image that sees
-/// them, then of the last, then of their indices, where the observations so far are k/K of all. A
-/// rank has whole sections (solving/ranks/partition.py) wherever N divides K, and the chunks of an
-/// elimination plan end where sections do. What is added up over chunks is added up so that their
-/// order hardly matters (double_double.h).
+/// A sum over points has the same bits on one rank and on several if it has the same partial sums.
+/// So the points are divided once, by the problem alone: sorted by the first image that sees them,
+/// then by the last, then by their indices, and cut where the observations so far are k/K of all.
+/// Each of N ranks has whole sections (python/bundle/solving/ranks/partition.py) if N divides K,
+/// and the chunks of an elimination plan end with sections. Sums over chunks hardly depend on the
+/// order of chunks (double_double.h).
 ///
-/// Sections cost what the order of S would save: points that are sorted by the blocks of S, all of
-/// them, add to S from its first column to its last. Where an image shares points with a few dozen
-/// others, as on a street, the difference is a few percent. Where it does with hundreds, and S is
-/// in another order than the images, adding to S takes twice as long, and sections are not used
-/// (SchurSetup): such problems determine their unknowns well, and rounding does not grow.
+/// Sections cost time: without them, all points are sorted by the blocks of S and add to S from its
+/// first column to its last. If an image shares points with a few dozen others, as on a street, the
+/// difference is a few percent. If it does with hundreds, and S is in another order than the
+/// images, adding to S takes twice as long. Sections are then not used (SchurSetup): such problems
+/// determine their unknowns well, and rounding errors do not grow.
 ///
-/// K is a multiple of 12, which 1, 2, 3, 4, 6 and 12 divide, and grows with the problem. Where N
-/// does not divide K, ranks have parts of sections, and bits are those of N ranks.
+/// K is a multiple of 12, which is divisible by 1, 2, 3, 4, 6 and 12, and grows with the problem.
+/// If N does not divide K, ranks have parts of sections, and the bits are those of N ranks.
 
 #include <cstdint>
 #include <vector>

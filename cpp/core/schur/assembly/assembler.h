@@ -3,20 +3,19 @@
 /// Assembly of S: adds a chunk's blocks of image pairs to blocks of the parameter layout.
 ///
 /// The passes work by image, with the columns that any image of its camera model refines: its pose,
-/// then its intrinsics. In the layout, an image's columns are one block, or two where the
-/// intrinsics are shared with other images, and some may be fixed. A block of images (a, b) thus
-/// goes to up to four blocks of S. Where both have the same intrinsics block, it and its transpose
-/// go to the diagonal one.
+/// then its intrinsics. In the layout, an image's columns are one block, or two if it shares
+/// intrinsics with other images, and some may be constant. A block of images (a, b) is thus added
+/// to up to four blocks of S. If both have the same intrinsics block, it and its transpose are
+/// added to the diagonal one.
 ///
 /// An image of a rig has the columns of its frame's pose, whose block it shares with the other
 /// images of the frame; a sensor that is refined is a third block, through a map (column_map.h).
 ///
-/// Several threads add chunks at once, and no bit may depend on which is faster. So each block of S
-/// belongs to one queue, in which chunks take their turns: the blocks of a pose with all others
-/// belong to the image or frame that has it (ImageOrder::owner), or to the first of two, and what
-/// two shared cameras or sensors have with each other belongs to the queue of all of them. Only the
-/// latter is serial, and it is small: 9 products of a pair's 81 where a camera has three
-/// parameters.
+/// Several threads add chunks at the same time, and no bit may depend on their speed. So each block
+/// of S belongs to one queue, to which chunks are added in their order. The blocks of a pose belong
+/// to the queue of its image or frame (ImageOrder::owner), or to that of the first of two poses.
+/// Blocks between shared cameras or sensors all belong to one queue. Only this queue is serial, and
+/// it is short: 9 of a pair's 81 products if a camera has three parameters.
 
 #include <cstddef>
 #include <cstdint>

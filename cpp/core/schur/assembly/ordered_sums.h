@@ -17,11 +17,11 @@ namespace bundle {
 
 class SumGrid;  // sum_grid.h
 
-/// Sums up chunks that several threads work on, in the order of the chunks, so that no bit of the
-/// sum depends on who was faster.
+/// Sums over chunks that several threads compute, in the order of the chunks, so that no bit of a
+/// sum depends on the speed of threads.
 ///
-/// Threads wait for each other at the same queue only (Assembler). A thread that is early keeps its
-/// chunk and goes on to the next.
+/// Threads wait for each other only at the same queue (Assembler). A thread that is early keeps its
+/// chunk and computes the next one.
 class OrderedSums {
  public:
   /// Keeps references to all but the last. `keeps_error_terms`: the sums are double-doubles until
@@ -30,7 +30,7 @@ class OrderedSums {
               const Assembler& assembler, int num_images, int num_threads,
               bool wants_camera_diagonal, bool keeps_error_terms);
 
-  /// Sums on a grid, where one is chosen, from the next Clear on; nullptr: on none.
+  /// Makes sums on a grid, if one is chosen, from the next Clear on; nullptr: without a grid.
   void UseGrid(const SumGrid* grid) { grid_ = grid; }
 
   /// Starts anew, at zero.
@@ -41,13 +41,14 @@ class OrderedSums {
   ChunkSum& Begin(int chunk, int thread);
   void End(int thread);
 
-  /// Adds what a thread still keeps, after its last chunk.
+  /// Adds the chunks that a thread still keeps, after its last chunk.
   void Flush(int thread);
 
-  /// Thrown by the above where they would wait for a chunk that never comes.
+  /// Thrown by the methods above if they would wait for a chunk that was abandoned.
   struct Abandoned {};
 
-  /// A thread will not end its chunk: the others do not wait for it. Until Clear.
+  /// Abandons a chunk, because its thread will not end it. The other threads do not wait for it.
+  /// Until Clear.
   void Abandon() { abandoned_.store(true, std::memory_order_release); }
 
   CameraSums& sums() { return sums_; }
@@ -63,8 +64,8 @@ class OrderedSums {
     int chunk = -1;
   };
 
-  /// A thread's chunks that wait for those before them, a short queue. The buffer that was freed
-  /// last is taken next, as it is still in the cache; most problems touch no other.
+  /// A thread's chunks that wait for earlier chunks: a short queue. The buffer that was freed last
+  /// is used next, because it is still in the cache; most problems use no other.
   struct Waiting {
     static constexpr int kBuffers = 3;
     Buffer buffers[kBuffers];

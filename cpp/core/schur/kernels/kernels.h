@@ -143,7 +143,7 @@ struct PointSurvey {
   double own[7 * kMoves] = {};
   double* eliminated = nullptr;
   /// Called for the rows of observations of images that do not move along, and for points of the
-  /// plan that are not clearly regular or spread over several chunks.
+  /// plan that are not clearly regular or are spread over several chunks.
   void* list = nullptr;
   void (*add_row)(void* list, const double* by_images, const double* by_point) = nullptr;
   void (*add_unclear)(void* list, int point) = nullptr;
