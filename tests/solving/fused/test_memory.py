@@ -53,7 +53,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 # Measured: 99 and 80, of which some do not grow with the observations. 13 of the 99 are what
-# rounding takes from S (twofold_sum.h). While the sparse solver had a copy of S and its indices
+# rounding takes from S (double_double.h). While the sparse solver had a copy of S and its indices
 # beside the factor, it took 128 without these.
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak of a process is read from /proc")
 @pytest.mark.parametrize(("solver", "bound"), [("sparse_schur", 109), ("iterative_schur", 92)])

@@ -30,7 +30,7 @@ _COLUMNS, _BLOCK_DOUBLES = 9, 108
 _CACHED_BYTES = 8e6
 
 # Size from which factorisations use BLAS threads: columns of a dense matrix, or entries of the
-# average column of a sparse factor (cpp/core/blas_threads.h, direct_solvers.cpp).
+# average column of a sparse factor (cpp/core/parallel/blas.h, linear/direct_solvers.cpp).
 _COLUMNS_WORTH_THREADS = 1000
 
 
