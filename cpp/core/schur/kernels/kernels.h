@@ -5,6 +5,8 @@
 #include <cstdint>
 
 #include "core/interface/options.h"
+// Unused, but part of the bits: without it GCC 12 contracts other multiply-adds of Products.
+#include "core/model/camera_states.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/held_residuals.h"
 
