@@ -96,8 +96,8 @@ std::string AutoChoice(const Ints& sizes, const Int64s& column_begin, const Ints
                            bundle::kLinearSolverTypes);
 }
 
-bool SumsAreTwofold(const std::string& linear_solver_type, int num_columns, int64_t num_blocks,
-                    int64_t num_entries) {
+bool SumsAreDoubleDoubles(const std::string& linear_solver_type, int num_columns,
+                          int64_t num_blocks, int64_t num_entries) {
   for (const auto& [name, type] : bundle::kLinearSolverTypes) {
     if (name != linear_solver_type) continue;
     return bundle::ChooseSumOrder(type, num_columns, num_blocks, num_entries,
@@ -110,8 +110,8 @@ bool SumsAreTwofold(const std::string& linear_solver_type, int num_columns, int6
 
 void BindInspection(py::module_& m) {
   m.attr("MAX_TRACK_LENGTH") = bundle::kMaxTrackLength;
-  m.def("sums_are_twofold", &SumsAreTwofold, py::arg("linear_solver_type"), py::arg("num_columns"),
-        py::arg("num_blocks"), py::arg("num_entries"));
+  m.def("sums_are_double_doubles", &SumsAreDoubleDoubles, py::arg("linear_solver_type"),
+        py::arg("num_columns"), py::arg("num_blocks"), py::arg("num_entries"));
   m.def("available_memory", [] { return bundle::AvailableMemoryBytes(); });
   m.def("parameter_blocks", &ParameterBlocks, py::arg("problem"), py::arg("options"));
   m.def("panel_values", &PanelValues, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),

@@ -108,7 +108,7 @@ void AddDoubleDouble(const py::array_t<double, py::array::c_style>& sums,
                      py::array_t<double, py::array::c_style> to_errors) {
   const py::ssize_t count = sums.size();
   if (errors.size() != count || to_sums.size() != count || to_errors.size() != count) {
-    throw bundle::InputError("add_twofold: expected four arrays of one size");
+    throw bundle::InputError("add_double_doubles: expected four arrays of one size");
   }
   double* const sum = to_sums.mutable_data();
   double* const error = to_errors.mutable_data();
@@ -185,8 +185,8 @@ void BindSolve(py::module_& m) {
         py::arg("restrictions"), py::arg("factors"), py::arg("ranks"),
         py::arg("image_is_observed"));
   m.def("num_point_sections", &bundle::NumPointSections, py::arg("num_observations"));
-  m.def("add_twofold", &AddDoubleDouble, py::arg("sums"), py::arg("rests"),
-        py::arg("to_sums").noconvert(), py::arg("to_rests").noconvert());
+  m.def("add_double_doubles", &AddDoubleDouble, py::arg("sums"), py::arg("errors"),
+        py::arg("to_sums").noconvert(), py::arg("to_errors").noconvert());
   py::class_<PythonSolver>(m, "Solver")
       .def(py::init<py::object, const py::dict&, py::object, const py::object&>(),
            py::arg("problem"), py::arg("options"), py::arg("restrictions") = py::none(),

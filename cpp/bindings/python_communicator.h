@@ -10,9 +10,9 @@
 
 #include "core/sums/communicator.h"
 
-/// Methods of the object: sum_to_first(what, values), sum_twofold_to_first(what, sums, errors) and
-/// broadcast(what, values, root), arrays as writable memoryviews of doubles, in place; attributes
-/// rank and num_ranks. The solve raises what they raise.
+/// Methods of the object: sum_to_first(what, values), sum_double_doubles_to_first(what, sums,
+/// errors) and broadcast(what, values, root), arrays as writable memoryviews of doubles, in place;
+/// attributes rank and num_ranks. The solve raises what they raise.
 class PythonCommunicator final : public bundle::Communicator {
  public:
   explicit PythonCommunicator(pybind11::object ranks)
@@ -31,7 +31,7 @@ class PythonCommunicator final : public bundle::Communicator {
   void SumDoubleDoubleToFirst(const char* what, double* sums, double* errors,
                               int64_t count) override {
     const pybind11::gil_scoped_acquire acquire;
-    ranks_.attr("sum_twofold_to_first")(what, View(sums, count), View(errors, count));
+    ranks_.attr("sum_double_doubles_to_first")(what, View(sums, count), View(errors, count));
   }
 
   void Broadcast(const char* what, double* values, int64_t count, int root) override {

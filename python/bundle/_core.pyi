@@ -240,11 +240,11 @@ def solve_part(
     image_is_observed: NDArray[np.uint8],
 ) -> dict[str, Any]: ...
 def num_point_sections(num_observations: int) -> int: ...
-def add_twofold(
+def add_double_doubles(
     sums: NDArray[np.float64],
-    rests: NDArray[np.float64],
+    errors: NDArray[np.float64],
     to_sums: NDArray[np.float64],
-    to_rests: NDArray[np.float64],
+    to_errors: NDArray[np.float64],
 ) -> None: ...
 
 class Solver:
@@ -419,7 +419,7 @@ def reduced_spectrum(
 # bind_inspection.cpp
 MAX_TRACK_LENGTH: int
 
-def sums_are_twofold(
+def sums_are_double_doubles(
     linear_solver_type: str, num_columns: int, num_blocks: int, num_entries: int
 ) -> bool: ...
 def available_memory() -> float: ...

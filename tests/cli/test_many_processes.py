@@ -255,10 +255,10 @@ import bundle.solving.slices.slice_process as slices
 work_on, solves = slices.work_on, []
 
 class Dying(crew.MpiRanks):
-    def sum_twofold_to_first(self, what, *values):
+    def sum_double_doubles_to_first(self, what, *values):
         if len(solves) == 3 and what == "normal equations":
             os.kill(os.getpid(), signal.SIGKILL)
-        super().sum_twofold_to_first(what, *values)
+        super().sum_double_doubles_to_first(what, *values)
 
 def work(*given):
     solves.append(given)
@@ -277,11 +277,11 @@ import bundle.solving.ranks.mpi_crew as crew
 sums = []
 
 class Told(crew.MpiRanks):
-    def sum_twofold_to_first(self, what, *values):
+    def sum_double_doubles_to_first(self, what, *values):
         sums.append(what)
         if sums.count("normal equations") == 4:
             os.kill(os.getpid(), signal.SIGUSR1)
-        super().sum_twofold_to_first(what, *values)
+        super().sum_double_doubles_to_first(what, *values)
 
 crew.MpiRanks = Told
 from bundle.__main__ import run

@@ -27,8 +27,8 @@ def inspection(problem):
 def test_bytes_of_a_step_are_those_that_are_sent(problem, solver):
     options = resolve_defaults(problem, bundle.SolveOptions(num_threads=1))
     reduced = find_pattern(problem, options).reduced
-    predicted = step_bytes(reduced, is_dense=solver == "dense_schur", twofold=True)
-    assert reduced.sums_are_twofold(solver.upper())
+    predicted = step_bytes(reduced, is_dense=solver == "dense_schur", double_doubles=True)
+    assert reduced.sums_are_double_doubles(solver.upper())
     with processes(2):
         summary = bundle.solve(
             problem, num_threads=1, max_num_iterations=5, linear_solver_type=solver
@@ -80,7 +80,7 @@ def test_the_network(problem, inspection):
     (fast,) = predict_ranks(problem, inspection, counts=[4], network=(math.nextafter(1e9, 0), 50))
     (near,) = predict_ranks(problem, inspection, counts=[4], network=(1, 1e-9))
     sent = slow.network_time_per_step_in_seconds
-    # Four processes are two levels of a tree, at each of which twofold sums arrive.
+    # Four processes are two levels of a tree, at each of which double-doubles arrive.
     reduced = find_pattern(problem, resolve_defaults(problem, bundle.SolveOptions())).reduced
     only_down = 8 * 3 * reduced.num_columns
     received = 2 * slow.bytes_per_step - only_down

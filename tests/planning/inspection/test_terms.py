@@ -29,7 +29,7 @@ PATTERN = SimpleNamespace(
     nnz_information=50_000,
     num_reduced_values=9000.0,
     reduced=SimpleNamespace(
-        num_columns=60, sums_are_twofold=lambda solver: solver != "ITERATIVE_SCHUR"
+        num_columns=60, sums_are_double_doubles=lambda solver: solver != "ITERATIVE_SCHUR"
     ),
     pair_entries=70_000.0,
     block_pairs=3000,

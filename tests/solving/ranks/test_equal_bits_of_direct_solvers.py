@@ -134,15 +134,15 @@ def test_the_number_of_sections(num_observations, expected):
     assert _core.num_point_sections(num_observations) == expected
 
 
-def test_twofold_sums_of_several_processes():
+def test_double_doubles_of_several_processes():
     rng = np.random.default_rng(0)
     values = rng.normal(size=(6, 1000)) * 10.0 ** rng.integers(-12, 12, (6, 1000))
 
     def added(order):
-        sums, rests = np.zeros(1000), np.zeros(1000)
+        sums, errors = np.zeros(1000), np.zeros(1000)
         for k in order:
-            _core.add_twofold(values[k], np.zeros(1000), sums, rests)
-        return sums + rests
+            _core.add_double_doubles(values[k], np.zeros(1000), sums, errors)
+        return sums + errors
 
     forwards, backwards = added(range(6)), added(range(5, -1, -1))
     np.testing.assert_array_equal(forwards, backwards)
@@ -152,4 +152,4 @@ def test_twofold_sums_of_several_processes():
         exact += row.astype(np.longdouble)
     np.testing.assert_allclose(forwards, exact.astype(float), rtol=1e-15)
     with pytest.raises(bundle.InputError):
-        _core.add_twofold(np.zeros(2), np.zeros(2), np.zeros(3), np.zeros(3))
+        _core.add_double_doubles(np.zeros(2), np.zeros(2), np.zeros(3), np.zeros(3))

@@ -24,15 +24,15 @@ class ThreadComm:
         array[:] = self._boxes[source, self.rank].get(timeout=10)
 
 
-def summed(num_ranks, values, rests):
+def summed(num_ranks, values, errors):
     """Return what rank 0 has after a sum over threads, and the tallies of all."""
     pairs = [(a, b) for a in range(num_ranks) for b in range(num_ranks)]
     boxes = {pair: queue.Queue() for pair in pairs}
     ranks = [MpiRanks(ThreadComm(rank, num_ranks, boxes)) for rank in range(num_ranks)]
-    mine = [(values[rank].copy(), rests[rank].copy()) for rank in range(num_ranks)]
+    mine = [(values[rank].copy(), errors[rank].copy()) for rank in range(num_ranks)]
 
     def work(rank):
-        ranks[rank].sum_twofold_to_first("sums", *map(memoryview, mine[rank]))
+        ranks[rank].sum_double_doubles_to_first("sums", *map(memoryview, mine[rank]))
 
     threads = [threading.Thread(target=work, args=(rank,)) for rank in range(num_ranks)]
     for thread in threads:
@@ -44,19 +44,19 @@ def summed(num_ranks, values, rests):
 
 
 @pytest.mark.parametrize("num_ranks", range(1, 9))
-def test_twofold_sums_are_those_of_pairs_of_neighbours(num_ranks, monkeypatch):
+def test_double_doubles_are_those_of_pairs_of_neighbours(num_ranks, monkeypatch):
     """In messages of three numbers; every rank's values arrive, in one order for any timing."""
     monkeypatch.setattr(mpi_ranks, "MOST_AT_ONCE", 3)
     rng = np.random.default_rng(num_ranks)
     values = rng.normal(size=(num_ranks, 7)) * 10.0 ** rng.integers(-8, 8, (num_ranks, 7))
-    rests = values * 1e-17
-    (sums, left), tallies = summed(num_ranks, values, rests)
+    errors = values * 1e-17
+    (sums, left), tallies = summed(num_ranks, values, errors)
     exact = [float(sum(map(np.longdouble, column))) for column in values.T]
     np.testing.assert_allclose(sums + left, exact, rtol=1e-15)
-    level = [(values[rank].copy(), rests[rank].copy()) for rank in range(num_ranks)]
+    level = [(values[rank].copy(), errors[rank].copy()) for rank in range(num_ranks)]
     while len(level) > 1:  # neighbours first
         for first, second in zip(level[::2], level[1::2], strict=False):
-            _core.add_twofold(*second, *first)
+            _core.add_double_doubles(*second, *first)
         level = level[::2]
     np.testing.assert_array_equal(sums, level[0][0])
     np.testing.assert_array_equal(left, level[0][1])

@@ -30,13 +30,13 @@ class ThreadRanks:
             np.frombuffer(values)[:] = sum(given[1:], given[0].copy())
         self._crew.barrier.wait()
 
-    def sum_twofold_to_first(self, what: str, sums: memoryview, rests: memoryview) -> None:
-        both = np.concatenate([np.frombuffer(sums), np.frombuffer(rests)])
+    def sum_double_doubles_to_first(self, what: str, sums: memoryview, errors: memoryview) -> None:
+        both = np.concatenate([np.frombuffer(sums), np.frombuffer(errors)])
         given = self._meet(what, memoryview(both))
         if self.rank == 0:
-            mine = np.frombuffer(sums), np.frombuffer(rests)
+            mine = np.frombuffer(sums), np.frombuffer(errors)
             for other in given[1:]:
-                _core.add_twofold(*np.split(other, 2), *mine)
+                _core.add_double_doubles(*np.split(other, 2), *mine)
         self._crew.barrier.wait()
 
     def broadcast(self, what: str, values: memoryview, root: int) -> None:

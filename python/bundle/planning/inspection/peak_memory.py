@@ -88,7 +88,7 @@ def fused_memory(
         terms["reduced system"] = DOUBLE * counted.panel_values
         widest = max(counted.factor.profile, default=0)
         terms["BLAS"] = _BLAS_PAGES + DOUBLE * float(_PACKED_COLUMNS) * widest
-    if pattern.reduced.sums_are_twofold(linear_solver_type):
+    if pattern.reduced.sums_are_double_doubles(linear_solver_type):
         # Error terms of the sums in S, without the fill-in of its factor.
         is_dense = linear_solver_type == "DENSE_SCHUR"
         values = (

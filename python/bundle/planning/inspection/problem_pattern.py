@@ -69,9 +69,9 @@ class BlockPattern(NamedTuple):
         columns = np.repeat(sizes, np.diff(self.column_begin))
         return int(2 * (columns * sizes[self.rows]).sum() - (sizes**2).sum())
 
-    def sums_are_twofold(self, linear_solver_type: str) -> bool:
+    def sums_are_double_doubles(self, linear_solver_type: str) -> bool:
         """Return True if the fused backend sums S in double-double arithmetic."""
-        return _core.sums_are_twofold(
+        return _core.sums_are_double_doubles(
             linear_solver_type.lower(), self.num_columns, len(self.sizes), len(self.rows)
         )
 

@@ -144,14 +144,14 @@ def predict_ranks(
     method = _method(inspection)
     chosen = resolve_defaults(problem, SolveOptions.of(options, {}, "inspect"))
     reduced = find_pattern(problem, chosen).reduced
-    twofold = reduced.sums_are_twofold(method.linear_solver_type)
+    double_doubles = reduced.sums_are_double_doubles(method.linear_solver_type)
     is_dense = method.linear_solver_type == "DENSE_SCHUR"
-    size = step_bytes(reduced, is_dense=is_dense, twofold=twofold)
-    num_vectors = 9 if twofold else 6
+    size = step_bytes(reduced, is_dense=is_dense, double_doubles=double_doubles)
+    num_vectors = 9 if double_doubles else 6
     sent_values = size - 8 * num_vectors * reduced.num_columns
-    sent_twofold = sent_values + 8 * 6 * reduced.num_columns if twofold else 0
+    sent_double_doubles = sent_values + 8 * 6 * reduced.num_columns if double_doubles else 0
     # Values of S alone: its error terms belong to the method.
-    values = sent_values / 2 if twofold else sent_values
+    values = sent_values / 2 if double_doubles else sent_values
     tracks = np.bincount(problem.observation_point, minlength=problem.num_points)
     work = tracks * (tracks + 1.0)
     whole = _bytes_of(problem)
@@ -172,7 +172,7 @@ def predict_ranks(
         sent = 0.0
         if count > 1:
             levels = math.ceil(math.log2(count))
-            received = size + (levels - 1) * sent_twofold
+            received = size + (levels - 1) * sent_double_doubles
             sent = _MESSAGES * levels * network[1] * 1e-6 + received * 8 / (network[0] * 1e9)
         time = share * of_points + of_first + sent
         most = max(int(tracks[points].sum()) for points in parts)
@@ -200,7 +200,7 @@ def predict_ranks(
     return tuple(rows)
 
 
-def step_bytes(reduced: BlockPattern, *, is_dense: bool, twofold: bool) -> int:
+def step_bytes(reduced: BlockPattern, *, is_dense: bool, double_doubles: bool) -> int:
     """Return the bytes of a step's messages, without a few scalars."""
     sizes = reduced.sizes.astype(np.int64)
     if is_dense:
@@ -208,7 +208,7 @@ def step_bytes(reduced: BlockPattern, *, is_dense: bool, twofold: bool) -> int:
     else:
         columns = np.repeat(sizes, np.diff(reduced.column_begin))
         values = int((columns * sizes[reduced.rows]).sum())
-    if twofold:
+    if double_doubles:
         return 8 * (2 * values + 9 * reduced.num_columns)
     return 8 * (values + 6 * reduced.num_columns)
 

@@ -50,17 +50,17 @@ class MpiRanks:
             self._sum_piece(*(array[begin : begin + MOST_AT_ONCE] for array in mine))
         self._count(what, mine[0].nbytes + mine[1].nbytes, begun)
 
-    def _sum_piece(self, sums: Any, rests: Any) -> None:
+    def _sum_piece(self, sums: Any, errors: Any) -> None:
         step = 1
         while step < self.num_ranks and self.rank % (2 * step) == 0:
             if self.rank + step < self.num_ranks:
-                given = np.empty_like(sums), np.empty_like(rests)
+                given = np.empty_like(sums), np.empty_like(errors)
                 for array in given:
                     self._comm.Recv(array, self.rank + step)
-                _core.add_twofold(*given, sums, rests)
+                _core.add_double_doubles(*given, sums, errors)
             step *= 2
         if self.rank > 0:
-            for array in (sums, rests):
+            for array in (sums, errors):
                 self._comm.Send(array, self.rank - step)
 
     def broadcast(self, what: str, values: memoryview, root: int) -> None:
