@@ -48,7 +48,7 @@ def test_names_agree() -> None:
 
 
 def test_visitors_list_every_member() -> None:
-    """The list says as well what a Solver may change."""
+    """The lists have each member once, and name what a Solver may change."""
     listed = dict(re.findall(r'visit\(k(\w+), "\w+", &Options::(\w+)', HEADER))
     assert set(listed) == set(STRUCT) - SWITCHES
     assert {name for name, change in listed.items() if change == "BetweenSolves"} == {*CHANGEABLE}

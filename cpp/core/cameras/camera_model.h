@@ -30,8 +30,8 @@ namespace bundle {
 
 enum class Projection {
   kValid,
-  /// The point is beyond 90 degrees from the optical axis, where the formula of a wide lens goes on
-  /// without a break; its value is given.
+  /// The point is beyond 90 degrees from the optical axis, where the formula of a wide lens
+  /// continues smoothly; its value is given.
   kBeyond,
   /// The point is where the lens cannot see it, yet the formula has a value, which is given.
   kBehind,

@@ -65,7 +65,7 @@ inline const CameraModel* FindCameraModel(std::string_view name) {
   return nullptr;
 }
 
-/// Calls visitor(Model()) with the struct behind a model, for code that wants it inlined.
+/// Calls visitor(Model()) with the struct of a model, so that its code is inlined.
 template <typename Visitor>
 void VisitCameraModel(const CameraModel& model, Visitor&& visitor) {
   internal::VisitCameraModelImpl(&model - AllCameraModels(), std::forward<Visitor>(visitor),

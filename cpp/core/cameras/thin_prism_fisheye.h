@@ -70,7 +70,7 @@ struct ThinPrismFisheye : Lens<Equidistant, ThinPrismDistortion, 2> {
 };
 
 /// RAD_TAN_THIN_PRISM_FISHEYE (fx, fy, cx, cy, k0..k5, p0, p1, s0..s3): radial distortion of the
-/// equidistant projection, then tangential and thin prism distortion of what that gives.
+/// equidistant projection, then tangential and thin prism distortion of the result.
 ///
 /// With (u, v) of fisheye.h, s = u^2 + v^2 and d(s) = 1 + k0 s + ... + k5 s^6, first
 ///

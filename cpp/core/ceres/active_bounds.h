@@ -1,6 +1,6 @@
 #pragma once
 
-/// Numbers of a state that stand on a bound beyond which the cost falls, for Ceres.
+/// Active bounds for Ceres: numbers of a state on a bound beyond which the cost falls.
 ///
 /// Ceres projects a step onto the bounds after it has computed it, and then compares the decrease
 /// of the cost with that of a model in which such numbers have left their bounds. If they have most
@@ -8,9 +8,9 @@
 /// its state (ceres-solver issue 187). model/parameter_layout.h (StateBounds) explains active
 /// numbers.
 ///
-/// Ceres asks for derivatives at each new state, and before that we find the active numbers by the
-/// gradient; then costs have no derivatives by them, so that no step moves them and the model
-/// expects nothing of it.
+/// Ceres asks for derivatives at each new state. Before that, the active numbers are found by the
+/// gradient. Costs then have no derivatives by them, so that no step moves them and the model
+/// predicts no decrease from them.
 ///
 /// DENSE_QR finds a number without derivatives up to rounding only, which the small damping of its
 /// row magnifies: it would leave its bound by 1e-9 and no longer be active. There active numbers
@@ -34,7 +34,7 @@ namespace bundle {
 class ActiveBounds {
  public:
   /// Sets the bounds of a parameter block of the problem, at whose numbers Ceres evaluates. Before
-  /// any cost is wrapped. `inexact`: steps may move what has no derivatives.
+  /// any cost is wrapped. `inexact`: steps may move numbers without derivatives.
   void Add(ceres::Problem* problem, double* data, StateBounds bounds, bool inexact) {
     bool has_bound = false;
     for (size_t k = 0; k < bounds.lower.size(); ++k) {
@@ -159,7 +159,7 @@ class ActiveBounds {
     const ActiveBounds& active_;
   };
 
-  /// A manifold, or nullptr for none, whose active numbers stay.
+  /// A manifold that keeps active numbers constant, or nullptr for none.
   class Keep final : public ceres::Manifold {
    public:
     Keep(const ActiveBounds& active, size_t block, const ceres::Manifold* manifold)

@@ -63,7 +63,7 @@ std::unique_ptr<ceres::CostFunction> MakeFactorCost(ChartedFactor factor,
 /// writes [J 0], as wide as the stored value, and PlusJacobian is [I 0]^T, without the columns of
 /// coordinates that are held. No digit is lost and nothing is differentiated twice.
 ///
-/// Lives as long as the ceres::Problem does. The graph stays where it is and is not changed.
+/// Must outlive the ceres::Problem. The graph must not be moved or changed.
 class CeresGraph {
  public:
   /// With `all_free`, held coordinates count as free ones and bounds are left out.
@@ -81,8 +81,8 @@ class CeresGraph {
   int64_t CountInformationNonzeros() const;
 
   /// True once no factor has a value any more, because the user wants the solve to end or a factor
-  /// threw. Looks for the user's wish before a candidate is evaluated, when Ceres can still be left
-  /// with the best state.
+  /// threw. The user's wish is tested before a candidate is evaluated, while Ceres can still be
+  /// left with the best state.
   const std::atomic<bool>& abandoned() const { return abandonment_.happened; }
   /// Rethrows the exception of a factor, if one threw; does not throw Interrupted.
   void RethrowFactorException() { abandonment_.exception.Rethrow(); }
@@ -91,7 +91,7 @@ class CeresGraph {
   class Cost;
   class BlockManifold;
   class Watch;
-  /// Evaluates a factor; what it throws is kept, as nothing may leave through Ceres.
+  /// Evaluates a factor and keeps its exceptions, which must not pass through Ceres.
   bool Evaluate(const Factor& factor, double const* const* parameters, double* residuals,
                 double** jacobians) const;
 

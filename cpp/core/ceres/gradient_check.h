@@ -84,7 +84,8 @@ int TangentSize(const ceres::CostFunction& cost, const Manifolds& manifolds);
 struct KnownScales {
   /// Bounds of the first step of each ambient column, unless empty: the distance to a singularity.
   std::vector<double> largest_steps;
-  /// Size of the numbers whose difference a residual is: it is rounded as they are.
+  /// Size of the numbers whose difference is a residual: their rounding errors are those of the
+  /// residual.
   double minuend = 0;
 };
 

@@ -61,7 +61,7 @@ struct ReprojectionContext {
 /// An observation that does not count has the residual that it holds (factors/reprojection.h),
 /// which depends on the states of the solve. Ceres' trust region asks for derivatives at these, and
 /// for the residual alone at candidates; only its search along a projected step asks for
-/// derivatives at candidates, which HoldingWatch::is_at_candidate tells apart.
+/// derivatives at candidates, for which HoldingWatch::is_at_candidate is true.
 std::unique_ptr<ceres::CostFunction> MakeReprojectionCost(const ReprojectionContext& context,
                                                           int64_t observation);
 

@@ -15,7 +15,7 @@ namespace bundle {
 /// The costs of factors, by their kinds (KindOf).
 class KindCosts {
  public:
-  /// Keeps what it is given.
+  /// Keeps the pointers.
   void Add(uint32_t kind, const ceres::CostFunction& cost, const ceres::LossFunction* loss,
            const std::vector<double*>& blocks);
   bool empty() const { return factors_.empty(); }

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Callbacks of a solve by Ceres: the states of its evaluations, and what iterations leave behind.
+/// Callbacks of a solve by Ceres: the states of its evaluations, and records of its iterations.
 
 #include <memory>
 #include <vector>

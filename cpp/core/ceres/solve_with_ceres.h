@@ -9,7 +9,7 @@
 
 namespace bundle {
 
-/// Bundle adjustment by Ceres of what PrepareSolve made of the problem.
+/// Bundle adjustment by Ceres. `prepared` is the output of PrepareSolve for the problem.
 ///
 /// Throws InputError if options exclude each other or the dense matrices of the solver would not
 /// fit into memory. Anything else that keeps the solve from converging is in the summary.

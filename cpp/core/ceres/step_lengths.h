@@ -16,7 +16,7 @@ namespace bundle {
 
 class StepLengths final : public ceres::IterationCallback {
  public:
-  /// Numbers that a solve changes. They stay where they are.
+  /// Adds numbers that a solve changes. They must not be moved.
   void Add(const double* values, size_t size) { values_.push_back({values, size}); }
 
   /// Another solve follows, whose iterations are numbered on.

@@ -32,7 +32,7 @@ std::vector<Warning> FindFallbacks(const ceres::Solver::Summary& summary);
 IterationRecord ToRecord(const ceres::IterationSummary& iteration, double fixed_cost,
                          const StepLengths& lengths);
 
-/// Reports each iteration and looks for an interruption. `abandoned` is set where a candidate could
+/// Reports each iteration and tests for an interruption. `abandoned` is true if a candidate could
 /// not be evaluated because the user ended the solve: such a step is not reported.
 class ReportProgress final : public ceres::IterationCallback {
  public:

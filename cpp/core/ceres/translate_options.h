@@ -29,8 +29,8 @@ bool FactorsCoupleFirstGroup(EliminationOrdering ordering, const AdjustmentProbl
 /// finds an independent set itself.
 bool NothingToEliminate(EliminationOrdering ordering, const ParameterLayout& layout);
 
-/// Settings that belong to the whole process, held while Ceres runs and given back afterwards: its
-/// log prints nothing (the summary says it), and OpenBLAS uses `blas_threads` threads.
+/// Settings of the whole process, changed while Ceres runs and restored afterwards: the log is
+/// silent (the summary has its contents), and OpenBLAS uses `blas_threads` threads.
 class ProcessSettings {
  public:
   explicit ProcessSettings(int blas_threads);

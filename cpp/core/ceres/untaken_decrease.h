@@ -6,8 +6,8 @@
 
 namespace bundle {
 
-/// A lower bound of what the cost would fall by, by its linearisation, after a step that was
-/// accepted and another that met the parameter tolerance; 0 after any other end. The problem is
+/// Lower bound of the further decrease of the cost, by its linearisation, if a solve accepted a
+/// step and ended at another one by parameter tolerance; 0 after any other end. The problem is
 /// where Ceres left it.
 double UntakenDecrease(const ceres::Solver::Summary& summary, ceres::Problem* problem);
 

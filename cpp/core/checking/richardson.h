@@ -17,11 +17,11 @@
 ///
 /// A bound from one range of steps holds only where f is smooth on that range. Close to a pole, say
 /// 1 / (x + d) with steps h far above d, D(h) = 1 / (h^2 - d^2) looks as if it converged to zero.
-/// So what has settled is held against D at steps that are smaller by powers of 64:
+/// So settled values are compared with D at steps that are smaller by powers of 64:
 ///
-/// - where they agree within what rounding leaves, the bound stands;
-/// - where finer steps settle on something else, that is the derivative;
-/// - where they settle on nothing, the bound grows by the disagreement.
+/// - if they agree up to rounding errors, the bound is kept;
+/// - if finer steps settle on another value, that is the derivative;
+/// - if they do not settle, the bound grows by the disagreement.
 ///
 /// A kink at the point itself leaves D(h) smooth. It shows in the half difference of the slopes on
 /// both sides, s(h) = |f(h) - 2 f(0) + f(-h)| / 2h, which falls with h for a smooth f and is
@@ -40,11 +40,11 @@ using LineFunction = std::function<bool(double step, double* values)>;
 void RichardsonDerivative(const LineFunction& f, int num_values, double first_step,
                           const double* noise, double* derivative, double* uncertainty);
 
-/// Raises the noise of each value to what its sixth differences at multiples of `step` show: a
-/// smooth f leaves them nothing but its rounding errors, each of which enters with a variance of
-/// 924 = sum_k binomial(6, k)^2 (J. J. More, S. M. Wild: Estimating computational noise, SIAM J.
-/// Sci. Comput. 33, 2011). The step is far above the resolution of the parameters and far below
-/// their scale.
+/// Raises the noise of each value to that of its sixth differences at multiples of `step`. For a
+/// smooth f, these contain only its rounding errors, each of which enters with a variance of 924 =
+/// sum_k binomial(6, k)^2 (J. J. More, S. M. Wild: Estimating computational noise, SIAM J. Sci.
+/// Comput. 33, 2011). The step is far above the resolution of the parameters and far below their
+/// scale.
 void RaiseToScatter(const LineFunction& f, int num_values, double step, double* noise);
 
 }  // namespace bundle

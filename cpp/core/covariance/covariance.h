@@ -12,8 +12,8 @@
 /// for all of them. With the cameras held the covariance would be V^-1 alone, the conditional one.
 ///
 /// From unknowns u of its blocks to (w, t) and parameters of an image goes M (observation_rows.h):
-/// its joint covariance is M C_uu M^T, also for rigs and ties. At the problem's own values w is the
-/// left perturbation in radians, R to Exp(w) R. What is held has covariance zero.
+/// its joint covariance is M C_uu M^T, also for rigs and ties. At the problem's own values, w is
+/// the left perturbation in radians, R to Exp(w) R. Constant parameters have covariance zero.
 ///
 /// A relative pose, T_ba = T_b T_a^-1, moves with the poses a and b, by the same perturbations, as
 ///

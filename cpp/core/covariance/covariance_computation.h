@@ -106,7 +106,8 @@ class CovarianceComputation {
     for (const NullPoint& null : system_.null_points()) output_.num_parameters -= null.num_null;
   }
 
-  /// Unknowns of S stand in the order of its elimination: the minor that fails names one of them.
+  /// Throws if a factorisation failed. The unknowns of S are in the order of its elimination, so
+  /// that the failed minor gives the unknown.
   void Check(const LinearSolution& solution) const {
     if (solution.status == LinearStatus::kSuccess) return;
     if (solution.failed_minor > 0) NotDetermined(solution.failed_minor - 1, "a pivot of 0 or less");

@@ -69,7 +69,7 @@ class EliminatedRows {
 
   /// T, by the unknowns of PointBlocks::blocks.
   const Eigen::MatrixXd& rest() const { return rest_; }
-  /// Sets V^-1 and Y, without what is null.
+  /// Sets V^-1 and Y, without null directions.
   void Store(PointBlocks* blocks) const;
 
  private:

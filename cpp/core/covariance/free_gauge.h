@@ -35,9 +35,9 @@
 ///
 ///   P = I - N (E N)^T,    (E N)^T N = I,
 ///
-/// and all of the above holds for the other points with E N in the place of N where it is summed
-/// up: in N^T N, K, A and, of the sandwich, in what points add. It is the covariance whose trace
-/// over all but these points is the least.
+/// and all of the above holds for the other points with E N instead of N in sums: in N^T N, K, A
+/// and, for the sandwich, in the contributions of points. This is the covariance with the least
+/// trace over all but these points.
 
 #include <Eigen/Core>
 #include <vector>
@@ -49,8 +49,8 @@ namespace bundle {
 
 class FreeGauge {
  public:
-  /// Looks for what is free. The system is not factorised yet. Goes over the points, if the system
-  /// has no sums for the gauge.
+  /// Finds the free similarities. The system is not factorised yet. Makes a pass over the points if
+  /// the system has no sums for the gauge.
   explicit FreeGauge(const ReducedSystem& system);
 
   /// Degrees of freedom d, at most seven.

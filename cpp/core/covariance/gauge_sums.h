@@ -84,14 +84,14 @@ class GaugeSums {
 
   /// Adds a free point, on one of the threads; of one without parallax its rows of J N alone.
   void AddPoint(int point, const PointBlocks& blocks, const PointAssembler& rows, int thread);
-  /// Adds what a pass over many points found but its rows of J N, which came by AddRow, and what it
-  /// eliminated of the images.
+  /// Adds the sums of a pass over many points, except its rows of J N, for which AddRow is called,
+  /// and its eliminated part of the images.
   void Add(const PointSurvey& survey, int thread);
   /// A row of J N, kMoves numbers each.
   void AddRow(const double* by_images, const double* by_point, int thread);
   /// Adds a part of sum Y_p N_p: kMoves numbers, of one unknown.
   void AddEliminated(int unknown, const double* row, int thread);
-  /// Adds up what the threads have; last.
+  /// Adds up the sums of the threads. Call last.
   void Finish();
 
   const SimilarityMoves& moves() const { return moves_; }

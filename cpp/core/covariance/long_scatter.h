@@ -25,8 +25,8 @@ namespace bundle {
 
 class LongScatter {
  public:
-  /// `lower` is L of S, whatever holds the gauge included; `meat` is B, whole. Keeps references to
-  /// the system and to the gauge, which is nullptr where nothing is free.
+  /// `lower` is L of S with the terms that hold the gauge; `meat` is the whole B. Keeps references
+  /// to the system and to the gauge, which is nullptr if nothing is free.
   LongScatter(const ReducedSystem& system, LongMatrix lower, const LongMatrix& meat,
               const FreeGauge* gauge);
 

@@ -19,7 +19,7 @@ namespace bundle {
 
 using LongMatrix = Eigen::Matrix<long double, Eigen::Dynamic, Eigen::Dynamic>;
 
-/// A dense symmetric matrix of which the lower triangle is stored, whole.
+/// The whole of a dense symmetric matrix of which the lower triangle is stored.
 LongMatrix Whole(const std::vector<double>& values, Eigen::Index n);
 
 /// S, whole.

@@ -1,7 +1,7 @@
 #pragma once
 
-/// The rows of a problem's Jacobian at its own values, by the unknowns of a layout: what the
-/// information of an observation is made of, one observation at a time.
+/// Rows of a problem's Jacobian at its own values, by the unknowns of a layout, one observation at
+/// a time.
 ///
 /// An observation's residual r (2) is divided by its sigma s and weighted by its loss,
 ///

@@ -10,9 +10,10 @@
 /// With the second derivatives of the loss, beta g_p g_p^T and beta g_b g_p^T are added.
 ///
 /// A point that its observations do not determine (one observation, rays without parallax) has
-/// directions n with V n = 0, hence J_p n = 0 in every row and W n = 0: they couple with nothing,
-/// and the exact elimination is that with the pseudo-inverse of V. A direction counts as null if
-/// its eigenvalue is below kNullPoint times the largest one; it is dropped, never damped.
+/// directions n with V n = 0, hence J_p n = 0 in every row and W n = 0: they do not couple with
+/// other unknowns, and the exact elimination uses the pseudo-inverse of V. A direction is null if
+/// its eigenvalue is below kNullPoint times the largest one. Null directions are dropped, never
+/// damped.
 
 #include <cstdint>
 #include <memory>

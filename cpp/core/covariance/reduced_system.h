@@ -8,11 +8,11 @@
 ///                                  x_p = V_p^-1 (b_p - W_p^T x_c).
 ///
 /// S is that of the solvers, summed up by their own passes (schur/) and factorised by their own
-/// direct solvers (linear/). Null directions of points are left out (point_blocks.h): the passes
-/// see them held by a factor of their own, which couples with nothing.
+/// direct solvers (linear/). Null directions of points are left out (point_blocks.h): for the
+/// passes, a factor on the point alone holds them.
 ///
 /// A camera parameter on a bound beyond which the cost falls is held: its row and column of S are
-/// those of the identity, and nothing else depends on it.
+/// replaced by those of the identity.
 
 #include <cstdint>
 #include <functional>
@@ -116,7 +116,8 @@ class ReducedSystem {
   LinearSolution Solve(const double* rhs, int num_rhs, double* x);
   /// Solves the whole normal equations.
   LinearSolution Solve(const FullVectors& rhs, FullVectors* x);
-  /// Replaces the factor by the blocks of S^-1 (LinearSolver::InvertBlocks), zero of what is held.
+  /// Replaces the factor by the blocks of S^-1 (LinearSolver::InvertBlocks), with zeros for held
+  /// unknowns.
   LinearSolution Invert();
   /// The least of L_jj^2 / S_jj after Factorize, and its unknown j: rounding alone where S is
   /// singular.
@@ -134,8 +135,8 @@ class ReducedSystem {
   /// that returned.
   const std::vector<double>& point_prior_rows(int point) const;
 
-  /// Calls visit(point, its blocks, its rows, thread) for every free point, on all threads, points
-  /// of the same images one after the other: what they read of S is in the cache.
+  /// Calls visit(point, its blocks, its rows, thread) for every free point, on all threads. Points
+  /// of the same images are consecutive, so that their blocks of S are in the cache.
   using PointVisitor =
       std::function<void(int point, const PointBlocks&, const PointAssembler&, int thread)>;
   void ForPoints(const PointVisitor& visit) const { ForPoints(num_threads_, point_order_, visit); }
@@ -145,8 +146,8 @@ class ReducedSystem {
   }
   /// ForPoints over these points only.
   void ForPoints(int num_threads, const std::vector<int>& points, const PointVisitor& visit) const;
-  /// Free points of which V is not clearly regular, or which very many observations have: passes
-  /// of kernels leave these out. All of a system without unknowns.
+  /// Free points whose V is not clearly regular, or with very many observations: the kernels leave
+  /// these out. All points if the system has no unknowns.
   const std::vector<int>& unclear_points() const { return unclear_points_; }
   /// PointPasses::FindCovariances, by blocks of the structure of S.
   void FindPointCovariances(const FreeGauge* gauge, double* to) const;

@@ -1,6 +1,7 @@
 #pragma once
 
-/// The sandwich: how far a solution scatters if the residuals are not what their weights say.
+/// The sandwich covariance: the scatter of a solution if the residuals do not have the variances of
+/// their weights.
 ///
 /// A minimiser of sum 1/2 rho(||r||^2) moves by delta = -H^-1 g for a gradient g = sum psi_i, psi_i
 /// = J~_i^T r~_i the share of observation i (observation_rows.h). If the observations are
@@ -12,8 +13,8 @@
 /// residuals not: sum J^T (rho' I + 2 rho'' r r^T) J. With the weights rho' alone, as solvers have
 /// it, outliers would count as information, and the covariance be too small.
 ///
-/// Factors that say what is known before (priors, control points) have a known sigma and enter M by
-/// their information J^T J, the expectation of psi psi^T.
+/// Factors of prior knowledge (priors, control points) have a known sigma and enter M by their
+/// information J^T J, the expectation of psi psi^T.
 ///
 /// By the elimination of the points (reduced_system.h), with Y_p = W_p V_p^-1 and, over the
 /// observations i of point p, P_p = sum g_i g_i^T, F_p = sum G_i g_i^T for their shares g_i of the

@@ -6,15 +6,15 @@
 /// each solution by G. Out of G M G it cannot be taken in the end: that is as much larger than the
 /// result as the square of the gauge's share in G, and nothing is left of its digits.
 ///
-/// It goes in two steps. A point that is hardly known moves far, and with it the whole world, if
-/// that is held by all points; so the camera parameters hold it first. Let O be an orthonormal
-/// basis of N_c and Q = I - O O^T. With the points eliminated, a gradient g of the points and b = G
+/// It is done in two steps. If all points held the world, a point that is hardly determined would
+/// move the whole world far. So the camera parameters hold it first. Let O be an orthonormal basis
+/// of N_c and Q = I - O O^T. With the points eliminated, a gradient g of the points and b = G
 /// - sum Y_p g_p of the camera parameters move these by
 ///
 ///   delta_c = S^+ b,   S^+ = Q C Q,        D = cov delta_c = S^+ B S^+,
 ///
-/// column by column x = Q C Q e_j, D_j = Q C Q (B x). N_c^T B = 0: the Q before C and behind B take
-/// off what rounding adds beside the range of S, which C would multiply.
+/// column by column x = Q C Q e_j, D_j = Q C Q (B x). N_c^T B = 0: the Q before C and after B
+/// remove rounding errors outside the range of S, which C would amplify.
 ///
 /// What is left of the constraints is N^T delta = 0. As N_c^T delta_c = 0 and delta_p = V_p^-1 g_p
 /// - Y_p^T delta_c, and as sum Y_p N_p = N_c - K,

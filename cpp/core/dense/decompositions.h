@@ -38,14 +38,14 @@ Eigen::MatrixXd OrthonormalColumns(const Eigen::MatrixXd& matrix);
 /// U^-1 with U upper triangular and U^T U = A, which is positive definite.
 Eigen::MatrixXd InverseOfCholesky(const Eigen::MatrixXd& matrix);
 
-/// X of A X = B by Cholesky's factor. False, and no X, where A is not positive definite or its
+/// X of A X = B by Cholesky's factor. False, without X, if A is not positive definite or its
 /// condition leaves no digit.
 bool SolveByCholesky(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b, Eigen::MatrixXd* x);
 bool SolveByCholesky(const Eigen::MatrixXf& a, const Eigen::MatrixXf& b, Eigen::MatrixXf* x);
 
-/// X of A X = B, A positive semi-definite, on the subspace of which A says something; X is zero
-/// across it. Rank is judged in units in which A's diagonal is 1: eigenvalues up to `epsilon` times
-/// the largest and A's size count as zero.
+/// X of A X = B, A positive semi-definite, in the range of A; X is zero in the null space. Rank is
+/// judged in units in which A's diagonal is 1: eigenvalues up to `epsilon` times the largest and
+/// A's size count as zero.
 Eigen::MatrixXd SolveSemidefinite(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b,
                                   double epsilon);
 

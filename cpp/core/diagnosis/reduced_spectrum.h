@@ -15,8 +15,8 @@
 
 namespace bundle {
 
-/// Directions are of unknowns in units of their own, d_j = 1 / sqrt(S_jj): what one of them alone
-/// is known to if all else were known, for residuals of standard deviation 1. S is then diag(d) S
+/// Directions are in units of the unknowns, d_j = 1 / sqrt(S_jj): the standard deviation of an
+/// unknown if all others were known, for residuals of standard deviation 1. S is then diag(d) S
 /// diag(d), with ones on its diagonal.
 struct ReducedSpectrum {
   std::vector<UnknownName> unknowns;

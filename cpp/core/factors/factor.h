@@ -5,7 +5,7 @@
 /// A problem's cost is the sum of 1/2 rho(||r||^2) over its factors. Residuals are whitened: of a
 /// measurement with information Omega, r^T r = e^T Omega e for its error e (Whitening). Jacobians
 /// are by the tangent coordinates of each variable's manifold (geometry/retraction.h), so that a
-/// factor knows nothing of how a solver stores its variables.
+/// factor does not depend on how a solver stores its variables.
 
 #include <cmath>
 #include <string>
@@ -36,7 +36,7 @@ class Factor {
   const std::vector<int>& blocks() const { return head_.blocks; }
   LossType loss() const { return head_.loss; }
   double loss_scale() const { return head_.loss_scale; }
-  /// One a variable: what the factor takes each of them for.
+  /// One per variable: the manifold that the factor expects.
   const std::vector<Retraction>& retractions() const { return retractions_; }
   int num_residuals() const { return num_residuals_; }
 

@@ -9,7 +9,7 @@
 ///
 /// Gravity is a vector (euclidean, 3), or a rotation Q (so3) of the given one, g = Q g0, of which
 /// dg = -Q [g0]x d; the turn about g0 itself does nothing. With a scale s (euclidean, 1) positions
-/// are s p in metres, for trajectories of cameras that know no unit:
+/// are s p in metres, for trajectories of cameras without a unit of length:
 ///
 ///   dr/dp <- s dr/dp,        dr/ds = dr/dp p + dr/dp' p'.
 

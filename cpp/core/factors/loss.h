@@ -1,6 +1,6 @@
 #pragma once
 
-/// Robust losses, and what they do to the Gauss-Newton block of one residual.
+/// Robust losses, and the Gauss-Newton block of a residual with a loss.
 ///
 /// The cost of a residual r(x) in R^m is f = 1/2 rho(s), s = ||r||^2. With J = dr/dx, rho' and
 /// rho'' the derivatives of rho at s, and the second derivatives of r dropped as Gauss-Newton drops
@@ -8,7 +8,7 @@
 ///
 ///   gradient = rho' J^T r,       block = J^T (rho' I + 2 rho'' r r^T) J.
 ///
-/// A least-squares solver knows residuals and Jacobians only. Triggs et al., "Bundle Adjustment - A
+/// A least-squares solver takes residuals and Jacobians only. Triggs et al., "Bundle Adjustment - A
 /// Modern Synthesis" (2000), section 4.3, rescale both,
 ///
 ///   J~ = sqrt(rho') (I - alpha r r^T / s) J,       r~ = sqrt(rho') / (1 - alpha) r,

@@ -76,7 +76,7 @@ struct Block {
   std::string name;  ///< for messages
   Retraction retraction;
   std::vector<double> value;  ///< where the chart starts, as the manifold stores it
-  /// One entry a tangent coordinate, true where it stays; empty: all are free.
+  /// One entry per tangent coordinate, true if it is constant; empty: all are free.
   std::vector<bool> held;
   /// Bounds of Euclidean values, one entry per number, infinite if it has none; empty: no bounds.
   std::vector<double> lower;

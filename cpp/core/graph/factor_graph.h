@@ -30,8 +30,8 @@ void CheckVariables(const Factor& factor, const std::vector<Block>& blocks);
 /// for a residual or Jacobian without a finite value.
 void CheckEvaluation(const Factor& factor, const std::vector<Block>& blocks);
 
-/// Checks what Python's FactorGraph and any other maker of graphs must get right, and evaluates
-/// every factor once at the variables' values. Throws InputError, naming factor and variable:
+/// Validates a graph, and evaluates every factor once at the variables' values. Throws InputError,
+/// naming factor and variable:
 ///
 /// - a factor of a variable that does not exist, of one twice, or of another manifold;
 /// - a free variable without factors, or no factor at all;
@@ -76,8 +76,8 @@ struct MarginalInformation {
   bool is_certain = true;
 };
 
-/// Keeps the variables `kept`, in this order, and eliminates the free coordinates of all others:
-/// held ones stay where they are.
+/// Keeps the variables `kept`, in this order, and eliminates the free coordinates of all others.
+/// Constant coordinates are not changed.
 MarginalInformation MarginalizeOnto(const std::vector<int>& kept, const std::vector<Block>& blocks,
                                     const LinearizedGraph& graph);
 

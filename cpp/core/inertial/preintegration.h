@@ -23,7 +23,7 @@ enum class IntegrationRule {
   kMidpoint,       ///< the mean of the samples at both ends of an interval
 };
 
-/// An interval of time with what the IMU measured in it.
+/// An interval of time with the IMU's measurement in it.
 struct ImuSample {
   double dt;            ///< s
   double gyro[3];       ///< rad/s; by midpoint the mean of both ends
@@ -36,7 +36,7 @@ struct ImuSample {
 void CheckSamples(const double* gyro, const double* accel, const double* dt, int count,
                   IntegrationRule rule);
 
-/// The motion between two states as the IMU alone knows it, in the IMU's frame at the first.
+/// Motion between two states from the IMU alone, in the IMU's frame at the first state.
 ///
 /// preintegration.cpp has the derivation. Matrices are row-major; rows of the covariance and of its
 /// square root are in the order rotation, position, velocity.

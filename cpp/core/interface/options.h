@@ -116,7 +116,7 @@ struct SolveOptions {
   bool check_solution = true;  ///< look for signs of a wrong Jacobian (checking/check_solution.h)
 };
 
-/// May an option differ from one solve of a Solver to the next?
+/// Occasions on which an option may change: never in a Solver, or between its solves.
 enum class Change { kNever, kBetweenSolves };
 
 /// The list of all options but `refine`. Calls visit(change, name, member) for each option, and

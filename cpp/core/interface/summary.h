@@ -204,7 +204,7 @@ struct SolveSummary {
 /// no state to keep, and Interrupted is thrown.
 using ProgressCallback = std::function<bool(const IterationRecord&)>;
 
-/// The report of a solve, whatever was solved.
+/// Report of a solve of any problem.
 struct SolveRecord {
   SolveSummary summary;
   std::vector<IterationRecord> iterations;

@@ -82,11 +82,11 @@ struct BalProblem {
   std::vector<double> observation_xy;  ///< num_observations x 2
 };
 
-/// Reads a BAL file, plain or compressed by gzip or bzip2, as a stream. The order of cameras,
-/// points and observations stays; observations may repeat and points may have any number of them.
+/// Reads a BAL file, plain or compressed by gzip or bzip2, as a stream. Keeps the order of cameras,
+/// points and observations. Observations may repeat, and points may have any number of them.
 ///
-/// Memory is taken only as the file proves to hold the numbers that its header promises.
-/// `on_block` is called between blocks of about a megabyte and may throw.
+/// Memory is allocated only as the numbers announced by the header are read. `on_block` is called
+/// between blocks of about a megabyte and may throw.
 ///
 /// Throws InputError `NAME:LINE: expected ..., found ...` and std::system_error.
 BalProblem ReadBal(const std::filesystem::path& path, const std::function<void()>& on_block);

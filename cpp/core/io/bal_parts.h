@@ -1,6 +1,6 @@
 #pragma once
 
-/// Parts of BAL files, read as a stream: nothing is kept but what a part has.
+/// Parts of BAL files, read as a stream: only the data of the part are kept.
 
 #include <cstdint>
 #include <filesystem>

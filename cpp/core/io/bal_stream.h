@@ -12,9 +12,9 @@
 
 namespace bundle {
 
-/// BAL files with the same observations, written as these come: observations, then the cameras of
-/// each file, then its points. The number of observations, which stands at the beginning of a file,
-/// is known at the end and put there by Close; blanks keep its place.
+/// BAL files with the same observations, written as a stream: observations, then the cameras of
+/// each file, then its points. The number of observations at the beginning of a file is known at
+/// the end only; Close writes it over blanks.
 ///
 /// What is not called is missing in the files. Throws std::system_error; `on_block` as in WriteBal.
 class BalStream {

@@ -16,7 +16,7 @@
 
 namespace bundle {
 
-/// A `Sink` takes what the file has, in its order:
+/// A `Sink` receives the contents of the file, in its order:
 ///     void Begin(uint64_t num_images, uint64_t num_bytes);
 ///     void Image(ColmapIndex::Image image);   // without first_keypoint; its keypoints follow
 ///     void Keypoint(uint64_t number, const double* xy, uint64_t point_id);
@@ -56,7 +56,7 @@ void ScanImageRecords(const ModelFile& file, Sink* sink) {
   reader.ExpectEnd();
 }
 
-/// A `Sink` takes what the file has, in its order:
+/// A `Sink` receives the contents of the file, in its order:
 ///     void Begin(uint64_t num_points, uint64_t num_bytes);
 ///     void Point(ColmapIndex::Point point,    // without first_element
 ///                const std::vector<ColmapIndex::TrackElement>& track);

@@ -20,7 +20,7 @@ class FileWindow {
   FileWindow(const FileWindow&) = delete;
   FileWindow& operator=(const FileWindow&) = delete;
 
-  /// `count` bytes from `position` on, which the file has. They stay until the next call.
+  /// `count` bytes from `position` on, which the file has. They are valid until the next call.
   const char* At(uint64_t position, size_t count) {
     if (position < begin_ || position + count > begin_ + bytes_.size()) Fill(position, count);
     return bytes_.data() + (position - begin_);
@@ -83,7 +83,7 @@ class ByteReader {
     return count;
   }
 
-  /// A text up to a zero byte. It stays until the next call of any function.
+  /// A text up to a zero byte. It is valid until the next call of any function.
   std::string_view ReadName(const std::string& subject) {
     for (uint64_t most = 256;; most *= 4) {
       const auto size = static_cast<size_t>(std::min(most, num_left()));

@@ -88,8 +88,8 @@ struct ColmapSpan {
 /// what can be checked on the spot; CheckColmapReferences does the rest.
 ///
 /// `at` is the place of a record: its line in a text file, the byte it begins at in a binary one. A
-/// span is where the numbers stand that `colmap_model.h` replaces. Poses are qw qx qy qz tx ty tz,
-/// as in the files.
+/// span has the numbers that `colmap_writer.h` replaces. Poses are qw qx qy qz tx ty tz, as in the
+/// files.
 struct ColmapIndex {
   struct Sensor {
     SensorType type;
@@ -186,7 +186,8 @@ std::vector<size_t> OrderById(const std::vector<Record>& records) {
   return order;
 }
 
-/// nullptr where COLMAP 4.2 has no such model. Our models stand in the order of COLMAP's ids.
+/// Model of a COLMAP id; nullptr if COLMAP 4.2 has no such model. Our models are in the order of
+/// COLMAP's ids.
 const CameraModel* FindColmapCameraModel(int32_t id);
 
 // Checks of single values, the same in both formats. Each throws InputError at `position`;

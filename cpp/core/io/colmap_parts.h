@@ -1,7 +1,7 @@
 #pragma once
 
-/// Parts of binary COLMAP models, read as streams: nothing is kept but cameras, images and what a
-/// part has.
+/// Parts of binary COLMAP models, read as streams: only cameras, images and the data of the part
+/// are kept.
 
 #include <cstdint>
 #include <functional>

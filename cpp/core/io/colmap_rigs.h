@@ -10,8 +10,8 @@ namespace bundle {
 
 struct ColmapModel;  // colmap_model.h
 
-/// Rigs that are more than a reference camera, as our problem has them: frames with an image by id,
-/// cameras with a sensor_from_rig by the ids of rig and camera. All empty where no such rig has a
+/// Rigs with more than a reference camera, as our problem has them: frames with an image by id,
+/// cameras with a sensor_from_rig by the ids of rig and camera. All empty if no such rig has a
 /// frame with an image. Other sensors (IMUs, cameras of unknown pose) stay in the files.
 struct ColmapRigs {
   struct Place {

@@ -22,9 +22,9 @@ struct ColmapSurvey {
   std::vector<int32_t> num_seen;     ///< num_points: length of the track
 };
 
-/// Reads all files of a model and checks all but what needs tracks and keypoints side by side,
-/// which is for ReadColmapPart. Throws InputError as ReadColmapModel does. `on_block` is called
-/// between blocks of about a megabyte and may throw.
+/// Reads all files of a model and checks everything except the references between tracks and
+/// keypoints, which ReadColmapPart checks. Throws InputError as ReadColmapModel does. `on_block` is
+/// called between blocks of about a megabyte and may throw.
 ColmapSurvey SurveyColmap(const std::string& folder, const std::function<void()>& on_block);
 
 /// Scans rigs, cameras and frames of a binary model and opens the other two files as streams.

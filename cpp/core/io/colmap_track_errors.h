@@ -23,7 +23,7 @@ inline std::string NoSuchKeypoint(const ColmapIndex::TrackElement& element,
          RecordName("keypoint", element.keypoint);
 }
 
-/// `point_id`: what the keypoint refers to.
+/// `point_id`: the point to which the keypoint refers.
 inline std::string RefersElsewhere(const ColmapIndex::TrackElement& element, uint64_t point_id) {
   return "expected " + RecordName("keypoint", element.keypoint) + " of " +
          RecordName("image", element.image_id) + " to refer back to it, found " +

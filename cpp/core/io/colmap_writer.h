@@ -24,10 +24,10 @@ struct ColmapValues {
 
 /// Writes the files of a model into an existing folder, in the format in which it was read.
 ///
-/// Every byte but the given numbers is that of the files that were read: keypoints, tracks,
-/// colours, rigs, comments. A model from before there were rigs and frames gets them as COLMAP
-/// makes them: a rig a camera and a frame an image, of the same ids. Text has the shortest digits
-/// that read back as the same number.
+/// All bytes except the given numbers are those of the files that were read: keypoints, tracks,
+/// colours, rigs, comments. A model without rigs and frames, from older versions, gets them as in
+/// COLMAP: one rig per camera and one frame per image, with the same ids. Text has the shortest
+/// digits that read back as the same number.
 ///
 /// Throws std::system_error when the system refuses.
 void WriteColmapModel(const ColmapModel& model, const ColmapValues& values,

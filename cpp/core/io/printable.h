@@ -8,9 +8,9 @@
 
 namespace bundle {
 
-/// Bytes of a file or of its name, fit for one line of a message: valid UTF-8 stays, control
-/// characters, line separators and bytes that are no UTF-8 become \xNN, and from `max_bytes` input
-/// bytes on there is "...".
+/// Bytes of a file or of its name, fit for one line of a message: valid UTF-8 is kept; control
+/// characters, line separators and bytes that are no UTF-8 become \xNN; after `max_bytes` input
+/// bytes there is "...".
 std::string Printable(std::string_view bytes, size_t max_bytes = std::string_view::npos);
 
 /// The text, fit for a message and not too long for it, in quotes.

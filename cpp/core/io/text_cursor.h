@@ -23,8 +23,8 @@ inline bool IsSpace(char c) { return c == ' ' || (c >= '\t' && c <= '\r'); }
 
 /// Walks through a text of white-space separated numbers, of any size, in a buffer of fixed size.
 ///
-/// The point of the class is speed: the common case is one std::from_chars on the buffer. A number
-/// that is refused stays under the cursor, so that Fail() can show it.
+/// Made for speed: the common case is one std::from_chars on the buffer. A refused number remains
+/// under the cursor, so that Fail() can show it.
 class TextCursor {
  public:
   /// `on_block` is called between blocks of about a megabyte; it may throw to end the reading.
@@ -46,7 +46,7 @@ class TextCursor {
     return true;
   }
 
-  /// Skips white space and tells whether the text ends there.
+  /// Skips white space. True if the text ends there.
   bool AtEnd() {
     SkipSpace();
     return position_ == end_;
@@ -102,8 +102,8 @@ class TextCursor {
     return {position_, size};
   }
 
-  /// Moves what is not yet read to the front of the buffer and reads more behind it. Returns false
-  /// if nothing came: the file has ended or the buffer is full.
+  /// Moves unread bytes to the front of the buffer and reads more after them. Returns false if
+  /// there are none: the file has ended or the buffer is full.
   bool Refill() {
     const auto left = static_cast<size_t>(end_ - position_);
     if (at_end_ || left == buffer_.size()) return false;
@@ -127,7 +127,7 @@ class TextCursor {
 
 /// Walks through a text file of COLMAP record by record and, within a line, token by token, with
 /// COLMAP's rules: tokens are separated by white space; blank lines and lines that begin with '#'
-/// stand between records. Everything that is not as asked for throws InputError with the line.
+/// separate records. Anything unexpected throws InputError with the line.
 class ColmapTextCursor {
  public:
   explicit ColmapTextCursor(const ModelFile& file);

@@ -1,7 +1,7 @@
 #pragma once
 
-/// The reduced camera system S x = b: what is left of the normal equations once the points are
-/// eliminated (schur/).
+/// The reduced camera system S x = b: the normal equations after the elimination of the points
+/// (schur/).
 ///
 /// S is symmetric positive definite with one block row and column a block of the parameter layout.
 /// Its lower triangle is stored by block columns. Each is a panel of column-major values as tall as
@@ -87,8 +87,8 @@ BlockStructure Reorder(const BlockStructure& structure, const std::vector<int>& 
 /// column, as tall as its blocks. For copies of S that are kept, summed or sent.
 BlockStructure CompactStructure(const BlockStructure& structure);
 
-/// Adds the values of all blocks of `from` to the same blocks of `to`, where other blocks may stand
-/// among them; the blocks' sizes and order are the same in both.
+/// Adds the values of all blocks of `from` to the same blocks of `to`, which may have further
+/// blocks. The sizes and the order of blocks are the same in both.
 ///
 /// Throws std::logic_error where `to` lacks a block.
 void AddBlocks(const BlockStructure& from, const double* values, const BlockStructure& to,
@@ -106,11 +106,11 @@ struct BlockSystem {
   /// plus damping: its block diagonal, each block square and column-major, one after the other.
   /// Empty unless a preconditioner asks for it.
   std::vector<double> camera_diagonal;
-  /// For each column of S, what the seven similarities of the world do to its unknown
+  /// For each column of S, the derivatives of its unknown by the seven similarities of the world
   /// (model/gauge.h). Empty unless a preconditioner asks for it.
   std::vector<double> gauge_directions;
 
-  /// Both are those of the model's parameters (schur/assembly/assembler.cpp asserts it).
+  /// Both are those of the model's parameters (asserted in schur/schur_setup.cpp).
   static constexpr int kNumGaugeDirections = 7;
   static constexpr int kMaxBlockSize = 22;
 };

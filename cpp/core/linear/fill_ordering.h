@@ -9,7 +9,7 @@
 
 namespace bundle {
 
-/// An order in which to eliminate the blocks of S, and what its Cholesky factor then costs.
+/// Order of the elimination of the blocks of S, and the cost of its Cholesky factor.
 struct FillOrdering {
   std::string name;        ///< "natural", "amd" or "metis"
   std::vector<int> order;  ///< order[k]: the block eliminated as the k-th; an etree's postorder

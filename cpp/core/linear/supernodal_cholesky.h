@@ -14,7 +14,7 @@ class SupernodalCholesky {
   SupernodalCholesky(std::vector<int> offset, Supernodes supernodes);
 
   /// `values` is S as PlaceInFactor says, zero wherever S has no block, and becomes L. Returns 0,
-  /// or the order of a leading minor that is not positive definite; `values` then mean nothing.
+  /// or the order of a leading minor that is not positive definite; `values` are then undefined.
   int Factorize(double* values);
 
   /// X = S^-1 X with the values of Factorize; num_columns x num_rhs, column-major. A single

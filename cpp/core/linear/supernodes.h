@@ -11,7 +11,7 @@ namespace bundle {
 
 /// The Cholesky factor of S as dense panels: consecutive block columns of L, with the block rows
 /// that any of them has below. A panel is column-major; the diagonal blocks of its columns come
-/// first, of which the lower triangle means anything.
+/// first, of which only the lower triangle is defined.
 struct Supernodes {
   std::vector<int> first_block;       ///< num_panels + 1: block columns of each panel
   std::vector<int64_t> rows_begin;    ///< num_panels + 1: in `row_block`

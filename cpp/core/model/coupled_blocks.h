@@ -21,7 +21,8 @@ std::vector<std::vector<int>> FindCoupledBlocks(const AdjustmentProblem& problem
 std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const AdjustmentProblem& problem,
                                                         const ParameterLayout& layout);
 
-/// The reduced camera system S: a block of the layout each, as FindCoupledBlocks says.
+/// Pattern of the reduced camera system S, with one block per block of the layout
+/// (FindCoupledBlocks).
 BlockPattern ReducedPattern(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
 /// The information matrix J^T J of the whole problem: the free points in the order of the problem,

@@ -2,10 +2,10 @@
 
 /// FOV lenses near the jump of COLMAP's formula.
 ///
-/// Let z = omega^2. The pixels of an FOV lens are smooth in z, and so is what a solve minimises.
-/// But below z_0 = 1e-4 COLMAP has the series of the inverse lens (cameras/fov.h), whose sign is
-/// the other one: there z does what -z would do on the other side. A lens z' of the smooth family
-/// is thus found
+/// Let z = omega^2. The pixels of an FOV lens are smooth in z, and so is the cost of a solve. But
+/// below z_0 = 1e-4 COLMAP has the series of the inverse lens (cameras/fov.h), which has the
+/// opposite sign: there z has the effect of -z on the other side. A lens z' of the smooth family is
+/// thus found
 ///
 ///   at z = z'   for z' >= z_0,      at z = -z'  for -z_0 < z' <= 0,
 ///
@@ -20,8 +20,8 @@
 ///
 ///   a = sum rho' r^T dr/dz / sigma^2,    dr/dz = (s / 3 - 1 / 12) (fx u, fy v),    s = u^2 + v^2,
 ///
-/// tells which side lowers the cost: the inner one with a < 0, else the outer one. A step along z
-/// alone goes to |a| / sum rho' |dr/dz|^2 / sigma^2.
+/// determines the side that lowers the cost: the inner one with a < 0, else the outer one. A step
+/// along z alone goes to |a| / sum rho' |dr/dz|^2 / sigma^2.
 
 #include <vector>
 

@@ -41,9 +41,9 @@ struct FreeParameters {
 std::vector<uint8_t> FindObservedImages(const AdjustmentProblem& problem);
 
 /// Selects the parameters that the options leave free and that an observation or a factor touches.
-/// An image that is fixed fixes its frame. The sensors of a rig whose reference sensor observes
-/// nothing are fixed: moving all of them on the rig is what moving its frames is. Throws InputError
-/// if an id to be fixed is not in the problem.
+/// A fixed image fixes its frame. The sensors of a rig whose reference sensor observes nothing are
+/// fixed, because moving all of them on the rig is equivalent to moving its frames. Throws
+/// InputError if an id to be fixed is not in the problem.
 FreeParameters SelectFreeParameters(const AdjustmentProblem& problem, const SolveOptions& options);
 
 }  // namespace bundle

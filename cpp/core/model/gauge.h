@@ -1,6 +1,6 @@
 #pragma once
 
-/// The gauge: fixed where the options ask for it, and its directions.
+/// The gauge: how the options fix it, and its directions.
 
 #include <array>
 #include <string>

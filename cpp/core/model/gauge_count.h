@@ -20,9 +20,9 @@ class FreeMotions {
 
   /// Degrees of freedom of the gauge.
   int Degrees() const;
-  /// The motions that are possible: similarities of the world with what sensors that are refined
-  /// do, and sensors that move on their rigs alone. A column each, orthonormal, in radians, units
-  /// of the scene and of scale.
+  /// Basis of the possible motions: similarities of the world with motions of refined sensors, and
+  /// motions of sensors on their rigs alone. One column each, orthonormal, in radians, units of the
+  /// scene and of scale.
   Eigen::MatrixXd Basis() const;
   /// Poses that images with observations move by: of images, frames, then sensors that are refined.
   std::vector<int> Poses() const;
@@ -75,8 +75,8 @@ class FreeMotions {
   Eigen::VectorXd squares_;  ///< squared norms of the columns before the projection
 };
 
-/// Degrees of freedom that no observation sees and that `free` leaves (gauge_count.cpp): at most
-/// seven, rotation, translation and scale of the world.
+/// Counts the unobservable degrees of freedom that `free` leaves: at most seven, rotation,
+/// translation and scale of the world.
 int CountGaugeDegrees(const AdjustmentProblem& problem, const FreeParameters& free);
 
 }  // namespace bundle

@@ -9,9 +9,9 @@
 
 namespace bundle {
 
-/// Takes as many numbers of poses out of `free` as there are motions that change no image
-/// (gauge_count.h), none of which is left then. Returns a sentence if some are, as nothing that is
-/// free moves by them; "" also where no pose is free at all.
+/// Removes as many numbers of poses from `free` as there are motions that change no image
+/// (gauge_count.h), so that no such motion is left. Returns a sentence if some are left, because no
+/// free number moves by them; "" also if no pose is free.
 std::string HoldFreeMotions(const AdjustmentProblem& problem, FreeParameters* free);
 
 }  // namespace bundle

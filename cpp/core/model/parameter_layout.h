@@ -158,8 +158,8 @@ class ParameterLayout {
 
   StateBounds Bounds(const AdjustmentProblem& problem) const;
 
-  /// Writes a state into poses (NumPoses x 6) and camera parameters (as in ProblemView); what is
-  /// not in the state is left alone.
+  /// Writes a state into poses (NumPoses x 6) and camera parameters (as in ProblemView). Numbers
+  /// that are not in the state are not changed.
   void Scatter(const AdjustmentProblem& problem, const double* state, double* poses,
                double* camera_params) const;
 
@@ -189,7 +189,7 @@ class ParameterLayout {
   int num_free_points_ = 0;
 };
 
-/// The sizes that decide what a linear solver costs.
+/// Sizes that determine the cost of a linear solver.
 struct ProblemShape {
   int64_t num_residuals = 0;
   int64_t num_free_points = 0;

@@ -11,8 +11,8 @@
 ///   t + R rho  = t + dt                  =>   rho = R^T dt.
 ///
 /// A scene that is solved about another origin c (model/scene_frame.h) has t' = t + R c for its
-/// translations and X' = X - c for its points, but factors stay where the world of the user is. As
-/// t = t' - R c, and R c moves to R Exp(phi) c = R (c + phi x c),
+/// translations and X' = X - c for its points, but factors are in the world of the user. As t = t'
+/// - R c, and R c moves to R Exp(phi) c = R (c + phi x c),
 ///
 ///   t + R rho  = t' + dt - R (c + phi x c)   =>   rho = R^T dt + c x phi.
 ///

@@ -1,6 +1,6 @@
 #pragma once
 
-/// One edge of a pose graph: its whitened residual, and what it adds to the normal equations.
+/// One edge of a pose graph: its whitened residual, and its contribution to the normal equations.
 ///
 /// With U^T U the information, r~ = U r, A = U E and the adjoint Ad of relative_pose.h, the
 /// whitened Jacobians are J_j = A and J_i = -A Ad. With N = A^T A and n = A^T r~ the edge adds

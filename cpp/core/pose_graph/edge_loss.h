@@ -1,7 +1,6 @@
 #pragma once
 
-/// Losses of edges: those of any factor (factors/loss.h), and two that were made for wrong
-/// closures.
+/// Losses of edges: those of all factors (factors/loss.h), and two for wrong closures.
 ///
 /// Both come from a switch s in [0, 1] that each closure has as a variable of its own, eliminated
 /// in closed form. With x = ||r||^2 and b the squared scale:

@@ -28,8 +28,8 @@ struct GraphCovarianceOutput {
   std::vector<int32_t> edge_rank;
   /// Decrease of the cost by one more step, as predicted by its quadratic model; 0 at a minimum.
   double predicted_decrease = 0;
-  /// The largest variance by what it would be with all else known; digits are lost accordingly.
-  /// Infinite where variances are rounding alone.
+  /// Largest ratio of a variance to that with all else known: a measure of lost digits. Infinite if
+  /// variances are rounding errors alone.
   double inflation = 1;
   int32_t undetermined_pose = -1;  ///< where the factorisation failed; the rest is empty then
 };

@@ -5,7 +5,7 @@
 /// Odometry and spanning tree compose measurements along a path from a held pose: the chain of
 /// consecutive ids, or a tree of as few edges from the root as there can be.
 ///
-/// Chordal (chordal.cpp) looks at all edges, in two linear least-squares problems.
+/// Chordal (chordal.cpp) uses all edges, in two linear least-squares problems.
 
 #include <cstdint>
 #include <utility>

@@ -1,18 +1,18 @@
 #pragma once
 
-/// A pose graph as what a trust region minimises (minimize/least_squares.h), its normal equations
-/// block-sparse with one block a free pose, factorised by linear/supernodal_cholesky.h.
+/// A pose graph as a LeastSquares (minimize/least_squares.h). Its normal equations are
+/// block-sparse, with one block per free pose, factorised by linear/supernodal_cholesky.h.
 ///
 /// Poses move by X Exp(d), the chart anew at each state. Held poses have no block; the cost of an
 /// edge between two of them is constant.
 ///
 /// With H = J^T J, g = J^T r and the Newton direction q of (H + l D^2) q = -g, products with H need
-/// no second look at J:
+/// no second pass over J:
 ///
 ///   H q = -g - l D^2 q,    q^T H q = -g^T q - l q^T D^2 q,    p^T H q = -p^T g - l p^T D^2 q,
 ///
-/// so a Newton step promises -(g^T q + 1/2 q^T H q) = 1/2 (l q^T D^2 q - g^T q), both terms of
-/// which are positive. Doglegs take p^T H p besides, by a pass over the edges.
+/// so the predicted decrease of a Newton step is -(g^T q + 1/2 q^T H q) = 1/2 (l q^T D^2 q - g^T
+/// q), both terms of which are positive. Doglegs take p^T H p besides, by a pass over the edges.
 ///
 /// The pass that linearises takes some thousand edges at a time: threads evaluate them, each its
 /// share, then add them up, each thread in block columns of its own and in the order of the edges.

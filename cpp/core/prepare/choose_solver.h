@@ -19,7 +19,8 @@ struct SolverChoice {
   std::string reason;  ///< one sentence
 };
 
-/// Chooses a linear solver of Ceres', by the shape of the problem and what is eliminated first.
+/// Chooses a linear solver of Ceres by the shape of the problem and the group that is eliminated
+/// first.
 SolverChoice ChooseCeresSolver(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                const ProblemShape& shape, bool cameras_eliminated = false);
 

@@ -33,7 +33,7 @@ struct PreparedSolve {
 FreeParameters ChooseFreeParameters(const AdjustmentProblem& problem, const SolveOptions& options,
                                     std::vector<Warning>* warnings);
 
-/// Decides what is free and how it is laid out. The problem is valid (problem_view.h).
+/// Chooses the free parameters and their layout. The problem is valid (problem_view.h).
 ///
 /// Throws InputError if a camera model is not supported or an id to be fixed does not exist.
 PreparedSolve PrepareSolve(const AdjustmentProblem& problem, const SolveOptions& options);

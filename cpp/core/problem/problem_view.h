@@ -50,7 +50,8 @@ struct ProblemView {
   const int32_t* observation_image = nullptr;  ///< num_observations
   const int32_t* observation_point = nullptr;  ///< num_observations
   const double* observation_xy = nullptr;      ///< num_observations x 2
-  /// num_observations, pixels: what a solve divides residuals by before the loss; nullptr: 1 each.
+  /// num_observations, pixels: sigma by which a solve divides residuals before the loss; nullptr: 1
+  /// each.
   const double* observation_sigma = nullptr;
 
   const double* ParamsOf(int camera) const {
@@ -79,15 +80,15 @@ std::vector<int64_t> TrackLengths(const ProblemView& problem);
 /// differ. Arrays at the same place are taken for equal.
 void CheckSameStructure(const ProblemView& expected, const ProblemView& given);
 
-/// Checks what a solve changes: poses of images, frames and sensors, camera parameters and points,
-/// as ValidateProblem does.
+/// Validates the values that a solve changes: poses of images, frames and sensors, camera
+/// parameters and points.
 void ValidateState(const ProblemView& problem);
 
 /// Checks the values of a problem whose arrays have the right sizes.
 ///
 /// Throws InputError at the first value that is not finite, index out of range, repeated id, zero
 /// quaternion, non-positive focal length, parameter row that is too short, or sensor of another
-/// camera, naming what has it by its id. Unknown camera models (nullptr) pass: a function that
+/// camera, with the id of its owner. Unknown camera models (nullptr) are accepted: a function that
 /// needs the model throws.
 void ValidateProblem(const ProblemView& problem);
 

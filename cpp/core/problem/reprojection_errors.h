@@ -13,7 +13,7 @@ namespace bundle {
 ///
 /// errors (num_observations): ||r|| in pixels by the formula, also behind the camera; NaN where the
 /// formula has no value. behind (num_observations): 1 where the camera cannot see the point. It
-/// sees as far as the formula of its lens goes on, but under Cheirality::kZero no farther than 90
+/// sees as far as the formula of its lens is defined, but with Cheirality::kZero not beyond 90
 /// degrees.
 ///
 /// Throws InputError, naming model and image, if an observed image has an unknown camera model.

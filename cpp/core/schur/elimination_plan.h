@@ -146,7 +146,7 @@ EliminationPlan PlanFixedPoints(const AdjustmentProblem& problem, const Paramete
 /// order.
 void TakeMeasurements(const AdjustmentProblem& problem, EliminationPlan* plan);
 
-/// The sizes that decide what the passes over the points cost, without a pass.
+/// Sizes that determine the cost of the passes over the points, found without a pass.
 
 struct PlanSize {
   int64_t num_points = 0;

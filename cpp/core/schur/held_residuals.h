@@ -32,7 +32,7 @@ class HeldResiduals {
   /// independent.
   HeldSink Collect(size_t chunk);
 
-  /// Puts together what all chunks hold, after a pass.
+  /// Merges the lists of all chunks, after a pass.
   void Merge();
 
   /// Forgets all.

@@ -15,14 +15,14 @@
 ///
 ///   q - N k,    (N^T D^2 N) k = N^T D^2 q,    <q,q> - k^T N^T D^2 q,
 ///
-/// and the other products of a dogleg are as they were, since <p,N> = r^T J N = 0. Of the cameras,
-/// N is model/gauge.h's; a point X about their centre c has
+/// and the other products of a dogleg do not change, since <p,N> = r^T J N = 0. Of the cameras, N
+/// is model/gauge.h's; a point X about their centre c has
 ///
 ///   N_X = [I, -[X - c]_x, X - c],
 ///
 /// a row of which has four numbers that are not zero: sums over points are of 4 x 4 blocks.
 ///
-/// A world of rigs whose sensors stand apart has a scale, and six columns.
+/// A world of rigs with sensors at different places has a scale, and therefore six columns.
 
 #include <Eigen/Core>
 #include <cstddef>

@@ -86,7 +86,7 @@ class SchurProblem final : public LeastSquares {
   StateRecords records() const { return x_->records(); }
   const std::vector<HeldResidual>& held() const { return x_->held.all(); }
 
-  /// Frees what steps alone need, S above all, after the last step.
+  /// Frees the memory of steps, mainly S, after the last step.
   void FreeSteps();
 
   /// Camera parameters and points (as in ProblemView) at the state.

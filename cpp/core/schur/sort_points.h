@@ -23,9 +23,9 @@ struct ImageOrder {
 
 ImageOrder OrderImages(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
-/// Everything of a plan but the chunks and what refers to them: the points with observations that
-/// have something to refine, if `active`, or else with others, by sections if `in_sections`, and
-/// sorted lexicographically by the ranks of the images in these observations.
+/// Makes a plan without chunks and references to them: the points with observations that have
+/// something to refine, if `active`, or else with others, by sections if `in_sections`, and sorted
+/// lexicographically by the ranks of the images in these observations.
 EliminationPlan SortPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const ImageOrder& images, bool active, bool in_sections, int num_threads,
                            bool keep_order);

@@ -13,7 +13,7 @@
 
 namespace bundle {
 
-/// The images of a problem by camera model, and what each model's Jacobian records hold.
+/// The images of a problem by camera model, and the layout of each model's Jacobian records.
 struct ModelGroups {
   std::vector<ModelGroup> groups;
   std::vector<uint8_t> image_group;    ///< group per image

@@ -41,9 +41,9 @@ class BlockQr {
   Eigen::VectorXd Solve() const;
   /// (R^T R)^-1 y
   Eigen::VectorXd SolveNormal(const Eigen::VectorXd& y) const;
-  /// |R_cc| of each column; infinite where its variable stays.
+  /// |R_cc| of each column; infinite if its variable is kept.
   Eigen::VectorXd Pivots() const;
-  /// Rows of the variables that stay.
+  /// Rows of the kept variables.
   const std::vector<RowBlock>& rest() const { return rest_; }
 
  private:

@@ -2,10 +2,10 @@
 
 /// Restarts of a solve across the jump of COLMAP's FOV (model/fov_lenses.h).
 ///
-/// A lens that starts within kNearJump is not refined through the jump, nor is one that ends a
-/// solve there left at it. Its omega becomes 0, and the solve goes on to the best pinhole; from
-/// there with an omega on the side that lowers the cost. The best of all states on the way is the
-/// solution, no worse than the pinhole.
+/// A lens that starts within kNearJump is not refined through the jump, and a lens that ends a
+/// solve there does not stay at it. Its omega becomes 0, and the solve continues to the best
+/// pinhole, and from there with an omega on the side that lowers the cost. The best of all states
+/// on the way is the solution, no worse than the pinhole.
 ///
 /// For the caller this is one solve. Its iterations are those on the way to the solution; its times
 /// and counts are totals.

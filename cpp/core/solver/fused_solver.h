@@ -23,10 +23,10 @@ namespace bundle {
 /// solver, orders, analyses and plans; each Solve starts at the values that the problem then has.
 class FusedSolver {
  public:
-  /// `prepared` is what PrepareSolve made of the problem; options and layout are such that
-  /// ChooseBackend takes them. Keeps a reference to the problem, whose values (poses, camera
-  /// parameters, points, measurements) may change between solves. `is_reused`: for more than one
-  /// Solve; otherwise the first frees S before it collects the result.
+  /// `prepared` is the output of PrepareSolve for the problem; ChooseBackend accepts options and
+  /// layout. Keeps a reference to the problem, whose values (poses, camera parameters, points,
+  /// measurements) may change between solves. `is_reused`: for more than one Solve; otherwise the
+  /// first frees S before it collects the result.
   ///
   /// Throws InputError if options exclude each other or the dense matrices of the solver would not
   /// fit into memory.

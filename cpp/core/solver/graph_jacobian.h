@@ -1,6 +1,6 @@
 #pragma once
 
-/// The Jacobian of a factor graph as a sparse matrix, for what works on J instead of J^T J.
+/// The Jacobian of a factor graph as a sparse matrix, for methods that work on J instead of J^T J.
 
 #include <Eigen/SparseCore>
 #include <vector>

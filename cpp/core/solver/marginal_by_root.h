@@ -8,8 +8,8 @@
 
 namespace bundle {
 
-/// MarginalizeOnto (graph/factor_graph.h), and where that is not certain the same by square roots.
-/// Throws InputError, naming the variable, if what is to be eliminated is not determined by its
+/// MarginalizeOnto (graph/factor_graph.h), or the same by square roots if that is not accurate.
+/// Throws InputError, with the variable, if an eliminated variable is not determined by its
 /// factors.
 MarginalInformation FindMarginalInformation(const std::vector<int>& kept,
                                             const std::vector<Block>& blocks,

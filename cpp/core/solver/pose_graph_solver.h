@@ -16,10 +16,10 @@ struct PoseGraphOutput : SolveRecord {
   std::vector<double> weights;  ///< what the loss leaves of each edge's information at the end
 };
 
-/// Minimises 1/2 sum rho(||r||^2) over the edges of a pose graph. Of the options count backend,
-/// trust region, when to stop, and threads; `ordering` is that of the own backend: "auto",
-/// "natural", "amd" or "metis". Poses that nothing holds are free: without a held one in each
-/// component the normal equations are singular but for the damping.
+/// Minimises 1/2 sum rho(||r||^2) over the edges of a pose graph. Uses these options: backend,
+/// trust region, stopping rules, and threads. `ordering` is that of the fused backend: "auto",
+/// "natural", "amd" or "metis". All poses that are not held are free: without a held pose in each
+/// component, only the damping makes the normal equations regular.
 ///
 /// Throws InputError if the graph's arrays contradict each other (MakePoseGraph), or Ceres is asked
 /// for a loss that factors do not have.

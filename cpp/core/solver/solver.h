@@ -15,10 +15,10 @@ struct BackendChoice {
   std::string reason;                 ///< one sentence; "" where the backend was asked for
 };
 
-/// Chooses the backend: the fused one for what it supports, unless another was asked for.
+/// Chooses the backend: the fused one if it supports the problem, unless the options name another.
 ///
-/// Throws InputError if the fused backend was asked for what it does not support; the message names
-/// the option.
+/// Throws InputError, with the option, if the options name the fused backend and it does not
+/// support them.
 BackendChoice ChooseBackend(const SolveOptions& options, const PreparedSolve& prepared);
 
 /// Returns why these options mean Ceres for any problem, in one sentence; "" where they do not.
@@ -52,9 +52,9 @@ class Solver {
   void CheckStructure(const ProblemView& problem) const;
 
   /// Solves from the values of a valid problem, within the bounds and with the factors of the
-  /// constructor's; its own are not looked at. Options may differ from the constructor's in what
-  /// CopyChangeable copies; anything else in them has no effect. After an exception the solver can
-  /// be used again.
+  /// constructor's problem; its own are ignored. Options may differ from the constructor's where
+  /// CopyChangeable copies them; other differences have no effect. After an exception the solver
+  /// can be used again.
   ///
   /// Throws InputError if the problem has another structure, or the solver is in use: by another
   /// thread, or by its caller where a progress callback calls it.

@@ -9,8 +9,8 @@
 
 namespace bundle {
 
-/// SolveGraph (ceres/solve_with_ceres.h) without normal equations. Of the options count trust
-/// region and when to stop. Throws InputError for bounds, which it does not know.
+/// SolveGraph (ceres/solve_graph.h) without normal equations. Uses the trust region and the
+/// stopping rules of the options. Throws InputError for bounds, which it does not support.
 GraphOutput SolveGraphBySquareRoot(const FactorGraph& graph, const SolveOptions& options,
                                    const ProgressCallback& progress);
 

@@ -23,7 +23,7 @@ struct SolveTimes {
   double total = 0;
 };
 
-/// A minimum as ceres::Solver::Summary tells it. `options` has nothing left to choose.
+/// Summary of a minimum as in ceres::Solver::Summary. `options` contains no kAuto.
 ///
 /// Three of Ceres' times name other work here, because linearisation and elimination are one pass:
 /// the Jacobian evaluation includes the elimination of the points, the linear solver's time is that
@@ -45,7 +45,7 @@ void SummarizeMinimum(const MinimizerSummary& minimum, double fixed_cost, Counte
 void SetSizes(int num_blocks, int num_parameters, int64_t num_residual_blocks,
               int64_t num_residuals, SolveSummary* result);
 
-/// `structure` as its solver wants it, with that solver's statistics.
+/// Summary of the factor of a solver, from its structure and statistics.
 FactorSummary SummarizeFactor(const BlockStructure& structure, const FactorStatistics& statistics,
                               double symbolic_time_in_seconds);
 

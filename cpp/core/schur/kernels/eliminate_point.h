@@ -1,6 +1,6 @@
 #pragma once
 
-/// The elimination of a point; kernels.cpp says how to include this.
+/// Elimination of a point. Included by kernels.cpp only.
 ///
 /// Of a point with damped block V' = V + damping D^2 = L L^T and observations i, whose corrected
 /// residuals and Jacobians are r_i, A_i (camera parameters, 2 x d) and B_i (point, 2x3), the Schur
@@ -81,8 +81,8 @@ inline constexpr SubtractRows kSubtractRows[] = {&SubtractRowsOf<1>, &SubtractRo
                                                  &SubtractRowsOf<3>, &SubtractRowsOf<4>,
                                                  &SubtractRowsOf<5>, &SubtractRowsOf<6>};
 
-/// Adds what points add, once their blocks are factorised. `kQuads`: of every image's rows; where
-/// widths are mixed, of the first image's of each block.
+/// Adds the contributions of points, once their blocks are factorised. `kQuads`: of every image's
+/// rows; where widths are mixed, of the first image's of each block.
 template <int kQuads, bool kMixed = false>
 class Elimination {
  public:

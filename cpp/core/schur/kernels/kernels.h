@@ -12,7 +12,7 @@
 
 namespace bundle {
 
-/// The images of one camera model: what its Jacobians look like.
+/// The images of one camera model, and the shape of its Jacobians.
 struct ModelGroup {
   int model = 0;       ///< index into CameraModels
   int num_params = 0;  ///< parameters of the model

@@ -1,7 +1,6 @@
 #pragma once
 
-/// The 3x3 block of a point, factorised for several points at once; kernels.cpp says how to
-/// include this.
+/// The 3x3 block of a point, factorised for several points at once. Included by kernels.cpp only.
 ///
 /// With V = sum of J_p^T J_p over the point's observations, g = sum of J_p^T r and the damping
 /// (least_squares.h) V' = V + damping D^2 = L L^T. What the passes need is L^-1, lower triangular,
@@ -46,7 +45,7 @@ inline void SolveTransposed(const PointBlock& block, const Quad& y, double* out)
   }
 }
 
-/// Fills in what is made of the sums of `count` points. With `first` their squared_scale as well.
+/// Computes the factors from the sums of `count` points. With `first` their squared_scale as well.
 inline void Factorize(PointBlock* blocks, int count, double damping, bool first) {
   for (int begin = 0; begin < count; begin += kLanes) {
     double* records[kLanes];
@@ -115,8 +114,7 @@ inline void FormPointBlocks(const EliminationInput& input, const Strip& strip, c
   Factorize(blocks, strip.num_points(), damping, first);
 }
 
-/// Sums of products of two rows, the arithmetic of the elimination; kernels.cpp says how to
-/// include this.
+/// Sums of products of two rows, the arithmetic of the elimination. Included by kernels.cpp only.
 ///
 /// Everything comes in two rows, those of x and of y of an observation, each padded with zeros to
 /// whole quads, of which there are kQuads.

@@ -1,11 +1,11 @@
 #pragma once
 
-/// The robust losses, lane by lane; kernels.cpp says how to include this.
+/// The robust losses, lane by lane. Included by kernels.cpp only.
 ///
 /// rho(s) and rho'(s) at s = ||r||^2, as Ceres defines them (loss_function.h) with `scale` in
 /// pixels, or in sigmas where observations have them. Every loss that a solve offers has rho'' <=
-/// 0, where Ceres leaves the second-order term out (factors/loss.h): what is left of Triggs'
-/// correction is the factor sqrt(rho') on r and J.
+/// 0, where Ceres omits the second-order term (factors/loss.h): Triggs' correction is then the
+/// factor sqrt(rho') on r and J.
 
 #include <type_traits>
 
@@ -60,7 +60,7 @@ inline LossLanes EvaluateLoss(LossType type, double scale, const Pack& s) {
   return {s, 1.0};
 }
 
-/// Camera models, several observations at once; kernels.cpp says how to include this.
+/// Camera models, several observations at once. Included by kernels.cpp only.
 ///
 /// A perspective lens with a polynomial distortion has the same few operations for every point and
 /// goes through registers, by the formulae of its header. Other models branch by point or call the

@@ -1,7 +1,6 @@
 #pragma once
 
-/// A strip: as many consecutive points as fit the first-level cache; kernels.cpp says how to
-/// include this.
+/// A strip: as many consecutive points as fit the first-level cache. Included by kernels.cpp only.
 ///
 /// The passes go through a chunk strip by strip. Within one, work that is the same for every
 /// observation runs kLanes observations at a time, all of one camera model, each lane reading the

@@ -2,7 +2,7 @@
 
 /// Survey of the points for covariances, before anything is solved: points that their observations
 /// determine clearly, sums of squares, and sums for the similarities of the world
-/// (covariance/gauge_sums.h); kernels.cpp says how to include this.
+/// (covariance/gauge_sums.h). Included by kernels.cpp only.
 ///
 /// With V = L L^T and V^-1 N_p = L^-T (L^-1 N_p) of a point, an observation with rows A and B adds
 /// A^T (B V^-1 N_p) to what is eliminated of its image's N. Its row of J N is A N_i + B N_p. Where
