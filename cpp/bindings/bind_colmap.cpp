@@ -12,7 +12,6 @@
 #include "bindings/file_access.h"
 #include "bindings/immutable_array.h"
 #include "core/error.h"
-#include "core/io/colmap_checker.h"
 #include "core/io/colmap_model.h"
 #include "core/io/colmap_parts.h"
 #include "core/io/colmap_rigs.h"

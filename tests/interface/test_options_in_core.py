@@ -49,9 +49,10 @@ def test_names_agree() -> None:
 
 def test_visitors_list_every_member() -> None:
     """The lists have each member once, and name what a Solver may change."""
-    listed = dict(re.findall(r'visit\(k(\w+), "\w+", &Options::(\w+)', HEADER))
-    assert set(listed) == set(STRUCT) - SWITCHES
-    assert {name for name, change in listed.items() if change == "BetweenSolves"} == {*CHANGEABLE}
+    listed = re.findall(r'visit\(k(\w+), "(\w+)", &Options::(\w+)', HEADER)
+    assert {member for _, _, member in listed} == set(STRUCT) - SWITCHES
+    assert all(name == member for _, name, member in listed)
+    assert {member for change, _, member in listed if change == "BetweenSolves"} == {*CHANGEABLE}
     named = dict(re.findall(r'visit\("(\w+)", &SolveOptions::(\w+)\)', HEADER))
     assert named == {what: f"refine_{what}" for what in REFINABLE}
 

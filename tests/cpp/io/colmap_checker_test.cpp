@@ -10,6 +10,7 @@
 
 #include "core/error.h"
 #include "core/io/colmap_index.h"
+#include "core/io/colmap_model.h"
 #include "support/colmap_files.h"
 #include "support/damage.h"
 #include "support/scene.h"

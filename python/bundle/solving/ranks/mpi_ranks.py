@@ -42,7 +42,7 @@ class MpiRanks:
 
         self._for_pieces(what, values, reduce)
 
-    def sum_twofold_to_first(self, what: str, sums: memoryview, errors: memoryview) -> None:
+    def sum_double_doubles_to_first(self, what: str, sums: memoryview, errors: memoryview) -> None:
         """Replace those of rank 0 by the double-double sums over all ranks."""
         begun = perf_counter()
         mine = np.frombuffer(sums, np.float64), np.frombuffer(errors, np.float64)
