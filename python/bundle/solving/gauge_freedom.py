@@ -6,20 +6,19 @@ moves by local coordinates (R' = Exp(phi) R, t' = t + tau)
 
     phi = -R b,    tau = s t - R a.
 
-An image with a pose of its own does so. One of a rig, R = R_s R_f, t = R_s t_f + t_s, has to do it
-by what its frame and its sensor can:
+An image with a pose of its own can do so. An image of a rig, R = R_s R_f, t = R_s t_f + t_s, moves
+with its frame and its sensor:
 
     phi = R_s phi_f + phi_s,    tau = R_s tau_f + phi_s x (R_s t_f) + tau_s.
 
-For the images of a frame that reads M_f u_f = D d - M_s u_s. A frame that is held has no u_f. With
-P the projection onto what M_f does not reach, the (d, u_s) that are possible are the null space of
-the rows P [D, -M_s] of all frames, of a + b x X + s X = 0 for points X that are held, and of
-L^T J for factors, J what the motion is in the coordinates of their variables and L L^T their
-information. Its dimension is what is counted: 7 for images alone, 6 where a fixed baseline gives
-the scale, 0 once priors say where the world is, and more where pieces are tied by nothing.
+For the images of a frame this is M_f u_f = D d - M_s u_s. A constant frame has no u_f. With P the
+projection onto the complement of the range of M_f, the possible (d, u_s) are the null space of the
+rows P [D, -M_s] of all frames, of a + b x X + s X = 0 for constant points X, and of L^T J for
+factors, J being the motion in the coordinates of their variables and L L^T their information. The
+count is the dimension of this null space: 7 for images alone, 6 if a fixed baseline gives the
+scale, 0 with priors that determine the world, and more for pieces that nothing connects.
 
-The count is that of images in general position: pieces that few points hold together, or a critical
-configuration, leave more than is counted here.
+In special positions more is free: in critical configurations, and where few points connect pieces.
 """
 
 from __future__ import annotations
