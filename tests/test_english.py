@@ -20,7 +20,7 @@ LONGEST_SUBJECT = 72
 
 # Exceptions that are left. Both tables may only shrink.
 DESCRIPTIONS = {"cpp": 374}
-MESSAGES = {"cpp": 12, "python": 11, "tests": 13}
+MESSAGES = {"cpp": 12, "tests": 13}
 
 CLAUSE = re.compile(r"(what|whether|how|of|that)\b", re.IGNORECASE)
 DUMMY = re.compile(r"\b(found (none|one|others?|some|without|with|neither)|which is none)$")

@@ -165,9 +165,9 @@ def test_positions_on_a_line():
     ("made", "words"),
     [
         ([PositionPrior(99, [0, 0, 0], 1)], r"priors: \[0\]: image: expected one image 99"),
-        ([PositionPrior("no.jpg", [0, 0, 0], 1)], "image 'no.jpg' in the problem, found none"),
+        ([PositionPrior("no.jpg", [0, 0, 0], 1)], "image 'no.jpg' in the problem, found 0"),
         ([PositionPrior("image1.jpeg", [0, 0, 0], 1)], "did you mean image1.jpg"),
-        ([PositionPrior("same.jpg", [0, 0, 0], 1)], "found several of them"),
+        ([PositionPrior("same.jpg", [0, 0, 0], 1)], "found several"),
         (priors(np.zeros((2, 3))) + priors(np.zeros((1, 3))), r"\[2\].* another one of 1 .*\[0\]"),
         (
             [PositionPrior(2, [0, 0, 0], 1), PositionPrior("image1.jpg", [0, 0, 0], 1)],

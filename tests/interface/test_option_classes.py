@@ -76,7 +76,7 @@ def given(kind, *words, **how):
         (LoopOptions, ("--loop-loss", "huber"), "--loop-loss: expected with --loops only"),
         (LocalOptions, ("--rest", "fixed"), "--rest: expected with --only-images only"),
         (CheckpointOptions, ("--checkpoint-interval", "20"), "with --checkpoint or --resume only"),
-        (GeoreferenceOptions, ("--prior-loss", "huber"), "with --gcp or --gps only, found without"),
+        (GeoreferenceOptions, ("--prior-loss", "huber"), "with --gcp or --gps only"),
         (GeoreferenceOptions, ("--gcp-sigma", "1", "--antenna", "x"), "--antenna: expected with"),
     ],
 )

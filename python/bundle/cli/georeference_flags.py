@@ -53,7 +53,7 @@ def georeference_given(
     if not given.is_given:
         return given
     if given.gps == "exif" and given.images is None:
-        raise InputError("--gps: expected --images DIR beside exif, found none")
+        raise InputError("--gps exif: expected --images DIR with it")
     if given.gps not in (None, "exif") and given.images is not None and not page:
         raise InputError("--images: expected with --gps exif only, found with a file")
     if arguments.prior_loss_scale is not None and given.prior_loss == "trivial":

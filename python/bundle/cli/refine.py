@@ -141,7 +141,7 @@ def _open(asked: Refinement, progress: Progress) -> Opened:
     loaded = load(source, progress.text) if sliced is None else sliced.cameras
     load_time = perf_counter() - begun
     if loaded.num_observations == 0:
-        raise InputError(f"{shown(source)}: expected observations to refine, found none")
+        raise InputError(f"{shown(source)}: expected observations to refine, found 0")
     edits = cameras_edited(asked.lenses, loaded)
     problem = with_rigs(loaded if edits is None else edits.problem, asked.rig_config)
     options = with_named_images(asked.options, asked.fixed_images, problem)

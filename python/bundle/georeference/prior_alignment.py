@@ -73,7 +73,7 @@ class ProblemPriors:
             row = names.get(image) if isinstance(image, str) else ids.get(int(image))
             if row is None or image in twice:
                 meant = nearest(image, list(names)) if isinstance(image, str) else ""
-                found = f"none{meant}" if row is None else "several of them"
+                found = f"0{meant}" if row is None else "several"
                 raise InputError(
                     f"{place}: expected one image {brief(image)} in the problem, found {found}"
                 )

@@ -89,5 +89,5 @@ def parts_of(name: str, value: str | Iterable[str]) -> tuple[str, ...]:
     words = value.split(",") if isinstance(value, str) else list(value)
     named = {one_of(name, word.strip() if isinstance(word, str) else word, PARTS) for word in words}
     if not named:
-        raise InputError(f"{name}: expected some of {', '.join(PARTS)}, found none")
+        raise InputError(f"{name}: expected some of {', '.join(PARTS)}, found ''")
     return tuple(part for part in PARTS if part in named)

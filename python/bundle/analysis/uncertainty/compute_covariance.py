@@ -204,7 +204,7 @@ def _check_same_factors(result: Result, *given: Iterable[Any]) -> None:
     if len(result.factor_costs_after) and not any(_is_given(one) for one in given):
         raise InputError(
             f"problem: expected the factors, priors or constraints of the solve "
-            f"({len(result.factor_costs_after)}) beside its result, found none"
+            f"({len(result.factor_costs_after)}) beside its result"
         )
 
 
@@ -237,7 +237,7 @@ class _Recipe:
         given = self.request.problem
         rows = rows_of(given, pairs)
         if not given.num_observations:
-            raise InputError("problem: expected observations, found none")
+            raise InputError("problem: expected observations, found 0")
         refuse_huge(given)
         ready = prepare(self.request)
         layout = ready.layout

@@ -64,7 +64,7 @@ def rigs_of(reconstruction: pycolmap.Reconstruction, images: list[pycolmap.Image
         if row is None:
             raise InputError(
                 f"rig {frame.rig_id}: expected the pose of camera {sensor.id} on the rig, as it "
-                f"took image {image.image_id} of frame {frame.frame_id}, found none"
+                f"took image {image.image_id} of frame {frame.frame_id}"
             )
         return row
 

@@ -92,7 +92,7 @@ def write_inspection(
         for graph in graphs:
             check_type("inspection", graph, GraphInspection)
         if not graphs:
-            raise InputError("inspection: expected at least one GraphInspection, found none")
+            raise InputError("inspection: expected at least one GraphInspection, found 0")
         write_graph(graphs, path)
 
 

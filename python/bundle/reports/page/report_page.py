@@ -98,7 +98,7 @@ def write_report(
     problem = result.problem if result is not None else as_problem(result_or_problem)  # type: ignore[arg-type]
     check_type("name", name, str)
     if images is not None and not Path(images).is_dir():
-        raise InputError(f"{shown(str(images))}: expected the folder of the images, found none")
+        raise InputError(f"{shown(str(images))}: expected a folder of images")
     page = _Page(problem, result)
     if georeference is not None:
         given = georeference if isinstance(georeference, Mapping) else georeference.asdict()

@@ -75,7 +75,7 @@ class SlicedRefinement:
         self._path = path.absolute()
         found = survey(path, crew.num_ranks)
         if found.num_observations == 0:
-            raise InputError(f"{shown(path)}: expected observations to refine, found none")
+            raise InputError(f"{shown(path)}: expected observations to refine, found 0")
         crew.send_to_all(SliceJob(self._path))
         self._process = Process(crew.meeting(), path, found)
         self._slice = self._process.slice
