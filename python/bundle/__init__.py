@@ -77,10 +77,9 @@ if TYPE_CHECKING:
     from bundle.interface.scene_options import SceneOptions
     from bundle.interface.summary import Summary
     from bundle.interface.window_options import WindowOptions
-    from bundle.io.files import load, save
+    from bundle.io.files import load, reprojection_errors, save
     from bundle.io.sequences.sequence_folder import load_sequence, save_sequence
     from bundle.io.sequences.trajectory_files import Trajectory, load_trajectory
-    from bundle.io.source import reprojection_errors
     from bundle.model import losses
     from bundle.model.cameras import camera_models, project
     from bundle.model.pose_graph_arrays import PoseGraph
@@ -305,13 +304,12 @@ _DEFERRED = {
     "interface.scene_options": ("SceneOptions",),
     "interface.summary": ("Summary",),
     "interface.window_options": ("WindowOptions",),
-    "io.files": ("load", "save"),
+    "io.files": ("load", "reprojection_errors", "save"),
     "io.sequences.sequence_folder": ("load_sequence", "save_sequence"),
     "io.sequences.trajectory_files": ("Trajectory", "load_trajectory"),
     "model.cameras": ("camera_models", "project"),
     "model.pose_graph_arrays": ("PoseGraph",),
     "model.problem": ("Problem",),
-    "io.source": ("reprojection_errors",),
     "model.reprojection": ("ReprojectionError",),
     "model.selection": ("Selection",),
     "model.sequence.calibration": ("Calibration",),

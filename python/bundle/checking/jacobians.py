@@ -21,7 +21,7 @@ from bundle.checking.tally import Tally, Worst
 from bundle.errors import InputError
 from bundle.interface.check_options import SAMPLES_PER_IMAGE, TOLERANCE
 from bundle.interface.option_fields import number
-from bundle.io.source import Source, as_problem
+from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 from bundle.model.reprojection import resolve_cheirality

@@ -40,7 +40,7 @@ from bundle.georeference.survey import Survey, control_point_error
 from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
-from bundle.io.source import Source, as_problem
+from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 
 __all__ = ["align"]

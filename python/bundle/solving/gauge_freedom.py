@@ -36,7 +36,7 @@ from bundle.base.words import plural
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import SolveOptions
-from bundle.io.source import Source, as_problem
+from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 from bundle.model.rotations import cross_matrices, rotation_matrices
 

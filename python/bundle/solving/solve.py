@@ -16,9 +16,9 @@ from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.solve_record import Progress
+from bundle.io.files import Source, as_problem
 from bundle.io.g2o_files import load_g2o
 from bundle.io.recognition import is_pose_graph_file
-from bundle.io.source import Source, as_problem
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.solving.executors import solve_prepared
 from bundle.solving.prepare import prepare

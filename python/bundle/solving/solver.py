@@ -17,7 +17,7 @@ from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import CHANGEABLE, SolveOptions
 from bundle.interface.solve_record import Progress
-from bundle.io.source import Source, as_problem
+from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 from bundle.solving.prepare import prepare
 from bundle.solving.request import SolveRequest

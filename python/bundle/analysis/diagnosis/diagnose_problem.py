@@ -28,7 +28,7 @@ from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
-from bundle.io.source import Source, as_problem
+from bundle.io.files import Source, as_problem
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.solving.gauge_freedom import gauge_freedom

@@ -14,7 +14,7 @@ from bundle.analysis.statistics.suspicions import Suspicion, count_repeated, sus
 from bundle.base.display import Display, Displayed
 from bundle.base.words import number, pixels, plural
 from bundle.errors import InputError
-from bundle.io.source import Source, as_problem
+from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 from bundle.model.reprojection import (

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bundle.base.arguments import as_integers
 from bundle.errors import InputError
-from bundle.io.source import Source, as_problem
+from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 

@@ -20,7 +20,7 @@ from bundle.editing.cameras.lens_fit import fit_lens
 from bundle.editing.cameras.lens_region import lens_region
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice
-from bundle.io.source import Source, as_problem
+from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, project
 from bundle.model.problem import Problem
 

@@ -24,7 +24,7 @@ from bundle.editing.merging.merge_result import Merge
 from bundle.errors import InputError
 from bundle.georeference.similarity import moved
 from bundle.interface.option_fields import number
-from bundle.io.source import Source, as_problem
+from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, project
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.joining import join

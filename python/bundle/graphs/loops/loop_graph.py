@@ -51,7 +51,7 @@ from bundle.graphs.loops.similarity_graph import Nodes, SimilarityGraph
 from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
 from bundle.interface.loop_options import LOOP_LOSSES
 from bundle.interface.option_fields import choice, number
-from bundle.io.source import Source, as_problem
+from bundle.io.files import Source, as_problem
 from bundle.model.losses import evaluate_loss
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem

@@ -29,7 +29,7 @@ from bundle.interface.option_fields import number
 from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
-from bundle.io.source import Source
+from bundle.io.files import Source
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison import process_memory
 from bundle.planning.comparison.comparison_result import GAPS, Comparison, PerformanceProfile

@@ -18,7 +18,7 @@ from bundle.errors import InputError, shown
 from bundle.interface.compare_options import SECONDS_NOT_REPEATED
 from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary
-from bundle.io.source import Source, as_problem
+from bundle.io.files import Source, as_problem
 from bundle.planning.comparison import hand_over
 from bundle.planning.comparison.comparison_result import (
     ComparedProblem,

@@ -14,7 +14,7 @@ from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import SolveOptions
-from bundle.io.source import Source, as_problem
+from bundle.io.files import Source, as_problem
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.planning.inspection.counts import FactorCounter, FactorizedSystem

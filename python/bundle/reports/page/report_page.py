@@ -28,7 +28,7 @@ from bundle.figures.residuals import Residuals, residuals
 from bundle.figures.scene_view import scene_view
 from bundle.figures.track_statistics import track_statistics
 from bundle.interface.options import SolveOptions
-from bundle.io.source import Source, as_problem
+from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 from bundle.reports.page.certainty_section import certainty_section, scene_ellipsoids
 from bundle.reports.page.lens_section import lens_section, parameter_table

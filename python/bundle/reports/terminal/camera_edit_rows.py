@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bundle.base.words import pixels, plural
-from bundle.editing.cameras.edit_record import CameraEdits
+
+if TYPE_CHECKING:
+    from bundle.editing.cameras.edit_record import CameraEdits
 
 __all__ = ["edit_data", "edit_rows"]
 

@@ -24,7 +24,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.words import contents, plural
 from bundle.errors import InputError
 from bundle.interface.round_options import RoundOptions
-from bundle.io.source import Source, as_problem
+from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 from bundle.model.ray_angles import enclose_angle
 from bundle.model.reprojection import reprojection_errors

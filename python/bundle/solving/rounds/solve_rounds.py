@@ -13,7 +13,7 @@ from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CHECKPOINT_INTERVAL, RoundOptions
 from bundle.interface.solve_record import Progress
-from bundle.io.source import Source, as_problem
+from bundle.io.files import Source, as_problem
 from bundle.model.image_selection import ImageSelection
 from bundle.model.problem_keys import touched_ids
 from bundle.solving.executors import solve_prepared
