@@ -17,10 +17,14 @@ HEAVY = {
 }
 COMMANDS = {f"bundle.cli.{name}" for name in ("compare", "inspect", "synth", "check", "info")}
 NOT_FOR_HELP = HEAVY | COMMANDS | {"rich", "bundle.planning.inspection"}
-NOT_FOR_REFINE = HEAVY | COMMANDS | {
-    *{"bundle.analysis.statistics", "bundle.editing", "bundle.planning", "bundle.inertial"},
-    *{"bundle.graphs", "rich.live", "numpy.ma"},
-}
+NOT_FOR_REFINE = (
+    HEAVY
+    | COMMANDS
+    | {
+        *{"bundle.analysis.statistics", "bundle.editing", "bundle.planning", "bundle.inertial"},
+        *{"bundle.graphs", "rich.live", "numpy.ma"},
+    }
+)
 RUN = """
 import sys
 from bundle.cli.main import main
