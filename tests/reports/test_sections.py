@@ -101,8 +101,9 @@ def test_json_has_every_row_unrounded_and_null_for_what_is_not_finite():
 def test_a_report_without_an_input_has_none_in_its_json():
     assert list(Report(command="synth").json()) == ["schema", "command", "version"]
     both = several("info", [report(), report()])
-    assert list(both) == ["schema", "command", "version", "reports"]
-    assert both["reports"][0] == report().json()
+    assert list(both.json()) == ["schema", "command", "version", "reports"]
+    assert both.json()["reports"][0] == report().json()
+    assert len(both.sections) == 8
 
 
 def test_types_are_no_records():

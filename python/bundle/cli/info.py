@@ -7,7 +7,7 @@ import argparse
 from bundle.analysis.statistics.description import describe
 from bundle.cli.dispatch import find_handler
 from bundle.cli.error_lines import EXIT_DONE
-from bundle.cli.output import publish, show, write_json
+from bundle.cli.output import publish
 from bundle.cli.problem_edits import with_rigs
 from bundle.cli.progress import Progress
 from bundle.errors import shown
@@ -15,7 +15,6 @@ from bundle.io.open import load
 from bundle.io.recognition import recognize
 from bundle.reports.sections import Report, several
 from bundle.reports.terminal.info import information
-from bundle.reports.terminal.screen import laid_out
 
 __all__ = ["describe_reconstruction", "run"]
 
@@ -28,13 +27,7 @@ def run(arguments: argparse.Namespace) -> int:
             progress.stage(f"reading {shown(path)}")
             describe_input = find_handler("info", recognize(path))
             reports.append(describe_input(path, arguments, progress))
-    if len(reports) == 1:
-        publish(reports[0], arguments.json)
-        return EXIT_DONE
-    if arguments.json != "-":
-        show(*laid_out([section for report in reports for section in report.sections]))
-    if arguments.json is not None:
-        write_json(arguments.json, several("info", reports))
+    publish(reports[0] if len(reports) == 1 else several("info", reports), arguments.json)
     return EXIT_DONE
 
 

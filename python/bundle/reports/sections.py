@@ -157,9 +157,13 @@ def heading(command: str) -> dict[str, Any]:
     return {"schema": SCHEMA, "command": command, "version": __version__}
 
 
-def several(command: str, reports: Sequence[Report]) -> dict[str, Any]:
-    """Return the reports on several inputs as one, for programs."""
-    return {**heading(command), "reports": [report.json() for report in reports]}
+def several(command: str, reports: Sequence[Report]) -> Report:
+    """Return the reports on several inputs as one."""
+    return Report(
+        command=command,
+        sections=[section for report in reports for section in report.sections],
+        data={"reports": [report.json() for report in reports]},
+    )
 
 
 def dumps(report: dict[str, Any]) -> str:

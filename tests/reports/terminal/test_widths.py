@@ -45,8 +45,7 @@ def reports(monkeypatch, files):
     """Run a command and return what it showed, at any width."""
     monkeypatch.setattr(problem_inspection, "machine_rates", lambda *_, **__: RATES)
     shown = []
-    for module in ("output", "info"):
-        monkeypatch.setattr(f"bundle.cli.{module}.show", lambda *parts: shown.extend(parts))
+    monkeypatch.setattr("bundle.cli.output.show", lambda *parts: shown.extend(parts))
 
     def run(*words):
         assert main([word.replace("TMP", str(files)) for word in words] + ["--quiet"]) in (0, 1)
