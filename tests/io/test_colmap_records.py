@@ -17,9 +17,9 @@ import bundle
 from bundle import Problem
 from bundle.io import colmap
 from bundle.model.cameras import param_kinds
-from tests.io.colmap_models import errors_of, synthesize, write_model
+from tests.io.colmap_models import errors_of, fields, synthesize, write_model
 from tests.io.test_editing import EDITS, SOURCES, expect_same, rows
-from tests.io.test_rig_models import extended
+from tests.io.test_rig_models import extended, without_images
 from tests.rig_scenes import FIVE, STEREO, rig_problem
 
 BOTH = pytest.mark.parametrize("binary", [True, False], ids=["binary", "text"])
@@ -162,6 +162,56 @@ def test_images_stand_in_the_order_of_registration(tmp_path: Path) -> None:
     ours = saved(Problem.from_pycolmap(source), tmp_path / "ours", binary=True)
     assert files_of(ours)["images.bin"] == files_of(theirs)["images.bin"]
     assert list(source.reg_image_ids())[-2:] == [3, 1]
+
+
+def images_in(problem: Problem, folder: Path) -> list[int]:
+    """Return the ids of the images in the order of the file."""
+    text = (saved(problem, folder, binary=False) / "images.txt").read_text()
+    lines = [line for line in text.split("\n") if not line.startswith("#")]
+    return [int(line.split()[0]) for line in lines[::2] if line]
+
+
+def test_images_that_change_frames_stand_last(tmp_path: Path) -> None:
+    """COLMAP registers their frames anew."""
+    source = synthesize(6)
+    full = Problem.from_pycolmap(source)
+    ids = full.image_ids.tolist()
+    camera = full.image_camera.copy()
+    camera[2] = 1 - camera[2]
+    moved = full.replace(image_camera=camera)
+    assert images_in(moved, tmp_path / "moved") == [*ids[:2], *ids[3:], ids[2]]
+    source.deregister_frame(source.image(ids[4]).frame_id)
+    registered = full.replace(source=source)
+    assert images_in(registered, tmp_path / "new") == [*ids[:4], *ids[5:], ids[4]]
+
+
+def test_frames_that_lose_an_image_are_registered_by_id(tmp_path: Path) -> None:
+    source = extended()
+    pose = source.frame(1).rig_from_world
+    source.deregister_frame(1)
+    source.frame(1).rig_from_world = pose
+    source.register_frame(1)
+    problem = Problem.from_pycolmap(source)
+    order = [i for frame in source.reg_frame_ids() for i in images_of(source, frame)]
+    assert images_in(problem, tmp_path / "all") == order != sorted(order)
+    gone = int(np.flatnonzero(problem.image_ids == images_of(source, 2)[0])[0])
+    left = [i for i in sorted(order) if i != images_of(source, 2)[0]]
+    assert images_in(without_images(problem, [gone]), tmp_path / "left") == left
+
+
+def images_of(source: pycolmap.Reconstruction, frame_id: int) -> list[int]:
+    return [datum.id for datum in source.frame(frame_id).image_ids]
+
+
+def test_tracks_keep_their_order(tmp_path: Path) -> None:
+    source = synthesize(6)
+    problem = Problem.from_pycolmap(source)
+    for point in source.points3D.values():
+        point.track = pycolmap.Track(point.track.elements[::-1])
+    order = np.random.default_rng(0).permutation(problem.num_observations)
+    shuffled = Problem.from_pycolmap(source).replace(**rows(problem, order))
+    written = pycolmap.Reconstruction(saved(shuffled, tmp_path / "out", binary=True))
+    assert fields(written)["points"] == fields(source)["points"]
 
 
 def test_errors_that_are_not_finite_are_not_known_in_text(tmp_path: Path) -> None:

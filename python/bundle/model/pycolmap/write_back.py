@@ -54,6 +54,6 @@ def _pack(files: dict[str, bytes], records: ModelRecords, source: Any) -> Packed
     return Packed(
         files,
         [frame for frame in before.frames if frame.frame_id in frames],
-        [i for i in before.images if i.frame_id in frames and i.camera_id in cameras],
+        [image for image in before.images if image.frame_id in frames],
         [i for i in before.cameras_with_prior_focal_length if i in cameras],
     )
