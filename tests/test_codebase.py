@@ -117,6 +117,19 @@ def test_documents_name_make_targets_that_exist(document: str) -> None:
     assert document != "README.md" or {"demo", "test"} <= named
 
 
+@pytest.mark.parametrize("document", ["CONTRIBUTING.md", "cpp/README.md", "docs/libraries.md"])
+def test_documents_name_files_that_exist(document: str) -> None:
+    """A name in backticks is a path in the repository, or the end of one."""
+    folders = [ROOT / name for name in ("benchmarks", "cpp", "docs", "python", "tests", "tools")]
+    paths = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
+    known = {f"/{path.relative_to(ROOT).as_posix()}" for path in paths}
+    known |= {f"/{path.name}" for path in ROOT.iterdir() if path.is_file()}
+    named = re.findall(r"`([\w/]+\.(?:cpp|h|md|py|pyi))`", (ROOT / document).read_text())
+    assert named
+    missing = {name for name in named if not any(path.endswith(f"/{name}") for path in known)}
+    assert missing == set()
+
+
 def test_help_lists_every_target() -> None:
     shown = subprocess.run(
         ["make", "help"], cwd=ROOT, check=True, capture_output=True, text=True
