@@ -60,8 +60,8 @@ CORRUPT_TEXT = [
     ("cameras", "320", "3,2", "2: expected a camera parameter .*, found '3,2'"),
     ("cameras", "500", "1e-999", "2: camera 1: expected a focal length above 0 .*, found 0"),
     ("cameras", CAMERAS, CAMERAS * 2, "4: expected each camera once, found camera 1 again"),
-    ("cameras", CAMERAS, "# nothing\n", "1: expected a camera, found none"),
-    ("cameras", CAMERAS, "", "1: expected a camera, found none"),
+    ("cameras", CAMERAS, "# nothing\n", "1: expected a camera, found 0"),
+    ("cameras", CAMERAS, "", "1: expected a camera, found 0"),
     ("cameras", "1 PINHOLE", "2 PINHOLE", "images.txt:1: image 1: expected a camera .*camera 1"),
     ("images", "1 1 0 0 0 0 0 0 1 a", "1 0 0 0 0 0 0 0 1 a", "1: image 1: .*quaternion.*norm 0"),
     ("images", "1 1 0 0 0 0 0 0 1 a", "1 1 0 0 0 inf 0 0 1 a", "1: expected TX .*, found 'inf'"),
@@ -84,7 +84,7 @@ CORRUPT_TEXT = [
         "",
         "3: image 2: expected a line of keypoints .*end of the f",
     ),
-    ("images", IMAGES, "", "1: expected an image, found none"),
+    ("images", IMAGES, "", "1: expected an image, found 0"),
     ("points3D", "5 0 0", "-5 0 0", "1: expected a point id .*, found '-5'"),
     ("points3D", "5 0 0", "9223372036854775808 0 0", "1: expected a point id .*, found '922337"),
     ("points3D", "0 0 3", "0 inf 3", "1: expected Y .*, found 'inf'"),
@@ -173,9 +173,9 @@ CORRUPT_TEXT = [
         "frames",
         FRAMES,
         FRAMES[:31],
-        "images.txt:3: image 2: expected a frame that holds it, found n",
+        "images.txt:3: image 2: expected a frame that holds it, found 0",
     ),
-    ("frames", FRAMES, "", "images.txt:1: image 1: expected a frame that holds it, found none"),
+    ("frames", FRAMES, "", "images.txt:1: image 1: expected a frame that holds it, found 0"),
 ]
 
 

@@ -56,7 +56,7 @@ HUGE = struct.pack("<Q", 10**15)
 # File, its new content, complaint.
 CORRUPT_BINARY = [
     ("cameras", b"", "byte 0: expected the number of cameras .8 bytes., found the end .* after 0"),
-    ("cameras", listed(), "byte 0: expected a camera, found none"),
+    ("cameras", listed(), "byte 0: expected a camera, found 0"),
     ("cameras", HUGE + camera(), "byte 0: expected at most 1 cameras in the 56 .*found 1000000000"),
     (
         "cameras",
@@ -90,7 +90,7 @@ CORRUPT_BINARY = [
         "byte 64: expected each camera once, found camera 1 aga",
     ),
     ("cameras", listed(camera(3)), "rigs.bin: byte 8: rig 1: expected a camera .*, found camera 1"),
-    ("images", listed(), "byte 0: expected an image, found none"),
+    ("images", listed(), "byte 0: expected an image, found 0"),
     (
         "images",
         BINARY["images.bin"][:-1],

@@ -368,7 +368,7 @@ def test_an_image_that_its_frame_does_not_list(tmp_path: Path) -> None:
     first = next(line for line in lines if not line.startswith("#"))
     words = first.split()
     edited(folder, "frames.txt", first, " ".join([*words[:9], "1", *words[10:13]]))
-    assert "expected a frame that holds it, found none" in complaint(folder)
+    assert "expected a frame that holds it, found 0" in complaint(folder)
 
 
 def test_frames_without_their_reference_image_are_read(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ std::unique_ptr<ceres::Manifold> MakeManifold(const std::string& name, int size,
 /// a factor.
 struct Abandonment {
   std::atomic<bool> happened{false};
-  FirstException exception;  ///< that a factor threw; Interrupted is none of it
+  FirstException exception;  ///< thrown by a factor; never Interrupted
 
   /// Returns the result of `evaluate`. Keeps its exceptions, which Ceres does not expect.
   template <typename Evaluate>

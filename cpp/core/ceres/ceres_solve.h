@@ -26,7 +26,7 @@
 
 namespace bundle {
 
-/// How to continue a solve that Ceres calls converged.
+/// Continuation of a solve that Ceres calls converged.
 struct Continuation {
   /// True: continue at the same state with the same held residuals, because Ceres compares changes
   /// of the cost with a cost that includes the held cost. False: continue with all observations

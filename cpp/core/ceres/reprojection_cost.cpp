@@ -171,7 +171,7 @@ class ReprojectionCost final : public ceres::CostFunction {
   const double* fixed_point_ = nullptr;
   const double* measurement_;
   const CameraBlock* blocks_[4] = {};
-  mutable double held_[2] = {0, 0};  ///< what is held if the observation stops counting, or is held
+  mutable double held_[2] = {0, 0};  ///< residual while the observation does not count
   int image_;
   int8_t num_blocks_ = 0;
   int8_t place_[4] = {};         ///< per block: its place in ImageBlocks

@@ -50,7 +50,7 @@ struct CovarianceOutput {
   std::vector<int> null_points;  ///< points without parallax, ascending
   double weighted_squares =
       0;                       ///< sum of squared residuals, divided by sigma, weighted by the loss
-  int64_t num_residuals = 0;   ///< that count, of observations and factors
+  int64_t num_residuals = 0;   ///< counted ones, of observations and factors
   int64_t num_parameters = 0;  ///< free ones that something determines, gauge not deducted
   /// Decrease of the cost by one more step, as predicted by the model; 0 at a minimum.
   double predicted_decrease = 0;

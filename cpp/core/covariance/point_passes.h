@@ -22,7 +22,7 @@ class PointPasses {
 
   struct Found {
     double squares = 0;         ///< sum of squared residuals
-    int64_t num_residuals = 0;  ///< that count
+    int64_t num_residuals = 0;  ///< counted ones
     double decrease = 0;        ///< sum 1/2 g^T V^-1 g
     std::vector<int> unclear;   ///< free points that are not in these sums, ascending
   };

@@ -67,7 +67,7 @@ LinearPrior::Root LinearPrior::SquareRoot(const std::string& subject, int n,
   }
   int num_free = 0;
   while (num_free < n && eigenvalues[num_free] <= rounding) ++num_free;
-  if (num_free == n) throw InputError(subject + ": Lambda: expected some information, found none");
+  if (num_free == n) throw InputError(subject + ": Lambda: expected some information, found zeros");
 
   const Eigen::VectorXd turned =
       eigenvectors.transpose() *

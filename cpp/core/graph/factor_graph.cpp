@@ -85,7 +85,7 @@ void CheckEvaluation(const Factor& factor, const std::vector<Block>& blocks) {
   }
   const auto values = ValuesOf(factor, blocks);
   if (!factor.Evaluate(values.data(), residual.data(), jacobians.data())) {
-    throw InputError(factor.name() + ": expected a finite residual at the start, found none");
+    throw InputError(factor.name() + ": expected a finite residual at the start, found no value");
   }
   for (size_t r = 0; r < residual.size(); ++r) {
     if (std::isfinite(residual[r])) continue;
@@ -112,7 +112,7 @@ std::vector<const double*> ValuesOf(const Factor& factor, const std::vector<Bloc
 }
 
 void ValidateGraph(const FactorGraph& graph) {
-  if (graph.factors.empty()) throw InputError("factor graph: expected factors, found none");
+  if (graph.factors.empty()) throw InputError("factor graph: expected factors, found 0");
   std::vector<bool> has_factor(graph.blocks.size(), false);
   for (const Block& block : graph.blocks) CheckBlock(block);
   for (const auto& factor : graph.factors) {
@@ -121,7 +121,7 @@ void ValidateGraph(const FactorGraph& graph) {
   }
   for (size_t b = 0; b < graph.blocks.size(); ++b) {
     if (has_factor[b] || graph.blocks[b].NumFree() == 0) continue;
-    throw InputError(graph.blocks[b].name + ": expected a factor that touches it, found none");
+    throw InputError(graph.blocks[b].name + ": expected a factor that touches it, found 0");
   }
   for (const auto& factor : graph.factors) CheckEvaluation(*factor, graph.blocks);
 }

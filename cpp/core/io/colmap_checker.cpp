@@ -58,8 +58,8 @@ ColmapIndex ScanFiles(const std::string& folder, const ColmapScanner& scanner) {
 
 void CheckNotEmpty(const ColmapIndex& index) {
   const uint64_t start = index.kind == ModelFile::Kind::kText ? 1 : 0;
-  if (index.cameras.empty()) index.cameras_file.Fail(start, "expected a camera, found none");
-  if (index.images.empty()) index.images_file.Fail(start, "expected an image, found none");
+  if (index.cameras.empty()) index.cameras_file.Fail(start, "expected a camera, found 0");
+  if (index.images.empty()) index.images_file.Fail(start, "expected an image, found 0");
 }
 
 }  // namespace
@@ -146,7 +146,7 @@ void CheckImages(const ColmapIndex& index, const IdMap& cameras,
     }
     if (has_frames && frame_of_image[i] == IdMap::kNone) {
       index.images_file.Fail(
-          image.at, RecordName("image", image.id) + ": expected a frame that holds it, found none");
+          image.at, RecordName("image", image.id) + ": expected a frame that holds it, found 0");
     }
   }
 }

@@ -1,6 +1,6 @@
 #pragma once
 
-/// What a COLMAP model that was read holds beside a problem.
+/// Contents of a COLMAP model beside a problem.
 
 #include <cstdint>
 #include <vector>

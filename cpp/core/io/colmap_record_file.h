@@ -98,7 +98,7 @@ class RecordFile {
     if (is_binary_) buffer_ += '\0';
   }
 
-  /// What text does not count.
+  /// Count that only binary files have.
   template <typename T>
   void BinaryCount(T count) {
     if (is_binary_) Raw(count);

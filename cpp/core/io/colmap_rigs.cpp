@@ -129,8 +129,7 @@ class RigFinder {
     index_.rigs_file.Fail(rig.at, RecordName("rig", rig.id) + ": expected the pose of " +
                                       RecordName("camera", rig.sensors[image.sensor].id) +
                                       " on the rig, as it took " + RecordName("image", taken.id) +
-                                      " of " + RecordName("frame", index_.frames[framed.frame].id) +
-                                      ", found none");
+                                      " of " + RecordName("frame", index_.frames[framed.frame].id));
   }
 
   ColmapModel& model_;

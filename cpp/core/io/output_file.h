@@ -32,7 +32,7 @@ class OutputFile {
   void Overwrite(int64_t position, std::string_view bytes);
   void Close();
 
-  static constexpr size_t kBlockSize = 900'000;  ///< what bzip2 compresses at a time
+  static constexpr size_t kBlockSize = 900'000;  ///< bytes that bzip2 compresses at a time
 
  private:
   void WriteToSystem(std::string_view bytes);

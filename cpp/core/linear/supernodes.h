@@ -20,7 +20,7 @@ struct Supernodes {
   std::vector<int> height;            ///< rows of a panel, its own columns' included
   std::vector<int64_t> values_begin;  ///< num_panels + 1
   double entries = 0;                 ///< nnz(L): lower triangle with the diagonal
-  double zeros = 0;                   ///< that sharing panels adds to them
+  double zeros = 0;                   ///< explicit zeros that shared panels add
 
   int num_panels() const { return static_cast<int>(height.size()); }
 };

@@ -76,7 +76,7 @@ inline bool TurnsAboutCentre(const AdjustmentProblem& problem, int image) {
 struct CameraBlock {
   int offset = 0;  ///< place of its first number in the state
   int size = 0;
-  int8_t columns[kPoseSize + kMaxCameraParams] = {};  ///< what they are, ascending
+  int8_t columns[kPoseSize + kMaxCameraParams] = {};  ///< columns of the image or camera, ascending
 };
 
 /// Bounds of the numbers in a state; no numbers where none of them has any.

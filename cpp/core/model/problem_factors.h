@@ -106,7 +106,7 @@ class ChartedFactor {
     ProblemVariable::Kind kind;
     int index;
     int free_point = -1;               ///< place in unknowns().points
-    std::vector<int8_t> columns;       ///< that are free: of the chart, or parameters
+    std::vector<int8_t> columns;       ///< free columns of the chart, or parameters
     std::vector<int> jacobian_column;  ///< and where they go
     std::vector<double> scale;         ///< and how many times
     /// Columns of an image's frame and sensor, 6 + 6, and where these go.

@@ -13,7 +13,7 @@ namespace bundle {
 
 struct EdgePattern {
   BlockStructure structure;   ///< a block a free pose, in the order of the elimination
-  FillOrdering ordering;      ///< what it costs; `order` is by `free poses`, as it found them
+  FillOrdering ordering;      ///< cost of the elimination; `order` is by free poses
   std::vector<int> block_of;  ///< block per pose; -1: the pose is constant
   std::vector<int> pose_of;   ///< pose per block
 };

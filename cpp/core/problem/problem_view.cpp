@@ -108,7 +108,7 @@ void CheckRigImages(const ProblemView& problem) {
            ", found ", sensor);
     }
     if (sensor < 0) continue;
-    if (frame < 0) Fail("image ", id, ": expected a frame beside its sensor, found none");
+    if (frame < 0) Fail("image ", id, ": expected a frame beside its sensor, found ", frame);
     const int64_t camera = problem.camera_ids[problem.image_camera[i]];
     if (camera != problem.sensor_camera_ids[sensor]) {
       Fail("image ", id, ": expected camera ", problem.sensor_camera_ids[sensor],

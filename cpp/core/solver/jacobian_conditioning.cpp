@@ -40,7 +40,7 @@ JacobianConditioning EstimateConditioning(const FactorGraph& graph) {
   ValidateGraph(graph);
   const GraphJacobian evaluation(graph);
   const int n = evaluation.num_columns();
-  if (n == 0) throw InputError("factor graph: expected free coordinates, found none");
+  if (n == 0) throw InputError("factor graph: expected free coordinates, found 0");
   GraphJacobian::Values values;
   for (const Block& block : graph.blocks) values.push_back(block.value);
   VectorXd residual;

@@ -13,7 +13,7 @@ struct PoseGraphOutput : SolveRecord {
   std::vector<double> poses;        ///< held ones as they were given, the others normalised
   std::vector<double> chi2_before;  ///< r^T Omega r of each edge, no loss
   std::vector<double> chi2_after;
-  std::vector<double> weights;  ///< what the loss leaves of each edge's information at the end
+  std::vector<double> weights;  ///< weight of each edge under the loss at the end
 };
 
 /// Minimises 1/2 sum rho(||r||^2) over the edges of a pose graph. Uses these options: backend,

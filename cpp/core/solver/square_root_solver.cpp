@@ -136,7 +136,7 @@ class SquareRootProblem final : public LeastSquares {
 
   const GraphJacobian evaluation_;
   Values values_, candidate_;
-  bool is_current_ = false;  ///< what follows is of values_
+  bool is_current_ = false;  ///< the members below are those of values_
   double cost_ = 0, damping_ = 0;
   VectorXd residual_, gradient_, scale_, diagonal_, newton_, steepest_;
   Sparse jacobian_;
@@ -179,7 +179,7 @@ GraphOutput SolveGraphBySquareRoot(const FactorGraph& graph, const SolveOptions&
   }
   SquareRootProblem problem(graph);
   if (problem.jacobian().num_columns() == 0) {
-    throw InputError("square_root: expected free coordinates, found none");
+    throw InputError("square_root: expected free coordinates, found 0");
   }
   const double setup_time = time.seconds();
   const Stopwatch solve_time;

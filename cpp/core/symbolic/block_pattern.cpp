@@ -17,8 +17,9 @@ std::string Column(int j) { return "block column " + std::to_string(j) + ": "; }
 void CheckColumn(const BlockPatternView& pattern, int j) {
   const int64_t begin = pattern.column_begin[j], end = pattern.column_begin[j + 1];
   if (begin == end || pattern.row[begin] != j) {
-    throw InputError(Column(j) + "expected the diagonal block as its first entry, found " +
-                     (begin == end ? "none" : "row " + std::to_string(pattern.row[begin])));
+    throw InputError(
+        Column(j) + "expected the diagonal block as its first entry, found " +
+        (begin == end ? "an empty column" : "row " + std::to_string(pattern.row[begin])));
   }
   for (int64_t e = begin + 1; e < end; ++e) {
     const int row = pattern.row[e];

@@ -27,7 +27,7 @@ struct SyntheticImages {
   const double* ball_radii = nullptr;
   const double* max_tangents = nullptr;
   const double* sizes = nullptr;     ///< 2, pixels
-  const double* richness = nullptr;  ///< how readily it yields observations, relative to others
+  const double* richness = nullptr;  ///< relative density of observations
   const int32_t* cameras = nullptr;  ///< a row of params
   const double* params = nullptr;
   int num_params = 0;

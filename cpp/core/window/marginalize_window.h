@@ -46,7 +46,7 @@ struct MarginalizedWindow {
   /// Largest |Lambda - Lambda^T| beside the largest |Lambda|, before it is made symmetric.
   double asymmetry = 0;
   double least_cost = 0;                ///< cost of the prior at its own minimum
-  int num_landmarks = 0;                ///< that went with their information
+  int num_landmarks = 0;                ///< marginalised ones
   int num_landmarks_without_depth = 0;  ///< no row depends on their depth: they went without
   bool is_regular = true;  ///< false where H_aa had to be inverted on part of its space
 };

@@ -142,7 +142,7 @@ TEST(ValidateProblem, FindsWhatIsNoRig) {
   EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->image_sensor[1] = -2; }),
             "image 3: expected a sensor index from -1 to 0, found -2");
   EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->image_frame[1] = -1; }),
-            "image 3: expected a frame beside its sensor, found none");
+            "image 3: expected a frame beside its sensor, found -1");
   EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->image_camera[3] = 0; }),
             "image 7: expected camera 103 of its sensor, found camera 101");
   EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->frame_ids[1] = 31; }),

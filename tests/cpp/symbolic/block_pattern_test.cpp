@@ -54,8 +54,9 @@ TEST(CheckBlockPattern, NamesWhatIsWrong) {
             "block columns: expected the first to begin at 0, found 1");
   EXPECT_EQ(WhatIsWrongWith({{1, 1, 1}, {0, 2, 1, 3}, {0, 1, 2}}),
             "block column 1: expected to end at 2 or later, found 1");
-  EXPECT_EQ(WhatIsWrongWith({{1, 1}, {0, 1, 1}, {0}}),
-            "block column 1: expected the diagonal block as its first entry, found none");
+  EXPECT_EQ(
+      WhatIsWrongWith({{1, 1}, {0, 1, 1}, {0}}),
+      "block column 1: expected the diagonal block as its first entry, found an empty column");
   EXPECT_EQ(WhatIsWrongWith({{1, 1}, {0, 1, 2}, {0, 0}}),
             "block column 1: expected the diagonal block as its first entry, found row 0");
   EXPECT_EQ(WhatIsWrongWith({{1, 1}, {0, 2, 3}, {0, 0, 1}}),  // a loop at 0
