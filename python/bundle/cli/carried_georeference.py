@@ -1,4 +1,4 @@
-"""georeference.json beside what a command writes: always true of the model beside it.
+"""Georeference beside an output: georeference.json is always true of the model beside it.
 
 A command that places a model writes it; one that leaves a model in its place carries that of its
 input along; where there is none, that of an earlier model goes with that model (``bundle.io``).

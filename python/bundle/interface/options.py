@@ -49,7 +49,7 @@ CHANGEABLE = (
     "parameter_tolerance",
     "check_solution",
 )
-# What auto means, by backend and linear solver; the core decides, this is for who asks beforehand.
+# Meaning of auto by backend and linear solver. The core decides; predictions look it up here.
 AUTO_PRECONDITIONER = {
     ("fused", "iterative_schur"): "two_level",
     ("ceres", "iterative_schur"): "schur_jacobi",

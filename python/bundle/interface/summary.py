@@ -153,7 +153,7 @@ class Summary(Displayed):
         )
 
 
-# What a backend does in the times of residual evaluation, Jacobian evaluation and linear solver.
+# Work of a backend in the times of residual evaluation, Jacobian evaluation and linear solver.
 _PHASES = {
     "CERES": ("residual evaluation", "Jacobian evaluation", "linear solver"),
     "FUSED": ("back-substitution, residuals", "Jacobians, elimination", "reduced linear solver"),
