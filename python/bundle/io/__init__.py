@@ -1,1 +1,1 @@
-"""Files in, files out, whole."""
+"""Readers and writers of all file formats."""

@@ -1,10 +1,10 @@
-"""Bundle Adjustment in the Large: text files, plain or compressed by gzip or bzip2.
+"""Bundle Adjustment in the Large (BAL): text files, plain or compressed by gzip or bzip2.
 
-A BAL camera is COLMAP's RADIAL model with principal point (0, 0), its frame turned by
-diag(1, -1, -1) and the image's y negated; ``cpp/core/io/bal.h`` derives it. Reading and
-writing preserves every bit. Converting a rotation vector to a quaternion and back would lose its
-last bits and whole turns: a problem therefore keeps the vectors of its file, and writes those whose
-quaternion has not changed.
+A BAL camera is COLMAP's RADIAL model with principal point (0, 0), its frame rotated by
+diag(1, -1, -1) and the image's y negated; ``cpp/core/io/bal.h`` derives it. Reading and writing
+preserve every bit. Converting a rotation vector to a quaternion and back would lose its last bits
+and full turns. A problem therefore keeps the rotation vectors of its file. A vector is written back
+if the quaternion of its image has not changed.
 
 Format: https://grail.cs.washington.edu/projects/bal/
 """
@@ -29,7 +29,7 @@ __all__ = ["check_refined", "load", "losses", "problem_of", "radial_params", "sa
 
 
 class _Layout(NamedTuple):
-    """Columns of a camera model that BAL stores, and columns that must be zero."""
+    """Parameter columns of a camera model that BAL stores, and those that must be zero."""
 
     focal: tuple[int, ...]
     principal_point: tuple[int, int]
@@ -49,12 +49,12 @@ _LAYOUTS = {
 def load(path: Path, progress: Callable[[int], None] | None = None) -> Problem:
     """Read a BAL file; compression is detected automatically.
 
-    Observations keep the order of the file, repeated ones included. ``progress`` is called
+    Observations keep the order of the file, including repeated observations. ``progress`` is called
     repeatedly with the number of bytes read.
 
     Raises:
-        InputError: the file violates the format; the message has path and line, or for damaged
-            compression path and byte.
+        InputError: the file violates the format. The message has path and line; for a damaged
+            compressed file it has path and byte.
         OSError: the file cannot be read.
     """
     return problem_of(*_core.read_bal(path, progress))
@@ -69,7 +69,7 @@ def problem_of(
     point: NDArray[np.int32],
     xy: NDArray[np.float64],
 ) -> Problem:
-    """Return the problem of the arrays that the core read."""
+    """Return the problem with the arrays that the C++ core read."""
     return Problem(
         cam_from_world=poses,
         camera_models=("RADIAL",) * len(poses),
@@ -89,9 +89,9 @@ def save(
     compression: str = "",
     progress: Callable[[int], None] | None = None,
 ) -> None:
-    """Write a BAL file, compressed by "gzip", "bzip2" or "" (not at all).
+    """Write a BAL file, compressed by "gzip" or "bzip2", or uncompressed ("").
 
-    Every image gets a camera of its own and principal points are subtracted from the observations.
+    Every image gets its own camera. Principal points are subtracted from the observations.
     ``progress`` is called repeatedly with the number of bytes written.
 
     Raises:
@@ -117,9 +117,9 @@ def save(
 def save_like(
     source: Path, num_observations: int, problem: Problem, points: NDArray[np.float64], path: Path
 ) -> None:
-    """Write the cameras of a problem, these points and the observations of a BAL file.
+    """Write the cameras of a problem, the given points, and the observations of a BAL file.
 
-    Observations are copied from file to file; those of the problem are ignored.
+    Observations are copied from file to file; the observations of the problem are ignored.
 
     Raises:
         InputError: see ``radial_params``; or the file has changed.
@@ -140,11 +140,11 @@ def save_like(
 
 
 def _source_rotations(problem: Problem) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the rotation of each image in the source, and a mask of the unchanged ones."""
+    """Return the source's rotation of each image, and a mask of images with unchanged rotation."""
     rotations = np.zeros((problem.num_images, 3))
     keeps = np.zeros(problem.num_images, bool)
     if isinstance(problem.source, BalSource):
-        ids = problem.image_ids  # of a BAL file they are positions
+        ids = problem.image_ids  # in a BAL file, ids are positions
         known = np.flatnonzero((ids >= 0) & (ids < len(problem.source.rotations)))
         rotations[known] = problem.source.rotations[ids[known]]
         before = problem.source.cam_from_world[ids[known], :4]
@@ -156,7 +156,7 @@ def radial_params(problem: Problem) -> NDArray[np.float64]:
     """Return f, cx, cy, k1, k2 of each image, in pixels: (num_images, 5).
 
     Raises:
-        InputError: a camera has more parameters than these; the message names model and image.
+        InputError: a camera has other parameters too; the message names model and image.
     """
     params = np.zeros((problem.num_images, 5))
     models = np.array(problem.camera_models, dtype=object)[problem.image_camera]
@@ -182,15 +182,16 @@ def radial_params(problem: Problem) -> NDArray[np.float64]:
 def check_refined(
     problem: Problem, refined: Collection[str], fixed_camera_ids: Collection[int] = ()
 ) -> None:
-    """Raise the error of ``radial_params`` that refining these kinds of parameters would cause.
+    """Raise the error that ``radial_params`` would raise after a solve with these options.
 
     Args:
-        problem: before the solve.
-        refined: "focal", "principal_point", "extra"; others have no effect.
+        problem: the problem before the solve.
+        refined: kinds of refined parameters, "focal", "principal_point", "extra"; others have no
+            effect.
         fixed_camera_ids: cameras with constant parameters.
 
     Raises:
-        InputError: a camera has, or may get, parameters that a BAL file cannot store.
+        InputError: a camera has, or may get in the solve, parameters that a BAL file cannot store.
     """
     radial_params(problem)
     for image, camera in enumerate(problem.image_camera.tolist()):
@@ -214,7 +215,7 @@ def _unsupported(problem: Problem, image: int, expected: str) -> InputError:
 
 
 def losses(problem: Problem) -> tuple[str, ...]:
-    """Return the information of a problem that a BAL file loses, one sentence each.
+    """Return one sentence for each kind of information that a BAL file loses.
 
     Raises:
         InputError: see ``radial_params``.

@@ -1,14 +1,14 @@
-"""COLMAP models on disk: text or binary, with rigs and frames or from before there were any.
+"""COLMAP models on disk: text or binary, with rigs and frames or in the older format without them.
 
-Reader and writer are our own. COLMAP's reader accepts some broken files silently, allocates what a
-corrupt count says and names no place of an error; its writer does not check that the disk took the
-data.
+This package does not use COLMAP's reader and writer. COLMAP's reader accepts some broken files
+silently, allocates memory by counts that may be corrupt, and does not report the line or byte of an
+error. COLMAP's writer does not check for write errors.
 
-A solve changes poses, camera parameters and points. Such a problem is written in the format of its
-source by replacing these numbers in the source's files, which
-``bundle.model.pycolmap.deferred_source`` keeps: comments, digits and the order of records stay. All
-other models are written record by record (``bundle.model.colmap.model_records``), byte for byte as
-COLMAP writes them.
+A solve changes poses, camera parameters and points only. If the output has the format of the
+source, these numbers are replaced in the source's files, which
+``bundle.model.pycolmap.deferred_source`` keeps. Comments, other digits and the order of records
+stay. All other models are written record by record (``bundle.model.colmap.model_records``), byte
+for byte as COLMAP writes them.
 """
 
 from __future__ import annotations
@@ -67,11 +67,13 @@ _NO_PROJECTION = math.sqrt(sys.float_info.max)
 
 
 def load(path: str | os.PathLike[str]) -> Problem:
-    """Read the model in a folder, the binary one if there are two, as COLMAP does.
+    """Read the model in a folder; if it has a binary and a text model, read the binary one.
+
+    COLMAP makes the same choice.
 
     Raises:
-        InputError: it is no model, or an invalid one. The message has the file, the line (of text)
-            or byte (of binary), the expected and the actual value.
+        InputError: the folder holds no model, or an invalid one. The message has the file, the line
+            (text) or byte (binary), the expected and the actual value.
     """
     folder = Path(path)
     if not folder.is_dir():
@@ -109,7 +111,7 @@ def problem_of(folder: Path, model: _core.ColmapModel, fields: dict[str, Any]) -
 
 
 def can_rewrite(problem: Problem, *, binary: bool) -> bool:
-    """Tell whether a problem differs from its source in poses, camera parameters, points only."""
+    """Return True if a problem differs from its source only in poses, parameters and points."""
     return _model(problem, binary=binary) is not None
 
 
@@ -135,10 +137,10 @@ def save(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
         binary: True for the binary format, False for text.
 
     Returns:
-        The information of the problem and its source that the files lose, one sentence each.
+        One sentence for each kind of information in the problem or its source that is lost.
 
     Raises:
-        OSError: the files could not be written, or not whole.
+        OSError: the files could not be written completely.
         InputError: COLMAP cannot represent the problem.
     """
     model = _model(problem, binary=binary)
@@ -154,19 +156,19 @@ def rewrite_like(
     errors: NDArray[np.float64],
     folder: Path,
 ) -> None:
-    """Write cameras and images of a problem and these points beside the keypoints of its source.
+    """Write the cameras and images of a problem, the given points, and the source's keypoints.
 
-    Keypoints and tracks are copied from file to file; the points of the problem are ignored.
+    Keypoints and tracks are copied from file to file. The points of the problem are ignored.
 
     Args:
-        problem: a problem whose source is a part of a binary model (``_core.read_colmap_part``).
+        problem: a problem that was read from part of a binary model (``_core.read_colmap_part``).
         point_ids: (num_points,) ids of all points of the source, ascending.
         points: (num_points, 3) world coordinates.
         errors: (num_points,) errors as returned by :func:`point_errors`.
         folder: an existing folder.
 
     Raises:
-        OSError: the files could not be written, or not whole.
+        OSError: the files could not be written completely.
         InputError: the files of the source have changed.
     """
     problem.check_padding()
@@ -231,13 +233,13 @@ def _check_names(image_ids: NDArray[np.int64], names: tuple[str, ...]) -> None:
 
 
 def _lost(problem: Problem, *, binary: bool) -> tuple[str, ...]:
-    """Return the information that every COLMAP model of this format loses, one sentence each."""
+    """Return one sentence for each kind of information that this COLMAP format cannot hold."""
     sigmas = () if problem.observation_sigma is None else (LOST_SIGMAS,)
     return (*sigmas, *(() if binary else _lost_in_text(problem)))
 
 
 def _lost_in_text(problem: Problem) -> tuple[str, ...]:
-    """Return the information in text files that COLMAP's reader loses."""
+    """Return one sentence for each kind of information that COLMAP's text reader loses."""
     spaces = sum(" " in name for name in problem.image_names)
     if not spaces:
         return ()
@@ -248,7 +250,7 @@ def _lost_in_text(problem: Problem) -> tuple[str, ...]:
 
 
 def _model(problem: Problem, *, binary: bool) -> _core.ColmapModel | None:
-    """Return the model whose files need other numbers only; None if other edits were made."""
+    """Return the source's model if only numbers in its files change, otherwise None."""
     source: Any = vars(problem)["source"]
     model = source.model if isinstance(source, DeferredSource) else None
     if model is None or model.is_binary != binary:

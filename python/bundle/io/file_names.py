@@ -1,4 +1,4 @@
-"""Suffixes of output files, and suffixes that belong to other formats.
+"""Suffixes of output files, and suffixes of other formats.
 
 A name without a suffix, or with an unknown one (``run.v2``), is accepted.
 """
@@ -52,16 +52,16 @@ def format_of_name(path: str | os.PathLike[str]) -> str | None:
 def check_name(
     path: str | os.PathLike[str], what: str, own: str = "", compressed: str = ""
 ) -> None:
-    """Refuse a name with the suffix of another format.
+    """Raise an error if a name has the suffix of another format.
 
     Args:
         path: output path; with a trailing slash it is a folder, and any name is accepted.
         what: kind of the output, such as "a page (.html)".
-        own: accepted suffixes, separated by blanks.
+        own: accepted suffixes, separated by spaces.
         compressed: suffixes that are accepted before ".gz" or ".bz2".
 
     Raises:
-        InputError: the suffix is that of another format, or of an unsupported compression.
+        InputError: the suffix belongs to another format or to an unsupported compression.
     """
     name = os.fspath(path)
     if name.endswith("/"):

@@ -1,4 +1,4 @@
-"""Inputs as users hand them over: paths of anything, problems, reconstructions in memory."""
+"""Inputs in any form: paths of any format, problems, reconstructions in memory."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
 __all__ = ["Source", "as_problem", "load", "reprojection_errors", "save"]
 
 Source: TypeAlias = "Problem | str | os.PathLike[str] | pycolmap.Reconstruction"
-"""A problem, the path of one, or a reconstruction in memory."""
+"""A problem, the path of a problem, or a reconstruction in memory."""
 
 
 def load(path: str | os.PathLike[str]) -> Any:
-    """Read a reconstruction or a pose graph; the content decides which of them.
+    """Read a reconstruction or a pose graph; the content decides which of the two.
 
     Args:
-        path: the folder of a COLMAP model (binary or text), a BAL file or a g2o file (both plain,
-            gzip or bzip2).
+        path: folder of a COLMAP model (binary or text), a BAL file or a g2o file. BAL and g2o files
+            may be plain, gzip or bzip2.
 
     Returns:
         A :class:`bundle.Problem`, or a :class:`bundle.PoseGraph` for a g2o file.
 
     Raises:
-        InputError: the content is not what its format says; one line with path, place, what was
-            expected and what was found.
+        InputError: the content violates its format; one line with path, place, expected and actual
+            value.
         OSError: the path does not exist or cannot be read.
     """
     return load_g2o(path) if is_pose_graph_file(path) else io.load(path)
@@ -50,20 +50,21 @@ def save(
     path: str | os.PathLike[str],
     format: str | None = None,
 ) -> tuple[str, ...]:
-    """Write a reconstruction or a pose graph; return what the format does not keep.
+    """Write a reconstruction or a pose graph; return sentences on information that is lost.
 
-    What stood at ``path`` is replaced only when the new content is whole on the disk. Of a folder,
-    which must be empty or a COLMAP model, only the model files are replaced.
+    The content of ``path`` is replaced only when the new content is complete on the disk. A folder
+    must be empty or a COLMAP model; only its model files are replaced.
 
     Args:
-        problem: what to write; a pose graph becomes a g2o file.
-        path: a file (BAL or g2o; ".gz" and ".bz2" at the end compress) or a folder (COLMAP).
-        format: "bal", "colmap" (binary) or "colmap-text" for a reconstruction; None: by the path,
-            then by where the problem comes from.
+        problem: the reconstruction, or the pose graph, which becomes a g2o file.
+        path: a BAL or g2o file (a name that ends in ".gz" or ".bz2" is compressed) or a COLMAP
+            folder.
+        format: "bal", "colmap" (binary) or "colmap-text" for a reconstruction. None: decided by the
+            path, then by the source of the problem.
 
     Raises:
         InputError: the format cannot hold the problem, or the path cannot be replaced.
-        OSError: the system refuses: no permission, disk full.
+        OSError: a system call fails, for example without permission or on a full disk.
     """
     if not isinstance(problem, PoseGraph):
         return io.save(problem, path, format)
@@ -73,21 +74,21 @@ def save(
 
 
 def as_problem(source: Source, name: str = "problem") -> Problem:
-    """Return the problem that is meant: itself, what a path holds, or a reconstruction's.
+    """Return the problem of a source: the problem itself, a path's, or a reconstruction's.
 
     Args:
-        source: any of these.
-        name: of the argument, for errors.
+        source: a problem, the path of a problem, or a pycolmap.Reconstruction.
+        name: name of the argument, for errors.
 
     Raises:
-        InputError: it is none of these, or what it stands for is no problem.
+        InputError: the source has another type, or its content is not a problem.
         OSError: the path does not exist or cannot be read.
     """
     if isinstance(source, Problem):
         return source
     if is_path(source):
         return io.load(source)
-    # Whoever holds a reconstruction has imported pycolmap, which takes a while.
+    # A caller with a reconstruction has imported pycolmap; importing it here would be slow.
     pycolmap = sys.modules.get("pycolmap")
     if pycolmap is not None and isinstance(source, pycolmap.Reconstruction):
         return Problem.from_pycolmap(source)
@@ -108,15 +109,15 @@ def reprojection_errors(
     """Return the reprojection error of each observation at the problem's own values.
 
     Args:
-        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
-        cheirality: with "zero" no lens sees farther than COLMAP lets it.
-        num_threads: 0: all cores.
+        problem: a problem, the path of a problem, or a pycolmap.Reconstruction; not changed.
+        cheirality: with "zero", no lens sees beyond COLMAP's limit for its model.
+        num_threads: number of threads; 0: all cores.
 
     Returns:
-        Errors ||r|| in pixels, (num_observations,): projection minus measurement. Also defined for
-        points behind their camera, by the formula; NaN where there is no projection. And a mask,
-        (num_observations,), of points that the camera does not see: behind it, or where the formula
-        of a wide lens, which goes on past 90 degrees, has ended.
+        Errors ||r|| in pixels, (num_observations,): projection minus measurement. For points behind
+        their camera, the projection formula is evaluated as for other points. NaN if the projection
+        does not exist. Second, a mask, (num_observations,), of points that the camera does not see:
+        points behind it, or, for a wide lens beyond 90 degrees, points outside its valid range.
 
     Raises:
         InputError: an observed image has a camera model that is not supported.

@@ -1,4 +1,4 @@
-"""g2o files, read and written; ``cpp/core/io/g2o.h`` has the format."""
+"""Reading and writing of g2o files; ``cpp/core/io/g2o.h`` describes the format."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def load_g2o(path: str | os.PathLike[str]) -> PoseGraph:
 
     Raises:
         InputError: the content violates the format: unknown or duplicate vertices, a wrong
-            number of fields, numbers that are not finite, zero quaternions, edges of a vertex with
-            itself; one line with file and line.
+            number of fields, numbers that are not finite, zero quaternions, or edges from a vertex
+            to itself; one line with file and line.
         OSError: the file cannot be read.
     """
     path = as_path(path)
@@ -48,14 +48,14 @@ def load_g2o(path: str | os.PathLike[str]) -> PoseGraph:
 
 
 def save_g2o(graph: PoseGraph, path: str | os.PathLike[str]) -> tuple[str, ...]:
-    """Write a pose graph; ".gz" and ".bz2" at the end of the name compress.
+    """Write a pose graph; a name that ends in ".gz" or ".bz2" is compressed.
 
-    An existing file is replaced only when the new one is complete on the disk. Numbers are the
-    shortest that read back as the same. Returns (): the format loses nothing.
+    An existing file is replaced only when the new one is complete on the disk. Numbers have the
+    fewest digits that read back unchanged. Returns (): the format loses no information.
 
     Raises:
         InputError: the path is a folder.
-        OSError: the system refuses.
+        OSError: a system call fails.
     """
     path = as_path(path)
     with atomic.replace_file(path) as temporary:
@@ -68,7 +68,7 @@ def check_g2o_target(path: str | os.PathLike[str]) -> None:
 
     Raises:
         InputError: the path is a folder, or has the suffix of another format.
-        OSError: there is no permission to write.
+        OSError: permission to write is missing.
     """
     path = as_path(path)
     check_name(path, f"a pose graph ({', '.join(_SUFFIXES)})", own=".g2o", compressed=".g2o")

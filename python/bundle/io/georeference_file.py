@@ -1,8 +1,9 @@
-"""``georeference.json``, the georeference of a model: in its folder, or beside its file.
+"""``georeference.json``, the georeference of one model.
 
-It belongs to one model. Beside a file it has the name of that file under "model". Without a name it
-belongs to the model in the folder, or if there is none to any file in it. It is removed when
-another model replaces the one that it belongs to.
+It is in the folder of a COLMAP model, or in the folder that contains a BAL file. For a BAL file,
+the entry "model" holds the name of the file. Without this entry it belongs to the COLMAP model in
+its folder; if the folder has no such model, it belongs to any file in the folder. It is removed
+when its model is replaced.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ def owner_of(path: Path, content: dict[str, Any] | None = None) -> str | None:
     """Return the name of the model file that a georeference.json belongs to.
 
     Returns:
-        "" if it belongs to the model in its folder, None if it names no model.
+        "" if it belongs to the model in its folder, None if it does not name a model.
     """
     found = _content(path) if content is None else content
     if found is None:

@@ -20,9 +20,10 @@ _KEYPOINT = 24  # bytes: x, y, point
 
 
 def has_same_images(path: Path, names: Sequence[str]) -> bool:
-    """Tell whether a COLMAP model has images of these names, or a BAL file the same number.
+    """Return True if a model on the disk has images with exactly these names.
 
-    Only the number is compared where names are empty, and for BAL files, which have no names.
+    Only the number of images is compared if names are empty, and for BAL files, which have no
+    names.
 
     Raises:
         InputError, OSError: the model cannot be read.

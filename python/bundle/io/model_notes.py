@@ -17,13 +17,13 @@ __all__ = ["check_rig_files", "lacks_keypoint_lines", "note_contradiction"]
 
 _Poses = NDArray[np.float64]
 
-_ANGLE = 1e-3  # rad; rounding to six digits causes less
+_ANGLE = 1e-3  # rad; rounding to six digits causes smaller differences
 _SHIFT = 1e-4  # relative to the largest distance from the origin
 _FIELDS = 10  # number of fields in the line of an image
 
 
 def check_rig_files(folder: Path) -> None:
-    """Refuse a model with rigs but no frames, or with frames but no rigs.
+    """Check that a model has both the rigs file and the frames file, or neither.
 
     Raises:
         InputError: one of the two files is missing.
@@ -39,7 +39,7 @@ def check_rig_files(folder: Path) -> None:
 
 
 def lacks_keypoint_lines(folder: Path) -> str | None:
-    """Return file and line of an image record in place of the keypoints of the previous image."""
+    """Return file and line of an image record found where a line of keypoints is expected."""
     path = folder / "images.txt"
     if not is_text_model(folder):
         return None
@@ -60,9 +60,9 @@ def note_contradiction(folder: Path, image_poses: _Poses, poses: _Poses) -> None
     """Warn about images whose own poses differ from those of frames and rigs.
 
     Args:
-        folder: of the model.
+        folder: folder of the model.
         image_poses: (num_images, 7) poses in the images file.
-        poses: (num_images, 7) poses of frames and rigs, which are used.
+        poses: (num_images, 7) poses by frames and rigs; these are used.
     """
     angle, shift, spread = pose_differences(poses, image_poses)
     other = (angle > _ANGLE) | (shift > _SHIFT * spread)

@@ -1,8 +1,8 @@
-"""Reading and writing of problems in the formats of the field.
+"""Reading and writing of problems as COLMAP models and BAL files.
 
-Formats are told from content when reading. Writing is atomic: see
-``bundle.io.atomic.atomic_write``. Where a killed process left a model replaced in part, both finish
-that first and warn (UserWarning).
+When reading, the format is detected from the content. Writing is atomic: see
+``bundle.io.atomic.atomic_write``. If a killed process left a partly replaced model, reading and
+writing first complete the replacement and warn (UserWarning).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ __all__ = [
 ]
 
 MOST_HINTS = 5
-"""Models inside a folder that an error names."""
+"""Largest number of models inside a folder that an error lists."""
 
 _BAL_SUFFIXES = (".txt", ".txt.gz", ".txt.bz2")
 
@@ -49,12 +49,12 @@ def load(path: str | os.PathLike[str], progress: Callable[[int], None] | None = 
     """Read a COLMAP model folder (binary or text) or a BAL file (plain, gzip or bzip2).
 
     Args:
-        path: of the folder or file.
-        progress: called now and then while a BAL file is read, with the bytes of text so far.
+        path: path of the folder or file.
+        progress: called repeatedly while a BAL file is read, with the bytes of text read so far.
 
     Raises:
-        InputError: the content is not what its format says; one line with path, place, what was
-            expected and what was found.
+        InputError: the content violates its format; one line with path, place, expected and actual
+            value.
         OSError: the path does not exist or cannot be read.
     """
     path = as_path(path)
@@ -82,21 +82,21 @@ def save(
     format: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[str, ...]:
-    """Write a problem; return what the format does not keep, one sentence each.
+    """Write a problem; return one sentence for each kind of information that the format loses.
 
-    What stood at ``path`` is replaced only when the new content is whole on the disk. Of a folder,
-    which must be empty or a COLMAP model, only the model files are replaced; georeference.json of
-    the model that was there goes with it.
+    The content of ``path`` is replaced only when the new content is complete on the disk. A folder
+    must be empty or a COLMAP model. Only its model files are replaced, and the georeference.json of
+    the old model is removed.
 
     Args:
-        problem: what to write.
-        path: a file (BAL; ".gz" and ".bz2" at the end compress) or a folder (COLMAP).
+        problem: the problem to write.
+        path: a BAL file (a name that ends in ".gz" or ".bz2" is compressed) or a COLMAP folder.
         format: "bal", "colmap" (binary) or "colmap-text"; None: see ``output_format``.
-        progress: called now and then while a BAL file is written, with the bytes of text so far.
+        progress: called repeatedly while a BAL file is written, with the bytes of text so far.
 
     Raises:
         InputError: the format cannot hold the problem, or the path cannot be replaced.
-        OSError: the system refuses: no permission, disk full.
+        OSError: a system call fails, for example without permission or on a full disk.
     """
     _check_problem(problem)
     recover(path)
@@ -115,16 +115,17 @@ def save(
 def save_model(
     path: Path, format: str, write: Callable[[Path], tuple[str, ...]]
 ) -> tuple[str, ...]:
-    """Replace a COLMAP model by another; return what is lost by that, one sentence each.
+    """Replace a COLMAP model by another; return one sentence for each loss of information.
 
     Args:
-        path: the folder.
+        path: path of the folder.
         format: "colmap" (binary) or "colmap-text".
-        write: writes the files of the model into a folder and returns what they do not hold.
+        write: function that writes the model files into a folder and returns sentences on the
+            information that they do not hold.
 
     Raises:
-        InputError: the path cannot be replaced; or what ``write`` raises.
-        OSError: the system refuses: no permission, disk full.
+        InputError: the path cannot be replaced, or ``write`` raises this error.
+        OSError: a system call fails, for example without permission or on a full disk.
     """
     going = _files_of_other_format(path, format)
     with atomic.replace_folder(path) as temporary:
@@ -141,13 +142,16 @@ def output_format(
 ) -> str:
     """Return the format in which ``save`` writes: "bal", "colmap" or "colmap-text".
 
-    An explicit format counts first; then the path: ".txt", ".txt.gz" and ".txt.bz2" are BAL, an
-    existing folder or a trailing slash is COLMAP, as text where a model stands there as text, in
-    binary where one stands there in binary; then the format in which the problem came, and COLMAP
-    for one from memory: as text if it was read from a model in text at ``source``, else in binary.
+    The first rule that applies decides:
+
+    * An explicit format.
+    * The path. Names in ".txt", ".txt.gz" and ".txt.bz2" mean BAL. An existing folder or a trailing
+      slash means COLMAP: text if the folder holds a text model, binary if it holds a binary model.
+    * The format from which the problem was read; COLMAP for a problem from memory. COLMAP is text
+      if the problem was read from a text model at ``source``, otherwise binary.
 
     Raises:
-        InputError: the explicit format is none of these, or the name is that of another one.
+        InputError: the explicit format is unknown, or the name has the suffix of another format.
     """
     folder = as_path(path)
     if format is not None:
@@ -171,19 +175,19 @@ def check_target(
     refined: Collection[str] = (),
     fixed_camera_ids: Collection[int] = (),
 ) -> None:
-    """Raise now what ``save`` would refuse later, before hours go into a solve.
+    """Raise, before a long solve, the errors that ``save`` would raise after it.
 
     Args:
-        problem: what is going to be written, or solved and then written.
+        problem: the problem that will be written, perhaps after a solve.
         path: as for ``save``.
         format: as for ``save``.
         refined: kinds of camera parameters that the solve will change: "focal",
-            "principal_point", "extra"; others have no effect.
-        fixed_camera_ids: cameras that it will not change.
+            "principal_point", "extra". Other kinds have no effect.
+        fixed_camera_ids: cameras that the solve will not change.
 
     Raises:
         InputError: the format cannot hold the problem, or the path cannot be replaced.
-        OSError: there is no permission to write.
+        OSError: permission to write is missing.
     """
     recover(path)
     chosen = output_format(problem, path, format)
@@ -196,13 +200,16 @@ def check_target(
 
 
 def recover(path: str | os.PathLike[str]) -> None:
-    """Finish what a killed process has left unfinished at a path, and warn that this was done."""
+    """Complete an interrupted replacement at a path and warn about it."""
     for sentence in atomic.recover(as_path(path)):
         warnings.warn(sentence, RecoveryWarning, stacklevel=3)
 
 
 def _files_of_other_format(folder: Path, format: str) -> tuple[str, ...]:
-    """Tell that files of a model in the other format go: they would soon contradict the new one."""
+    """Return a sentence if model files in the other format will be removed, otherwise ().
+
+    Without their removal they would contradict the new model.
+    """
     suffix = ".txt" if format == "colmap" else ".bin"
     names = [name for name in sorted(MODEL_FILES) if name.endswith(suffix)]
     going = [name for name in names if (folder / name).exists()]
@@ -219,7 +226,7 @@ def _compression(path: Path) -> str:
 
 
 def _check_model(folder: Path) -> None:
-    """Raise an InputError that says what a folder lacks to be a COLMAP model."""
+    """Raise an InputError that names the files that a folder lacks to be a COLMAP model."""
     missing = missing_model_files(folder)
     if not missing:
         return

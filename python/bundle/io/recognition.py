@@ -23,7 +23,7 @@ __all__ = [
 ]
 
 FORMATS = ("bal", "colmap", "colmap-text")
-"""Formats of reconstructions that are written."""
+"""Reconstruction formats that can be written."""
 
 
 _HEADER = re.compile(rb"\s*\d+\s+\d+\s+\d+\s+\d+\s+\d+\s+[-+.\d]")  # counts, first observation
@@ -51,7 +51,7 @@ _BEGINNINGS = {
     b"\xff\xd8\xff": "a picture",
     b"PK\x03\x04": "an archive or file of arrays (zip)",
 }
-"""First bytes of files of formats that are not read here."""
+"""First bytes of files in formats that this package does not read."""
 SEQUENCE_FILES = ("imu.csv", "tracks.csv", "calibration.yaml")
 
 
@@ -64,10 +64,10 @@ class Kind(StrEnum):
 
 
 def recognize(path: object) -> Kind:
-    """Return the kind of an input by its content, or by its name where nothing can be read.
+    """Return the kind of an input by its content, or by its name if it cannot be read.
 
-    What is neither a pose graph nor a sequence counts as a reconstruction: its reader says what it
-    found instead. Pipes are never looked into.
+    An input that is neither a pose graph nor a sequence counts as a reconstruction; the
+    reconstruction reader then raises the precise error. Pipes are not opened.
     """
     if is_pose_graph_file(path):
         return Kind.POSE_GRAPH
@@ -86,12 +86,12 @@ def reconstruction_at(path: Path) -> str | None:
 
 
 def is_pose_graph_file(path: object) -> bool:
-    """Tell whether a path is that of a g2o file; pipes are never looked into."""
+    """Return True if a path leads to a g2o file; pipes are not opened."""
     if not isinstance(path, str | os.PathLike):
         return False
     try:
         file = Path(os.fspath(path))
-        if not file.is_file():  # what is not there is what its name says
+        if not file.is_file():  # the name decides for a missing file
             return not file.exists() and file.name.lower().endswith(_SUFFIXES)
     except (TypeError, ValueError, OSError):  # bytes, zeros in a name, a name too long
         return False
@@ -99,9 +99,10 @@ def is_pose_graph_file(path: object) -> bool:
 
 
 def other_format_at(path: Path) -> str | None:
-    """Return what a file is that is neither a BAL file nor a pose graph, by content, then name.
+    """Return the format of a file that is neither a BAL file nor a pose graph.
 
-    None where neither tells, of pipes, and of what begins with a number, as BAL files do.
+    The content decides first, then the name. None if both are unknown, for pipes, and for files
+    that begin with a number, as BAL files do.
     """
     if not path.is_file():
         return None
@@ -116,7 +117,7 @@ def other_format_at(path: Path) -> str | None:
 def sequence_at(path: object) -> str | None:
     """Return "sequence" for the folder of a visual-inertial sequence, "track csv", or None.
 
-    A track csv is the file in which GTSAM's examples keep EuRoC's flights.
+    A track csv is the format in which GTSAM's examples store the EuRoC flights.
     """
     if not isinstance(path, str | os.PathLike):
         return None
@@ -131,7 +132,7 @@ def sequence_at(path: object) -> str | None:
 
 
 def sequence_format(path: object) -> str:
-    """Return what reports call it: "track_csv" for GTSAM's file, "sequence" for all else."""
+    """Return the format's name in reports: "track_csv" for GTSAM's file, otherwise "sequence"."""
     return "track_csv" if sequence_at(path) == "track csv" else "sequence"
 
 

@@ -1,1 +1,1 @@
-"""Outputs that appear whole or not at all."""
+"""Atomic writing of files and folders."""

@@ -1,21 +1,21 @@
-"""Output that appears whole or not at all.
+"""Atomic output: a file or model appears completely or not at all.
 
-Everything is written beside its destination under a name ``.bundle-XXXX.tmp``, flushed to the disk,
-and only then put into place. An error before that (a full disk, an exception, Ctrl-C) leaves the
-destination unchanged and removes the temporary files. A killed process or a power
-failure leaves the old or the new, never a mixture:
+Output is written to a temporary name ``.bundle-XXXX.tmp`` in the folder of its destination, flushed
+to the disk, and only then renamed. An error before the rename (a full disk, an exception, Ctrl-C)
+leaves the destination unchanged and removes the temporary files. A killed process or a power
+failure leaves either the old or the new content, never a mixture:
 
-* A file, and a folder that did not exist, appear by one rename.
-* An existing folder is exchanged with the new one in one step, after everything in it that is no
-  model file was linked into the new one (``bundle.io.atomic.exchange``).
-* Where the system cannot exchange folders, the model files are replaced one by one. An error is
-  rolled back; a killed process leaves a record from which the next command that reads or writes
-  there finishes the work (``bundle.io.atomic.in_place``).
+* A file, or a folder that did not exist, appears by one rename.
+* An existing folder is exchanged with the new one in one step. Before that, all files of the old
+  folder except the model are linked into the new one (``bundle.io.atomic.exchange``).
+* If the system cannot exchange folders, the model files are replaced one by one. After an error the
+  replacement is rolled back. A killed process leaves a record; the next command that reads or
+  writes there completes the replacement from it (``bundle.io.atomic.in_place``).
 
 A killed process may leave a temporary file; the next process that writes there removes it
-(``bundle.io.atomic.temporary``). Two processes may write to one place at the same time: the
-last one wins. Symbolic links to the destination are followed, so a link stays a link. Owner and
-permissions stay, as far as the system allows.
+(``bundle.io.atomic.temporary``). If two processes write to the same path, the last one wins.
+Symbolic links to the destination are followed, so a link stays a link. Owner and permissions are
+kept as far as the system allows.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ __all__ = [
 
 
 def recover(path: Path) -> tuple[str, ...]:
-    """Complete the replacements that killed processes left in a folder; return a sentence on each.
+    """Complete interrupted replacements in a folder; return one sentence for each.
 
     Raises:
         InputError: a replacement cannot be completed.
@@ -71,7 +71,7 @@ def check_file(path: Path) -> None:
 
     Raises:
         InputError: the path is a folder, a device or a pipe, or its parent folder does not exist.
-        PermissionError: the file is write-protected, or its folder is.
+        PermissionError: the file or its folder is write-protected.
     """
     target = Path(os.path.realpath(path))
     if target.is_dir():
@@ -93,7 +93,7 @@ def check_folder(path: Path) -> None:
     Raises:
         InputError: the path is a file or device, or a folder that is neither empty nor a COLMAP
             model, or its parent folder does not exist.
-        PermissionError: the folder is write-protected, or the parent of a new one is.
+        PermissionError: the folder, or the parent of a new folder, is write-protected.
     """
     target = Path(os.path.realpath(path))
     if is_stream(path):
@@ -125,7 +125,7 @@ def replace_file(path: Path) -> Iterator[Path]:
 
     Raises:
         InputError: see ``check_file``.
-        OSError: the system refuses; it names ``path``, not the temporary file.
+        OSError: a system call fails; the error names ``path``, not the temporary file.
     """
     check_file(path)
     target = Path(os.path.realpath(path))
@@ -143,14 +143,14 @@ def replace_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def replace_folder(path: Path) -> Iterator[Path]:
-    """Yield a temporary folder for a COLMAP model; its files replace those of ``path`` at the end.
+    """Yield a temporary folder for a COLMAP model; at the end its files replace those of ``path``.
 
-    Model files of ``path`` are removed even if the new model has no file of that name; everything
-    else in ``path`` stays.
+    All old model files of ``path`` are removed, even those that the new model does not have. All
+    other files in ``path`` stay.
 
     Raises:
         InputError: see ``check_folder``.
-        OSError: the system refuses; it names ``path``, not the temporary folder.
+        OSError: a system call fails; the error names ``path``, not the temporary folder.
     """
     check_folder(path)
     target = Path(os.path.realpath(path))
@@ -176,11 +176,11 @@ def replace_folder(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text to a file, whole or not at all, or into a device or pipe.
+    """Write a text to a file atomically, or into a device or pipe.
 
     Raises:
-        InputError: the path is a folder, or its parent is none.
-        OSError: the system refuses; it names the path.
+        InputError: the path is a folder, or its parent is not a folder.
+        OSError: a system call fails; the error names the path.
     """
     if is_stream(path):
         append(path, text)
@@ -200,12 +200,12 @@ def _replace_existing(target: Path, temporary: Temporary, beside: bool) -> None:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Keep other processes from replacing a folder at the same moment."""
+    """Prevent other processes from replacing a folder at the same time."""
     while True:
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         try:
             lock(descriptor)
-            if is_same(folder, descriptor):  # otherwise it was exchanged while this process waited
+            if is_same(folder, descriptor):  # False: exchanged during the wait
                 yield
                 return
         finally:
@@ -213,7 +213,7 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _take_over_file(old: Path, new: Path) -> None:
-    """Copy owner and permissions of the replaced file, if there is one, to the new file."""
+    """Copy owner and permissions of the replaced file, if it exists, to the new file."""
     try:
         status = old.stat()
     except OSError:

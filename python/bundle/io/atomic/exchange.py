@@ -1,12 +1,13 @@
 """Replacing a folder in one step: the new folder and the old one exchange their names.
 
-Linux can exchange two names atomically (renameat2 with RENAME_EXCHANGE). So that nothing but the
-model files changes, the new folder first gets hard links to everything else in the old one,
-subfolders included. At every moment either the old or the new folder stands there, complete.
+Linux can exchange two names atomically (renameat2 with RENAME_EXCHANGE). Only the model files must
+change. The new folder therefore first gets hard links to all other files of the old folder,
+including subfolders. At any time the path leads to either the complete old or the complete new
+folder.
 
-Requirements: a writable parent folder on the same file system, and hard links. The current folder
-and its parents are not exchanged: the shell would stay in the old folder. Nor are folders with a
-mount point inside.
+Requirements: a writable parent folder on the same file system, and hard links. The working
+directory and its parents are not exchanged, because the shell would stay in the old folder. Folders
+that contain a mount point are not exchanged either.
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ from bundle.io.atomic.temporary import is_temporary
 __all__ = ["can_exchange", "exchange_folder", "move_new_folder", "take_over_folder"]
 
 MAX_LINKS = 20_000
-"""More files than this beside the model are not linked: that would take seconds."""
+"""Largest number of non-model files to link. Linking more would take seconds."""
 
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
 
 
 def can_exchange(target: Path) -> bool:
-    """Tell whether a folder can be exchanged, as far as this is known before trying."""
+    """Return False if a folder cannot be exchanged; True if an attempt may succeed."""
     parent = target.parent
     if parent == target or not os.access(parent, os.W_OK | os.X_OK):
         return False
@@ -66,7 +67,7 @@ def take_over_folder(old: Path, new: Path) -> bool:
 
 
 def move_new_folder(new: Path, target: Path) -> bool:
-    """Rename a folder to a free name; return False if another process has taken the name."""
+    """Rename a folder to an unused name; return False if another process has created that name."""
     try:
         new.rename(target)
     except OSError as error:
@@ -77,9 +78,9 @@ def move_new_folder(new: Path, target: Path) -> bool:
 
 
 def exchange_folder(target: Path, new: Path) -> bool:
-    """Exchange ``new`` with ``target``, and link all files but those of the model.
+    """Link all non-model files of ``target`` into ``new``, then exchange the two folders.
 
-    Afterwards ``new`` is the old folder and holds nothing that is needed.
+    Afterwards ``new`` is the old folder and can be removed.
 
     Returns:
         False if the system cannot exchange; then ``new`` is unchanged.
@@ -146,7 +147,7 @@ def _bring_latecomers(
         name = f"{below}/{entry.name}" if below else entry.name
         status = entry.stat(follow_symlinks=False)
         if linked.get(name) != (status.st_dev, status.st_ino):
-            with contextlib.suppress(OSError):  # it stays; see temporary.holds_only_copies
+            with contextlib.suppress(OSError):  # see temporary.holds_only_copies
                 Path(entry.path).replace(target / name)
         elif entry.is_dir(follow_symlinks=False):
             _bring_latecomers(old, target, name, linked)
@@ -156,7 +157,7 @@ def _exchange(first: Path, second: Path) -> None:
     """Exchange two names in one step.
 
     Raises:
-        OSError: the kernel or the file system cannot exchange (EINVAL, ENOSYS), or refuses.
+        OSError: the kernel or the file system does not support it (EINVAL, ENOSYS), or it fails.
     """
     rename = _renameat2()
     if rename is None:
@@ -169,7 +170,7 @@ def _exchange(first: Path, second: Path) -> None:
 
 @functools.cache
 def _renameat2() -> Callable[..., int] | None:
-    """Return the C library's renameat2 (glibc 2.28, musl 1.2.4), or None."""
+    """Return the C library's renameat2 (since glibc 2.28, musl 1.2.4), or None."""
     try:
         function = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, OSError):

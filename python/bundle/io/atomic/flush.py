@@ -11,7 +11,7 @@ __all__ = ["flush", "flush_folder", "flush_with_files"]
 
 
 def flush(path: Path) -> None:
-    """Wait until a file is on the disk; a full disk may raise its error only here."""
+    """Wait until a file is on the disk; the error of a full disk may appear only here."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -20,7 +20,7 @@ def flush(path: Path) -> None:
 
 
 def flush_folder(folder: Path) -> None:
-    """Wait until the names of a folder are on the disk, where the file system supports it."""
+    """Wait until the entries of a folder are on the disk, if the file system supports it."""
     with contextlib.suppress(OSError):
         flush(folder)
 
@@ -28,11 +28,12 @@ def flush_folder(folder: Path) -> None:
 def flush_with_files(folder: Path) -> None:
     """Wait until a folder and the few files in it are on the disk.
 
-    All are flushed in parallel: a journaling file system then commits once or twice instead of once
-    per file, and each commit waits for the disk.
+    The files are flushed in parallel, because each commit of a journaling file system waits for the
+    disk. With parallel calls it commits once or twice instead of once per file.
 
     Raises:
-        OSError: a file could not be flushed: the first by name, after all have been tried.
+        OSError: a file could not be flushed. All files are tried; the error of the first by name
+            is raised.
     """
     files = sorted(folder.iterdir())
     failures: dict[Path, OSError] = {}

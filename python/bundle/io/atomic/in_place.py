@@ -1,16 +1,16 @@
-"""Replacement of model files one by one, where the whole folder cannot be exchanged.
+"""Replacement of model files one by one, for systems that cannot exchange folders.
 
-The temporary folder, inside the folder, is also the record that makes this safe. Its subfolders
-name the phase of the replacement:
+The temporary folder is inside the target folder and also records the progress. Its subfolders name
+the phase of the replacement:
 
 ========= =====================================================================================
-new       being written; the old files stand in place, and the temporary folder may be removed
-whole     the new files are whole on the disk; the old ones are being moved to ``old``
-entering  all old files are in ``old``; the new ones are being moved into place
+new       new files are being written; old files are in place; the folder may be removed
+whole     the new files are complete on the disk; the old ones are being moved to ``old``
+entering  all old files are in ``old``; the new ones are being moved into the target
 ========= =====================================================================================
 
-A process killed in the last two phases leaves a folder that no program can load. All files exist,
-however, and the phase identifies them: ``recover`` completes the work from any point.
+A process that is killed in the last two phases leaves a folder that no program can load. However,
+all files exist and the phase identifies them. ``recover`` completes the replacement from any state.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ PATIENCE = 10.0  # seconds to wait for another process that is replacing the fil
 def replace_in_place(target: Path, temporary: Temporary) -> None:
     """Replace the model files of ``target`` by those in ``new`` of a temporary folder.
 
-    An error is rolled back. If that fails too, the record stays for ``recover``.
+    After an error the replacement is rolled back. If that fails too, the record stays for
+    ``recover``.
     """
     if temporary.path.parent != target:
         temporary.move_into(target)
@@ -56,10 +57,10 @@ def replace_in_place(target: Path, temporary: Temporary) -> None:
 
 
 def recover(target: Path) -> tuple[str, ...]:
-    """Complete the replacements that killed processes began in a folder; return a sentence each.
+    """Complete interrupted replacements in a folder; return one sentence for each.
 
     Raises:
-        InputError: a replacement cannot be completed; it names the folders with the files.
+        InputError: a replacement cannot be completed; the error names the folders with the files.
     """
     return tuple(
         f"{shown(target)}: finished the replacement of this model that a killed run had begun"
@@ -73,7 +74,7 @@ def _recover(target: Path, folder: Path) -> bool:
         descriptor = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW)
         try:
             if not _wait_for(descriptor) or not _is_begun(folder):
-                return False  # a running process works on it, or did
+                return False  # a running process is replacing the files, or has just finished
             _finish(target, folder, [])
             Temporary(folder, os.dup(descriptor)).remove()
         finally:
@@ -96,7 +97,7 @@ def _is_begun(folder: Path) -> bool:
 
 
 def _wait_for(descriptor: int) -> bool:
-    """Wait until no process works on the folder; without locks, return at once."""
+    """Wait until no other process holds the lock; if locks are not supported, return at once."""
     deadline = time.monotonic() + PATIENCE
     while lock(descriptor, wait=False) is False:
         if time.monotonic() > deadline:

@@ -8,7 +8,7 @@ from pathlib import Path
 __all__ = ["MODEL_FILES", "is_text_model", "missing_model_files", "models_below"]
 
 DEPTH = 3
-"""Levels below a folder to search for models: projects have them in dense/0/sparse/."""
+"""Depth of the search for models below a folder: projects store them in dense/0/sparse/."""
 MOST_FOLDERS = 1000
 """Largest number of folders to search for a hint."""
 
@@ -20,15 +20,16 @@ MODEL_FILES = frozenset(stem + suffix for stem in _REQUIRED + _OPTIONAL for suff
 
 
 def missing_model_files(folder: Path) -> tuple[str, ...]:
-    """Return the files that a folder lacks to be a COLMAP model; () if it is one, binary or text.
+    """Return the files that a folder lacks to be a COLMAP model; () if the model is complete.
 
-    The format with fewer missing files counts; on a tie the binary one, which COLMAP prefers.
+    The result is for the format, binary or text, with fewer missing files. On a tie it is for
+    binary, which COLMAP prefers.
     """
     return min((_missing(folder, suffix) for suffix in _SUFFIXES), key=len)
 
 
 def is_text_model(folder: Path) -> bool:
-    """Tell whether the folder holds a COLMAP model as text, and none in binary."""
+    """Return True if the folder holds a text COLMAP model but no binary one."""
     return bool(_missing(folder, ".bin")) and not _missing(folder, ".txt")
 
 
@@ -38,7 +39,7 @@ def _missing(folder: Path, suffix: str) -> tuple[str, ...]:
 
 
 def models_below(folder: Path) -> list[Path]:
-    """Return the models inside a folder, the nearest first.
+    """Return the model folders below a folder, the least nested first.
 
     Links are not followed. Hidden folders, such as leftovers of killed runs, are skipped.
     """

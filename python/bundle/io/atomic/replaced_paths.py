@@ -1,7 +1,7 @@
 """Record of the paths that were replaced, and warnings that a user should read.
 
-An error names the files that a command had written before. This module imports almost nothing: the
-command line needs it before it has parsed its arguments.
+If a command fails, its error lists the files that it had already written. This module imports
+almost nothing, because the command line needs it before it has parsed its arguments.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class NoteWarning(UserWarning):
 
 
 class RecoveryWarning(NoteWarning):
-    """Warning that a killed process had replaced a model in part, and that this was finished."""
+    """Warning that a model replacement, interrupted in an earlier process, was now completed."""
 
 
 _records: list[list[Path]] = []
@@ -26,7 +26,7 @@ _records: list[list[Path]] = []
 
 @contextmanager
 def recording() -> Iterator[list[Path]]:
-    """Yield a list that collects the paths that are replaced in the block."""
+    """Yield a list; every path that is replaced inside the block is added to it."""
     record: list[Path] = []
     _records.append(record)
     try:

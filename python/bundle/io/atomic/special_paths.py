@@ -1,7 +1,7 @@
 """Paths that renaming cannot replace: streams and mount points.
 
-Devices, pipes and descriptors of this process are written into. Renaming works neither across a
-mount point nor onto one.
+Output to devices, pipes and descriptors of this process is written directly. Renaming works neither
+across a mount point nor onto one.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ _TABLE = Path("/proc/self/mountinfo")
 
 
 def is_stream(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a path is a device, a pipe or a descriptor such as /dev/stdout.
+    """Return True if a path is a device, a pipe or a descriptor such as /dev/stdout.
 
-    A descriptor counts even if it was redirected to a file: replacing that file would lose other
-    output to it.
+    The result is True even for a descriptor that is redirected to a file: replacing this file would
+    lose other output in it.
     """
     if _DESCRIPTOR.fullmatch(os.path.abspath(path)):  # noqa: PTH100 (links are not followed)
         return True
@@ -32,7 +32,7 @@ def append(path: str | os.PathLike[str], text: str) -> None:
     """Append text to a stream.
 
     Raises:
-        OSError: the system refuses; it names the path.
+        OSError: a system call fails; the error names the path.
     """
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_APPEND)
@@ -43,11 +43,11 @@ def append(path: str | os.PathLike[str], text: str) -> None:
 
 
 def mount_points() -> frozenset[Path]:
-    """Return the mount points, bind mounts and mounted files included.
+    """Return the mount points, including bind mounts and mounted files.
 
-    Empty where the system does not list them.
+    Empty if the system does not list its mount points.
 
-    Format: proc_pid_mountinfo(5); the fifth column, with odd characters as octal escapes.
+    Format: fifth column of proc_pid_mountinfo(5), with special characters as octal escapes.
     """
     try:
         lines = _TABLE.read_bytes().splitlines()

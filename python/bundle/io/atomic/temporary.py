@@ -1,9 +1,9 @@
 """Temporary files and folders that are removed even after a crash.
 
-Each has the name ``.bundle-XXXXXXXXXXXX.tmp`` and stands beside its destination. Its process holds
-a lock on it (flock), which the kernel releases when the process ends in any way. A later run can
-therefore remove the leftovers of killed processes and leave the temporaries of running ones alone.
-On file systems without locks, leftovers stay.
+Each has the name ``.bundle-XXXXXXXXXXXX.tmp`` and is in the same folder as its destination. Its
+process holds a lock on it (flock). The kernel releases the lock when the process ends, also after a
+crash. A later run can therefore remove the temporaries of killed processes but not those of running
+processes. On file systems without locks, temporaries of killed processes stay.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ __all__ = [
     "temporary_folder",
 ]
 
-NEW = "new"  # inside a temporary folder: the model that is written, after an exchange the old one
-OLD = "old"  # inside a temporary folder: old files that were moved out of the way one by one
+NEW = "new"  # inside a temporary folder: the new model; after an exchange, the old model
+OLD = "old"  # inside a temporary folder: old files that were moved away one by one
 
 _NAME = re.compile(r"\.bundle-[0-9a-f]{12}\.tmp")
 
@@ -45,8 +45,8 @@ class Temporary:
     """A temporary file or folder and its lock.
 
     Attributes:
-        path: current path, also after a move of the folder.
-        keep: do not remove it: it holds files of the user that exist nowhere else.
+        path: current path; updated when the folder moves.
+        keep: if True, do not remove it, because it holds the only copies of some user files.
     """
 
     def __init__(self, path: Path, descriptor: int) -> None:
@@ -55,7 +55,7 @@ class Temporary:
         self.descriptor = descriptor
 
     def move_into(self, folder: Path) -> None:
-        """Rename it into another folder of the same file system."""
+        """Move the temporary into another folder of the same file system by renaming."""
         moved = folder / self.path.name
         self.path.rename(moved)
         self.path = moved
@@ -71,7 +71,7 @@ class Temporary:
 
 
 def is_temporary(name: str) -> bool:
-    """Tell whether a name is that of a temporary of this package."""
+    """Return True if a name has the form of this package's temporary files."""
     return _NAME.fullmatch(name) is not None
 
 
@@ -120,7 +120,10 @@ def _made(folder: Path, make: Callable[[Path], None], flags: int) -> Iterator[Te
 
 
 def lock(descriptor: int, *, wait: bool = True) -> bool | None:
-    """Lock an open file or folder. Return False if another process holds it, None without locks."""
+    """Lock an open file or folder.
+
+    Return False if another process holds the lock, None if the file system has no locks.
+    """
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except OSError as error:
@@ -144,7 +147,7 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def is_same(path: Path, descriptor: int) -> bool:
-    """Tell whether an open file is still the one at this path."""
+    """Return True if this path still leads to the open file."""
     try:
         return os.path.samestat(path.lstat(), os.fstat(descriptor))
     except OSError:
@@ -152,12 +155,12 @@ def is_same(path: Path, descriptor: int) -> bool:
 
 
 def holds_only_copies(path: Path) -> bool:
-    """Tell whether all files of a temporary folder are unfinished or replaced, or links to others.
+    """Return True if a temporary folder can be removed without loss of user data.
 
-    Model files in ``new`` were never finished, or have been replaced. Other files there are further
-    links to files in place. Anything else must stay: ``old`` and the phases of an unfinished
-    replacement (see ``bundle.io.atomic.in_place``), and files that another program wrote into a
-    folder while it was exchanged.
+    Model files in ``new`` are either unfinished or replaced, so they may go. Other files in ``new``
+    may go if they are hard links to files that also exist elsewhere. All else must stay: ``old``,
+    the folders of an unfinished replacement (see ``bundle.io.atomic.in_place``), and files that
+    another program wrote into a folder while it was exchanged.
     """
     if not stat.S_ISDIR(path.lstat().st_mode):
         return False
@@ -174,7 +177,7 @@ def holds_only_copies(path: Path) -> bool:
 
 
 def _remove(path: Path) -> None:
-    """Remove a file or folder; if that fails, it is left to the next run."""
+    """Remove a file or folder; on failure, the next run tries again."""
     with contextlib.suppress(OSError):
         if not stat.S_ISDIR(path.lstat().st_mode):
             path.unlink()

@@ -1,1 +1,1 @@
-"""Folders of visual-inertial sequences, trajectories, tracks."""
+"""Readers and writers of visual-inertial sequences, trajectories and tracks."""

@@ -1,7 +1,7 @@
-"""CSV tables of integers (nanoseconds) and numbers, read with the line of each row, and written.
+"""Reading and writing of CSV tables of integers (nanoseconds) and floating-point numbers.
 
-Time stamps have 19 digits, more than a double holds, and are parsed as integers. Numbers are
-written with enough digits to read back unchanged.
+The reader records the line of each row. Time stamps have 19 digits, more than a double holds, and
+are therefore parsed as integers. Numbers are written with enough digits to read back unchanged.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class CsvTable:
     Attributes:
         whole: (n, number of integer columns) int64.
         numbers: (n, number of other columns).
-        lines: (n,) lines of the file, from 1.
-        name: of the file, for messages.
+        lines: (n,) line number of each row in the file, from 1.
+        name: name of the file, for messages.
     """
 
     whole: NDArray[np.int64]
@@ -54,15 +54,15 @@ def read_csv(
     """Read integer columns, then numbers; skip empty lines, comments and a header.
 
     Args:
-        path: of the file.
+        path: path of the file.
         whole: names of the integer columns, for messages.
-        numbers: names of the columns after them.
-        delimiter: between columns; None for blanks.
-        extra: further columns are allowed, and ignored.
+        numbers: names of the other columns, which follow the integer columns.
+        delimiter: delimiter between columns; None for white space.
+        extra: allow further columns and ignore them.
 
     Raises:
-        InputError: a line has too few or too many columns, or a word where a number is expected;
-            it names file, line and column.
+        InputError: a line has too few or too many columns, or a word instead of a number; the error
+            names file, line and column.
         OSError: the file cannot be read.
     """
     name = shown(path)
@@ -96,7 +96,7 @@ def read_csv(
 
 
 def csv_lines(head: str, *columns: Any) -> str:
-    """Return the text of a file: a header, then a row per entry of the 1-D columns."""
+    """Return the text of a file: a header, then one row for each entry of the 1-D columns."""
     cells = [[repr(value) for value in np.asarray(column).tolist()] for column in columns]
     rows: Iterable[str] = (",".join(row) for row in zip(*cells, strict=True))
     return "\n".join([head, *rows, ""])

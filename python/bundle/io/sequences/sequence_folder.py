@@ -51,11 +51,11 @@ TRACKS_HEAD = "timestamp_ns,track_id,x,y"
 
 
 def load_sequence(path: str | os.PathLike[str]) -> Sequence:
-    """Read a sequence folder, or the CSV file of GTSAM's examples; refuse one with fatal gaps.
+    """Read a sequence folder, or the CSV file of GTSAM's examples; raise an error on fatal gaps.
 
     Raises:
-        InputError: the content violates the formats, or images fall into a gap of the IMU; one line
-            with file, line, expected and found.
+        InputError: the content violates the formats, or images fall into a gap of the IMU data; one
+            line with file, line, expected and actual value.
         OSError: a file cannot be read.
     """
     sequence, findings = read_sequence(path)
@@ -64,7 +64,7 @@ def load_sequence(path: str | os.PathLike[str]) -> Sequence:
 
 
 def refuse_fatal(findings: Iterable[SequenceFinding]) -> None:
-    """Refuse a sequence on which odometry would fail.
+    """Raise an error for a sequence on which odometry would fail.
 
     Raises:
         InputError: a finding is fatal.
@@ -77,10 +77,10 @@ def refuse_fatal(findings: Iterable[SequenceFinding]) -> None:
 def read_sequence(
     path: str | os.PathLike[str],
 ) -> tuple[Sequence, tuple[SequenceFinding, ...]]:
-    """Read a sequence folder, or the CSV file of GTSAM's examples; return findings as well.
+    """Read a sequence folder, or the CSV file of GTSAM's examples; return its findings too.
 
     Raises:
-        InputError: as :func:`load_sequence`, gaps aside.
+        InputError: as for :func:`load_sequence`, but not for gaps.
         OSError: a file cannot be read.
     """
     folder = as_path(path)
@@ -119,7 +119,7 @@ def save_sequence(sequence: Sequence, path: str | os.PathLike[str]) -> None:
 
     Raises:
         InputError: the path is a file, or its parent folder does not exist.
-        OSError: the system refuses.
+        OSError: a system call fails.
     """
     folder = as_path(path)
     check_sequence_target(path)
@@ -140,8 +140,8 @@ def check_sequence_target(path: str | os.PathLike[str]) -> None:
     """Raise the error that :func:`save_sequence` would raise.
 
     Raises:
-        InputError: the path is a file or a folder with other content, its name is that of a file,
-            or its parent does not exist.
+        InputError: the path is a file or a folder with other content, it has the suffix of a file,
+            or its parent folder does not exist.
     """
     folder = Path(os.path.realpath(as_path(path)))
     if not folder.exists():
@@ -162,12 +162,12 @@ def check_sequence_target(path: str | os.PathLike[str]) -> None:
 
 
 def _by_time(tracks: CsvTable) -> CsvTable:
-    """Sort observations by time, then id, if they are sorted by time or by track."""
+    """Sort observations by time, then id, if the file is sorted by time or by track."""
     stamps, ids = tracks.whole[:, 0], tracks.whole[:, 1]
     later, same = np.diff(stamps), np.diff(ids) == 0
     by_time = bool((later >= 0).all())
     by_track = bool((np.diff(ids) >= 0).all() and (later[same] >= 0).all())
     if not by_time and not by_track:
-        return tracks  # check_tracks names the row where time decreases
+        return tracks  # check_tracks reports the row where time decreases
     order = np.lexsort((ids, stamps))
     return CsvTable(tracks.whole[order], tracks.numbers[order], tracks.lines[order], tracks.name)

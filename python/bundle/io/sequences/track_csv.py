@@ -1,12 +1,12 @@
-"""CSV files of GTSAM's examples with EuRoC's flights: samples and tracks, row by row.
+"""CSV files of GTSAM's examples with the EuRoC flights: IMU samples and tracks, one per row.
 
 Every row begins with its type: ``meta`` (key and value), ``imu`` (time in seconds, rates, specific
 forces), ``vision_feature`` (time, frame, track, normalised coordinates).
 
-The pose T_ci of its meta rows is that of the camera in the IMU's frame (imu_from_camera): with it,
-and not with its inverse, EuRoC's ground truth reproduces the tracks to a pixel. Its noise values
-are those of a tuned filter; for EuRoC (``source_mode`` asl) they are replaced by the data sheet of
-the ADIS16448, as in EuRoC's ``sensor.yaml``.
+The pose T_ci in the meta rows is the pose of the camera in the IMU's frame (imu_from_camera). With
+it, EuRoC's ground truth reproduces the tracks to a pixel; with its inverse it does not. The noise
+values of the file come from a tuned filter. For EuRoC (``source_mode`` asl) they are replaced by
+those in the data sheet of the ADIS16448, as in EuRoC's ``sensor.yaml``.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def read_track_csv(path: str | os.PathLike[str]) -> Sequence:
     """Read the file as a sequence.
 
     Raises:
-        InputError: a column or a value of the calibration is missing or no number; one line with
+        InputError: a column or a calibration value is missing or is not a number; one line with
             file and line.
         OSError: the file cannot be read.
     """

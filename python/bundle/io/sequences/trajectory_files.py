@@ -1,8 +1,8 @@
-"""Trajectory files: TUM's, and EuRoC's ground truth with velocities and biases.
+"""Trajectory files: the TUM format, and EuRoC's ground truth with velocities and biases.
 
 A TUM line is ``timestamp tx ty tz qx qy qz qw`` with the stamp in seconds. An EuRoC line is the
 stamp in nanoseconds, position, quaternion **qw first**, velocity, gyroscope and accelerometer bias.
-Both are the IMU's pose in the world.
+In both, the pose is the IMU's pose in the world.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Trajectory:
     Attributes:
         timestamps_ns: (n,) int64, ascending.
         states: (n, 16) rows qx qy qz qw px py pz vx vy vz bgx bgy bgz bax bay baz, world_from_imu;
-            nan where a file has no velocities and biases.
+            nan if the file has no velocities and biases.
     """
 
     timestamps_ns: NDArray[np.int64]
@@ -63,10 +63,10 @@ class Trajectory:
 
 
 def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
-    """Read either format: lines with commas are EuRoC's, others TUM's.
+    """Read a trajectory: lines with commas have EuRoC's format, other lines TUM's.
 
     Raises:
-        InputError: a line has neither format; one line with file, line, expected and found.
+        InputError: a line has neither format; one line with file, line, expected and actual value.
         OSError: the file cannot be read.
     """
     for _, line in numbered_lines(as_path(path)):
@@ -79,8 +79,8 @@ def load_ground_truth(path: str | os.PathLike[str]) -> Trajectory:
     """Read EuRoC's ground truth; velocities and biases are nan in a file with poses only.
 
     Raises:
-        InputError: a line has too few columns, a word in place of a number, or no quaternion, or
-            time does not increase.
+        InputError: a line has too few columns, a word instead of a number, or an invalid
+            quaternion, or time does not increase.
         OSError: the file cannot be read.
     """
     path = as_path(path)
@@ -97,8 +97,8 @@ def load_tum(path: str | os.PathLike[str]) -> Trajectory:
     """Read a TUM trajectory; stamps keep their nanoseconds.
 
     Raises:
-        InputError: a line has too few columns, a word in place of a number, or no quaternion, a
-            stamp is not finite or in another unit, or time does not increase.
+        InputError: a line has too few columns, a word instead of a number, or an invalid
+            quaternion, a stamp is not finite or in another unit, or time does not increase.
         OSError: the file cannot be read.
     """
     names = ["timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
@@ -120,12 +120,12 @@ def save_tum(path: str | os.PathLike[str], timestamps_ns: ArrayLike, states: Arr
     """Write a TUM trajectory: stamps in seconds with nine decimals; numbers read back unchanged.
 
     Args:
-        path: of the file.
-        timestamps_ns: (n,).
+        path: path of the file.
+        timestamps_ns: (n,) time stamps in nanoseconds.
         states: (n, 7) or more columns: qx qy qz qw px py pz, world_from_imu.
 
     Raises:
-        OSError: the system refuses.
+        OSError: a system call fails.
     """
     rows = np.asarray(states, np.float64)[:, [4, 5, 6, 0, 1, 2, 3]].tolist()
     stamps = np.asarray(timestamps_ns, np.int64).tolist()
@@ -140,10 +140,10 @@ def save_tum(path: str | os.PathLike[str], timestamps_ns: ArrayLike, states: Arr
 def save_ground_truth(
     path: str | os.PathLike[str], timestamps_ns: ArrayLike, states: ArrayLike
 ) -> None:
-    """Write states (n, 16) as EuRoC's ground truth.
+    """Write states, (n, 16), in the format of EuRoC's ground truth.
 
     Raises:
-        OSError: the system refuses.
+        OSError: a system call fails.
     """
     columns = np.asarray(states, np.float64)[:, _FROM_EUROC].T
     text = csv_lines(_GROUND_TRUTH_HEAD, np.asarray(timestamps_ns, np.int64), *columns)
