@@ -14,11 +14,10 @@
 /// = t_i - U^-1 S t_i, at one product with S each. Ceres stops it by number alone inside conjugate
 /// gradients, so that M stays the same from one to the next.
 
-#include <Eigen/Cholesky>
-#include <Eigen/Core>
 #include <algorithm>
 #include <cstddef>
 #include <memory>
+#include <stdexcept>
 #include <vector>
 
 #include "core/linear/coarse_space.h"
@@ -138,9 +137,14 @@ std::unique_ptr<Preconditioner> MakePreconditioner(PreconditionerType preconditi
       return std::make_unique<PowerSeries>(structure, product);
     case PreconditionerType::kTwoLevel:
       return MakeTwoLevelPreconditioner(structure, num_threads);
-    default:
+    case PreconditionerType::kSchurJacobi:
       return std::make_unique<SchurJacobi>(structure);
+    case PreconditionerType::kAuto:  // resolved before
+    case PreconditionerType::kClusterJacobi:
+    case PreconditionerType::kClusterTridiagonal:  // Ceres' alone
+      break;
   }
+  throw std::logic_error("no such preconditioner of the fused backend");
 }
 
 BlockDiagonalInverse::BlockDiagonalInverse(const BlockStructure& structure)

@@ -49,8 +49,19 @@ bool IsSupported(LinearSolverType type) {
 }
 
 bool IsSupported(PreconditionerType type) {
-  return type != PreconditionerType::kClusterJacobi &&
-         type != PreconditionerType::kClusterTridiagonal;
+  switch (type) {
+    case PreconditionerType::kAuto:
+    case PreconditionerType::kIdentity:
+    case PreconditionerType::kJacobi:
+    case PreconditionerType::kSchurJacobi:
+    case PreconditionerType::kSchurPowerSeriesExpansion:
+    case PreconditionerType::kTwoLevel:
+      return true;
+    case PreconditionerType::kClusterJacobi:
+    case PreconditionerType::kClusterTridiagonal:
+      break;
+  }
+  return false;
 }
 
 /// A preconditioner that no one reads is no obstacle.

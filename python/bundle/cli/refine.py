@@ -35,7 +35,7 @@ from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
 from bundle.interface.loop_options import LoopOptions
 from bundle.interface.options import SolveOptions
-from bundle.interface.round_options import RoundOptions
+from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
 from bundle.io.open import check_target, load, output_format, save
 from bundle.reports.terminal.refine import refinement
 from bundle.reports.terminal.timing import WallTime
@@ -55,16 +55,6 @@ if TYPE_CHECKING:
 __all__ = ["run"]
 
 STAYED = "Refined again without positions, from where they had placed it."
-
-FLAGS = {
-    **GEOREFERENCE_FLAGS,
-    "only_images": "--only-images",
-    "rest": "--rest",
-    "checkpoint": "--checkpoint",
-    "checkpoint_interval": "--checkpoint-interval",
-    "resume": "--resume",
-}
-"""Flags of the arguments of :func:`bundle.solve_rounds` that are no options of the solve."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,9 +181,9 @@ def _solve(
 ) -> Result:
     """Refine the problem under its priors, rules and loops, in rounds if these were asked for."""
     progress.stage("building the problem")
-    flags = {**FLAGS, "priors": main_flag(asked.georeference)}
+    flags = {**GEOREFERENCE_FLAGS, "priors": main_flag(asked.georeference)}
     known, checkpoints = opened.known, asked.checkpoints.asdict()
-    with naming_flags(SolveOptions, RoundOptions, **flags):
+    with naming_flags(SolveOptions, RoundOptions, LocalOptions, CheckpointOptions, **flags):
         if opened.sliced is not None:
             return opened.sliced.solve(opened.options, progress.iteration, **checkpoints)
         plan = RunPlan(rounds=asked.rounds, **checkpoints)

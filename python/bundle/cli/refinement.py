@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Refinement"]
 
+_OF_PLAIN = {"source", "target", "format", "overwrite", "json", "checkpoints"}
+_OF_PLAIN |= {"options", "fixed_images", "constraints"}  # constraints: parsed rules
+"""Fields that a refinement in slices serves, too; any other makes it more than plain."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Refinement:
@@ -119,9 +123,8 @@ class Refinement:
     @property
     def is_plain(self) -> bool:
         """True for a single solve of the whole unchanged INPUT, and nothing more."""
-        changed = (self.rounds, self.georeference, self.loops, self.lenses, self.local, self.rules)
-        beside = (self.rig_config, self.page, self.check_gradients)
-        return not any(options.changed() for options in changed) and not any(beside)
+        values = (getattr(self, name) for name in set(self.__dataclass_fields__) - _OF_PLAIN)
+        return not any(v.changed() if hasattr(v, "changed") else v for v in values)
 
     def options_beside(self) -> dict[str, Any]:
         """Return, for the report, the options that were given beside those of the solve."""
