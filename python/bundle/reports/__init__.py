@@ -1,1 +1,1 @@
-"""Results shown: terminal, JSON, HTML pages."""
+"""Output of results: terminal tables, JSON, HTML pages."""

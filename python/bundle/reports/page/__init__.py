@@ -1,6 +1,6 @@
-"""Pages on a reconstruction, an inspection, a comparison or an odometry: one HTML file each.
+"""HTML pages about a reconstruction, an inspection, a comparison or an odometry, one file each.
 
-Nothing else is needed to read them, no network either.
+A browser shows a page without any other file and without network access.
 """
 
 from bundle.reports.page.comparison_page import write_comparison

@@ -1,4 +1,4 @@
-"""Bars as markup: names, bars and what is written behind them."""
+"""Bar charts as markup: a name, a bar and a value per row."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ COLOURS = 10
 
 
 def bars(mark: Bars) -> str:
-    """Return horizontal bars on a log scale; NaN and 0 have none, impossible ones are hatched.
+    """Return horizontal bars on a log scale; NaN and 0 get no bar, impossible bars are hatched.
 
-    Bars beyond the first ``most`` are folded away, on the same scale; a single one is not.
+    If two or more bars follow the first ``most``, they are folded away, on the same scale.
     """
     values = mark.values
     if mark.is_ordered:
         values = {name: value for name, value in values.items() if value}
     scale = logarithmic([value / 3 for value in values.values()] + [*values.values()])
-    longest = 46.0 if mark.impossible else 66.0  # leaves room for what is written behind
+    longest = 46.0 if mark.impossible else 66.0  # leaves room for the text to the right
     rows: list[str] = []
     for name, value in values.items():
         there = math.isfinite(value) and value > 0
@@ -45,7 +45,7 @@ def bars(mark: Bars) -> str:
 
 
 def stacked_bars(mark: StackedBars) -> str:
-    """Return horizontal bars of parts that add up, and their legend; "rest" is grey."""
+    """Return horizontal stacked bars and their legend; the part named "rest" is grey."""
     totals = {name: sum(parts.values()) for name, parts in mark.rows.items()}
     longest = max(totals.values(), default=1.0) or 1.0
     phases: Sequence[str] = list(next(iter(mark.rows.values()), {}))

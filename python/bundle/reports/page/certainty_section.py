@@ -23,11 +23,11 @@ __all__ = ["certainty_section", "scene_ellipsoids"]
 
 MOST_ELLIPSOIDS = 400
 LARGE = 0.02
-"""Median half axis of the ellipsoids as they are drawn, in units of the view."""
+"""Median half axis of the drawn ellipsoids, in units of the view."""
 
 
 def certainty_section(problem: Problem, known: Certainty, cameras: Sequence[int]) -> str:
-    """Return sigmas of poses and points, and the correlation matrix of each of some cameras."""
+    """Return the sigmas of poses and points, and the correlation matrices of some cameras."""
     scaled = "times" if known.scale == "sigma0" else "not times"
     words = (
         f"Marginal standard deviations, {scaled} sigma0 = {number(known.sigma0)} "
@@ -59,7 +59,7 @@ def certainty_section(problem: Problem, known: Certainty, cameras: Sequence[int]
 
 
 def scene_ellipsoids(view: SceneView, known: Certainty) -> tuple[dict[str, Any], str]:
-    """Return the ellipsoids of a view, one standard deviation, and the words about them."""
+    """Return the one-sigma ellipsoids of a view and a sentence about their scale."""
     data, words = {}, []
     for name, drawn, positions, indices, covariance in (
         ("point", view.point_indices, view.points, known.points, known.point_covariance),
@@ -77,12 +77,12 @@ def scene_ellipsoids(view: SceneView, known: Certainty) -> tuple[dict[str, Any],
 def ellipsoid_data(
     positions: NDArray[np.float64], covariance: NDArray[np.float64], unit: float
 ) -> tuple[dict[str, Any] | None, float]:
-    """Return ellipsoids for the view, and how many times too large they are drawn.
+    """Return ellipsoids for the view, and the factor by which their drawing is enlarged.
 
     Args:
-        positions: (n, 3) in the frame of the view; of more than 400 every k-th is taken.
-        covariance: (n, 3, 3) in the world's unit, squared.
-        unit: of the view, in the world's.
+        positions: (n, 3) in the frame of the view; of more than 400, every k-th is drawn.
+        covariance: (n, 3, 3) in squared units of the world.
+        unit: unit of the view, in units of the world.
     """
     good = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)))
     good = good[:: max(-(-len(good) // MOST_ELLIPSOIDS), 1)]
@@ -94,7 +94,7 @@ def ellipsoid_data(
     factor = 1.0
     if typical > 0:
         factor = round_down(LARGE / typical, 1e-3)
-    # Rows are the half axes; one without length would leave no volume to draw.
+    # Rows are the half axes; an axis of length zero would leave no volume to draw.
     half_axes = np.swapaxes(vectors * np.maximum(factor * halves, 1e-6)[:, None, :], 1, 2)
     # A mirrored sphere is a sphere, but its faces would point inwards.
     half_axes[np.linalg.det(half_axes) < 0, 0] *= -1
@@ -104,7 +104,7 @@ def ellipsoid_data(
 
 
 def _row(name: str, values: NDArray[np.float64]) -> list[str]:
-    known = values[np.isfinite(values) & (values > 0)]  # what is held has none
+    known = values[np.isfinite(values) & (values > 0)]  # constant parameters have no sigma
     if len(known) == 0:
         return []
     shares = np.quantile(known, [0.5, 0.95, 1.0])
@@ -131,7 +131,7 @@ def _correlations(problem: Problem, known: Certainty, index: int) -> str:
 
 
 def _shade(value: float, *, is_diagonal: bool) -> str:
-    """Return the colour of a correlation: the stronger, the fuller; readable in both themes."""
+    """Return the colour of a correlation: stronger ones are more opaque, in both themes."""
     if is_diagonal:
         return ""
     share = round(45 * min(abs(value), 1.0))

@@ -1,4 +1,4 @@
-"""The page of a comparison: recommendation, runs, and their time by phase."""
+"""Page of a comparison: recommendation, runs, and their time by phase."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ __all__ = ["write_comparison"]
 
 
 def write_comparison(comparison: Comparison, path: str | os.PathLike[str]) -> None:
-    """Write a comparison as one HTML file that needs nothing else.
+    """Write a comparison as one self-contained HTML file.
 
     Raises:
-        InputError: the path is a folder, or its parent is none.
+        InputError: the path is a folder, or its parent is not a folder.
         OSError: the file cannot be written.
     """
     check_type("comparison", comparison, Comparison)
@@ -92,7 +92,7 @@ def _problem(comparison: Comparison, problem: int) -> str:
 
 
 def _is_empty(figure: Figure) -> bool:
-    """Tell whether nothing was measured that a figure could show."""
+    """Tell whether a figure has no measured values."""
     return not any(mark.rows if isinstance(mark, StackedBars) else True for mark in figure.marks)
 
 

@@ -1,8 +1,9 @@
-"""Contours of numbers over the cells of an image plane, by marching squares.
+"""Contours of values over the cells of an image plane, by marching squares.
 
-Values stand in the middles of cells. A square of four middles has its corners above or below a
-level; the contour goes from side to side, to where the level is by linear interpolation. Where
-opposite corners are above (a saddle), the mean of the four says which of them are joined.
+Each value belongs to the middle of a cell. The middles of four neighbouring cells form a square;
+each corner is above or below the level. The contour joins sides of the square, at the positions
+where linear interpolation gives the level. If opposite corners are above (a saddle), the mean of
+the four values decides which sides are joined.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ CORNERS = np.array([(0.5, 0.5), (1.5, 0.5), (1.5, 1.5), (0.5, 1.5)])
 """Middles of the four cells of the first square, clockwise from top left."""
 
 TURN = 2.4
-"""Radians from the label of a contour to that of the next, about the golden angle."""
+"""Angle in radians between the labels of successive contours, about the golden angle."""
 
 # Sides are 0 top, 1 right, 2 bottom, 3 left; corners count 1, 2, 4, 8 clockwise from top left.
 _SIDES: dict[int, tuple[tuple[int, int], ...]] = {
@@ -37,9 +38,9 @@ _SADDLES = {
 
 
 def contour(values: Array, level: float) -> Array:
-    """Return (n, 2, 2) segments, ends as (x, y) in cells; the middle of the first is (0.5, 0.5).
+    """Return (n, 2, 2) segments, ends as (x, y) in cells; the first cell's middle is (0.5, 0.5).
 
-    Squares with a value that is not finite have none.
+    Squares with a value that is not finite have no segments.
     """
     corners = np.stack([values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]])
     known = np.isfinite(corners).all(axis=0)
@@ -62,12 +63,12 @@ def contour(values: Array, level: float) -> Array:
 
 
 def contours(values: Array, levels: Sequence[float], cell: tuple[float, float], pad: float) -> str:
-    """Return contours with their levels written on them.
+    """Return contours with labels of their levels.
 
     Args:
         values: (rows, columns) in the middles of cells.
-        levels: to draw.
-        cell: width and height of a cell as drawn.
+        levels: levels to draw.
+        cell: width and height of a cell in the drawing.
         pad: margin to the left of the first cell and above it.
     """
     rows, columns = values.shape
@@ -80,7 +81,7 @@ def contours(values: Array, levels: Sequence[float], cell: tuple[float, float], 
         ends = pad + segments * cell
         path = "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in ends)
         lines.append(tag("path", d=path, data_level=f"{level:g}"))
-        # Labels stand around the middle, so that those of neighbours do not meet.
+        # Spread the labels around the middle, so that labels of neighbours do not overlap.
         towards = np.array([np.cos(TURN * index), np.sin(TURN * index)])
         offset = segments.mean(axis=1) - middle
         along = offset @ towards / np.maximum(np.linalg.norm(offset, axis=1), 1e-9)

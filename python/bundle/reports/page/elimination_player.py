@@ -1,4 +1,4 @@
-"""The elimination of a small graph, to be stepped through with a slider."""
+"""Elimination of a small graph, step by step with a slider."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MOST_VARIABLES", "elimination_data", "elimination_section", "order_name"]
 
-# More circles than this are a blot on the page.
+# A larger graph would be unreadable on the page.
 MOST_VARIABLES = 120
 LARGEST_LABELLED = 60
 LONGEST_LABEL = 4
@@ -26,11 +26,10 @@ SIDE = 400
 
 
 def elimination_section(graphs: Sequence[GraphInspection]) -> str:
-    """Return the slider, the graph, the matrix and the bill; what fills them is the page's data.
+    """Return the slider, the graph, the matrix and the cost; the page's data fill them.
 
     Args:
-        graphs: the same graph under each order that can be chosen, none of them larger than
-            MOST_VARIABLES.
+        graphs: the same graph under each available order, with at most MOST_VARIABLES variables.
     """
     steps = [
         tag("h3", f"Order {escape(order_name(graph))}, every step") + _steps(graph)
@@ -52,7 +51,7 @@ def elimination_section(graphs: Sequence[GraphInspection]) -> str:
 
 
 def elimination_data(graphs: Sequence[GraphInspection]) -> dict[str, Any]:
-    """Return what the script draws from."""
+    """Return the data that the script draws."""
     first = graphs[0]
     count = first.num_variables
     radius = float(np.clip(70.0 / np.sqrt(max(count, 1)), 4.0, 17.0))
@@ -71,7 +70,7 @@ def elimination_data(graphs: Sequence[GraphInspection]) -> dict[str, Any]:
 
 
 def order_name(graph: GraphInspection) -> str:
-    """Return the name of a graph's order in words."""
+    """Return the words for a graph's elimination order."""
     return graph.ordering.replace("_", " ")
 
 
@@ -96,7 +95,7 @@ def _run(graph: GraphInspection) -> dict[str, Any]:
 
 
 def _labels(names: Sequence[str]) -> list[str]:
-    """Return what stands in each circle: short names, else numbers, else nothing."""
+    """Return the text of each circle: short names, else numbers, else nothing."""
     if len(names) > LARGEST_LABELLED:
         return [""] * len(names)
     if all(len(name) <= LONGEST_LABEL for name in names):

@@ -1,4 +1,4 @@
-"""The page of a graph: cost and steps of each order of elimination."""
+"""Page of a graph: cost and steps of each elimination order."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = ["write_graph"]
 
 
 def write_graph(graphs: Sequence[GraphInspection], path: str | os.PathLike[str]) -> None:
-    """Write the page of a graph under one order or several."""
+    """Write the page of a graph under one or several elimination orders."""
     first = graphs[0]
     best = min(range(len(graphs)), key=lambda index: graphs[index].flops)
     size = f"{first.num_variables:,} variables, {len(first.edges):,} edges"

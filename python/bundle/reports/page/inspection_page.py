@@ -1,4 +1,4 @@
-"""The page of a problem: predicted cost of each method, and the reasons."""
+"""Page of a problem: predicted cost of each method, with reasons."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ __all__ = ["write_inspection"]
 
 STEPPED = ("natural", "minimum_degree")
 MOST_EDGES = 1500
-# Methods that are shown; the rest is folded away.
+# Number of methods that are shown; the other methods are folded away.
 ROWS_SHOWN = 5
 
 
@@ -58,22 +58,22 @@ def write_inspection(
     ranks: Sequence[RankPrediction] = (),
     network: tuple[float, float] = NETWORK,
 ) -> None:
-    """Write an inspection as one HTML file that needs nothing else.
+    """Write an inspection as one self-contained HTML file.
 
     Args:
-        inspection: of a problem, or of a graph. One graph that is small enough to be stepped
-            through is compared to itself in natural order and by minimum degree; several are the
-            same graph under the orders to compare.
-        path: of the file, which appears whole or not at all.
-        problem: the one inspected, whose matrices and co-visibility are drawn; a page without it
-            has tables and bars alone. Nothing for a graph.
-        options: with which it was inspected: they decide what is refined.
-        name: of the problem, for the title of its page.
-        ranks: of ``predict_ranks``: what several processes would cost; nothing for a graph.
-        network: that these are for, gigabits per second and microseconds of latency.
+        inspection: inspection of a problem or of a graph. A single small graph is compared with
+            itself in natural order and under minimum degree. Several graphs must be the same
+            graph under the orders to compare.
+        path: path of the file. A failed write leaves no partial file.
+        problem: the inspected problem; its matrices and co-visibility graph are drawn. Without
+            it, the page has only tables and bars. None for a graph.
+        options: options of the inspection; they decide which parameters are refined.
+        name: name of the problem, for the title.
+        ranks: predictions of ``predict_ranks`` for several processes; empty for a graph.
+        network: network of these predictions: gigabits per second, latency in microseconds.
 
     Raises:
-        InputError: the path is a folder, or its parent is none.
+        InputError: the path is a folder, or its parent is not a folder.
         OSError: the file cannot be written.
     """
     path = as_path(path)
@@ -97,7 +97,7 @@ def write_inspection(
 
 
 def _with_rivals(graph: GraphInspection) -> list[GraphInspection]:
-    """Return a graph under its own order first, then under others for comparison."""
+    """Return a graph under its own order first, then under other orders for comparison."""
     if graph.num_variables > MOST_VARIABLES:
         return [graph]
     rivals = [
@@ -165,7 +165,7 @@ def _write_problem(
 
 
 def _ranked(inspection: Inspection) -> list[MethodInspection]:
-    """Return the methods that can be asked for and fit, then the others; the fastest first."""
+    """Return the selectable methods that fit into memory, then the others; fastest first."""
     methods = inspection.methods
     best = inspection.recommended
 
@@ -187,7 +187,7 @@ def _headline(inspection: Inspection) -> str:
 
 
 def _recommendation(inspection: Inspection, options: SolveOptions, name: str) -> str:
-    """Return the command line that does it, and why."""
+    """Return the recommended command line with its reason."""
     command = recommended_command(inspection, options, name or "INPUT")
     lines = [tag("pre", tag("code", escape(command)))] if command else []
     return tag("div", *lines, tag("p", escape(inspection.recommendation)), class_="recommended")
@@ -239,7 +239,7 @@ def _methods(inspection: Inspection, methods: Sequence[MethodInspection]) -> str
 
 
 def _factors(methods: Sequence[MethodInspection]) -> str:
-    """Return a row for each factor, of any backend."""
+    """Return one row per factor, for all backends."""
     head = [
         "factor L", "nonzeros of S", "nonzeros of L", "fill edges", "flops", "CHOLMOD's flops",
         "tree height",
@@ -288,7 +288,7 @@ def _costs(methods: Sequence[MethodInspection]) -> str:
 
 
 def _matrices(problem: Problem, options: SolveOptions) -> list[str]:
-    """Return the sections of S and L under each order, and of the arrowhead."""
+    """Return the sections on S and L under each order, and on the arrowhead matrix."""
     reduced = reduced_pattern(problem, options)
     arrowhead = information_pattern(problem, options)
     words = (

@@ -1,4 +1,4 @@
-"""Lenses: distortion along the radius, and the parameters."""
+"""Lens section: distortion along the radius, and the parameters."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ __all__ = ["lens_section", "parameter_table"]
 def lens_section(
     curves: Sequence[LensCurve], before: Mapping[int, LensCurve], num_cameras: int
 ) -> str:
-    """Return a figure for each curve.
+    """Return one figure per curve.
 
     Args:
-        curves: now.
-        before: those of the input, by camera id; where one is the same, it is not drawn.
-        num_cameras: observed, of which these have most observations.
+        curves: current curves.
+        before: curves of the input by camera id; drawn only where they differ.
+        num_cameras: number of observed cameras; the curves are of those with most observations.
     """
     words = (
         "Distortion moves the image of a ray outwards by this much (mean around the axis). Dashed "
@@ -48,13 +48,13 @@ def parameter_table(
     cameras: Sequence[int],
     sigmas: Mapping[int, NDArray[np.float64]] | None = None,
 ) -> str:
-    """Return the parameters of some cameras, given by index, one a row.
+    """Return the parameters of some cameras, one camera per row.
 
     Args:
-        problem: whose cameras they are.
-        initial: the same before a solve; None for none.
-        cameras: indices.
-        sigmas: standard deviations by index, nan where held; None where unknown.
+        problem: problem with the cameras.
+        initial: the problem before a solve; None without a solve.
+        cameras: indices of the cameras.
+        sigmas: standard deviations by index, NaN for constant parameters; None if unknown.
     """
     head = ["camera", "model", "parameter", *(["before"] if initial else []), "value"]
     head += ["sigma"] if sigmas is not None else []

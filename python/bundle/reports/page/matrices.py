@@ -17,21 +17,21 @@ from bundle.reports.page.pictures import data_uri
 __all__ = ["covisibility", "matrix", "orderings"]
 
 PIXELS = 400
-# Edges of about the same weight are one path: this many, of growing strength.
+# Edges of about the same weight are one path; this many paths, of increasing opacity.
 STRENGTHS = 6
 SIDE = 480
 NARROWEST = 120
 
 
 def matrix(pattern: MatrixPattern, name: str) -> str:
-    """Return a symmetric matrix, both triangles."""
+    """Return the drawing of a symmetric matrix with both triangles."""
     return _figure(matrix_density(pattern, pixels=PIXELS), name, "both triangles and the diagonal")
 
 
 def orderings(
     pattern: MatrixPattern, orders: Mapping[str, ArrayLike | None], name: str = "S"
 ) -> str:
-    """Return a matrix and its factor under each order, fill in orange."""
+    """Return the drawings of a matrix and of its factor under each order, fill-in in orange."""
     figures = []
     for label, order in orders.items():
         ordered = pattern.permuted(order)
@@ -46,14 +46,14 @@ def orderings(
 
 
 def covisibility(graph: CovisibilityGraph) -> str:
-    """Return images where they stand, joined by the points they share."""
+    """Return the co-visibility graph: images at their positions, joined by shared points."""
     positions = within_view(graph.positions)
     if len(positions) == 0:
         return ""
     low, high = positions.min(0), positions.max(0)
     scale = (SIDE - 20) / max(float((high - low).max()), 1e-12)
     across = max((high[1] - low[1]) * scale, 1e-12)
-    # A street seen from above is a line, on which edges would hide each other.
+    # A street seen from above is a line, and edges on a line would overlap.
     stretch = max(NARROWEST / across, 1.0) if across < NARROWEST else 1.0
     x = 10 + (positions[:, 0] - low[0]) * scale
     y = 10 + (high[1] - positions[:, 1]) * scale * min(stretch, 1e6)

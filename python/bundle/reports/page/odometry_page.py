@@ -1,4 +1,4 @@
-"""The page of an odometry: telemetry of the keyframes over time, and the path from above."""
+"""Page of an odometry: telemetry of the keyframes over time, and the path from above."""
 
 from __future__ import annotations
 
@@ -44,19 +44,19 @@ def write_odometry(
     error: TrajectoryError | None = None,
     name: str = "",
 ) -> None:
-    """Write one HTML page about an odometry, which needs no network and no other file.
+    """Write one self-contained HTML page about an odometry.
 
     Args:
-        result: of :func:`bundle.run_odometry`.
-        path: of the page, which appears whole or not at all.
-        truth: the true trajectory, drawn beside the estimate.
-        error: of :func:`bundle.inertial.vio.trajectory_comparison.compare_trajectories`, for the
-        table.
-        name: of the sequence, for the title.
+        result: result of :func:`bundle.run_odometry`.
+        path: path of the page. A failed write leaves no partial file.
+        truth: true trajectory, drawn together with the estimate.
+        error: error of :func:`bundle.inertial.vio.trajectory_comparison.compare_trajectories`, for
+            the table.
+        name: name of the sequence, for the title.
 
     Raises:
-        InputError: ``result`` is none, the truth has fewer than three poses in common with the
-            trajectory, or the page cannot stand there.
+        InputError: ``result`` is not an odometry result, the truth has fewer than three poses in
+            common with the trajectory, or the path cannot hold a page.
         OSError: the page cannot be written.
     """
     check_type("result", result, OdometryResult)
@@ -93,7 +93,7 @@ def _facts(result: OdometryResult, error: TrajectoryError | None) -> str:
 
 
 def _alarms(result: OdometryResult) -> str:
-    """Return each alarm once, with the keyframes that raised it."""
+    """Return each kind of alarm once, with the keyframes that raised it."""
     begin = int(result.trajectory.timestamps_ns[0])
     found = alarms_by_kind(result.keyframes)
     heading = tag("h2", "Alarms")

@@ -27,7 +27,7 @@ __all__ = ["overview_section"]
 def overview_section(
     problem: Problem, result: Result | None, description: Description, found: Residuals | None
 ) -> list[str]:
-    """Return the head of the page: tables, warnings, options and the cost by iteration."""
+    """Return the start of the page: tables, warnings, options and the cost by iteration."""
     sections = [tag("p", escape(_words(problem)), class_="quiet")]
     warnings = [] if result is None else list(result.summary.warnings)
     warnings += [suspicion.sentence for suspicion in description.suspicions]
@@ -77,7 +77,7 @@ def _errors_of(result: Result) -> str:
         [title, pixels(getattr(before, name)), pixels(getattr(after, name))]
         for name, title in ERRORS.items()
     ]
-    if not result.rounds:  # costs of different rounds cannot be compared
+    if not result.rounds:  # costs of different rounds are not comparable
         held = f"{summary.held_cost:.9g}"
         costs = ["cost", f"{summary.initial_cost:.9g}", f"{summary.final_cost:.9g}"]
         rows[:0] = [costs, ["held cost", "-", held]] if summary.held_cost else [costs]

@@ -1,4 +1,4 @@
-"""One HTML file that needs nothing else: no network, no second file, no script from elsewhere."""
+"""Self-contained HTML file: no network, no second file, no external script."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from bundle.io.file_names import PAGE, check_name
 
 __all__ = ["as_json", "asset", "tag", "write_page"]
 
-# What the page may load: what stands in it. A browser holds it to that, whatever is in the data.
+# The browser may load only content of the page itself; it enforces this for any data.
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
 VOID = {"img", "input", "meta"}
 
 
 def tag(name: str, /, *children: str, **attributes: Any) -> str:
-    """Return an element. Children are markup as it is, values of attributes are escaped.
+    """Return an element. Children are inserted unchanged as markup; attribute values are escaped.
 
-    An attribute of None or False is left out, one of True has no value; ``class_`` is ``class``,
-    other underscores are hyphens.
+    An attribute of None or False is omitted; an attribute of True has no value. ``class_`` becomes
+    ``class``; underscores in other names become hyphens.
     """
     words = [name]
     for key, value in attributes.items():
@@ -38,10 +38,10 @@ def tag(name: str, /, *children: str, **attributes: Any) -> str:
 
 
 def as_json(data: Any) -> str:
-    """Return data as JSON that may stand in a script element, whatever names it holds.
+    """Return data as JSON that is safe inside a script element, for all names in the data.
 
-    The parser of HTML ends a script at ``</script``, so that no ``<`` may stand in it; ``&`` and
-    ``>`` go with it. Numbers that are not finite are null.
+    HTML parsers end a script at ``</script``, so ``<`` is escaped, and ``&`` and ``>`` as well.
+    Numbers that are not finite become null.
     """
     text = json.dumps(_finite(data), allow_nan=False, separators=(",", ":"))
     for character in "<>&":
@@ -59,19 +59,20 @@ def write_page(
     script: str | None = None,
     style: str = "",
 ) -> None:
-    """Write a page that appears whole or not at all.
+    """Write a page completely, or leave no file if the write fails.
 
     Args:
-        path: of the HTML file.
-        title: of the page, as text.
-        sections: markup.
-        data: what its script needs; a page without is one without script.
-        headline: at the top of the page, as text; the title where there is none.
-        script: a module that reads the data in place of the player of eliminations; "" for none.
-        style: rules beside those of every page.
+        path: path of the HTML file.
+        title: title of the page, as text.
+        sections: markup of the sections.
+        data: data of the script; a page without data has no script.
+        headline: text at the top of the page; by default the title.
+        script: module that reads the data instead of the elimination player; "" for no module.
+        style: CSS rules in addition to those of every page.
 
     Raises:
-        InputError: the path is a folder, its parent is none, or its name says another format.
+        InputError: the path is a folder, its parent is not a folder, or its suffix is that of
+            another format.
         OSError: the file cannot be written.
     """
     if not is_stream(path):
@@ -96,12 +97,12 @@ def write_page(
 
 
 def asset(*name: str) -> str:
-    """Return the text of a file in the folder of assets."""
+    """Return the text of a file in the assets folder."""
     return resources.files("bundle.reports.page").joinpath("assets", *name).read_text("utf-8")
 
 
 def _finite(data: Any) -> Any:
-    """Return data with null for what JSON has no number for."""
+    """Return data with null in place of numbers that JSON cannot represent."""
     if isinstance(data, float):
         return data if math.isfinite(data) else None
     if isinstance(data, Mapping):

@@ -1,4 +1,4 @@
-"""Pictures that stand in the page itself: arrays as PNG, photographs as small JPEG."""
+"""Pictures embedded in the page: arrays as PNG, photographs as small JPEG."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ QUALITY = 72
 def png(rgba: NDArray[np.uint8]) -> bytes:
     """Return a (height, width, 4) image as PNG (ISO 15948): 8 bits a channel, unfiltered rows."""
     height, width = rgba.shape[:2]
-    rows = np.zeros((height, 1 + 4 * width), np.uint8)  # the first byte says: no filter
+    rows = np.zeros((height, 1 + 4 * width), np.uint8)  # first byte of a row: filter type 0
     rows[:, 1:] = rgba.reshape(height, 4 * width)
     header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
     parts = [(b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), 9)), (b"IEND", b"")]
@@ -35,17 +35,17 @@ def png(rgba: NDArray[np.uint8]) -> bytes:
 
 
 def data_uri(rgba: NDArray[np.uint8]) -> str:
-    """Return the image as the address of itself."""
+    """Return the image as a data URI."""
     return "data:image/png;base64," + base64.b64encode(png(rgba)).decode("ascii")
 
 
 @dataclass(frozen=True)
 class Photograph:
-    """A photograph, made small.
+    """Photograph at reduced size.
 
     Attributes:
         address: data: URI.
-        size: (2,) width and height of the file [pixels], before it was made small.
+        size: (2,) width and height of the original file [pixels].
     """
 
     address: str
@@ -53,15 +53,16 @@ class Photograph:
 
 
 def photograph(folder: str | os.PathLike[str], name: str) -> Photograph | None:
-    """Return the photograph of an image; None where there is none that can be read.
+    """Return the photograph of an image; None if no readable photograph exists.
 
-    Pixels are taken as they are stored, whatever EXIF says of the orientation: that is how
-    reconstructions count them.
+    Pixels keep their stored orientation, and the EXIF orientation is ignored: reconstructions use
+    the coordinates of the stored pixels.
 
     Args:
-        folder: of the photographs.
-        name: of the image, a path from the folder on; where there is no such file, one of that name
-            directly in the folder is taken. A path that leaves the folder is none.
+        folder: folder of the photographs.
+        name: name of the image, a path relative to the folder. If this file does not exist, a file
+            of the same base name directly in the folder is used. Paths that leave the folder are
+            refused.
     """
     from PIL import Image
 
@@ -80,7 +81,7 @@ def photograph(folder: str | os.PathLike[str], name: str) -> Photograph | None:
                 image.draft("RGB", (WIDEST, WIDEST))
                 small = image.convert("RGB")
                 small.thumbnail((WIDEST, WIDEST))
-    except Exception:  # whatever broken files make of it: they have no picture
+    except Exception:  # broken files raise many kinds of errors; they get no picture
         return None
     data = io.BytesIO()
     small.save(data, "JPEG", quality=QUALITY)

@@ -1,4 +1,4 @@
-"""Control points and measured positions: tables of their errors, and ellipses."""
+"""Control points and measured positions: tables of errors, and error ellipses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ROWS = 12
 
 
 def placement_section(place: Placement) -> str:
-    """Return tables and figures; all lengths are metres east, north, up."""
+    """Return tables and figures; all lengths are in metres (east, north, up)."""
     system = place.reference_system
     words = "Metres east, north, up: model minus measurement."
     words += f" Coordinates were read in {system}." if system else ""

@@ -23,11 +23,11 @@ __all__ = ["processes_section"]
 def processes_section(
     predictions: Sequence[RankPrediction], network: tuple[float, float]
 ) -> list[str]:
-    """Return a table, and charts of a step and of memory against the number of processes.
+    """Return a table, and charts of step time and memory against the number of processes.
 
     Args:
-        predictions: of ``predict_ranks``; nothing is drawn without any.
-        network: gigabits per second, and microseconds of latency.
+        predictions: predictions of ``predict_ranks``; without any, nothing is drawn.
+        network: gigabits per second, and latency in microseconds.
     """
     rows = sorted(predictions, key=lambda row: row.num_processes)
     if not rows:

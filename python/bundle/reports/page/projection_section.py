@@ -1,4 +1,4 @@
-"""Projection uncertainty: heat maps over each camera's image, and curves against the distance."""
+"""Projection uncertainty: heat maps over each camera's image, and curves over the distance."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def projection_section(known: Sequence[ProjectionUncertainty], num_cameras: int)
     """Return the figures of each camera.
 
     Args:
-        known: most observations first.
-        num_cameras: observed ones.
+        known: computed uncertainties, the camera with most observations first.
+        num_cameras: number of observed cameras.
     """
     words = WORDS
     if num_cameras > len(known):

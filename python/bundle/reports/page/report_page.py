@@ -1,4 +1,4 @@
-"""The page of a reconstruction: outcome, residuals, lenses, certainty, structure, scene."""
+"""Page of a reconstruction: outcome, residuals, lenses, certainty, structure, scene."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 __all__ = ["write_report"]
 
 
-# Numbers of a legal problem may be as large as a double: what overflows is infinite, and said so.
+# Valid problems may hold numbers up to the largest double; infinite results get a note.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def write_report(
     result_or_problem: Result | Source,
@@ -70,27 +70,28 @@ def write_report(
     constraints: Constraints | Iterable[str | Rule] = (),
     name: str = "",
 ) -> tuple[str, ...]:
-    """Write one HTML page about a reconstruction, which needs no network and no other file.
+    """Write one self-contained HTML page about a reconstruction.
 
     Args:
-        result_or_problem: what a solve gave back, or a problem, the path of one, or a
-            pycolmap.Reconstruction. Only a result has a before and an after.
-        path: of the page, which appears whole or not at all.
-        images: folder of the photographs, for those of the worst images; names are paths from
-            there on.
-        georeference: how well the model fits positions and control points: the content of
-            ``georeference.json``, or what ``bundle.georeference`` makes of a result.
-        covariance: of this very problem, from :func:`bundle.covariance`; None computes it.
-        priors: that the solve had; the covariance counts them.
-        constraints: likewise.
-        name: of the reconstruction, for the title.
+        result_or_problem: result of a solve, or a problem, its path, or a pycolmap.Reconstruction.
+            Only a result has values before and after.
+        path: path of the page. A failed write leaves no partial file.
+        images: folder of the photographs, for the worst images; names of images are paths relative
+            to it.
+        georeference: fit of the model to positions and control points: the content of
+            ``georeference.json``, or the output of ``bundle.georeference`` for a result.
+        covariance: covariance of the same problem, from :func:`bundle.covariance`; None computes
+            it.
+        priors: priors of the solve, which the covariance includes.
+        constraints: constraints of the solve, likewise.
+        name: name of the reconstruction, for the title.
 
     Returns:
-        A sentence for each thing that could not be shown, which the page says as well.
+        One sentence per missing part; the page has the same sentences.
 
     Raises:
-        InputError: this is no problem, ``images`` is no folder, ``georeference`` has another form,
-            or the page cannot stand there.
+        InputError: the input is not a problem, ``images`` is not a folder, ``georeference`` has
+            another form, or the path cannot hold a page.
         OSError: the input cannot be read, or the page cannot be written.
     """
     target = as_path(path)
@@ -167,7 +168,7 @@ class _Page:
         return f"{of}: RMSE {pixels(error.rmse)} px"
 
     def _residuals(self) -> Residuals | None:
-        """Return the residuals; None, and a note, where there are none."""
+        """Return the residuals; None, with a note, if the problem has none."""
         cheirality = "auto" if self.result is None else self.result.options.cheirality
         found = residuals(self.problem, cheirality)
         if not found.counted.any():
@@ -234,7 +235,7 @@ class _Page:
         priors: Iterable[Prior],
         constraints: Constraints | Iterable[str | Rule],
     ) -> Certainty | None:
-        """Return what is known of the certainty; None, and a note, where it cannot be computed."""
+        """Return the certainty; None, with a note, if it cannot be computed."""
         if given is None:
             source = self.problem if self.result is None else self.result
             try:

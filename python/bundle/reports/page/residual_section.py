@@ -1,4 +1,4 @@
-"""Residuals: how they are distributed, and what is systematic over each camera's image plane."""
+"""Residuals: their distribution, and systematic patterns over each camera's image plane."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ FEW_IDS = 4
 
 
 def histogram_section(histogram: ResidualHistogram) -> str:
-    """Return both histograms."""
+    """Return the figures of both histograms."""
     return grid([coordinate_figure(histogram), length_figure(histogram)])
 
 
 def field_section(fields: Sequence[ResidualField], num_cameras: int) -> str:
-    """Return the figures of every field; the largest magnitude is the same for all."""
+    """Return the figures of all fields; they share one scale of magnitudes."""
     words = (
         "Residuals are projection minus measurement. A lens model that fits leaves no pattern: "
         "short lines in all directions, dots of all colours mixed. The significance is the length "
@@ -45,7 +45,7 @@ def field_section(fields: Sequence[ResidualField], num_cameras: int) -> str:
 
 
 def field_data(fields: Sequence[ResidualField]) -> list[dict[str, Any]]:
-    """Return the numbers of every field, cells row by row."""
+    """Return the numbers of all fields, cells row by row."""
     return [
         {
             "camera_ids": list(field.camera_ids) if len(field.camera_ids) <= FEW_IDS else None,
@@ -72,7 +72,7 @@ def field_data(fields: Sequence[ResidualField]) -> list[dict[str, Any]]:
 
 
 def field_name(field: ResidualField) -> str:
-    """Return the name of a field: its camera, or how many."""
+    """Return the name of a field: its camera, or the number of cameras."""
     if len(field.camera_ids) == 1:
         return f"camera {field.camera_ids[0]}"
     return f"{len(field.camera_ids):,} cameras together"

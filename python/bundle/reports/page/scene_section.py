@@ -1,4 +1,4 @@
-"""The 3-D view of a page, drawn by three.js, which stands in the page."""
+"""3-D view of a page, drawn by three.js, which is embedded in the page."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bundle.reports.page.page import asset, tag
 __all__ = ["scene_data", "scene_script", "scene_section"]
 
 FRUSTUM = 0.08
-"""Depth of a drawn camera, in reaches of the scene."""
+"""Depth of a drawn camera, relative to the extent of the scene."""
 
 MANY = 50
 
@@ -27,9 +27,9 @@ def scene_section(view: SceneView, num_points: int, more: str = "") -> str:
     """Return the view and its controls.
 
     Args:
-        view: what is drawn.
-        num_points: of the reconstruction.
-        more: words on ellipsoids; "" without any.
+        view: scene to draw.
+        num_points: number of points in the reconstruction.
+        more: sentence about ellipsoids; "" without ellipsoids.
     """
     boxes = ["points", "cameras", *(["ellipsoids"] if more else [])]
     controls = [
@@ -67,7 +67,7 @@ def scene_section(view: SceneView, num_points: int, more: str = "") -> str:
 
 def scene_data(view: SceneView) -> dict[str, Any]:
     """Return the numbers of the view; arrays are base64 of little-endian 32-bit floats."""
-    # Smaller where there are many, which would hide all else.
+    # Many cameras are drawn smaller, so that they do not hide the scene.
     frustum = FRUSTUM * view.reach / max(1.0, (len(view.centers) / MANY) ** 0.5)
     return {
         "origin": view.origin.tolist(),
@@ -88,10 +88,10 @@ def scene_data(view: SceneView) -> dict[str, Any]:
 
 
 def scene_script() -> str:
-    """Return three.js and what draws the view with it, as one module.
+    """Return three.js and the script of the view, as one module.
 
-    A page that loads nothing cannot import: the last statement of three.js, its exports, becomes
-    the declaration of those names that the view needs.
+    The page loads no files, so it cannot import modules. The export statement at the end of
+    three.js is replaced by declarations of the names that the view needs.
     """
     library = asset("three", "three.js")
     start = library.rindex("export{")
@@ -105,7 +105,7 @@ def scene_script() -> str:
 
 
 def error_limit(view: SceneView) -> float:
-    """Return the error that is drawn orange: the 95th percentile, or 1 where there is none."""
+    """Return the error that is drawn orange: the 95th percentile, or 1 without errors."""
     known = view.point_errors[np.isfinite(view.point_errors)]
     limit = float(np.quantile(known, 0.95)) if len(known) else 0.0
     return float(f"{limit:.2g}") if np.isfinite(limit) and limit > 0 else 1.0

@@ -1,4 +1,4 @@
-"""Structure of the block: lengths of tracks, angles of rays, co-visibility."""
+"""Structure of the block: track lengths, ray angles, co-visibility."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""A few images of a problem as a graph small enough to be eliminated step by step.
+"""Subgraph of a few images of a problem, small enough for an elimination step by step.
 
-Images that share most points all meet each other, and eliminating them shows nothing. Therefore
-images are taken from all over the problem, in even steps, as far as those taken still meet.
+Images that share the most points are all connected with each other, so their elimination shows no
+fill-in. Therefore images are sampled from the whole problem at even steps. The step is as large as
+possible while the sampled images still share points.
 """
 
 from __future__ import annotations
@@ -17,17 +18,17 @@ from bundle.model.problem import Problem
 __all__ = ["best_connected", "image_graph", "spread"]
 
 MOST_IMAGES = 24
-# Edges by image that are enough to make fill.
+# Edges per image that are enough for visible fill-in.
 ENOUGH = 1.5
 
 
 def image_graph(
     problem: Problem, most: int = MOST_IMAGES
 ) -> tuple[list[str], list[tuple[int, int]]]:
-    """Return (names, edges) of up to ``most`` images, empty where none shares a point.
+    """Return (names, edges) of up to ``most`` images; empty if no images share a point.
 
-    Images are numbered anew, in the order of the problem. An edge joins images that share points:
-    they have a block in S.
+    Images are renumbered in the order of the problem. An edge joins two images that share points,
+    that is, images with a block in S.
     """
     low, high, count = shared_points(problem)
     chosen = spread(low, high, problem.num_images, most)
@@ -44,16 +45,16 @@ def image_graph(
 def spread(
     low: NDArray[np.int64], high: NDArray[np.int64], num_vertices: int, most: int
 ) -> NDArray[np.int64]:
-    """Return up to ``most`` vertices at the widest even step at which they have enough edges.
+    """Return up to ``most`` vertices at the largest even step that leaves enough edges.
 
     Args:
-        low: (num_edges,) one vertex of each edge.
-        high: (num_edges,) the other.
-        num_vertices: of the whole graph.
-        most: vertices wanted; those without an edge to another are left out.
+        low: (num_edges,) first vertex of each edge.
+        high: (num_edges,) second vertex of each edge.
+        num_vertices: number of vertices of the whole graph.
+        most: largest number of vertices; vertices without edges to others are omitted.
 
     Returns:
-        (n,) the vertices, ascending; none if they have enough edges at no step.
+        (n,) vertices, ascending; empty if no step leaves enough edges.
     """
     step = -(-num_vertices // most)
     while step > 0:
@@ -76,13 +77,13 @@ def _inside(
 def best_connected(
     low: NDArray[np.int64], high: NDArray[np.int64], count: NDArray[np.int64], most: int
 ) -> NDArray[np.int64]:
-    """Return up to ``most`` vertices: the heaviest edge's, then always the one bound most to them.
+    """Return up to ``most`` vertices, grown from the heaviest edge by the largest edge weight.
 
     Args:
-        low: (num_edges,) one vertex of each edge.
-        high: (num_edges,) the other.
-        count: (num_edges,) its weight.
-        most: vertices wanted; fewer come where no edge leads on.
+        low: (num_edges,) first vertex of each edge.
+        high: (num_edges,) second vertex of each edge.
+        count: (num_edges,) weight of each edge.
+        most: largest number of vertices; fewer if no further vertex is connected.
     """
     if len(count) == 0:
         return np.empty(0, np.int64)
@@ -105,5 +106,5 @@ def best_connected(
 
 
 def _name(problem: Problem, image: int) -> str:
-    """Return the last part of an image's name, or its id where it has none."""
+    """Return the last part of an image's name, or its id if the name is empty."""
     return PurePosixPath(problem.image_names[image]).name or f"image {problem.image_ids[image]}"

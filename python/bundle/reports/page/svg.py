@@ -1,4 +1,4 @@
-"""Figures as markup of a page; colours are the page's, so that they suit light and dark."""
+"""Figures as SVG markup; they use the page's colours, which suit light and dark themes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ WIDTH, HEIGHT = 480, 320
 LEFT, RIGHT, TOP, BOTTOM = 58, 12, 10, 44
 DASHES = (None, "7 4", "2 3", "9 3 2 3")
 LETTER = 7.4
-"""Width of a letter of a label."""
+"""Width of one letter of a label."""
 
 
 def draw(figure: Figure, heading: str = "h3") -> str:
@@ -48,12 +48,12 @@ def draw(figure: Figure, heading: str = "h3") -> str:
 
 
 def grid(figures: Iterable[Figure], heading: str = "h3", class_: str = "grid") -> str:
-    """Return figures beside each other."""
+    """Return figures side by side."""
     return tag("div", *(draw(figure, heading) for figure in figures), class_=class_)
 
 
 def drawing(figure: Figure) -> str:
-    """Return the figure alone, and its legend."""
+    """Return the figure with its legend, without title and note."""
     if figure.is_image:
         return plane(figure)
     for mark in figure.marks:
@@ -62,7 +62,7 @@ def drawing(figure: Figure) -> str:
         if isinstance(mark, StackedBars):
             return stacked_bars(mark)
     chart = _Chart(figure.x, figure.y)
-    # Bands and places lie below lines, error bars and dots above them.
+    # Draw bands and places below lines, error bars and dots.
     layers = [
         [chart.band(mark) for mark in figure.marks if isinstance(mark, Line)],
         [chart.places(mark) for mark in figure.marks if isinstance(mark, Places)],
@@ -79,13 +79,13 @@ def drawing(figure: Figure) -> str:
 
 
 class _Chart:
-    """The area of a chart, and how marks stand on it."""
+    """Area of a chart; it places marks in the drawing."""
 
     def __init__(self, x: Axis, y: Axis) -> None:
         self._x, self._y = x, y
 
     def place(self, x: float, y: float) -> tuple[float, float]:
-        """Return where a point of the axes falls in the drawing."""
+        """Return the position of a point of the axes in the drawing."""
         return self._across(x), HEIGHT - BOTTOM - self._y(y) * (HEIGHT - TOP - BOTTOM)
 
     def _across(self, x: float) -> float:
@@ -118,7 +118,7 @@ class _Chart:
         return parts
 
     def mark(self, mark: Any) -> str:
-        """Return a mark; nothing where it has no points on the axes."""
+        """Return a mark; empty if it has no points on the axes."""
         draw = self._KINDS.get(type(mark))
         return "" if draw is None else draw(self, mark)
 
@@ -169,7 +169,7 @@ class _Chart:
         return self.place(float(xy[0]), float(xy[1]))
 
     def band(self, line: Line) -> str:
-        """Return one standard deviation to both sides of a line."""
+        """Return the band of one standard deviation on both sides of a line."""
         if line.sigma is None:
             return ""
         there = self._path(line.x, line.y + line.sigma)
@@ -180,7 +180,7 @@ class _Chart:
         return tag("path", d=f"{there}L{back[1:]}Z", style=style, class_="band")
 
     def dots_of_line(self, line: Line) -> str:
-        """Return a dot for each value that no line joins, and standard errors."""
+        """Return dots for values that no line joins, and bars of standard errors."""
         lonely = line.is_dotted or len(line.x) == 1
         if not lonely and line.error is None:
             return ""
@@ -207,7 +207,7 @@ class _Chart:
             share, x = self._x(value), f"{self._across(value):.1f}"
             parts.append(tag("line", class_="mark", x1=x, x2=x, y1=TOP, y2=HEIGHT - BOTTOM))
             left = share > 0.5
-            # Beside the outermost line of its half, so that no line crosses it.
+            # Put the label outside the outermost line of its half, so that no line crosses it.
             half = [self._across(v) for v in at.values() if (self._x(v) > 0.5) == left]
             beside = min(half) - 5 if left else max(half) + 5
             parts.append(
@@ -217,7 +217,7 @@ class _Chart:
         return "".join(parts)
 
     def _stands(self, x: float, y: float) -> bool:
-        """Tell whether a point has a place: on a logarithmic axis, 0 and below have none."""
+        """Tell whether a point can be drawn: a logarithmic axis excludes values of 0 and below."""
         return (
             math.isfinite(x) and math.isfinite(y)
             and (x > 0 or not self._x.is_logarithmic) and (y > 0 or not self._y.is_logarithmic)
@@ -252,7 +252,7 @@ def _look(mark: Line | Steps) -> dict[str, str | None]:
 
 
 def _legend(marks: Iterable[Line | Steps]) -> str:
-    """Return labels beside strokes."""
+    """Return the legend: a stroke and a label per mark."""
     entries = []
     for mark in marks:
         stroke = tag("path", d="M0 5H30", **_look(mark))
@@ -262,7 +262,7 @@ def _legend(marks: Iterable[Line | Steps]) -> str:
 
 
 def _labels(dots: list[tuple[float, float]], names: Iterable[str]) -> list[str]:
-    """Return the names that have room beside their dots."""
+    """Return the names that have room next to their dots."""
     taken = [(x - 4, y - 4, x + 4, y + 4) for x, y in dots]
     parts = []
     for (x, y), name in zip(dots, names, strict=True):

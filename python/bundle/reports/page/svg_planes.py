@@ -1,4 +1,4 @@
-"""Figures over an image plane as markup: cells by darkness, vectors, dots, photographs."""
+"""Figures over an image plane as SVG: shaded cells, vectors, dots, photographs."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ DOTS_WIDE = 560
 
 
 def plane(figure: Figure) -> str:
-    """Return a drawing in the shape of the image, its corners written below, and what explains it.
+    """Return a drawing in the shape of the image, with corner coordinates and a legend.
 
-    The drawing is 400 wide, or 600 high where it would be higher.
+    The drawing is 400 wide; if that would make it higher than 600, it is 600 high.
     """
     area = _Plane(figure)
     content = [area.mark(mark) for mark in figure.marks]
@@ -48,7 +48,7 @@ def plane(figure: Figure) -> str:
 
 
 class _Plane:
-    """The area of an image, and how marks stand on it."""
+    """Area of an image; it places marks in the drawing."""
 
     def __init__(self, figure: Figure) -> None:
         self._corner = np.array([figure.x.low, figure.y.low])
@@ -62,7 +62,7 @@ class _Plane:
         self._photographed = any(isinstance(mark, Photo) for mark in figure.marks)
 
     def mark(self, mark: Any) -> str:
-        """Return a mark."""
+        """Return the markup of a mark."""
         return self._KINDS[type(mark)](self, mark)
 
     def _cells(self, mark: Cells) -> str:
@@ -102,7 +102,7 @@ class _Plane:
         return tag("g", *drawn, class_="vectors") + self._areas(mark)
 
     def _areas(self, mark: Vectors) -> str:
-        """Return a transparent area with its title for each cell."""
+        """Return a transparent area with a title for each cell."""
         rows, columns = mark.grid
         wide, high = self.width / columns, self.height / rows
         areas = []
@@ -116,7 +116,7 @@ class _Plane:
         return "".join(areas)
 
     def _dots(self, mark: Dots) -> str:
-        """Return dots as a picture, coloured by direction: there are thousands."""
+        """Return dots as one picture, coloured by direction, because there are thousands."""
         vectors = np.ones((len(mark.xy), 2)) if mark.directions is None else mark.directions
         across, down = DOTS_WIDE, max(round(DOTS_WIDE * self.height / self.width), 1)
         image = np.zeros((down, across, 4), np.uint8)
@@ -150,7 +150,7 @@ class _Plane:
 
 
 def _scale(mark: Any) -> str:
-    """Return what explains the shades or colours of a mark."""
+    """Return the legend of a mark's shades or colours."""
     if isinstance(mark, Cells):
         words = f"{short(float(f'{mark.top:.3g}'))} {mark.unit}".strip()
         ends = [tag("span", "0"), tag("span", class_="ramp"), tag("span", escape(words))]

@@ -13,7 +13,7 @@ from bundle.reports.sections import Table
 
 __all__ = ["Notes", "convention", "declared", "rounded", "table"]
 
-# Characters of a sentence that wraps.
+# Length in characters from which a sentence wraps.
 LONG = 20
 # Columns that fit on a page of 800 pixels.
 MOST_COLUMNS = 7
@@ -33,14 +33,15 @@ def table(
     best: int | None = None,
     rows_shown: int | None = None,
 ) -> str:
-    """Return a table of text; where the page is narrow, each row is a list of its cells.
+    """Return a table of text; on a narrow page, each row becomes a list of its cells.
 
     Args:
         head: names of the columns.
-        rows: cells; the first of a row names it.
-        words: columns that hold sentences, which wrap.
-        best: the row to stand out.
-        rows_shown: rows beyond these are folded away; None shows all. A single one is not folded.
+        rows: cells; the first cell of a row is its name.
+        words: columns of sentences, which wrap.
+        best: index of the highlighted row.
+        rows_shown: number of visible rows; the others are folded away if there are two or more.
+            None shows all rows.
     """
     if rows_shown is not None and len(rows) > rows_shown + 1:
         rest = None if best is None else best - rows_shown
@@ -73,31 +74,31 @@ def table(
 
 
 def declared(made: Table, *, best: int | None = None, rows_shown: int | None = None) -> str:
-    """Return a declared table; ``best`` and ``rows_shown`` as in :func:`table`."""
+    """Return the markup of a :class:`Table`; ``best`` and ``rows_shown`` as in :func:`table`."""
     return table(made.head, made.cells(), best=best, rows_shown=rows_shown)
 
 
 class Notes:
-    """Sentences that rows refer to by number, each once."""
+    """Sentences that rows reference by number; each sentence is listed once."""
 
     def __init__(self) -> None:
         self._numbers: dict[str, int] = {}
 
     def refer(self, note: str) -> str:
-        """Return the number of a note, "" for none."""
+        """Return the number of a note; "" for an empty note."""
         return str(self._numbers.setdefault(note, len(self._numbers) + 1)) if note else ""
 
     def listed(self) -> str:
-        """Return the notes that were referred to."""
+        """Return the referenced notes."""
         lines = [tag("li", escape(note)) for note in self._numbers]
         return tag("ol", *lines, class_="quiet") if lines else ""
 
 
 def rounded(values: NDArray[np.float64]) -> list[float]:
-    """Return numbers to six digits; nan, which the page writes as null, stays."""
+    """Return numbers rounded to six digits; NaN is kept, which the page writes as null."""
     return [float(f"{value:.6g}") for value in values.ravel().tolist()]
 
 
 def convention() -> str:
-    """Return the sentence on the convention of nonzeros and flops."""
+    """Return the sentence on the counting convention of nonzeros and flops."""
     return tag("p", CONVENTION, class_="convention")

@@ -1,8 +1,8 @@
-"""Layout of a small graph: distances in the plane are those in the graph.
+"""Layout of a small graph, with distances in the plane close to distances in the graph.
 
-Stress majorisation (Gansner, Koren and North 2004): the sum over pairs of
-(distance in the plane / distance in the graph - 1)^2 falls with every round, from a start that the
-graph decides, so that the same graph always looks the same. Cycles become circles, chains lines.
+Stress majorisation (Gansner, Koren and North 2004) reduces the sum over pairs of
+(distance in the plane / distance in the graph - 1)^2 in every round. The graph determines the
+start, so the same graph always has the same layout. Cycles become circles, chains lines.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def place(num_vertices: int, edges: Sequence[tuple[int, int]]) -> NDArray[np.flo
     np.fill_diagonal(distance, 1.0)
     weight = distance**-2.0
     np.fill_diagonal(weight, 0.0)
-    # Weighted Laplacian without its last row and column: positions count only up to a shift.
+    # Weighted Laplacian without its last row and column: a common shift has no effect.
     laplacian = (np.diag(weight.sum(1)) - weight)[:-1, :-1]
     for _ in range(ROUNDS):
         offset = positions[:, None] - positions[None]
@@ -41,7 +41,7 @@ def place(num_vertices: int, edges: Sequence[tuple[int, int]]) -> NDArray[np.flo
 
 
 def _distances(num_vertices: int, edges: Sequence[tuple[int, int]]) -> NDArray[np.float64]:
-    """Return the edges between each two vertices; between components, more than any within."""
+    """Return graph distances; between components, 0.75 times the largest distance plus 1.5."""
     distance = np.full((num_vertices, num_vertices), np.inf)
     for a, b in edges:
         distance[a, b] = distance[b, a] = 1.0
@@ -55,9 +55,9 @@ def _distances(num_vertices: int, edges: Sequence[tuple[int, int]]) -> NDArray[n
 
 
 def _classical_scaling(distance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the plane that shows distances best, the start (Torgerson 1952).
+    """Return the start by classical scaling (Torgerson 1952), the best plane for the distances.
 
-    Vertices that it puts on one spot, as it does with the leaves of a star, are set apart a little.
+    Vertices at the same position, such as leaves of a star, are moved slightly apart.
     """
     size = len(distance)
     centring = np.eye(size) - 1.0 / size

@@ -1,4 +1,4 @@
-"""The images of largest residuals, drawn on their photographs."""
+"""Images with the largest residuals, drawn on their photographs."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from bundle.reports.page.table import table
 __all__ = ["worst_section"]
 
 SHAPE = 0.02
-"""Relative difference of two shapes that are the same."""
+"""Relative difference up to which two aspect ratios count as equal."""
 
 
 def worst_section(
     images: Sequence[ImageResiduals], folder: str | os.PathLike[str] | None
 ) -> tuple[str, list[str]]:
-    """Return the section, and a sentence for each thing that is missing from it."""
+    """Return the section, and one sentence per missing part."""
     head = ["image", "camera", "observations", "RMSE [px]", "largest [px]"]
     rows = [
         [image_name(image), str(image.camera_id), f"{image.error.num_observations:,}",
@@ -56,7 +56,7 @@ def worst_section(
 
 
 def _fits(picture: Photograph, image: ImageResiduals) -> bool:
-    """Tell whether a photograph has the shape of its camera's images."""
+    """Tell whether a photograph has the aspect ratio of its camera's images."""
     if min(image.size) <= 0:
         return False
     ratio = picture.size[0] / picture.size[1] * image.size[1] / image.size[0]
