@@ -1,8 +1,8 @@
 """Reports of commands as data: sections for people, one dictionary for programs.
 
 A command computes a :class:`Report`. Terminals show its sections
-(:func:`bundle.reports.terminal.screen.laid_out`), ``--json`` writes its data. Rows of tables are
-rounded and cut; data are neither.
+(:func:`bundle.reports.terminal.screen.laid_out`), and ``--json`` writes its data. Rows of tables
+are rounded and limited in number; data are complete.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ SCHEMA = 1
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table.
+    """Column of a table.
 
     Attributes:
-        title: with its unit.
-        value: attribute of a row, such as "error.rmse"; its index, where rows are tuples; or a
-            function of the row.
-        format: writes a value.
+        title: title with the unit.
+        value: source of a cell: an attribute of the row, such as "error.rmse"; an index, if rows
+            are tuples; or a function of the row.
+        format: function that formats a value.
     """
 
     title: str
@@ -53,7 +53,7 @@ class Column:
     format: Callable[[Any], str] = str
 
     def cell(self, row: Any) -> Any:
-        """Return the cell of a row: text, or what draws itself."""
+        """Return the cell of a row: text or a renderable."""
         if isinstance(self.value, int):
             return row[self.value]
         find = self.value if callable(self.value) else attrgetter(self.value)
@@ -62,16 +62,16 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A table.
+    """Table of a report.
 
     Attributes:
-        columns: as declared.
-        rows: of whatever the columns know; those that are shown where there are too many.
-        left: columns of text, before those of numbers.
-        keys: columns that say what a row is about.
-        most: rows that are shown; None: all.
-        others: sentence on a number of rows that are not.
-        legend: what the titles mean, below the table.
+        columns: columns in the order of display.
+        rows: objects that the columns can read.
+        left: number of left-aligned columns of text, before the columns of numbers.
+        keys: number of columns that identify a row.
+        most: largest number of rows that are shown; None: all.
+        others: function from the number of hidden rows to a sentence about them.
+        legend: meaning of the titles, below the table.
     """
 
     columns: Sequence[Column]
@@ -84,7 +84,7 @@ class Table:
 
     @staticmethod
     def of(head: Iterable[str], rows: Iterable[Sequence[Any]], **more: Any) -> Table:
-        """Return a table of cells."""
+        """Return a table of given cells."""
         return Table([Column(title, k) for k, title in enumerate(head)], [*rows], **more)
 
     @property
@@ -99,23 +99,23 @@ class Table:
         ]
 
     def rest(self) -> list[str]:
-        """Return the sentence on rows that are not shown; nothing where all are."""
+        """Return the sentence about hidden rows; empty if all rows are shown."""
         count = 0 if self.most is None else len(self.rows) - self.most
         return [self.others(count)] if self.others is not None and count > 0 else []
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Section:
-    """A part of a report, an empty line below the one before.
+    """Section of a report, with an empty line above it.
 
     Attributes:
-        facts: labels and facts, which come first.
-        tables: without an empty line between them.
-        text: paragraphs, or what draws itself.
-        command: a command line to copy.
-        notes: dashed sentences, which come last.
-        is_warning: notes are warnings.
-        is_joined: no empty line above.
+        facts: labels and facts, shown first.
+        tables: tables without empty lines between them.
+        text: paragraphs or renderables.
+        command: command line to copy.
+        notes: list of sentences, shown last.
+        is_warning: True if the notes are warnings.
+        is_joined: True to omit the empty line above.
     """
 
     facts: Sequence[tuple[str, str]] = ()
@@ -129,14 +129,14 @@ class Section:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Report:
-    """The report of a command.
+    """Report of a command.
 
     Attributes:
-        command: its name.
-        input: path, format and counts of the input; None where the data say it.
-        headline: the verdict in sentences.
-        sections: for people.
-        data: for programs, beside schema, command, version and input.
+        command: name of the command.
+        input: path, format and counts of the input; None if the data contain them.
+        headline: verdict in sentences.
+        sections: sections for people.
+        data: data for programs, in addition to schema, command, version and input.
     """
 
     command: str
@@ -146,7 +146,7 @@ class Report:
     data: Mapping[str, Any] = field(default_factory=dict)
 
     def json(self) -> dict[str, Any]:
-        """Return the report for programs, in JSON's own types."""
+        """Return the report for programs, in JSON types."""
         given = {} if self.input is None else {"input": self.input}
         report: dict[str, Any] = plain({**heading(self.command), **given, **self.data})
         return report
@@ -158,7 +158,7 @@ def heading(command: str) -> dict[str, Any]:
 
 
 def several(command: str, reports: Sequence[Report]) -> Report:
-    """Return the reports on several inputs as one."""
+    """Return one report from the reports on several inputs."""
     return Report(
         command=command,
         sections=[section for report in reports for section in report.sections],
@@ -177,7 +177,7 @@ def fields(record: Any) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return value in JSON's own types: arrays and dataclasses unwrapped, NaN as None."""
+    """Return a value in JSON types: arrays and dataclasses converted, NaN as None."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, float):
@@ -192,6 +192,6 @@ def plain(value: Any) -> Any:
 
 
 def records(columns: Mapping[str, NDArray[Any]]) -> list[dict[str, Any]]:
-    """Return arrays of equal length by name as one dictionary an entry."""
+    """Return one dictionary per entry, from arrays of equal length by name."""
     rows = zip(*(column.tolist() for column in columns.values()), strict=True)
     return [dict(zip(columns, row, strict=True)) for row in rows]

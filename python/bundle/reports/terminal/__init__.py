@@ -1,1 +1,1 @@
-"""Tables and JSON of each command."""
+"""Terminal tables and JSON data of each command."""

@@ -1,4 +1,4 @@
-"""The report of `bundle align`."""
+"""Report of `bundle align`."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from bundle.reports.terminal.inputs import about_problem, problem_facts, written
 __all__ = ["alignment"]
 
 MOST_IMAGES = 10
-"""Positions that are listed, the worst first."""
+"""Number of listed positions, those with the largest errors first."""
 
 
 def alignment(
     path: str, problem: Problem, aligned: Alignment, output: dict[str, str], lost: Sequence[str]
 ) -> Report:
-    """Return the place and the errors of an alignment.
+    """Return the report on an alignment: the place of the model and the errors.
 
     Args:
-        path: of the input.
-        problem: as it was read.
-        aligned: what was found.
-        output: path and format of what was written.
-        lost: by the output's format.
+        path: path of the input.
+        problem: problem before the alignment.
+        aligned: result of the alignment.
+        output: path and format of the output.
+        lost: data that the output's format cannot store.
     """
     rows = [
         *problem_facts(path, aligned.problem),
@@ -69,7 +69,7 @@ def alignment(
 def _images(
     title: str, images: Iterable[ImageError], rms: Iterable[float], unit: str
 ) -> list[Section]:
-    """Return the worst images and the root mean square of all."""
+    """Return the images with the largest errors, and the root mean square of all errors."""
     found = list(images)
     if not found:
         return []

@@ -1,4 +1,4 @@
-"""Cameras that were changed before anything else, in the reports of commands."""
+"""Cameras that were changed before the solve, in the reports of commands."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST_IDS = 8
 
 
 def edit_rows(edits: CameraEdits | None) -> list[tuple[str, str]]:
-    """Return rows of facts; none where nothing was changed."""
+    """Return rows of facts; empty without changes."""
     if edits is None:
         return []
     sentences = [*_models(edits)]
@@ -34,7 +34,7 @@ def edit_rows(edits: CameraEdits | None) -> list[tuple[str, str]]:
 
 
 def edit_data(edits: CameraEdits | None) -> dict[str, Any]:
-    """Return the part for programs; nothing where nothing was changed."""
+    """Return the entries for programs; empty without changes."""
     return {} if edits is None else {"camera_edits": edits.asdict()}
 
 

@@ -1,4 +1,4 @@
-"""The report of `bundle check`."""
+"""Report of `bundle check`."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def checked(
     options: dict[str, Any],
     wall_time: float,
 ) -> Report:
-    """Return the report on a problem's own Jacobians.
+    """Return the report on the Jacobians of a problem.
 
     Args:
-        path: of the input.
-        problem: whose Jacobians were checked.
-        found: by the check.
-        options: with which.
+        path: path of the input.
+        problem: problem whose Jacobians were checked.
+        found: result of the check.
+        options: options of the check.
         wall_time: seconds.
     """
     histogram = [{"low": low, "high": high, "count": count} for low, high, count in found.histogram]

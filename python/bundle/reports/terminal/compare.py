@@ -1,4 +1,4 @@
-"""The report of `bundle compare`."""
+"""Report of `bundle compare`."""
 
 from __future__ import annotations
 
@@ -35,8 +35,9 @@ PREDICTED_LEGEND = "nnz(L): lower triangle with the diagonal; MB: beyond the loa
 def compared(comparison: Comparison) -> Report:
     """Return the report on a comparison.
 
-    In its data, summaries and iterations are those of `bundle refine`; ``input`` in a run counts
-    ``inputs`` from 0. Costs are 1/2 sum rho(||r||^2), r in pixels; unknown numbers are None.
+    In its data, summaries and iterations have the format of `bundle refine`; ``input`` of a run is
+    an index into ``inputs``, from 0. Costs are 1/2 sum rho(||r||^2), r in pixels; unknown numbers
+    are None.
     """
     sections = [_conditions(comparison)]
     for index, problem in enumerate(comparison.problems):
@@ -64,7 +65,7 @@ def _conditions(comparison: Comparison) -> Section:
 
 
 def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> list[Section]:
-    """Return the tables of one input; runs without a result come below the first."""
+    """Return the tables of one input; runs without a result are below the first table."""
     runs = comparison.runs_of(index)
     names = _Names(comparison)
     facts = [
@@ -142,7 +143,7 @@ PREDICTED = (
 
 
 def _warnings(measured: Sequence[Pair], names: _Names) -> list[Section]:
-    """Return warnings, and solvers used in place of others; each sentence once."""
+    """Return warnings and replaced solvers; each sentence once."""
     said: dict[str, list[str]] = {}
     for run, measurement in measured:
         for sentence in (*_taken(run, measurement), *measurement.summary.warnings):
@@ -157,7 +158,7 @@ def _warnings(measured: Sequence[Pair], names: _Names) -> list[Section]:
 
 
 def _taken(run: Run, measurement: Measurement) -> list[str]:
-    """Return the solver that a method used in place of its own."""
+    """Return the solver that a method used instead of the requested one."""
     summary = measurement.summary
     taken = (summary.backend_used.lower(), summary.linear_solver_type_used)
     if taken == (run.method.backend, run.method.linear_solver_type.upper()):
@@ -203,19 +204,19 @@ def _recommendation(comparison: Comparison) -> list[Section]:
 
 
 class _Names:
-    """Names of methods, with their threads where methods differ in them."""
+    """Names of methods, with thread counts if the methods differ in them."""
 
     def __init__(self, comparison: Comparison) -> None:
         self._with_threads = len({method.num_threads for method in comparison.methods}) > 1
 
     def columns(self, title: str) -> list[Column]:
-        """Return the columns of a method, of rows that are a run and its measurement or have it."""
+        """Return the columns about a method; a row has a run and its measurement."""
         names = [Column(title, lambda row: _method_of(row).name)]
         threads = [Column("threads", lambda row: _method_of(row).num_threads)]
         return names + (threads if self._with_threads else [])
 
     def words(self, method: Method) -> str:
-        """Return a method within a sentence."""
+        """Return the name of a method for use within a sentence."""
         return f"{method.name}, {method.threads}" if self._with_threads else method.name
 
 
@@ -225,5 +226,5 @@ def _method_of(row: Any) -> Method:
 
 
 def _cost(value: float) -> str:
-    """Return a cost in ten digits; "-" where no run has one."""
+    """Return a cost with ten digits; "-" if no run has one."""
     return f"{value:.9e}" if math.isfinite(value) else "-"

@@ -1,4 +1,4 @@
-"""The data of the report of `bundle compare`, for programs."""
+"""JSON data of `bundle compare`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["comparison_data"]
 
 
 def comparison_data(comparison: Comparison) -> dict[str, Any]:
-    """Return what `--json` holds beside the heading."""
+    """Return the data of `--json` in addition to the heading."""
     recommendation = comparison.recommendation
     return {
         "inputs": [_input(problem) for problem in comparison.problems],

@@ -15,7 +15,7 @@ from bundle.solving.constraints.constraint_record import PriorEnd, RuleEnd, TieE
 __all__ = ["constraint_sections"]
 
 MOST_ROWS = 8
-"""Priors, bounds and ties that are listed."""
+"""Number of listed priors, bounds and ties."""
 
 
 BOUNDS = (
@@ -27,7 +27,7 @@ BOUNDS = (
 
 
 def constraint_sections(rules: Sequence[RuleEnd]) -> list[Section]:
-    """Return the state of the rules after the solve; nothing where there are none."""
+    """Return the state of the rules after the solve; empty without rules."""
     held = [shown(rule.rule) for rule in rules if rule.kind == "fixed"]
     more = [f"{plural(len(held) - 3, 'other rule')} as well"] if len(held) > 3 else []
     priors = [prior for rule in rules for prior in rule.priors]

@@ -15,12 +15,12 @@ __all__ = ["control_points", "plain_metres", "suspicions"]
 
 
 def control_points(points: Sequence[ControlPointError], *, adjusted: bool = False) -> list[Section]:
-    """Return the errors of control and check points; nothing without any.
+    """Return the errors of control and check points; empty without points.
 
     Args:
-        points: to be listed.
-        adjusted: of a solve: with sigmas, and the length only of what each is off by if the others
-            place the model.
+        points: points to list.
+        adjusted: True after a solve: the table has sigmas, and only the length of each
+            leave-one-out error.
     """
     if not points:
         return []
@@ -53,7 +53,7 @@ def control_points(points: Sequence[ControlPointError], *, adjusted: bool = Fals
 
 
 def suspicions(points: Iterable[ControlPointError]) -> list[str]:
-    """Return a sentence for each point that probably has a gross error."""
+    """Return one sentence per point with a probable gross error."""
     return [
         f"{shown(point.name)} is probably wrong: the other points place it "
         f"{', '.join(_offsets(point.leave_one_out))} of its coordinates."
@@ -63,23 +63,23 @@ def suspicions(points: Iterable[ControlPointError]) -> list[str]:
 
 
 def plain_metres(value: float) -> str:
-    """Return metres to the millimetre; "-" where there are none."""
+    """Return metres with three decimals; "-" if unknown."""
     return "-" if np.isnan(value) else f"{value:.3f}"
 
 
 def _sigmas(point: ControlPointError) -> str:
-    """Return "0.02/0.05", horizontal and vertical."""
+    """Return the horizontal and vertical sigma as "0.02/0.05"."""
     east, _, up = point.sigma
     return f"{east:g}/{'-' if np.isnan(up) else f'{up:g}'}"
 
 
 def _known(residual: Iterable[float]) -> list[float]:
-    """Return the coordinates that are known; one that is not where none are."""
+    """Return the coordinates that are not NaN; a single NaN if all are NaN."""
     known = [value for value in residual if not np.isnan(value)]
     return known or [float("nan")]
 
 
 def _offsets(residual: Iterable[float]) -> list[str]:
-    """Return "-4.081 m east" and so on."""
+    """Return the coordinates as texts such as "-4.081 m east"."""
     named = zip(residual, ("east", "north", "up"), strict=True)
     return [f"{metres(value)} m {axis}" for value, axis in named if not np.isnan(value)]

@@ -1,4 +1,4 @@
-"""The report of `bundle convert`: what was read, what was written, what is lost."""
+"""Report of `bundle convert`: the input, the output, and the data that are lost."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The report of `bundle covariance`, on a reconstruction or on a pose graph.
+"""Report of `bundle covariance` on a reconstruction or on a pose graph.
 
-Sigmas alone are in it: the matrices are in the file that the command writes.
+It contains only sigmas; the command writes the matrices to a file.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from bundle.reports.terminal.inputs import (
 __all__ = ["uncertainties", "uncertainties_of_graph"]
 
 MOST_CAMERAS = 10
-"""Cameras that are listed."""
+"""Number of listed cameras."""
 
 
 def uncertainties(
@@ -43,11 +43,11 @@ def uncertainties(
     """Return the report on a reconstruction.
 
     Args:
-        path: of the input.
-        problem: whose covariance it is.
-        cov: what was computed.
-        options: with which.
-        target: path of the file of the matrices.
+        path: path of the input.
+        problem: problem of the covariance.
+        cov: computed covariance.
+        options: options of the covariance.
+        target: path of the file with the matrices.
         wall_time: seconds.
     """
     pose, point = _sigmas(cov.pose_covariance), _sigmas(cov.point_covariance)
@@ -94,7 +94,7 @@ def uncertainties_of_graph(
     target: str,
     wall_time: float,
 ) -> Report:
-    """Return the report on a pose graph; arguments are those of a reconstruction."""
+    """Return the report on a pose graph; arguments as in :func:`uncertainties`."""
     sigma = _sigmas(cov.pose_covariance)
     parts = ((0, 2), (2, 3)) if graph.dimension == 2 else ((3, 6), (0, 3))
     names = ("translation", "rotation [rad]")
@@ -150,7 +150,7 @@ def _relative(cov: Covariance | GraphCovariance) -> list[dict[str, Any]]:
 
 
 def _spread(parts: Iterable[tuple[str, NDArray[np.float64]]]) -> list[Section]:
-    """Return quantiles of standard deviations; nothing where none is known."""
+    """Return quantiles of standard deviations; empty if none is known."""
     cells = []
     for name, sigma in parts:
         values = np.linalg.norm(sigma, axis=1)
@@ -193,6 +193,6 @@ def _notes(cov: Covariance) -> list[Section]:
 
 
 def _sigmas(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the roots of the diagonals."""
+    """Return standard deviations: square roots of the diagonals."""
     variances = np.diagonal(covariances, axis1=-2, axis2=-1)
     return np.sqrt(np.maximum(variances, 0))  # NaN stays NaN

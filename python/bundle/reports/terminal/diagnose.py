@@ -1,4 +1,4 @@
-"""The report of `bundle diagnose`, on a reconstruction or on a pose graph."""
+"""Report of `bundle diagnose` on a reconstruction or on a pose graph."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["diagnosed", "diagnosed_graph"]
 
 MOST_EIGENVALUES = 4
 MOST_EDGES = 10
-"""Suspicious edges that are shown."""
+"""Number of suspicious edges shown."""
 
 SUSPICIOUS = (
     Column("suspicious edges", lambda one: f"{one.edge[0]} {one.edge[1]}"),
@@ -39,10 +39,10 @@ def diagnosed(
     """Return the report on a reconstruction.
 
     Args:
-        path: of the input.
-        problem: what was diagnosed.
-        diagnosis: of it.
-        options: that count.
+        path: path of the input.
+        problem: the diagnosed problem.
+        diagnosis: its diagnosis.
+        options: options that affect the diagnosis.
         wall_time: seconds.
     """
     sizes = [len(component.image_ids) for component in diagnosis.components]
@@ -76,7 +76,7 @@ def diagnosed_graph(
     options: Mapping[str, Any],
     wall_time: float,
 ) -> Report:
-    """Return the report on a pose graph; what only reconstructions have is empty in its data."""
+    """Return the report on a pose graph; data that only reconstructions have are empty."""
     sizes = [len(part.pose_ids) for part in diagnosis.components]
     lowest = ", ".join(f"{value:.3g}" for value in diagnosis.eigenvalues)
     facts = [
@@ -146,7 +146,7 @@ def _findings(diagnosis: Diagnosis | GraphDiagnosis) -> list[Section]:
 
 
 def _eigenvalues(diagnosis: Diagnosis) -> str:
-    """Return the low end of the spectrum."""
+    """Return the smallest eigenvalues as text."""
     if not len(diagnosis.eigenvalues):
         return "-"
     lowest = ", ".join(f"{value:.3g}" for value in diagnosis.eigenvalues[:MOST_EIGENVALUES])

@@ -14,11 +14,11 @@ from bundle.reports.terminal.control_points import control_points, suspicions
 __all__ = ["gps_report"]
 
 MOST_IMAGES = 5
-"""Images of large residuals that are listed."""
+"""Number of listed images with large residuals."""
 
 
 def gps_report(georeference: Georeference) -> list[Section]:
-    """Return the place of the model, its errors, and the images of large errors."""
+    """Return the place of the model, its errors, and the images with large errors."""
     rows = []
     if georeference.images:
         used = sum(image.used for image in georeference.images)

@@ -1,4 +1,4 @@
-"""The reports of `bundle inspect` and `bundle compare` on a pose graph."""
+"""Reports of `bundle inspect` and `bundle compare` on a pose graph."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["compared_graph", "inspected_graph"]
 def inspected_graph(
     path: str, graph: PoseGraph, found: PoseGraphInspection, wall_time: float
 ) -> Report:
-    """Return the matrix, a row for each order of elimination, and advice; wall_time in seconds."""
+    """Return the matrix, a row for each elimination order, and advice; wall_time in seconds."""
     size = found.block_size * found.num_poses
     free = max(1, (found.nnz_free + found.block_size * found.num_free_poses) / 2)
     columns = (
@@ -63,9 +63,9 @@ def compared_graph(
     """Return a row for each run, and a recommendation.
 
     Args:
-        path: of the input.
-        found: by the comparison.
-        options: of every solve.
+        path: path of the input.
+        found: result of the comparison.
+        options: options of every solve.
         wall_time: seconds.
     """
 

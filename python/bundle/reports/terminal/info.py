@@ -1,4 +1,4 @@
-"""The report of `bundle info` on a reconstruction."""
+"""Report of `bundle info` on a reconstruction."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ CAMERAS = (
 
 
 def information(path: str, problem: Problem, description: Description) -> Report:
-    """Return the description of a problem."""
+    """Return the report on the description of a problem."""
     wrong = [suspicion.sentence for suspicion in description.suspicions]
     count = description.num_repeated_observations
     tracks = f"{plural(count, 'repeated observation')} (a track visits the same image twice)"

@@ -1,4 +1,4 @@
-"""The input of a report: its facts for people, its path, format and counts for programs."""
+"""Input section of a report: facts for people; path, format and counts for programs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Facts = list[tuple[str, str]]
 
 
 def problem_facts(path: str, problem: Problem, *, rigs: bool = False) -> Facts:
-    """Return path, format and contents of a problem, with ``rigs`` also those it has."""
+    """Return path, format and contents of a problem; with ``rigs`` also its rigs."""
     return [
         ("input", f"{shown(path)} ({format_name(problem.format)})"),
         ("", contents(problem)),
@@ -39,7 +39,7 @@ def problem_facts(path: str, problem: Problem, *, rigs: bool = False) -> Facts:
 
 
 def about_problem(path: str, problem: Problem) -> dict[str, Any]:
-    """Return the same for programs."""
+    """Return path, format and counts of a problem for programs."""
     names = ("num_rigs", "num_frames", "num_sensors") if problem.num_frames else ()
     counts = ("num_cameras", "num_images", "num_points", "num_observations", *names)
     return {
@@ -50,10 +50,10 @@ def about_problem(path: str, problem: Problem) -> dict[str, Any]:
 
 
 def rig_fact(problem: Problem) -> Facts:
-    """Return a fact such as "1 rig of 2 sensors, 26 frames"; nothing where there are no rigs."""
+    """Return a fact such as "1 rig of 2 sensors, 26 frames"; empty without rigs."""
     if problem.num_frames == 0:
         return []
-    # Statistics are late to import, and most problems have no rigs.
+    # Import late: most problems have no rigs, and this import takes time.
     from bundle.analysis.statistics.rig_summary import rig_summaries
 
     rigs = rig_summaries(problem)
@@ -70,7 +70,7 @@ def graph_facts(path: str, graph: PoseGraph) -> Facts:
 
 
 def contents_of_graph(graph: PoseGraph) -> str:
-    """Return "12 poses, 17 edges, 6 closures, 1 pose fixed"."""
+    """Return text such as "12 poses, 17 edges, 6 closures, 1 pose fixed"."""
     counts = [
         plural(graph.num_poses, "pose"),
         plural(graph.num_edges, "edge"),
@@ -96,7 +96,7 @@ def about_graph(path: str, graph: PoseGraph) -> dict[str, Any]:
 
 
 def contents_of_sequence(sequence: Sequence) -> str:
-    """Return "6001 IMU samples, 601 images, 307 tracks, 13316 observations"."""
+    """Return text such as "6001 IMU samples, 601 images, 307 tracks, 13316 observations"."""
     nouns = ("IMU sample", "image", "track", "observation")
     return ", ".join(map(plural, _counts(sequence), nouns))
 
@@ -113,7 +113,7 @@ def _counts(sequence: Sequence) -> tuple[int, int, int, int]:
 
 
 def written(output: dict[str, str] | None) -> tuple[str, str]:
-    """Return the fact on the output; ``output`` is None where nothing was written."""
+    """Return the fact about the output; ``output`` is None if nothing was written."""
     if output is None:
         return "output", "nothing was written"
     return "output", f"{shown(output['path'])} ({format_name(output['format'])})"

@@ -1,4 +1,4 @@
-"""The report of `bundle inspect` on a problem."""
+"""Report of `bundle inspect` on a problem."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ def inspected(
     """Return the report.
 
     Args:
-        path: of the input.
-        problem: what was inspected.
-        inspection: predictions for it.
-        options: with which.
-        names: of the options that count for an inspection.
+        path: path of the input.
+        problem: the inspected problem.
+        inspection: predictions for this problem.
+        options: options of the inspection.
+        names: names of the options that affect an inspection.
         ranks: predictions for several processes.
-        network: that these are for, gigabits per second and microseconds of latency.
+        network: network of these predictions: gigabits per second, latency in microseconds.
         wall_time: seconds.
     """
     facts = [
@@ -167,13 +167,13 @@ def _remarks(inspection: Inspection) -> list[str]:
 
 
 def _whose(names: dict[str, str]) -> str:
-    """Return the methods, or their linear solver where they are many and have one."""
+    """Return the methods, or their common linear solver if there are many methods."""
     solvers = dict.fromkeys(names.values())
     return ", ".join(solvers if len(names) > 2 and len(solvers) == 1 else names)
 
 
 def _disagreement(inspection: Inspection) -> list[str]:
-    """Return a remark where `--solver auto` takes what is predicted to be clearly slower."""
+    """Return a remark if `--solver auto` selects a method that is predicted to be much slower."""
     auto = [
         method
         for method in inspection.methods
@@ -209,7 +209,7 @@ def _sent(row: RankPrediction, cell: str) -> str:
 
 
 def _ranks(ranks: Sequence[RankPrediction], network: tuple[float, float]) -> list[Section]:
-    """Return the predicted cost of several processes; nothing where none were asked for."""
+    """Return the predicted cost of several processes; empty if not requested."""
     if not ranks:
         return []
     rate, latency = network

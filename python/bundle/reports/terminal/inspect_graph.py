@@ -1,4 +1,4 @@
-"""The report of `bundle inspect --graph`: the steps of an elimination and their cost."""
+"""Report of `bundle inspect --graph`: the steps of an elimination and their cost."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bundle.reports.terminal.inspect import CONVENTION
 
 __all__ = ["inspected"]
 
-# Steps, and members of a step, beyond which a terminal shows no more.
+# Largest number of steps, and of members of a step, that a terminal shows.
 MOST_STEPS, MOST_MEMBERS = 100, 8
 
 

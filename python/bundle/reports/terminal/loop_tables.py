@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 __all__ = ["loops_section"]
 
 MOST_CLOSURES = 10
-"""Closures that are shown, the rejected ones first."""
+"""Number of closures shown, the rejected ones first."""
 
 
 _short = "{:.3g}".format

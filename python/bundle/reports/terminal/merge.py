@@ -1,4 +1,4 @@
-"""The report of `bundle merge`."""
+"""Report of `bundle merge`."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def merged_report(
     output: dict[str, str],
     lost: Sequence[str],
 ) -> Report:
-    """Return what was shared, joined and left, and what to do next.
+    """Return the report: shared images, merged parts, remaining freedoms, and the next step.
 
-    In the data ``input`` is A, ``other`` B.
+    In the data, ``input`` is A and ``other`` is B.
     """
     counts, shared = merged.counts, plural(len(merged.shared_images), "shared image")
     rows = []

@@ -1,4 +1,4 @@
-"""The reports of `bundle refine` and `bundle info` on pose graphs."""
+"""Reports of `bundle refine` and `bundle info` on pose graphs."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from bundle.reports.terminal.timing import WallTime, wall_section
 __all__ = ["described_graph", "refined_graph"]
 
 MOST_REJECTED = 20
-"""Rejected edges that are shown."""
+"""Number of rejected edges shown."""
 
 MOST_EDGES = 5
-"""Edges with the largest chi2 that are shown."""
+"""Number of edges with the largest chi2 shown."""
 
 MOST_BAD = 10
-"""Edges with bad information that are listed."""
+"""Number of listed edges with invalid information."""
 
 
 _LINE = Column("line", lambda edge: edge.line or "-")
@@ -54,7 +54,7 @@ WORST = (
 
 
 class _Edge:
-    """An edge of a solved graph, by its index."""
+    """Edge of a solved graph, given by its index."""
 
     def __init__(self, solved: PoseGraphResult, index: int, entry: Any = None) -> None:
         graph = solved.problem
@@ -137,7 +137,7 @@ def refined_graph(
 def _verdicts(
     solved: PoseGraphResult, rejected: list[_Edge], left_out: list[_Edge], outcome: Section
 ) -> list[Section]:
-    """Return the worst edges, those left out, those that the loss rejected, and the outcome."""
+    """Return the worst edges, omitted edges, edges that the loss rejected, and the outcome."""
     out = {entry.edge for entry in solved.left_out}
     order = np.argsort(-solved.chi2_after, kind="stable").tolist()
     worst = [_Edge(solved, index) for index in order if index not in out][:MOST_EDGES]
@@ -166,13 +166,13 @@ def _verdicts(
 
 
 def described_graph(path: str, graph: PoseGraph) -> Report:
-    """Return the report of `bundle info`: counts, components, chi2 now, what looks wrong."""
+    """Return the report of `bundle info`: counts, components, current chi2, suspicions."""
     bad = bad_information(graph)
     chi2: dict[str, float | None] = dict.fromkeys(POSE_ERRORS)
     for error in chi2:
         try:
             chi2[error] = float(pose_graph_chi2(graph, error).sum())
-        except InputError:  # of information matrices that are none, which are listed
+        except InputError:  # invalid information matrices, which are listed
             break
     degrees = graph.tangent_size * (graph.num_edges - graph.num_poses + graph.num_components)
     listed = [

@@ -1,4 +1,4 @@
-"""Processes in the report of a divided solve: balance, times, messages."""
+"""Processes in the report of a distributed solve: balance, times, messages."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MESSAGES = (
 
 
 def process_sections(record: ProcessRecord | None) -> list[Section]:
-    """Return balance, times and messages of several processes; nothing where there was one."""
+    """Return balance, times and messages of several processes; empty for one process."""
     if record is None:
         return []
     parts = record.parts

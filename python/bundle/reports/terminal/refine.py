@@ -1,4 +1,4 @@
-"""The report of `bundle refine` on a reconstruction."""
+"""Report of `bundle refine` on a reconstruction."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["refinement", "worst_sections"]
 
 MOST_CAMERAS = 5
-"""Cameras whose changes are shown."""
+"""Number of cameras whose changes are shown."""
 
 
 def refinement(
@@ -50,16 +50,16 @@ def refinement(
     """Return the report on one solve.
 
     Args:
-        path: of the input.
-        problem: as it was read.
+        path: path of the input.
+        problem: problem before the solve.
         solved: the result.
         wall: time by stage.
-        output: path and format of what was written; None where nothing was.
-        lost: by the output's format.
-        more_options: beside those of the solve.
-        georeference: of the result; None where it has none.
-        edits: of cameras before the solve; None where there were none.
-        closed: loops before the solve; None where there were none.
+        output: path and format of the output; None if nothing was written.
+        lost: data that the output's format cannot store.
+        more_options: options in addition to those of the solve.
+        georeference: georeference of the result, or None.
+        edits: changes of cameras before the solve, or None.
+        closed: loop closing before the solve, or None.
     """
     summary, changes = solved.summary, camera_changes(solved)
     warnings = (*(edits.warnings if edits else ()), *summary.warnings)
@@ -148,7 +148,7 @@ def _constraints(solved: Result) -> list[Section]:
 
 
 def _part(solved: Result) -> list[tuple[str, str]]:
-    """Return the adjusted part; nothing where it was the whole problem."""
+    """Return the adjusted part of the problem; empty if everything was adjusted."""
     part = solved.part
     if part is None:
         return []
@@ -189,7 +189,7 @@ def _rest(rest: RestRecord) -> list[tuple[str, str]]:
 
 
 def worst_sections(images: Sequence[ImageError], title: str) -> list[Section]:
-    """Return the images with the largest errors; nothing for one image."""
+    """Return the images with the largest errors; empty for a problem with one image."""
     columns = (
         Column(title, lambda image: shown(image.name) or f"image {image.image_id}"),
         Column("observations", "num_observations"),
@@ -200,7 +200,7 @@ def worst_sections(images: Sequence[ImageError], title: str) -> list[Section]:
 
 
 def _cameras(changes: Sequence[CameraChange]) -> list[Section]:
-    """Return changes of intrinsics, of the cameras that moved most."""
+    """Return changes of intrinsics, for the cameras with the largest changes."""
     if not changes:
         return []
     rows = []
@@ -238,7 +238,7 @@ def _refined(options: SolveOptions) -> str:
 
 
 def _gauge(solved: Result) -> list[tuple[str, str]]:
-    """Return the gauge of rigs; nothing where there are no rigs."""
+    """Return the gauge of a solve with rigs; empty without rigs."""
     if not solved.problem.num_frames or solved.options.gauge == "none":
         return []
     return [("gauge", f"{solved.gauge_freedom.sentence}: held")]
@@ -271,7 +271,7 @@ def _before_and_after(solved: Result) -> Table:
     rows = [
         *(
             [("cost", f"{solved.summary.initial_cost:.9e}", f"{solved.summary.final_cost:.9e}")]
-            if not solved.rounds  # costs of different rounds cannot be compared
+            if not solved.rounds  # costs of different rounds are not comparable
             else []
         ),
         *([("held cost", "-", f"{held:.9e}")] if (held := solved.summary.held_cost) else []),

@@ -1,4 +1,4 @@
-"""The report of `bundle report`, on the page that it wrote."""
+"""Report of `bundle report` about the page that it wrote."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def reported(
     """Return the report.
 
     Args:
-        path: of the input.
-        problem: on the page.
+        path: path of the input.
+        problem: problem on the page.
         page: path of the page.
-        notes: what the page could not show.
+        notes: sentences about missing parts of the page.
         wall_time: seconds.
     """
     size = f" ({format_size(Path(page).stat().st_size)})" if Path(page).is_file() else ""

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 __all__ = ["rig_sections", "sensor_sections"]
 
 MOST_ROWS = 20
-"""Sensors that are listed."""
+"""Number of listed sensors."""
 
 MOST_SENSORS = 8
-"""Sensors whose changes are shown."""
+"""Number of sensors whose changes are shown."""
 
 
 SENSORS = (
@@ -30,7 +30,7 @@ SENSORS = (
 
 
 def rig_sections(rigs: Sequence[RigSummary]) -> list[Section]:
-    """Return the sensors of every rig; nothing where there are no rigs."""
+    """Return the sensors of every rig; empty without rigs."""
     if not rigs:
         return []
     cells = [
@@ -53,7 +53,7 @@ def rig_sections(rigs: Sequence[RigSummary]) -> list[Section]:
 
 
 def sensor_sections(changes: Sequence[SensorChange]) -> list[Section]:
-    """Return the motion of sensors on their rigs; nothing where none moved."""
+    """Return the motion of sensors on their rigs; empty if no sensor moved."""
     table = Table(
         SENSORS, changes, most=MOST_SENSORS,
         others=lambda count: f"{plural(count, 'other sensor')} moved less; --json FILE lists all",

@@ -1,4 +1,4 @@
-"""Sections of a report as a terminal shows them."""
+"""Layout of the sections of a report on a terminal."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["CommandLine", "laid_out"]
 
 
 def laid_out(report: Report | Iterable[Section]) -> list[RenderableType]:
-    """Return the sections of a report, an empty line between each two."""
+    """Return the sections of a report with an empty line between them."""
     sections = report.sections if isinstance(report, Report) else report
     parts: list[RenderableType] = []
     for section in sections:
@@ -39,13 +39,13 @@ def _table(table: Table) -> list[RenderableType]:
 
 
 class CommandLine:
-    """A command line broken between words with a backslash, so that it can be copied as it is."""
+    """Command line with backslashes at line breaks, so that it can be copied unchanged."""
 
     def __init__(self, command: str) -> None:
         self.command = command
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield the lines, each indented."""
+        """Yield the indented lines."""
         lines: list[str] = []
         for word in map(shlex.quote, shlex.split(self.command)):
             if lines and len(lines[-1]) + len(word) + 3 <= options.max_width:

@@ -1,4 +1,4 @@
-"""The report of `bundle info` on a visual-inertial sequence."""
+"""Report of `bundle info` on a visual-inertial sequence."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def described_sequence(
     """Return the report.
 
     Args:
-        path: of the input.
-        format: of the input.
-        sequence: what is in it.
-        statistics: of it.
-        findings: that look wrong.
+        path: path of the input.
+        format: format of the input.
+        sequence: the sequence.
+        statistics: statistics of the sequence.
+        findings: suspicious properties of the sequence.
     """
     camera = sequence.calibration.camera_model or "normalised image coordinates"
     rest = statistics.static_start

@@ -1,4 +1,4 @@
-"""Parts that reports on several kinds of input share."""
+"""Report parts that several kinds of input share."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def result_data(solved: Result) -> dict[str, Any]:
 
 
 def solve_options(options: SolveOptions | PoseGraphOptions) -> dict[str, Any]:
-    """Return every option by name, enumerations in upper case."""
+    """Return all options by name, enumerations in upper case."""
     values = options.asdict()
     for field in dataclasses.fields(options):
         if field.metadata["choices"] is not None:
@@ -59,7 +59,7 @@ def solve_options(options: SolveOptions | PoseGraphOptions) -> dict[str, Any]:
 
 
 def factor_fact(summary: Summary) -> list[tuple[str, str]]:
-    """Return the size and cost of the factor; nothing where nothing was factorised."""
+    """Return the size and cost of the factor; empty without a factorisation."""
     if summary.num_factor_nonzeros is None:
         return []
     words = (
@@ -72,6 +72,6 @@ def factor_fact(summary: Summary) -> list[tuple[str, str]]:
 
 
 def looks_wrong(sentences: Sequence[str]) -> Section:
-    """Return what looks wrong in an input."""
+    """Return the section of suspicious properties of an input."""
     facts = [("looks wrong", "" if sentences else "nothing found")]
     return Section(facts=facts, notes=sentences, is_warning=True)

@@ -1,4 +1,4 @@
-"""The report of `bundle synth`: what was written, and its statistics."""
+"""Report of `bundle synth`: the written files and their statistics."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ def synthesized(
     """Return the report on a scene.
 
     Args:
-        options: of the scene.
-        num_cameras: in it.
-        tally: of its observations.
-        output: path and format of its start.
-        truth: path and format of its ground truth.
+        options: options of the scene.
+        num_cameras: number of cameras in the scene.
+        tally: statistics of its observations.
+        output: path and format of the start.
+        truth: path and format of the ground truth.
     """
     counts = {
         "num_cameras": num_cameras,

@@ -13,9 +13,9 @@ __all__ = ["WallTime", "wall_section"]
 
 @dataclass(frozen=True, kw_only=True)
 class WallTime:
-    """Wall-clock seconds of a command by stage; ``total`` also holds what no stage names.
+    """Wall-clock seconds of a command by stage; ``total`` includes time outside all stages.
 
-    ``statistics`` are reprojection errors before and after, where a command measures them.
+    ``statistics`` is the time for reprojection errors before and after, if a command computes them.
     """
 
     load: float
@@ -27,7 +27,7 @@ class WallTime:
 
 
 def wall_section(summary: Summary, wall: WallTime) -> Section:
-    """Return the stages of a command, the phases of the solve among them, with their shares."""
+    """Return the stages of a command, including the phases of the solve, with their shares."""
     total, solver = wall.total, summary.total_time_in_seconds
     rows = [_stage("load", wall.load, total), _stage("build", wall.build, total)]
     rows.append(("solve", seconds(wall.solve), "", share(wall.solve, total)))

@@ -17,13 +17,13 @@ __all__ = ["with_loops"]
 def with_loops(
     report: Report, result: TwoLoopsResult, error: TrajectoryError | None, written: str | None
 ) -> Report:
-    """Return the report of an odometry with that of its loops.
+    """Return the report of an odometry, extended by that of its two loops.
 
     Args:
-        report: of the odometry.
-        result: of both loops.
-        error: of the published poses against the truth; None without one.
-        written: path of the published poses; None where none were written.
+        report: report of the odometry.
+        result: result of both loops.
+        error: error of the published poses against the truth; None without a truth.
+        written: path of the published poses; None if they were not written.
     """
     return replace(
         report,
@@ -33,7 +33,7 @@ def with_loops(
 
 
 def _section(result: TwoLoopsResult, error: TrajectoryError | None) -> Section:
-    """Return lateness of poses, corrections by closures, and losses."""
+    """Return latency of poses, corrections by closures, and losses."""
     found, motion = result.statistics, result.correction
     rows = [("published", f"{plural(found.num_poses, 'pose')}, one per IMU sample")]
     if found.lateness is not None:
@@ -71,7 +71,7 @@ def _section(result: TwoLoopsResult, error: TrajectoryError | None) -> Section:
 def _data(
     result: TwoLoopsResult, error: TrajectoryError | None, written: str | None
 ) -> dict[str, Any]:
-    """Return ``two_loops`` of the report for programs."""
+    """Return the entry ``two_loops`` of the report for programs."""
     motion = result.correction
     return {
         **result.statistics.asdict(),

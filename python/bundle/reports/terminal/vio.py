@@ -1,4 +1,4 @@
-"""The report of `bundle vio`."""
+"""Report of `bundle vio`."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ def odometry_report(
     wall_time: float,
     findings: tuple[SequenceFinding, ...] = (),
 ) -> Report:
-    """Return start, keyframes, times, alarms, and errors where there is a truth.
+    """Return start, keyframes, times, alarms, and errors if there is a truth.
 
     Args:
         source: path of the sequence.
-        format: of the sequence.
-        sequence: as it was read.
-        result: of the odometry.
-        error: against the truth; None without one.
-        written: path of the trajectory; None where none was written.
+        format: format of the sequence.
+        sequence: the sequence before the odometry.
+        result: result of the odometry.
+        error: error against the truth; None without a truth.
+        written: path of the trajectory; None if it was not written.
         wall_time: seconds.
-        findings: that look wrong in the sequence itself; they come before the alarms.
+        findings: suspicious properties of the sequence; they precede the alarms.
     """
     said = _warnings(result, findings)
     ends = [f"No trajectory was written: {result.message}."] * (not result.is_usable)
@@ -148,9 +148,9 @@ def _certainty(records: tuple[KeyframeRecord, ...]) -> list[tuple[str, str]]:
 
 
 def _warnings(result: OdometryResult, findings: tuple[SequenceFinding, ...]) -> list[str]:
-    """Return findings in the sequence, then a sentence per kind of alarm.
+    """Return findings about the sequence, then one sentence per kind of alarm.
 
-    An alarm has the numbers of the last one of its kind.
+    The numbers in a sentence are those of the latest alarm of its kind.
     """
     total = plural(len(result.keyframes), "keyframe")
     return [f"{finding.sentence}." for finding in findings] + [
@@ -161,7 +161,7 @@ def _warnings(result: OdometryResult, findings: tuple[SequenceFinding, ...]) -> 
 
 
 def telemetry_lines(result: OdometryResult) -> str:
-    """Return a line of JSON per keyframe."""
+    """Return one line of JSON per keyframe."""
     return "".join(
         json.dumps(plain(record.asdict()), allow_nan=False) + "\n" for record in result.keyframes
     )
