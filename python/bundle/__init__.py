@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from bundle.georeference.alignment_result import Alignment
     from bundle.georeference.control_point import GroundControlPoint
     from bundle.georeference.position_prior import PositionPrior
-    from bundle.graphs.factors.digits import DigitsLeft
-    from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
+    from bundle.graphs.factors.factor_graph import DigitsLeft, FactorGraph, GraphResult
     from bundle.graphs.factors.factors import (
         BetweenFactor,
         PositionFactor,
@@ -54,8 +53,6 @@ if TYPE_CHECKING:
     from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult, PoseGraphSummary
     from bundle.graphs.pose_graphs.solve_pose_graph import initial_poses, pose_graph_chi2
     from bundle.inertial import two_loops
-    from bundle.inertial.filters.msckf import MsckfUpdate, msckf_update
-    from bundle.inertial.filters.track_linearization import TrackRows, track_rows
     from bundle.inertial.preintegration.imu_factors import BiasWalkFactor, ImuFactor
     from bundle.inertial.preintegration.motion_excitation import Excitation, excitation
     from bundle.inertial.preintegration.preintegration import Preintegration, propagate
@@ -66,6 +63,7 @@ if TYPE_CHECKING:
     from bundle.inertial.vio.initialize import VioStart, initialize_vio
     from bundle.inertial.vio.keyframe_record import KeyframeRecord
     from bundle.inertial.vio.landmark_table import FrameTracks
+    from bundle.inertial.vio.msckf import MsckfUpdate, TrackRows, msckf_update, track_rows
     from bundle.inertial.vio.odometry import OdometryResult, run_odometry
     from bundle.inertial.vio.sliding_window import SlidingWindow
     from bundle.inertial.vio.trajectory_comparison import TrajectoryError, compare_trajectories
@@ -263,7 +261,7 @@ _DEFERRED = {
     "georeference.alignment_result": ("Alignment",),
     "georeference.control_point": ("GroundControlPoint",),
     "georeference.position_prior": ("PositionPrior",),
-    "graphs.factors.digits": ("DigitsLeft",),
+    "graphs.factors.factor_graph": ("DigitsLeft", "FactorGraph", "GraphResult"),
     "graphs.factors.factors": (
         "BetweenFactor",
         "PositionFactor",
@@ -273,17 +271,14 @@ _DEFERRED = {
         "ScalarPriorFactor",
     ),
     "graphs.factors.function_factor": ("FunctionFactor",),
-    "graphs.factors.factor_graph": ("FactorGraph", "GraphResult"),
     "graphs.factors.incremental_smoother": ("IncrementalSmoother", "IncrementalUpdate"),
+    "graphs.factors.linear_prior": ("LinearPrior", "SquareRootPrior"),
     "graphs.factors.problem_factors": ("check_factors",),
     "graphs.factors.spectrum": ("PriorSpectrum",),
-    "graphs.factors.linear_prior": ("LinearPrior", "SquareRootPrior"),
     "graphs.loops.loop_closing": ("LoopClosing", "LoopClosure"),
     "graphs.loops.loop_graph": ("close_loops",),
     "graphs.pose_graphs.pose_graph_result": ("PoseGraphResult", "PoseGraphSummary"),
     "graphs.pose_graphs.solve_pose_graph": ("initial_poses", "pose_graph_chi2"),
-    "inertial.filters.msckf": ("MsckfUpdate", "msckf_update"),
-    "inertial.filters.track_linearization": ("TrackRows", "track_rows"),
     "inertial.preintegration.imu_factors": ("BiasWalkFactor", "ImuFactor"),
     "inertial.preintegration.motion_excitation": ("Excitation", "excitation"),
     "inertial.preintegration.preintegration": ("Preintegration", "propagate"),
@@ -294,6 +289,7 @@ _DEFERRED = {
     "inertial.vio.initialize": ("VioStart", "initialize_vio"),
     "inertial.vio.keyframe_record": ("KeyframeRecord",),
     "inertial.vio.landmark_table": ("FrameTracks",),
+    "inertial.vio.msckf": ("MsckfUpdate", "TrackRows", "msckf_update", "track_rows"),
     "inertial.vio.odometry": ("OdometryResult", "run_odometry"),
     "inertial.vio.sliding_window": ("SlidingWindow",),
     "inertial.vio.trajectory_comparison": ("TrajectoryError", "compare_trajectories"),
@@ -307,6 +303,7 @@ _DEFERRED = {
     "io.files": ("load", "reprojection_errors", "save"),
     "io.sequences.sequence_folder": ("load_sequence", "save_sequence"),
     "io.sequences.trajectory_files": ("Trajectory", "load_trajectory"),
+    "io.source": ("reprojection_errors",),
     "model.cameras": ("camera_models", "project"),
     "model.pose_graph_arrays": ("PoseGraph",),
     "model.problem": ("Problem",),

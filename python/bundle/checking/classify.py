@@ -10,7 +10,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bundle.checking import block_signatures as block
 from bundle.checking import column_signatures as column
 from bundle.checking import rotation_signatures as rotation
 from bundle.checking import row_signatures as row
@@ -50,21 +49,21 @@ KINDS = (
 
 SIGNATURES: tuple[Callable[[Evidence], None], ...] = (
     rotation.conventions,
-    block.swapped,
-    block.shifted,
+    column.swapped,
+    column.shifted,
     row.rows,
     column.zeros,
     row.whitening,
     column.factors,
-    block.transposed,
+    column.transposed,
     rotation.rotation_vectors,
     row.logarithm,
     rotation.turned,
-    block.order,
+    column.order,
     column.parameter_factors,
     column.terms_of_a_parameter,
     column.zero_entries,
-    block.rank_one,
+    column.rank_one,
 )
 
 

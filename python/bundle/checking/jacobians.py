@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +13,15 @@ from bundle import _core
 from bundle.base.arguments import check_function
 from bundle.checking.assemble import CHECKER_PRECISION, make_report, undecided_points
 from bundle.checking.classify import classify, float_precision
-from bundle.checking.columns import Block, Column
 from bundle.checking.evidence import Evidence, Finding
 from bundle.checking.gradient_report import GradientCheckerSummary, GradientReport, Offender
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation
-from bundle.checking.tally import Tally, Worst
+from bundle.checking.model_check import ModelCheck
+from bundle.checking.tally import Worst
 from bundle.errors import InputError
 from bundle.interface.check_options import SAMPLES_PER_IMAGE, TOLERANCE
 from bundle.interface.option_fields import number
 from bundle.io.files import Source, as_problem
-from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 from bundle.model.reprojection import resolve_cheirality
 
@@ -37,9 +36,6 @@ CLOSE_UNITS = 1024
 """Factor by which differences over a fraction of the depth amplify rounding errors."""
 TURN = 0.3
 """Radians from the start of its chart at which every other observation is checked."""
-
-POSE = tuple(f"{part} {axis}" for part in ("rotation", "translation") for axis in "xyz")
-POINT = ("point x", "point y", "point z")
 
 Progress = Callable[[int, int], None]
 
@@ -105,46 +101,10 @@ class _Settings:
     tolerance: float
 
 
-@dataclass(eq=False)
-class _Model:
-    """Check of the observations of one camera model."""
-
-    name: str
-    source: NDArray[np.intp]
-    tally: Tally
-    offsets: dict[int, Array] = field(default_factory=dict)
-    findings: list[Finding] = field(default_factory=list)
-
-    @staticmethod
-    def make(name: str, tolerance: float) -> _Model:
-        params = camera_models()[name]
-        columns = [Column(text, text.partition(" ")[0]) for text in POSE]
-        columns += [
-            Column(f"{name} {param}", kind.replace("_", " "))
-            for param, kind in zip(params, param_kinds(name), strict=True)
-        ]
-        columns += [Column(text, "point") for text in POINT]
-        source = np.arange(len(columns))
-        source[-3:] = [-3, -2, -1]  # after columns that other models need
-        return _Model(name, source, Tally(columns, tolerance))
-
-    @property
-    def blocks(self) -> list[Block]:
-        size = len(self.tally.columns)
-        return [
-            Block("rotation", 0, 3, "vector"),
-            Block("rotation", 0, 3, "tangent"),
-            Block("translation", 3, 6),
-            Block("pose", 0, 6),
-            Block(f"{self.name} parameters", 6, size - 3),
-            Block("point", size - 3, size),
-        ]
-
-
 class _Check:
     def __init__(self, problem: Problem, settings: _Settings) -> None:
         self.problem, self.settings = problem, settings
-        self.models: dict[str, _Model] = {}
+        self.models: dict[str, ModelCheck] = {}
         self.num_checked = self.num_skipped = 0
         self.probes = np.zeros(5, np.int64)
         self.unstable: list[int] = []
@@ -166,7 +126,7 @@ class _Check:
             hopeless = rows[rounding[rows] > CENTER]
             rows = rows[rounding[rows] <= CENTER]
             if name not in self.models:
-                self.models[name] = _Model.make(name, self.settings.tolerance)
+                self.models[name] = ModelCheck.make(name, self.settings.tolerance)
             model = self.models[name]
             analytic, reference, uncertainty = (
                 matrix[rows][..., model.source] for matrix in answer[:3]
@@ -245,13 +205,13 @@ class _Check:
             self.settings.num_threads,
         )
 
-    def _look_for_floats(self, model: _Model, deviations: JacobianDeviation) -> None:
+    def _look_for_floats(self, model: ModelCheck, deviations: JacobianDeviation) -> None:
         names = tuple(column.name for column in model.tally.columns)
         finding = float_precision(deviations, names)
         if finding is not None and not model.findings:
             model.findings.append(finding)
 
-    def _classify(self, model: _Model) -> list[Finding]:
+    def _classify(self, model: ModelCheck) -> list[Finding]:
         kept = model.tally.kept
         if kept is None:
             return model.findings
@@ -289,7 +249,7 @@ class _Check:
         )
         return classify(evidence)
 
-    def _parameters(self, model: _Model, observations: NDArray[np.intp]) -> Array:
+    def _parameters(self, model: ModelCheck, observations: NDArray[np.intp]) -> Array:
         problem = self.problem
         images = problem.observation_image[observations]
         count = len(model.tally.columns) - 9
@@ -302,7 +262,7 @@ class _Check:
             ]
         )
 
-    def _offender(self, model: _Model, entry: Worst) -> Offender:
+    def _offender(self, model: ModelCheck, entry: Worst) -> Offender:
         problem = self.problem
         image = int(problem.observation_image[entry.point])
         camera = int(problem.image_camera[image])

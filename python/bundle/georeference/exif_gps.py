@@ -97,7 +97,7 @@ def _position(path: Path) -> tuple[float, float, float, float] | None:
     Returns:
         None without a position: tags are missing, not numeric, or out of range.
     """
-    from PIL import Image
+    from PIL import Image  # start-up: loads slowly
 
     with path.open("rb") as file:
         try:
@@ -159,7 +159,7 @@ def _counted(names: list[str], what: str) -> tuple[str, ...]:
 @contextmanager
 def _any_size() -> Iterator[None]:
     """Let Pillow open images of any size, without warnings on their tags."""
-    from PIL import Image
+    from PIL import Image  # start-up: loads slowly
 
     limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
     try:

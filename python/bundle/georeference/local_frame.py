@@ -121,7 +121,7 @@ class LocalFrame:
 
     @cached_property
     def _transformer(self) -> Transformer:
-        import pyproj
+        import pyproj  # start-up: loads slowly
 
         return pyproj.Transformer.from_pipeline(self.pipeline)
 

@@ -72,7 +72,7 @@ class AreaOfUse:
     @staticmethod
     def of(crs: CRS) -> AreaOfUse | None:
         """Return the horizontal area of a system; None if unknown."""
-        import pyproj
+        import pyproj  # start-up: loads slowly
 
         flat = crs.sub_crs_list[0] if crs.sub_crs_list else crs
         area = flat.area_of_use
@@ -246,7 +246,7 @@ class ReferenceSystem:
 
     @cached_property
     def _crs(self) -> CRS:
-        import pyproj
+        import pyproj  # start-up: loads slowly
 
         if not isinstance(self.name, str):
             raise InputError(
@@ -269,7 +269,7 @@ class ReferenceSystem:
     @cached_property
     def _transformer(self) -> tuple[Transformer, bool]:
         """Return the transformation to WGS84, and whether it includes all differences of datums."""
-        import pyproj
+        import pyproj  # start-up: loads slowly
 
         target = pyproj.CRS.from_epsg(4979 if self.has_height else 4326)
         for exact in (True, False):

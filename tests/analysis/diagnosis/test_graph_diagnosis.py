@@ -7,8 +7,7 @@ import pytest
 from scipy.stats import chi2 as chi2_distribution
 
 import bundle
-from bundle.analysis.diagnosis.diagnose_graph import MEDIANS
-from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_A_MILLION
+from bundle.graphs.pose_graphs.chi2_quantiles import MEDIANS, ONE_IN_A_MILLION
 from tests.graphs.pose_graphs import graphs
 from tests.graphs.pose_graphs.test_wrong_closures import with_wrong_closures
 

@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import approx_fprime
 
 from bundle import SlidingWindow
+from bundle.inertial.vio.marginal_prior import steady_speed
 from bundle.inertial.vio.odometry import OdometryResult, run_odometry
-from bundle.inertial.vio.steady_speed import steady_speed
 from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.inertial.vio.window_frame import WindowFrame
 from bundle.synthetic.flight.synthetic_flight import synthesize_flight

@@ -18,23 +18,13 @@ from bundle.analysis.diagnosis.graph_diagnosis import (
 from bundle.analysis.diagnosis.graph_modes import component_modes_of_graph, joint_modes
 from bundle.base.arrays import freeze
 from bundle.base.words import number, plural
-from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_A_MILLION
+from bundle.graphs.pose_graphs.chi2_quantiles import MEDIANS, ONE_IN_A_MILLION
 from bundle.graphs.pose_graphs.edge_weights import WeightedGraph, weighted_graph
 from bundle.graphs.pose_graphs.joints import Joints, find_joints
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 
 __all__ = ["diagnose_graph"]
-
-MEDIANS = {
-    1: 0.454936423119572,
-    2: 1.386294361119891,
-    3: 2.3659738843753377,
-    4: 3.3566939800333224,
-    5: 4.351460191095526,
-    6: 5.348120627447118,
-}
-"""Median of chi2, by degrees of freedom."""
 
 AT_MINIMUM = 1e-4
 """Relative decrease of the cost by one more step below which a state counts as a minimum."""

@@ -16,8 +16,7 @@ from bundle.base.arguments import as_integers
 from bundle.base.display import Display, Displayed
 from bundle.base.words import pixels, plural
 from bundle.editing.cameras.exact_image import exact_params
-from bundle.editing.cameras.lens_fit import fit_lens
-from bundle.editing.cameras.lens_region import lens_region
+from bundle.editing.cameras.lens_fit import fit_lens, lens_region
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice
 from bundle.io.files import Source, as_problem

@@ -47,7 +47,8 @@ class AnchoredFactor(Factor):
     def sources(self) -> tuple[Factor, ...]:
         """Factors that were marginalised into this prior, as far as they still exist.
 
-        Store factors and their sources as weak references, so that a window does not grow.
+        A graph refuses to hold a prior together with a factor that the prior contains. Pickles and
+        deep copies lose their sources.
         """
         return tuple(self._sources)
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Unpack
 
 from bundle import _core
 from bundle.base.arguments import as_flag, check_function
-from bundle.base.display import Display
+from bundle.base.display import Display, Displayed
 from bundle.base.words import change, plural, seconds
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.check_solve import Conditioning, SolvedGraph, checked
 from bundle.graphs.factors.contents import factor_name
-from bundle.graphs.factors.digits import DigitsLeft
 from bundle.graphs.factors.factor_check import FactorCheck, check_each
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.marginals import GraphMarginals
@@ -25,7 +25,69 @@ from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.solve_record import Progress, SolveRecord, record_fields
 
-__all__ = ["FactorGraph", "GraphResult"]
+__all__ = ["DigitsLeft", "FactorGraph", "GraphResult"]
+
+
+DIGITS = 16
+ENOUGH = 4
+
+
+@dataclass(frozen=True, repr=False)
+class DigitsLeft(Displayed):
+    """Digits of a step by normal equations and by a QR factorisation.
+
+    J is the whitened Jacobian with its columns scaled to norm 1, so units have no effect. Normal
+    equations square its condition number and lose twice as many digits.
+
+    Attributes:
+        condition_number: kappa(J), the ratio of the largest and the smallest singular value,
+            accurate to a few percent; infinite for dependent columns, as in a graph without a
+            prior.
+        rank: rank of J according to the QR factorisation.
+        num_columns: number of free coordinates.
+    """
+
+    condition_number: float
+    rank: int
+    num_columns: int
+
+    @staticmethod
+    def of(largest: float, least: float, num_columns: int, dependent: Sequence[int]) -> DigitsLeft:
+        """Return the digits for two singular values and the dependent columns."""
+        rank = num_columns - len(dependent)
+        condition = largest / least if least > 0 and rank == num_columns else math.inf
+        return DigitsLeft(max(condition, 1.0), rank, num_columns)
+
+    @property
+    def normal_equations(self) -> int:
+        """16 - 2 log10 kappa, at least 0."""
+        return self._digits(2)
+
+    @property
+    def square_root(self) -> int:
+        """16 - log10 kappa, at least 0."""
+        return self._digits(1)
+
+    @property
+    def needs_square_root(self) -> bool:
+        """True if normal equations leave fewer than 4 digits and J has full rank."""
+        return self.rank == self.num_columns and self.normal_equations < ENOUGH
+
+    def _digits(self, power: int) -> int:
+        if math.isinf(self.condition_number):
+            return 0
+        return max(0, round(DIGITS - power * math.log10(self.condition_number)))
+
+    def _display(self) -> Display:
+        return Display(
+            title="DigitsLeft",
+            facts=(
+                ("condition of J", f"{self.condition_number:.1e}"),
+                ("rank", f"{self.rank} of {plural(self.num_columns, 'free coordinate')}"),
+                ("normal equations", plural(self.normal_equations, "digit")),
+                ("square root", plural(self.square_root, "digit")),
+            ),
+        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

@@ -295,7 +295,7 @@ class _Estimate(Mapping[Key, Array]):
 
 def _import_gtsam() -> ModuleType:
     try:
-        import gtsam
+        import gtsam  # optional dependency
     except ImportError:
         raise InputError(
             "IncrementalSmoother: expected the package gtsam, which is not installed: pip "

@@ -7,7 +7,7 @@ normal, with mean 1 - 2 / (9 k) and variance 2 / (9 k).
 
 from __future__ import annotations
 
-__all__ = ["ONE_IN_2000", "ONE_IN_A_MILLION", "chi2_quantile"]
+__all__ = ["MEDIANS", "ONE_IN_2000", "ONE_IN_A_MILLION", "chi2_quantile"]
 
 ONE_IN_2000 = {3: 17.72999622894616, 6: 24.102798994983747}
 """99.95 % quantiles: limit of a squared error that one right edge in 2000 exceeds."""
@@ -21,6 +21,16 @@ ONE_IN_A_MILLION = {
     6: 38.25833637720969,
 }
 """Quantiles at 1 - 1e-6: limit of a squared error that one right edge in a million exceeds."""
+
+MEDIANS = {
+    1: 0.454936423119572,
+    2: 1.386294361119891,
+    3: 2.3659738843753377,
+    4: 3.3566939800333224,
+    5: 4.351460191095526,
+    6: 5.348120627447118,
+}
+"""Medians."""
 
 _NORMAL_QUANTILE = 3.2905267314918945
 """99.95 % quantile of the standard normal distribution."""

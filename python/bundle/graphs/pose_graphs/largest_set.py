@@ -63,7 +63,7 @@ def _smallest_cover(pattern: Any) -> tuple[Flags, Flags]:
     Koenig: from unmatched vertices on the left follow any edge to the right and matched edges back.
     The cover consists of unreached vertices on the left and reached ones on the right.
     """
-    from scipy.sparse.csgraph import maximum_bipartite_matching
+    from scipy.sparse.csgraph import maximum_bipartite_matching  # optional dependency
 
     to_right = np.asarray(maximum_bipartite_matching(pattern, perm_type="column"))
     to_left = np.full(len(to_right), -1)
@@ -86,8 +86,8 @@ def _by_integers(conflicts: Flags) -> tuple[Flags, bool]:
 
     At the time limit, return the better of its best and a greedy set.
     """
-    from scipy.optimize import Bounds, LinearConstraint, milp
-    from scipy.sparse import csr_array
+    from scipy.optimize import Bounds, LinearConstraint, milp  # optional dependency
+    from scipy.sparse import csr_array  # optional dependency
 
     n = len(conflicts)
     first, second = np.nonzero(np.triu(conflicts))
@@ -124,7 +124,7 @@ def _greedy(conflicts: Flags) -> Flags:
 
 def _import_scipy() -> Any:
     try:
-        from scipy import sparse
+        from scipy import sparse  # optional dependency
     except ImportError:
         raise InputError(
             "consistency: expected the package scipy, which is not installed: pip install scipy"

@@ -28,10 +28,9 @@ from bundle.inertial.vio.landmark_table import (
     TrackNumbers,
     landmark_table,
 )
-from bundle.inertial.vio.marginal_prior import MarginalPrior, start_prior
-from bundle.inertial.vio.steady_speed import steady_speed
+from bundle.inertial.vio.marginal_prior import MarginalPrior, start_prior, steady_speed
 from bundle.inertial.vio.window_contents import window_arrays
-from bundle.inertial.vio.window_frame import ImuInterval, WindowFrame
+from bundle.inertial.vio.window_frame import ImuInterval, WindowFrame, repropagate
 from bundle.inertial.vio.window_telemetry import WindowTelemetry
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import WindowKeywords
@@ -44,7 +43,6 @@ Array = np.ndarray[Any, Any]
 
 # Sigmas beyond which a whole track is an outlier.
 OUTLIER = 6.0
-NEGLIGIBLE_ANGLE = 0.02  # rad: the first-order correction is accurate to 6e-5 rad
 
 
 class SlidingWindow:
@@ -252,7 +250,7 @@ class SlidingWindow:
 
     def _solve(self, generous: bool = False) -> None:
         options = self.options
-        self._repropagate()
+        self._telemetry.num_repropagated += repropagate(self.frames)
         table, points = self._table()
         window = window_arrays(self, table, points)
         if options.jacobians == "relinearize_prior" and self.prior is not None:
@@ -296,18 +294,6 @@ class SlidingWindow:
         for frame in self.frames:
             frame.tracks = frame.tracks.without(ids)
         self._depths.forget(ids)
-
-    def _repropagate(self) -> None:
-        """Repropagate intervals whose biases have moved too far for a first-order correction."""
-        for before, frame in zip(self.frames, self.frames[1:], strict=False):
-            assert frame.inertia is not None
-            motion, change = frame.inertia, before.state[10:13] - frame.inertia.gyro_bias
-            # The error is at most a sixth of the squared angle; skip the closed form below that.
-            if motion.duration**2 * float(change @ change) < NEGLIGIBLE_ANGLE**2:
-                continue
-            if motion.needs_repropagation(before.state[10:13]):
-                frame.inertia = frame.inertia.repropagated(before.state[10:13], before.state[13:16])
-                self._telemetry.num_repropagated += 1
 
     def _marginalize_oldest(self) -> None:
         oldest = self.frames[0]

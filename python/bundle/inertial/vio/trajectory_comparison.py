@@ -83,8 +83,8 @@ def compare_trajectories(estimate: Trajectory, truth: Trajectory) -> TrajectoryE
             is not installed.
     """
     try:
-        from evo.core import metrics
-        from evo.core.trajectory import PosePath3D
+        from evo.core import metrics  # optional dependency
+        from evo.core.trajectory import PosePath3D  # optional dependency
     except ImportError:
         raise InputError(
             "compare_trajectories: expected the package evo, which is not installed: pip "

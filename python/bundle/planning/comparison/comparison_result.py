@@ -17,6 +17,7 @@ from bundle.errors import shown
 from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary
 from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.profiles import PerformanceProfile
 
 __all__ = [
     "GAPS",
@@ -222,28 +223,6 @@ class Run(Displayed):
         times, costs = self.trace
         reached = np.flatnonzero(costs <= cost)
         return float(times[reached[0]]) if reached.size else math.nan
-
-
-@dataclass(frozen=True, kw_only=True)
-class PerformanceProfile:
-    """Share of problems that a method solves within a factor of the fastest (Dolan and More 2002).
-
-    A problem is solved when the cost is within ``gap`` of the best; the measure is the time to it.
-
-    Attributes:
-        ratios: times relative to the fastest method, of the problems that this one solved,
-            ascending.
-        num_problems: problems that at least one method solved.
-    """
-
-    method: Method
-    gap: float
-    ratios: tuple[float, ...]
-    num_problems: int
-
-    def share(self, factor: float) -> float:
-        """Return the share of problems solved within this factor of the fastest, 0 to 1."""
-        return sum(ratio <= factor for ratio in self.ratios) / max(self.num_problems, 1)
 
 
 @dataclass(frozen=True, kw_only=True)

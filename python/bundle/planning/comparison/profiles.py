@@ -15,11 +15,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
-from bundle.planning.comparison.comparison_result import PerformanceProfile
 from bundle.planning.comparison.method import Method
 
-__all__ = ["performance_profiles"]
+__all__ = ["PerformanceProfile", "performance_profiles"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PerformanceProfile:
+    """Share of problems that a method solves within a factor of the fastest (Dolan and More 2002).
+
+    A problem is solved when the cost is within ``gap`` of the best; the measure is the time to it.
+
+    Attributes:
+        ratios: times relative to the fastest method, of the problems that this one solved,
+            ascending.
+        num_problems: problems that at least one method solved.
+    """
+
+    method: Method
+    gap: float
+    ratios: tuple[float, ...]
+    num_problems: int
+
+    def share(self, factor: float) -> float:
+        """Return the share of problems solved within this factor of the fastest, 0 to 1."""
+        return sum(ratio <= factor for ratio in self.ratios) / max(self.num_problems, 1)
 
 
 def performance_profiles(

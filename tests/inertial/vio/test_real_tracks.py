@@ -8,7 +8,7 @@ from bundle import InputError
 from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.io.sequences.track_csv import read_track_csv
 from bundle.io.sequences.trajectory_files import load_ground_truth
-from tests.inertial.filters.test_msckf import moved
+from tests.inertial.vio.test_msckf import moved
 
 VIEWS, EVERY = 6, 10  # half a second apart
 SIGMA = 1.5 / 460

@@ -1,0 +1,65 @@
+"""Columns and statistics of the reprojection residuals of one camera model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.checking.columns import Block, Column
+from bundle.checking.evidence import Finding
+from bundle.checking.jacobian_deviation import Array
+from bundle.checking.tally import Tally
+from bundle.model.cameras import camera_models, param_kinds
+
+__all__ = ["ModelCheck"]
+
+POSE = tuple(f"{part} {axis}" for part in ("rotation", "translation") for axis in "xyz")
+POINT = ("point x", "point y", "point z")
+
+
+@dataclass(eq=False)
+class ModelCheck:
+    """Check of the observations of one camera model.
+
+    Attributes:
+        name: COLMAP's name of the model.
+        source: columns of the core's Jacobian that belong to this model.
+        tally: statistics of its Jacobians.
+        offsets: by observation, the rotation vector at which it was checked.
+        findings: mistakes found so far.
+    """
+
+    name: str
+    source: NDArray[np.intp]
+    tally: Tally
+    offsets: dict[int, Array] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
+
+    @staticmethod
+    def make(name: str, tolerance: float) -> ModelCheck:
+        """Return an empty check with the columns of a camera model."""
+        params = camera_models()[name]
+        columns = [Column(text, text.partition(" ")[0]) for text in POSE]
+        columns += [
+            Column(f"{name} {param}", kind.replace("_", " "))
+            for param, kind in zip(params, param_kinds(name), strict=True)
+        ]
+        columns += [Column(text, "point") for text in POINT]
+        source = np.arange(len(columns))
+        source[-3:] = [-3, -2, -1]  # after columns that other models need
+        return ModelCheck(name, source, Tally(columns, tolerance))
+
+    @property
+    def blocks(self) -> list[Block]:
+        """Blocks of columns for the signatures."""
+        size = len(self.tally.columns)
+        return [
+            Block("rotation", 0, 3, "vector"),
+            Block("rotation", 0, 3, "tangent"),
+            Block("translation", 3, 6),
+            Block("pose", 0, 6),
+            Block(f"{self.name} parameters", 6, size - 3),
+            Block("point", size - 3, size),
+        ]

@@ -1,1 +1,0 @@
-"""Updates of a filter by tracks (MSCKF)."""
