@@ -14,6 +14,8 @@
 /// = t_i - U^-1 S t_i, at one product with S each. Ceres stops it by number alone inside conjugate
 /// gradients, so that M stays the same from one to the next.
 
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
 #include <algorithm>
 #include <cstddef>
 #include <memory>
