@@ -1,8 +1,8 @@
-"""Clusters of points that have collapsed onto the cameras that see them.
+"""Clusters of points that have collapsed onto the cameras that observe them.
 
-A solve can shrink a loosely connected part of a scene until its points sit on its cameras. Their
-depths are then orders of magnitude below the others, their derivatives as many above, and
-everything that hangs on them follows: all of a connected component are one cluster.
+A solve can shrink a loosely connected part of a scene until its points lie on its cameras. Their
+depths are then orders of magnitude below the others, and their derivatives as much larger. All
+parts connected to such points move with them, so a connected component is one cluster.
 """
 
 from __future__ import annotations

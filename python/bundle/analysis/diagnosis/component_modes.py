@@ -1,4 +1,4 @@
-"""Parts of the world that hang together by nothing, or stand at one place."""
+"""Modes of disconnected components, and of components whose images share one position."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bundle.model.problem import Problem
 __all__ = ["component_modes", "rotation_modes"]
 
 MOST_IMAGES = 200
-"""Images of a component that are compared with all others, for the nearest pair."""
+"""Largest number of images of a component that the search for the nearest pair uses."""
 MOST_PIECES = 100
 SIMILARITY = 7
 
@@ -23,7 +23,7 @@ SIMILARITY = 7
 def component_modes(
     problem: Problem, tracks: TrackTable, components: tuple[Component, ...]
 ) -> list[WeakMode]:
-    """Return a mode for each component but the largest, with what would join it."""
+    """Return a mode for each component but the largest, with advice on connecting it."""
     modes = []
     for part in components[1:]:
         near = _nearest(problem, tracks, part.image_ids)
@@ -47,9 +47,9 @@ def component_modes(
 
 
 def rotation_modes(problem: Problem, tracks: TrackTable, counts: EquationCounts) -> list[WeakMode]:
-    """Return a mode for each component whose images stand at one place.
+    """Return a mode for each component whose images all have the same position.
 
-    Where the equations are too few to tell that, the mode says so.
+    If a component has too few equations to determine positions, its mode says so.
     """
     modes = []
     for piece in range(min(int(tracks.pieces.max(initial=-1)) + 1, MOST_PIECES)):
@@ -80,9 +80,9 @@ def rotation_modes(problem: Problem, tracks: TrackTable, counts: EquationCounts)
 def _nearest(
     problem: Problem, tracks: TrackTable, part: tuple[int, ...]
 ) -> tuple[int, int, int, int]:
-    """Return the ids of the images of the part and of the main piece that stand nearest.
+    """Return the ids of the nearest pair of images, one of the part and one of the main component.
 
-    And how many points each of them sees that one other image at most sees.
+    For each of them, also return the number of its points that at most one other image sees.
     """
     own = np.flatnonzero(np.isin(problem.image_ids, part))[:MOST_IMAGES]
     main = np.flatnonzero(tracks.pieces == 0)

@@ -1,4 +1,4 @@
-"""Common parts of the diagnoses of problems and of pose graphs: findings, rank, digits."""
+"""Parts that the diagnoses of problems and of pose graphs share: findings, rank, digits."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from bundle.base.words import plural
 __all__ = ["Conditioned", "Finding"]
 
 DIGITS = 16
-"""Decimal digits of a double, rounded up as the table of condition numbers has them."""
+"""Decimal digits of a double, rounded up as in the table of condition numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing to know.
+    """One finding of a diagnosis.
 
     Attributes:
-        kind: a stable name for programs, such as "points_without_parallax".
-        is_problem: whether it keeps the problem from being determined as it should be; otherwise it
-            is a fact that is good to know.
+        kind: stable name for programs, such as "points_without_parallax".
+        is_problem: True if the finding keeps the problem from being determined as it should be;
+            False for information.
         sentence: the finding in words.
     """
 
@@ -45,12 +45,12 @@ class Conditioned:
 
     @property
     def digits_normal_equations(self) -> int:
-        """Digits that a step by the normal equations has: 16 - log10(cond S), at least 0."""
+        """Digits of a step from the normal equations: 16 - log10(cond S), at least 0."""
         return self._digits(1.0)
 
     @property
     def digits_square_root(self) -> int:
-        """Digits of a step by a QR factorisation of the Jacobian, cond J = sqrt(cond S)."""
+        """Digits of a step from a QR factorisation of the Jacobian; cond J = sqrt(cond S)."""
         return self._digits(0.5)
 
     def _digits(self, power: float) -> int:
@@ -61,7 +61,7 @@ class Conditioned:
 
     @property
     def verdict(self) -> str:
-        """One sentence on the rank."""
+        """Verdict on the rank in one sentence."""
         more = self.nullity - self.expected_nullity
         least = "" if self.nullity_is_exact else "at least "
         words = f"{least}{plural(self.nullity, 'null direction')}"

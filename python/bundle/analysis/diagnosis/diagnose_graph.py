@@ -27,22 +27,22 @@ from bundle.model.pose_graph_arrays import PoseGraph
 __all__ = ["diagnose_graph"]
 
 AT_MINIMUM = 1e-4
-"""Relative decrease of the cost by one more step below which a state counts as a minimum."""
+"""Relative decrease of the cost by one more step, below which a state counts as a minimum."""
 
 FEW_DIGITS = 4
-"""Digits of a step below which the normal equations are a problem."""
+"""Number of digits of a step below which the normal equations are a problem."""
 
 MOST_NAMED = 5
-"""Suspicious edges that a sentence names."""
+"""Number of suspicious edges that a sentence names."""
 
 
 def diagnose_graph(
     source: Any, options: PoseGraphOptions | None = None, **changes: Any
 ) -> GraphDiagnosis:
-    """Find what the edges of a pose graph determine; :func:`bundle.diagnose` has the rest.
+    """Diagnose a pose graph; see :func:`bundle.diagnose`.
 
     Raises:
-        InputError: an option is wrong, or the information of an edge is none.
+        InputError: an option is wrong, or an edge has an invalid information matrix.
         OSError: the path cannot be read.
     """
     weighted = weighted_graph(source, options, changes, "diagnose")
@@ -63,7 +63,7 @@ def diagnose_graph(
     redundancy, test, rank, decrease = _tests(weighted, joints, threads)
     cost = 0.5 * float(_core.edge_chi2(graph, error).sum())
     is_minimum = not (decrease > AT_MINIMUM * cost and decrease > 1e-9)
-    if not is_minimum:  # the test is about errors of a fit
+    if not is_minimum:  # the test applies to errors of a fit only
         test = np.full(len(test), np.nan)
     scale = _noise_scale(test, rank)
     suspicious = _suspicious(weighted, test, rank, scale)
@@ -113,7 +113,7 @@ def _components(graph: PoseGraph) -> tuple[GraphComponent, ...]:
 def _tests(
     weighted: WeightedGraph, joints: Joints, threads: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], float]:
-    """Return redundancy, test and rank of the edges as given, and the decrease of a step."""
+    """Return redundancy, test and rank of the given edges, and the cost decrease of a step."""
     count = weighted.given.num_edges
     redundancy, test = np.full(count, np.nan), np.full(count, np.nan)
     rank = np.zeros(count, np.int64)
@@ -129,7 +129,7 @@ def _tests(
 
 
 def _noise_scale(test: NDArray[np.float64], rank: NDArray[np.int64]) -> float:
-    """Return how much more right edges scatter than they should; half the edges may be wrong."""
+    """Return the ratio of actual to expected scatter of correct edges; half may be wrong."""
     checked = np.isfinite(test) & (rank > 0)
     if not checked.any():
         return 1.0

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 __all__ = ["diagnose"]
 
 FEW_OBSERVATIONS = 10
-"""An image with fewer observations hardly holds its pose."""
+"""Number of observations below which an image hardly determines its pose."""
 
 
 @overload
@@ -85,29 +85,30 @@ def diagnose(
 ) -> Diagnosis | GraphDiagnosis:
     """Find what the observations determine and what they do not, at the values of a problem.
 
-    The reduced camera system (points eliminated, those without parallax taken out exactly) is
-    scaled to a diagonal of ones. Its null directions are compared with what moving, turning and
-    scaling the world does; those beyond, and weak ones, are named by what moves and why. Nothing is
-    solved: the diagnosis is that of the linearisation, so that a problem far from its solution may
-    look better or worse than it is there.
+    The points are eliminated; points without parallax are removed exactly. The resulting reduced
+    camera system is scaled to a unit diagonal. Its null directions are compared with moving,
+    rotating and scaling the world. Null directions beyond these, and weak directions, are named
+    with the parameters that move and the cause. The problem is not solved. The diagnosis is that
+    of the linearisation, so a problem far from its solution may look better or worse than at the
+    solution.
 
-    Of a pose graph, the result of a solve of one, or a g2o file the result is a
-    :class:`GraphDiagnosis`: rank from what the information of the edges leaves open, weak joints by
-    pose and edge, condition numbers, and edges that the others contradict. ``options`` are then
-    :class:`bundle.PoseGraphOptions`, of which error, information and loss count; of a result its
-    own, with the weights that its solve ended with.
+    For a pose graph, the result of its solve, or a g2o file, the result is a
+    :class:`GraphDiagnosis`. It has the rank from the information of the edges, weak joints by pose
+    and edge, condition numbers, and edges that the others contradict. ``options`` are then
+    :class:`bundle.PoseGraphOptions`, of which error, information and loss count. The result of a
+    solve is diagnosed with its own options and the final weights of the solve.
 
     Args:
-        problem: left untouched; a problem, the result of a solve, a path or a
-            pycolmap.Reconstruction.
-        options: what is refined and what is fixed, and the loss, as in :func:`bundle.solve`; of a
-            result its own. The gauge is left free unless another one than "auto" is asked for.
-        factors: beside the observations, as in :func:`bundle.solve`.
+        problem: a problem, the result of a solve, a path or a pycolmap.Reconstruction; not
+            modified.
+        options: refined and fixed parameters, and the loss, as in :func:`bundle.solve`; a result
+            uses its own options. The gauge is free unless it is set to another value than "auto".
+        factors: factors in addition to the observations, as in :func:`bundle.solve`.
         priors: measured positions and control points, likewise.
         align: likewise.
         bounds: likewise.
         constraints: likewise.
-        **changes: options by name, in place of those in ``options``.
+        **changes: options by name, which replace those in ``options``.
 
     Raises:
         InputError: as :func:`bundle.solve`.
@@ -167,7 +168,7 @@ def diagnose(
     modes += weak_modes(unknowns, found["eigenvalues"], found["directions"], tracks, modes)
     points = check_points(start, tracks)
     null = np.asarray(found["null_points"], np.int64)
-    # At a camera, any ray fits: that is another matter than rays that are one.
+    # Any ray fits a point at a camera; this differs from points whose rays are parallel.
     parallel = np.setdiff1d(start.point_ids[null[tracks.lengths[null] > 1]], points.at_cameras)
     parts: dict[str, Any] = {
         "nullity": int(found["nullity"]),
@@ -197,14 +198,14 @@ def diagnose(
 
 
 def _held(problem: Problem, options: SolveOptions) -> NDArray[np.bool_]:
-    """Return which images have a pose that is held."""
+    """Return the mask of images with constant poses."""
     if "poses" not in options.refine:
         return np.ones(problem.num_images, bool)
     return np.asarray(np.isin(problem.image_ids, options.fixed_image_ids))
 
 
 def _held_points(problem: Problem, options: SolveOptions) -> NDArray[np.int64]:
-    """Return the ids of points that are held."""
+    """Return the ids of constant points."""
     if "points" not in options.refine:
         return problem.point_ids
     return np.array(options.fixed_point_ids, np.int64)
@@ -217,8 +218,8 @@ def _expected_beside_factors(
     tracks: TrackTable,
     found: dict[str, Any],
 ) -> int:
-    """Return the similarities of the world that neither observations nor factors see."""
-    if tracks.pieces.max(initial=-1) > 0:  # of several pieces, gauge_freedom counts all
+    """Return the similarities of the world that neither observations nor factors determine."""
+    if tracks.pieces.max(initial=-1) > 0:  # for several components, gauge_freedom counts all
         return int(found["num_gauge"])
     return gauge_freedom(problem, options, factors=factors).degrees
 

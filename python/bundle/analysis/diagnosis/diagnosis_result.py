@@ -17,15 +17,16 @@ __all__ = ["CollapsedCluster", "Component", "Diagnosis", "Finding", "WeakMode"]
 
 @dataclass(frozen=True, kw_only=True)
 class WeakMode:
-    """A direction in which the observations determine little or nothing.
+    """Direction that the observations determine weakly or not at all.
 
     Attributes:
-        kind: a stable name for programs, such as "flat_scene".
-        sentence: what moves against what, why, and what to do.
+        kind: stable name for programs, such as "flat_scene".
+        sentence: moving parameters, cause, and remedy.
         image_ids: images that move.
         camera_ids: cameras whose parameters move.
-        eigenvalue: of the scaled reduced camera system; 0.0 where nothing is determined.
-        dimension: how many such directions the reduced system has; 0 where points alone move.
+        eigenvalue: eigenvalue of the scaled reduced camera system; 0.0 for an undetermined
+            direction.
+        dimension: number of such directions in the reduced system; 0 if only points move.
     """
 
     kind: str
@@ -38,11 +39,11 @@ class WeakMode:
 
 @dataclass(frozen=True, kw_only=True)
 class Component:
-    """Images that points connect, and that nothing connects with others.
+    """Images that are connected by points, and not connected with other images.
 
     Attributes:
-        image_ids: ascending.
-        num_points: points that they see.
+        image_ids: ids of the images, ascending.
+        num_points: number of points that they observe.
     """
 
     image_ids: tuple[int, ...]
@@ -51,12 +52,12 @@ class Component:
 
 @dataclass(frozen=True, kw_only=True)
 class CollapsedCluster:
-    """Points that sit on the cameras that see them.
+    """Points that lie on the cameras that observe them.
 
     Attributes:
-        point_ids: ascending.
-        image_ids: those that see them so, ascending.
-        num_observations: with a depth below 1e-4 of the median.
+        point_ids: ids of the points, ascending.
+        image_ids: ids of these images, ascending.
+        num_observations: number of observations with a depth below 1e-4 of the median.
     """
 
     point_ids: tuple[int, ...]
@@ -68,31 +69,33 @@ class CollapsedCluster:
 class Diagnosis(Conditioned, Displayed):
     """Determined and undetermined parameters of a problem at its values.
 
-    Eigenvalues are those of the reduced camera system S (points eliminated), with each row and
-    column scaled so that its diagonal is one. Ids are those of the source.
+    Eigenvalues are those of the reduced camera system S (points eliminated), with rows and columns
+    scaled to a unit diagonal. Ids are those of the source.
 
     Attributes:
-        nullity: null directions of S, points without parallax and undetermined points left out.
-        expected_nullity: what the gauge explains: 7 for images alone, 6 where a rig gives the
-            scale, 0 where priors or fixed images say where the world is.
-        nullity_is_exact: False where there are more null directions than were looked for.
-        components: pieces of the world without common points, the largest first.
+        nullity: number of null directions of S, without points that lack parallax and other
+            undetermined points.
+        expected_nullity: number of null directions due to the gauge: 7 for images alone, 6 if a
+            rig determines the scale, 0 if priors or fixed images determine the frame.
+        nullity_is_exact: False if there are more null directions than were searched.
+        components: connected components without common points, the largest first.
         weak_modes: null directions beyond the gauge first, then weak ones.
-        points_without_parallax: ids of points with two observations or more whose depth no
-            observation sees.
-        collapsed: clusters of points that sit on cameras, the largest first.
-        condition_number: of the scaled S on what it determines; NaN where that is nothing.
-        condition_number_unscaled: of S as it is.
-        eigenvalues: the lowest that are not zero, ascending.
-        max_null_eigenvalue: of those that count as zero.
+        points_without_parallax: ids of points with two or more observations that do not determine
+            the depth.
+        collapsed: clusters of points that lie on cameras, the largest first.
+        condition_number: condition number of the scaled S without its null space; NaN if nothing
+            is determined.
+        condition_number_unscaled: condition number of S without scaling.
+        eigenvalues: smallest nonzero eigenvalues, ascending.
+        max_null_eigenvalue: largest eigenvalue that counts as zero.
         unobserved_points: ids of points without observations.
-        points_seen_once: ids.
-        points_seen_twice: ids.
-        points_at_cameras: ids of points at the centre of a camera that sees them.
-        points_at_infinity: ids of points so far away that their rays are parallel, almost.
+        points_seen_once: ids of points with one observation.
+        points_seen_twice: ids of points with two observations.
+        points_at_cameras: ids of points at the centre of a camera that observes them.
+        points_at_infinity: ids of points that are so far away that their rays are nearly parallel.
         images_with_few_observations: ids of images with fewer than 10.
-        images_with_few_shared_points: ids of images with fewer than 5 points that others see.
-        findings: all of that in sentences, problems first.
+        images_with_few_shared_points: ids of images that share fewer than 5 points with others.
+        findings: all findings in sentences, problems first.
     """
 
     nullity: int
@@ -117,10 +120,10 @@ class Diagnosis(Conditioned, Displayed):
 
     @property
     def rank_gap(self) -> float:
-        """The lowest eigenvalue that is not zero by the largest that counts as zero.
+        """Ratio of the smallest nonzero eigenvalue to the largest that counts as zero.
 
-        Thousands and more where the rank is sharp; infinite where nothing counts as zero, NaN where
-        nothing else is left.
+        Thousands or more if the rank is clear; infinite if no eigenvalue counts as zero; NaN if all
+        do.
         """
         if len(self.eigenvalues) == 0:
             return math.nan

@@ -1,9 +1,9 @@
-"""Equations and unknowns of each piece of the world: fewer equations leave it open, whatever it is.
+"""Numbers of equations and unknowns per component; with too few equations it is undetermined.
 
-An observation gives two equations. A point that two images see has three unknowns, an image six, a
-camera its parameters that are refined; seven unknowns of a piece are the gauge's. Where equations
-are fewer than the rest, the values at hand say nothing of how the images stand: two images that
-stand at one place because nothing tells otherwise are no panorama.
+An observation gives two equations. A point seen by two images has three unknowns, an image six, a
+camera one per refined parameter. Seven unknowns of a component belong to the gauge. If there are
+fewer equations than other unknowns, the current positions of the images are not determined. Two
+images that merely happen to have the same position are then not a panorama.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class _Count:
 
 
 class EquationCounts:
-    """Which pieces have fewer equations than unknowns.
+    """Counts that tell which components have fewer equations than unknowns.
 
-    Pieces with frames of rigs, and those that share a camera with another piece, are left out.
+    Components with frames of rigs, or with a camera of another component, are left out.
     """
 
     def __init__(self, unknowns: Unknowns, tracks: TrackTable) -> None:
@@ -61,7 +61,10 @@ class EquationCounts:
             )
 
     def mode(self, images: np.ndarray, dimension: int) -> WeakMode | None:
-        """Return what a deficiency of these images is where their piece is short; else None."""
+        """Return the mode of a deficiency of these images if their component has too few equations.
+
+        Otherwise return None.
+        """
         pieces = np.unique(self._pieces[images])
         if len(pieces) != 1 or int(pieces[0]) not in self._short:
             return None

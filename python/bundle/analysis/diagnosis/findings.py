@@ -20,13 +20,13 @@ from bundle.model.problem import Problem
 __all__ = ["findings"]
 
 MOST_COMPONENTS = 5
-"""Components that have a sentence of their own."""
+"""Number of components that get a sentence of their own."""
 SAID = ("points_seen_once",)
-"""Warnings of a solve that the diagnosis has in words of its own."""
+"""Warnings of a solve that the diagnosis reports in its own words."""
 SHARP = 1000.0
-"""A gap between eigenvalues below which the number of null directions depends on the threshold."""
+"""Gap of eigenvalues below which the number of null directions depends on the threshold."""
 DRIFT = 3.0
-"""A solve that scales the world by more has drifted."""
+"""Scale change of the world by a solve that counts as drift."""
 
 
 def findings(
@@ -38,9 +38,9 @@ def findings(
     apart: list[WeakMode],
     drift: ScaleDrift | None,
 ) -> tuple[Finding, ...]:
-    """Return what there is to say; `diagnosis` has everything else.
+    """Return the findings; `diagnosis` has all other fields.
 
-    ``apart``: what to say of components, whether or not they are loose.
+    ``apart``: findings about components, loose or not.
     """
     all_of_them = [
         *_components(diagnosis, apart),
@@ -168,7 +168,7 @@ def _images(diagnosis: Diagnosis) -> Iterator[Finding]:
 
 
 def _joints(problem: Problem, tracks: TrackTable) -> Iterator[Finding]:
-    """Yield parts that hang on others by few points, but hang."""
+    """Yield parts that are connected with the others, but only by few points."""
     firm = tracks.firm_pieces
     for piece in range(1, min(int(firm.max(initial=-1)) + 1, 20)):
         images = np.flatnonzero(firm == piece)

@@ -16,12 +16,12 @@ __all__ = ["GraphComponent", "GraphDiagnosis", "GraphWeakMode", "SuspiciousEdge"
 
 @dataclass(frozen=True, kw_only=True)
 class GraphComponent:
-    """Poses that edges join, and that no edge joins with others.
+    """Poses that are connected by edges, and not connected with other poses.
 
     Attributes:
-        pose_ids: ascending.
-        num_edges: between them.
-        num_fixed: of the poses; with none the component floats.
+        pose_ids: ids of the poses, ascending.
+        num_edges: number of edges between them.
+        num_fixed: number of fixed poses; without one the component is free to move.
     """
 
     pose_ids: tuple[int, ...]
@@ -31,15 +31,16 @@ class GraphComponent:
 
 @dataclass(frozen=True, kw_only=True)
 class GraphWeakMode:
-    """A direction that edges leave open or hold weakly.
+    """Direction that the edges determine weakly or not at all.
 
     Attributes:
         kind: "component", "open_joint", "weak_joint" or "open_together".
-        sentence: which poses move how, which edges are to blame, what to do.
+        sentence: moving poses, their motion, the responsible edges, and the remedy.
         pose_ids: poses that move.
-        edges: pairs of pose ids: the edges that join them with the others.
-        eigenvalue: of what these edges say, in units of typical sigmas; a typical edge has about 1.
-        dimension: how many such directions there are.
+        edges: pairs of pose ids: the edges that connect them with the others.
+        eigenvalue: eigenvalue of the information of these edges, in units of typical sigmas; about
+            1 for a typical edge.
+        dimension: number of such directions.
     """
 
     kind: str
@@ -52,14 +53,14 @@ class GraphWeakMode:
 
 @dataclass(frozen=True, kw_only=True)
 class SuspiciousEdge:
-    """An edge that the others contradict.
+    """Edge that the other edges contradict.
 
     Attributes:
         edge: ids of its poses.
-        line: of the file; None from memory.
+        line: line in the file; None for a graph from memory.
         chi2: r^T Omega r.
-        test: r^T K^+ r with K the covariance of the edge's error in the fit: distributed as chi2.
-        degrees: of freedom of the test: directions of the edge that others check.
+        test: r^T K^+ r with K the covariance of the edge's error in the fit; chi2 distributed.
+        degrees: degrees of freedom of the test: directions of the edge that other edges check.
     """
 
     edge: tuple[int, int]
@@ -74,24 +75,25 @@ class GraphDiagnosis(Conditioned, Displayed):
     """Directions that the edges of a pose graph determine at its poses, and those that they do not.
 
     Attributes:
-        nullity: directions of the poses that change no error.
-        expected_nullity: what the gauge explains: 3 in the plane and 6 in space for each component
-            without a fixed pose.
-        nullity_is_exact: False where more clusters of poses are loose than are looked at together.
-        components: the largest first.
-        weak_modes: components first, then what is open, then what is weak.
-        condition_number: of the normal equations as a solve takes them (fixed poses and the first
-            of each other component left out), scaled to a diagonal of ones, on what is determined.
-        condition_number_unscaled: of the same as they are.
-        eigenvalues: the lowest of the scaled ones, ascending.
+        nullity: number of directions of the poses that change no error.
+        expected_nullity: number of directions due to the gauge: 3 in the plane and 6 in space for
+            each component without a fixed pose.
+        nullity_is_exact: False if more clusters of poses are loose than can be analysed together.
+        components: connected components, the largest first.
+        weak_modes: components first, then undetermined directions, then weak ones.
+        condition_number: condition number of the determined part of the normal equations of a
+            solve (without fixed poses and the first pose of each other component), scaled to a
+            unit diagonal.
+        condition_number_unscaled: the same without scaling.
+        eigenvalues: smallest eigenvalues of the scaled normal equations, ascending.
         suspicious_edges: edges that others contradict, the worst first.
-        edge_redundancy: (m,) how much of the d errors of an edge the other edges check: 0 for an
-            edge in no loop; NaN for edges of weight 0, where something is not determined, and
-            where rounding hides it.
-        edge_test: (m,) as :class:`SuspiciousEdge` has it; NaN likewise, and away from a minimum.
-        noise_scale: factor of chi2 by which right edges scatter more than their information says,
-            by the median over the edges, at least 1; tests are compared with chi2 times it.
-        findings: all of that in sentences, problems first.
+        edge_redundancy: (m,) number of the d errors of an edge that the other edges check: 0 for
+            an edge in no loop. NaN for edges of weight 0, for edges of undetermined poses, and if
+            rounding errors hide the number.
+        edge_test: (m,) test of :class:`SuspiciousEdge`; NaN likewise, and away from a minimum.
+        noise_scale: factor between actual and expected chi2 of correct edges, from the median over
+            the edges, at least 1; tests are compared with chi2 times this factor.
+        findings: all findings in sentences, problems first.
     """
 
     nullity: int

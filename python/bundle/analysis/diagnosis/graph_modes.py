@@ -1,4 +1,4 @@
-"""Sentences on open and weak directions of a pose graph, with poses and edges."""
+"""Sentences about undetermined and weak directions of a pose graph, with poses and edges."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DOMINANT = 0.5
 """Share of the largest coordinate above which a sentence names a coordinate."""
 MOST_EDGES = 4
 MOST_MODES = 20
-"""Number of findings of a kind; the nullity counts all."""
+"""Largest number of findings per kind; the nullity counts all."""
 
 Floats = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 def component_modes_of_graph(
     graph: PoseGraph, components: tuple[GraphComponent, ...]
 ) -> list[GraphWeakMode]:
-    """Return a mode for each component but the largest, with what would join it."""
+    """Return a mode for each component but the largest, with advice on connecting it."""
     order = np.argsort(graph.ids, kind="stable")
     ids = graph.ids[order]
     modes = []
@@ -58,7 +58,7 @@ def component_modes_of_graph(
 
 
 def joint_modes(graph: PoseGraph, joints: Joints) -> list[GraphWeakMode]:
-    """Return modes of clusters that are joined by edges that say nothing, or little."""
+    """Return modes of clusters that edges connect with little or no information."""
     opened = [_open(graph, joint) for joint in joints.opened]
     weak = [_weak(graph, joint) for joint in joints.weak]
     by_themselves = sum(mode.dimension for mode in opened)
@@ -122,7 +122,7 @@ def _together(graph: PoseGraph, joints: Joints, count: int) -> GraphWeakMode:
 
 
 def _coordinates(graph: PoseGraph, joint: Joint, vectors: Floats) -> str:
-    """Return the coordinates in the frame of the reference pose that some directions are of."""
+    """Return the coordinates, in the frame of the reference pose, that directions change."""
     names = COORDINATES[graph.tangent_size]
     frame = f" in the frame of pose {graph.ids[joint.poses[0]]}"
     if vectors.shape[1] == len(names):

@@ -1,4 +1,4 @@
-"""Ids in sentences."""
+"""Lists of ids for sentences."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def named(what: str, ids: Iterable[int]) -> str:
 
 
 def noun(count: int, one: str, many: str) -> str:
-    """Return the word that goes with a count."""
+    """Return the singular or plural of a noun for a count."""
     return one if count == 1 else many
 
 

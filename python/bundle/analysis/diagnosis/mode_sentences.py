@@ -1,4 +1,4 @@
-"""Directions of cameras' parameters and of poses as sentences, with what helps."""
+"""Sentences about directions of camera parameters and poses, with remedies."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = [
 ]
 
 DOMINANT = 0.3
-"""Share of the largest effect on pixels below which parameters are not named."""
+"""Share of the largest effect on pixels, below which parameters are not named."""
 
 Floats = NDArray[np.float64]
 
@@ -60,10 +60,10 @@ def mode_against_poses(
     dimension: int,
     known: str,
 ) -> WeakMode:
-    """Return a mode of cameras' parameters against poses."""
+    """Return a mode in which camera parameters move against poses."""
     dominant = dominant_parts(parts)
     has_focal = any(unknowns.parameter_kind(part) == "focal" for part in dominant)
-    if eigenvalue > 0:  # chosen for its focal length
+    if eigenvalue > 0:  # a weak mode, selected for its focal length
         dominant = sorted(
             {*dominant, *(p for p in parts if unknowns.parameter_kind(p) == "focal")},
             key=lambda part: (part.camera, part.parameter),
@@ -98,7 +98,7 @@ def mode_of_poses(
     dimension: int,
     tracks: TrackTable,
 ) -> WeakMode:
-    """Return a mode in which poses alone move: parts that few points hold together."""
+    """Return a mode in which only poses move: parts that few points connect."""
     ids = unknowns.problem.image_ids
     for kind, pieces, how in (
         ("few_shared_points", tracks.firm_pieces, "position, rotation or scale"),
@@ -144,13 +144,13 @@ def mode_of_poses(
 
 
 def dominant_parts(parts: list[CameraPart]) -> list[CameraPart]:
-    """Return the parameters that move pixels the most."""
+    """Return the parameters with the largest effect on pixels."""
     most = max(part.pixels for part in parts)
     return [part for part in parts if part.pixels >= DOMINANT * most]
 
 
 def part_names(unknowns: Unknowns, parts: list[CameraPart], *, spoken: bool) -> str:
-    """Return the parameters, each name once; "focal length" and the like where spoken."""
+    """Return the parameter names without repeats; if spoken, in words like "focal length"."""
     names = []
     for part in parts:
         name = unknowns.parameter_name(part)

@@ -1,10 +1,10 @@
-"""Directions that observations do not determine, in words.
+"""Words for directions that observations do not determine.
 
-Null directions come as any basis of their space. Two unknowns belong together where the projector
-onto the space couples them: its blocks are those of independent deficiencies, and the trace of each
-is its dimension, whatever the basis. What a deficiency is follows from what moves (parameters of
-cameras, poses or both), from how these images look at the scene (viewing.py) and from which points
-hold them together (track_table.py).
+A solver returns an arbitrary basis of the null space. Two unknowns belong together if the projector
+onto the null space couples them. The blocks of the projector are independent deficiencies, and the
+trace of a block is the dimension of its deficiency, for any basis. The kind of a deficiency follows
+from the moving unknowns (camera parameters, poses or both), from the viewing geometry of its images
+(viewing.py), and from the points that connect them (track_table.py).
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from bundle.model.problem import Problem
 __all__ = ["null_modes", "weak_modes"]
 
 COUPLED = 1e-3
-"""Entries of the projector below are zero."""
+"""Entries of the projector below this limit count as zero."""
 WEAK = 1e-4
-"""Eigenvalues above are no weakness."""
+"""Eigenvalues above this limit are not weak."""
 UNCERTAIN = 1e-3
-"""Share of the focal length that a weak direction leaves undetermined at one pixel of noise."""
+"""Share of the focal length that a weak direction leaves undetermined with one pixel of noise."""
 Floats = NDArray[np.float64]
 
 
@@ -50,14 +50,14 @@ def null_modes(
     collapsed: tuple[CollapsedCluster, ...],
     counts: EquationCounts,
 ) -> list[WeakMode]:
-    """Return the deficiencies behind null directions beyond the gauge, (num_unknowns, count)."""
+    """Return the deficiencies of null directions beyond the gauge, (num_unknowns, count)."""
     modes = list(_unseen(unknowns, tracks))
     for rows in _blocks(unknowns, directions):
         own = directions[rows]
         dimension = round(float((own**2).sum()))
-        if dimension == 0:  # what is left of a block by rounding
+        if dimension == 0:  # the block holds only rounding errors
             continue
-        # The direction of the block that moves the most.
+        # Direction of the block with the largest motion.
         _, _, across = np.linalg.svd(own, full_matrices=False)
         strongest = np.zeros(len(directions))
         strongest[rows] = own @ across[0]
@@ -72,17 +72,17 @@ def weak_modes(
     tracks: TrackTable,
     known: Sequence[WeakMode],
 ) -> list[WeakMode]:
-    """Return the weak directions that have a known cause, those of one cause as one.
+    """Return the weak directions with a known cause; directions of one cause are merged.
 
-    Long chains and loose ends have small eigenvalues of their own, and nothing is wrong with them:
-    a direction counts where it leaves a focal length open because of how the images look.
+    Long chains and loose ends have small eigenvalues without an error. A direction therefore counts
+    only if it leaves a focal length undetermined because of the viewing geometry.
 
     Args:
-        unknowns: of the columns.
-        eigenvalues: ascending.
-        directions: a column each.
-        tracks: of the problem.
-        known: null modes; causes that these have are not repeated.
+        unknowns: unknowns of the columns.
+        eigenvalues: eigenvalues, ascending.
+        directions: one direction per column.
+        tracks: tracks of the problem.
+        known: null modes; their causes are not repeated.
     """
     by_cause: dict[str, _Weakness] = {}
     for value, direction in zip(eigenvalues.tolist(), directions.T, strict=True):
@@ -95,7 +95,7 @@ def weak_modes(
             continue
         moved = [part for part, share in zip(focal, shares, strict=True) if share > max(shares) / 3]
         cameras = sorted({part.camera for part in moved})
-        # Points are determined by all images that see them: it is their configuration that counts.
+        # All images that observe a point determine it, so their common configuration counts.
         pieces = np.unique(tracks.pieces[unknowns.images_of_cameras(cameras)])
         look = viewing(unknowns.problem, np.flatnonzero(np.isin(tracks.pieces, pieces)))
         if look is None or not look.cause or look.cause in {mode.kind for mode in known}:
@@ -108,7 +108,7 @@ def weak_modes(
 
 @dataclass
 class _Weakness:
-    """Weak directions of one cause: the first, and squares of what all leave open, by camera."""
+    """Weak directions of one cause: the first one, and squared undetermined shares by camera."""
 
     look: Viewing
     eigenvalue: float
@@ -133,7 +133,7 @@ def _weak(unknowns: Unknowns, weakness: _Weakness) -> WeakMode:
 def _without_collapsed(
     problem: Problem, modes: list[WeakMode], collapsed: tuple[CollapsedCluster, ...]
 ) -> list[WeakMode]:
-    """Return the modes, those of images on which points have collapsed as one."""
+    """Return the modes; those of images on which points have collapsed are merged into one."""
     images = {image for cluster in collapsed for image in cluster.image_ids}
     own = np.isin(problem.image_ids, sorted(images))
     cameras = set(problem.camera_ids[problem.image_camera[own]].tolist())
@@ -161,7 +161,7 @@ def _without_collapsed(
 
 
 def _unseen(unknowns: Unknowns, tracks: TrackTable) -> Iterator[WeakMode]:
-    """Yield what no observation determines at all."""
+    """Yield modes of parameters that no observation determines."""
     problem = unknowns.problem
     entities = unknowns.entities()
     for entity in np.unique(entities[unknowns.unseen]):

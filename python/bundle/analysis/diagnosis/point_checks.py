@@ -1,8 +1,8 @@
-"""Points that the observations do not determine, or hardly.
+"""Points that the observations determine weakly or not at all.
 
-The rays to a point from the centres of its cameras, as unit vectors u_i, differ by no more than
-2 max |u_i - mean u| and by no less than max |u_i - mean u|: an angle, for small ones, without the
-square of the pairs.
+Let u_i be the unit vectors of the rays from the camera centres to a point. They differ by at most
+2 max |u_i - mean u| and by at least max |u_i - mean u|. For small values this is an angle. The
+bound avoids a loop over all pairs of rays.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __all__ = ["PointChecks", "check_points"]
 AT_CAMERA = 1e-6
 """Share of the median distance of points from their cameras."""
 PARALLEL = 1e-4
-"""Radians: rays that differ by less put a point beyond ten thousand baselines."""
+"""Limit in radians; rays with smaller differences put a point beyond ten thousand baselines."""
 
 Ids = NDArray[np.int64]
 
@@ -37,7 +37,7 @@ class PointChecks:
 
 
 def check_points(problem: Problem, tracks: TrackTable) -> PointChecks:
-    """Return the points by what is the matter with them."""
+    """Return the points, grouped by the kind of their deficiency."""
     lengths, images, points = tracks.lengths, tracks.images, tracks.points
     rays = problem.points[points] - problem.projection_centers[images]
     distances = np.linalg.norm(rays, axis=1)

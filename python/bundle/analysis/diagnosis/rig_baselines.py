@@ -1,4 +1,4 @@
-"""Rigs whose sensors stand at one place: they give the world no scale, as a panorama head."""
+"""Rigs whose sensors share one position; like a panorama head they do not determine the scale."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from bundle.model.rotations import quaternion_inverse, quaternion_rotate
 __all__ = ["rigs_without_baseline"]
 
 NO_BASELINE = 1e-4
-"""Share of the distance of the points: sensors nearer to each other are at one place."""
+"""Share of the points' distance, below which sensors count as being at the same position."""
 
 
 def rigs_without_baseline(problem: Problem) -> Iterator[Finding]:
-    """Yield a finding for each rig of several sensors that stand at one place."""
+    """Yield a finding for each rig of several sensors at one position."""
     if not problem.num_sensors or not problem.num_observations:
         return
     poses = problem.sensor_from_rig

@@ -1,7 +1,8 @@
-"""By how much a solve scaled the world.
+"""Factor by which a solve scaled the world.
 
-Images and points alone do not hold the scale. A solve without that gauge fixed may shrink the world
-a little at each step, geometrically: the cost has no say in it, but far along numbers lose digits.
+Images and points alone do not determine the scale. A solve without a fixed scale may shrink the
+world a little at each step, geometrically. The cost does not change, but after many steps numbers
+lose digits.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ __all__ = ["ScaleDrift", "scale_drift"]
 
 @dataclass(frozen=True)
 class ScaleDrift:
-    """The scale of a world after a solve.
+    """Scale of a world after a solve.
 
     Attributes:
-        factor: spread of the camera centres after, by that before.
+        factor: ratio of the spread of the camera centres after and before the solve.
         num_steps: accepted steps of the solve, at least 1.
     """
 
@@ -29,12 +30,12 @@ class ScaleDrift:
 
     @property
     def per_step(self) -> float:
-        """The geometric mean of the factors of the steps."""
+        """Geometric mean of the factors of the steps."""
         return float(self.factor ** (1.0 / self.num_steps))
 
 
 def scale_drift(result: Result) -> ScaleDrift | None:
-    """Return by how much a solve scaled the world; None where it was aligned or has no extent."""
+    """Return the scale change by a solve; None if aligned or without extent."""
     before, after = (
         float(np.linalg.norm(centers - centers.mean(axis=0)))
         for centers in (

@@ -1,4 +1,4 @@
-"""Observations by point, and what follows from who sees whom: lengths, pieces, shared points."""
+"""Observations by point: track lengths, connected components, shared points."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from bundle.model.problem import Problem
 __all__ = ["FEW_SHARED", "TrackTable"]
 
 FEW_SHARED = 5
-"""Two images with fewer common points leave their relative pose undetermined."""
+"""Number of common points below which two images leave their relative pose undetermined."""
 
 Ints = NDArray[np.int64]
 
 
 class TrackTable:
-    """The images of each point, each once, sorted by point.
+    """Images of each point without repeats, sorted by point.
 
     Attributes:
-        images: (n,) image of each pair of a point and an image that sees it.
-        points: (n,) its point, ascending.
+        images: (n,) image of each pair of a point and an image that observes it.
+        points: (n,) point of each pair, ascending.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -36,33 +36,33 @@ class TrackTable:
 
     @cached_property
     def lengths(self) -> Ints:
-        """Images of each point, (num_points,)."""
+        """Number of images of each point, (num_points,)."""
         return np.bincount(self.points, minlength=self._problem.num_points)
 
     @cached_property
     def pieces(self) -> NDArray[np.int32]:
-        """The piece of each image, the largest being 0; -1 for images without observations.
+        """Component of each image; the largest is 0; -1 for images without observations.
 
-        Points connect the images that see them, frames of rigs those that they carry.
+        Points connect the images that observe them; frames of rigs connect their images.
         """
         return self._pieces(self.images, self.points)
 
     @cached_property
     def shared(self) -> Ints:
-        """Points of each image that another image also sees, (num_images,)."""
+        """Number of points of each image that another image also observes, (num_images,)."""
         counts = self.lengths[self.points] > 1
         return np.bincount(self.images[counts], minlength=self._problem.num_images)
 
     @cached_property
     def firm_pieces(self) -> NDArray[np.int32]:
-        """As pieces, where images that share fewer than five points are not connected."""
+        """Components as in ``pieces``, where five shared points are needed for a connection."""
         first, second = self._pairs()
         code, count = np.unique(
             first * max(self._problem.num_images, 1) + second, return_counts=True
         )
         code = code[count >= FEW_SHARED]
         ends = np.stack(np.divmod(code, max(self._problem.num_images, 1)), axis=1)
-        # Each pair is a point of its own; images alone are points that they see alone.
+        # Each pair of images is treated as one point; single images as points of one image.
         alone = np.unique(self.images)
         images = np.concatenate([ends.ravel(), alone])
         points = np.concatenate(
@@ -72,7 +72,7 @@ class TrackTable:
 
     @cached_property
     def rigid_pieces(self) -> NDArray[np.int32]:
-        """As pieces, where only points that three images see connect: others have no scale."""
+        """Components as in ``pieces``, connected only by points that three images see."""
         chosen = self.lengths[self.points] > 2
         alone = np.unique(self.images)
         last = self._problem.num_points
@@ -82,15 +82,15 @@ class TrackTable:
         )
 
     def count_between(self, images: NDArray[Any]) -> int:
-        """Return how many points both these images and others see."""
+        """Return the number of points that both these images and other images observe."""
         inside = np.isin(self.images, images)
         both = np.intersect1d(self.points[inside], self.points[~inside])
         return len(both)
 
     def _pairs(self) -> tuple[Ints, Ints]:
-        """Return pairs of images on common points: each observation and the next ones.
+        """Return pairs of images on common points: each observation with the next ones.
 
-        Of long tracks only neighbours within ten: their images share many points by others.
+        Long tracks give only pairs within ten positions: their images share many other points.
         """
         first, second = [], []
         for step in range(1, 11):

@@ -23,10 +23,10 @@ class CameraPart:
     """Effect of a direction on a parameter of a camera.
 
     Attributes:
-        camera: its index.
-        parameter: its number in the model.
-        amount: by how much, in the parameter's unit.
-        pixels: by how much that moves a pixel at the rim of what the camera observes.
+        camera: index of the camera.
+        parameter: index of the parameter in the model.
+        amount: change of the parameter, in its unit.
+        pixels: resulting motion in pixels at the rim of the camera's observations.
     """
 
     camera: int
@@ -36,11 +36,11 @@ class CameraPart:
 
 
 class Unknowns:
-    """The columns of the reduced camera system, and directions in them.
+    """Columns of the reduced camera system, and directions in them.
 
     Args:
-        problem: whose.
-        found: what `_core.reduced_spectrum` returned.
+        problem: problem with the cameras and images.
+        found: result of `_core.reduced_spectrum`.
     """
 
     def __init__(self, problem: Problem, found: dict[str, Any]) -> None:
@@ -52,16 +52,16 @@ class Unknowns:
 
     @property
     def of_camera(self) -> NDArray[np.bool_]:
-        """Which are parameters of one camera."""
+        """Mask of the unknowns that are camera parameters."""
         return np.asarray(self.kind == _CAMERA)
 
     @property
     def of_pose(self) -> NDArray[np.bool_]:
-        """Which are entries of a pose."""
+        """Mask of the unknowns that are entries of a pose."""
         return np.asarray(self.kind <= _SENSOR)
 
     def entities(self) -> NDArray[np.int64]:
-        """Return a number for each unknown, the same for those of one pose or camera."""
+        """Return a number for each unknown, equal for all unknowns of one pose or camera."""
         _, numbers = np.unique(np.stack([self.kind, self.index]), axis=1, return_inverse=True)
         return np.asarray(numbers, np.int64).ravel()
 
@@ -80,7 +80,7 @@ class Unknowns:
         return np.flatnonzero(np.isin(self.problem.image_camera, cameras))
 
     def camera_parts(self, direction: Floats) -> list[CameraPart]:
-        """Return what a direction in the scaled unknowns does to the cameras."""
+        """Return the effects of a direction in the scaled unknowns on the cameras."""
         parts = []
         for row in np.flatnonzero(self.of_camera & (direction != 0)):
             camera, parameter = int(self.index[row]), int(self.coordinate[row])
@@ -98,13 +98,13 @@ class Unknowns:
         return param_kinds(self.problem.camera_models[part.camera])[part.parameter]
 
     def focal(self, camera: int) -> float:
-        """Return the mean focal length of a camera in pixels; 1 where its model has none."""
+        """Return the mean focal length of a camera in pixels; 1 for models without one."""
         kinds = param_kinds(self.problem.camera_models[camera])
         rows = [j for j, kind in enumerate(kinds) if kind == "focal"]
         return float(self.problem.camera_params[camera, rows].mean()) if rows else 1.0
 
     def _rim(self, camera: int) -> Floats:
-        """Return pixels by a unit of each parameter, at the rim of what the camera observes."""
+        """Return pixels per unit of each parameter, at the rim of the camera's observations."""
         if camera in self._rims:
             return self._rims[camera]
         problem, model = self.problem, self.problem.camera_models[camera]

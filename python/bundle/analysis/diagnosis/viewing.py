@@ -1,10 +1,10 @@
 """Viewing geometry of a set of images: causes of weakly separable intrinsics and poses.
 
-Let all images of a camera look along one direction d. Stretching the world along d by s, the focal
-length with it, changes no pinhole image: x = f X / Z. So images that are only shifted against each
-other, along d or across it, never tell the focal length from the depth, whatever the scene; turned
-ones do. Over a flat scene across d, stretching moves the images alone ("height"), so that even
-images that are somewhat inclined hardly tell (Wu 2014: Critical configurations for radial
+Let all images of a camera look along one direction d. Stretching the world along d by s, together
+with the focal length, changes no pinhole image: x = f X / Z. If images are only shifted against
+each other, along d or across it, no scene separates the focal length from the depth. Rotated images
+do separate them. Over a flat scene across d, stretching moves only the images ("height"). Then even
+slightly inclined images hardly separate them (Wu 2014: Critical configurations for radial
 distortion self-calibration; Sturm 1997: critical motion sequences).
 """
 
@@ -21,13 +21,13 @@ from bundle.model.rotations import quaternion_inverse, quaternion_rotate
 __all__ = ["Viewing", "viewing"]
 
 ONE_PLACE = 1e-3
-"""A spread of the images, by the distance of their points, of images that turn at one place."""
+"""Spread of images, relative to the distance of their points, that counts as pure rotation."""
 PARALLEL_DEGREES = 12.0
-"""Viewing directions whose root mean square angle to their mean is less are one direction."""
+"""Root mean square angle to their mean, below which viewing directions count as equal."""
 FLAT = 0.1
-"""Relief of a flat scene, as a share of the distance of the points."""
+"""Relief of a flat scene, relative to the distance of the points."""
 ALONG_DEGREES = 30.0
-"""A path within this angle of the viewing direction goes forward."""
+"""Angle to the viewing direction, below which a path counts as forward motion."""
 MOST_POINTS = 20000
 
 Vector = NDArray[np.float64]
@@ -41,11 +41,11 @@ class Viewing:
         spread_degrees: root mean square angle of the viewing directions to their mean.
         baseline: root mean square distance of the projection centres from their middle, in median
             distances of points.
-        relief: root mean square distance of the points from their plane (or line), likewise, by the
-            tenth to ninetieth percentile.
+        relief: root mean square distance of the points from their plane (or line), likewise, from
+            the tenth to the ninetieth percentile.
         tilt_degrees: angle of the mean viewing direction to the plane's normal.
         path_degrees: angle of the mean viewing direction to the main direction of the path.
-        path_share: how much of the path that direction has, 1 for a straight line.
+        path_share: share of the path along its main direction, 1 for a straight line.
     """
 
     spread_degrees: float
@@ -57,7 +57,7 @@ class Viewing:
 
     @property
     def cause(self) -> str:
-        """The name of a critical configuration that these images are in, or near; "": none."""
+        """Name of the critical configuration that these images are in or near; "": none."""
         if self.baseline < ONE_PLACE:
             return "pure_rotation"
         if self.spread_degrees > PARALLEL_DEGREES:
@@ -71,7 +71,7 @@ class Viewing:
 
 
 def viewing(problem: Problem, images: NDArray[np.int64]) -> Viewing | None:
-    """Return how these images look; None where they see nothing."""
+    """Return the viewing geometry of these images; None if they observe nothing."""
     chosen = np.flatnonzero(np.isin(problem.observation_image, images))
     if not len(chosen) or not len(images):
         return None
@@ -115,5 +115,5 @@ def _plane(points: Vector) -> tuple[float, Vector]:
 
 
 def _angle(a: Vector, b: Vector) -> float:
-    """Return the angle of two lines in degrees."""
+    """Return the angle between two lines in degrees."""
     return float(np.degrees(np.arccos(min(abs(float(a @ b)), 1.0))))

@@ -1,4 +1,4 @@
-"""Demands of images on their cameras, and the fold of radial distortion.
+"""Lens statistics: extent of the observations, and the fold of radial distortion.
 
 The radial part of SIMPLE_RADIAL, RADIAL and OPENCV maps the undistorted radius r to ``r (1 + k1 r^2
 + k2 r^4)``. It folds at the first zero of its derivative ``1 + 3 k1 s + 5 k2 s^2``, s = r^2: ``s =
@@ -75,7 +75,7 @@ def lenses(problem: Problem) -> Lens:
 
 
 def fold_radius(k1: NDArray[np.float64], k2: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the largest distorted radius in focal lengths, infinite if it increases for ever."""
+    """Return the largest distorted radius in focal lengths; infinite without a fold."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         root = np.sqrt(9.0 * k1**2 - 20.0 * k2)
         # Both forms give the same number; the second loses no digits for k1 > 0.

@@ -19,13 +19,13 @@ from bundle.model.problem import Problem
 __all__ = ["Suspicion", "count_repeated", "suspicions"]
 
 FEW_OBSERVATIONS = 10
-"""Images with fewer observations have a poorly determined pose."""
+"""Number of observations below which the pose of an image is poorly determined."""
 GROSS_ERROR_PIXELS, GROSS_ERROR_MEDIANS = 10.0, 20.0
-"""An error is gross above both: this many pixels, and this multiple of the median error."""
+"""Limits in pixels and in multiples of the median error; gross errors exceed both."""
 FAR_POINT = 1000.0
-"""A point is far beyond this multiple of the median distance from the middle of the scene."""
+"""Multiple of the median distance from the middle of the scene, beyond which a point is far."""
 FAR_SCENE = 1e5
-"""A scene is far from its origin beyond this multiple of its own size."""
+"""Multiple of the size of a scene, beyond which it is far from the origin."""
 FOCAL_RATIO = 0.1, 10.0
 """Plausible focal lengths in image sizes: COLMAP's min_ and max_focal_length_ratio."""
 QUATERNION_TOLERANCE = 1e-6
@@ -214,7 +214,7 @@ def _observations(
 def _gross(errors: NDArray[np.float64]) -> tuple[float, NDArray[np.bool_]]:
     """Return the limit and the mask of gross errors.
 
-    NaN is no error, and infinity is no typical one.
+    NaN is not a gross error. Infinite errors are gross; the median excludes them.
     """
     known = errors[np.isfinite(errors)]
     median = float(np.median(known)) if len(known) else 0.0
@@ -303,7 +303,7 @@ def _suspicion(
     *,
     count: int | None = None,
 ) -> Suspicion:
-    """Return "3 images have no observation (images 4, 7, 9)."; `ids` are all concerned ids."""
+    """Return text such as "3 images have no observation (images 4, 7, 9)."; `ids` are all ids."""
     total = len(ids) if count is None else count
     named = _first(ids)
     noun = of if len(ids) == 1 else f"{of}s"

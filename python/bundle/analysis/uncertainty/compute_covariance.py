@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 __all__ = ["covariance"]
 
 AT_MINIMUM = 1e-4
-"""Relative decrease of the cost by one more step below which a state counts as a minimum."""
+"""Relative decrease of the cost by one more step, below which a state counts as a minimum."""
 
 
 @overload
@@ -93,61 +93,63 @@ def covariance(
     constraints: Constraints | Iterable[str | Rule] = (),
     **changes: Any,
 ) -> Covariance | GraphCovariance:
-    """Compute how certain poses, points and intrinsics are: marginal covariances.
+    """Compute the marginal covariances of poses, points and intrinsics.
 
-    With residuals of known sigma, H = J^T J over all that is free is the information, and blocks of
-    its inverse are covariances: of a pose with all points and intrinsics estimated beside it. The
-    problem should be a minimum of what a solve with the same options minimises; where it is not,
-    ``notes`` says so.
+    For residuals of known sigma, the information matrix is H = J^T J over all free parameters.
+    Blocks of its inverse are marginal covariances, for example of a pose when all points and
+    intrinsics are estimated as well. The problem should be a minimum of a solve with the same
+    options; otherwise ``notes`` says that it is not.
 
-    The world of images alone may move, turn and scale: H is singular. ``gauge`` says how that is
-    resolved. "inner" gives the pseudo-inverse of H, the covariance of least trace (S-transformation
-    of Baarda; Triggs et al. 2000, section 9); what is fixed, priors and metric rigs are found to
-    hold what they hold. "two_cameras" and "three_points" hold what the same gauges of a solve do,
-    so that these images or points have none. "none": priors and fixed parts hold everything.
-    Angles, ratios of lengths and relative poses, but for the scale, do not depend on it, with one
-    exception: "three_points" holds two numbers more than are free, the shape of a triangle, which
-    makes all covariances smaller than they are. A note says so.
+    Images alone leave position, rotation and scale of the world free, and H is singular. ``gauge``
+    selects how this is resolved. "inner" gives the pseudo-inverse of H, the covariance of least
+    trace (S-transformation of Baarda; Triggs et al. 2000, section 9); fixed parameters, priors and
+    metric rigs reduce the gauge automatically. "two_cameras" and "three_points" hold the same
+    parameters constant as these gauges of a solve, so these images or points have no covariance.
+    "none": priors and fixed parameters determine the gauge. Angles, ratios of lengths and relative
+    poses, apart from their scale, do not depend on the gauge, with one exception: "three_points"
+    holds the shape of a triangle, two numbers more than are free. All covariances are then too
+    small, and a note says so.
 
-    Points without parallax are left out along the direction that nothing sees, exactly and without
-    damping: ``null_point_ids`` names them. They take no part in the inner constraints.
+    Points without parallax are left out along their undetermined direction, exactly and without
+    damping. ``null_point_ids`` lists them. They take no part in the inner constraints.
 
-    Of a pose graph, the result of a solve of one, or a g2o file the result is a
-    :class:`GraphCovariance`: of each pose, a right perturbation X Exp(d) in the frame of the body,
-    by the information of the edges. ``options`` are then :class:`bundle.PoseGraphOptions`, of which
-    error, information and loss count (a loss takes weight from edges, which makes poses less
-    certain); of a result its own, with the weights that its solve ended with. ``gauge`` is "first"
-    (the default: held as a solve does, by the first pose of each component without a fixed one),
-    "inner" (the pseudo-inverse) or "none" (fixed poses hold everything); ``relative`` has pairs of
-    pose ids, for the covariance of X_a^-1 X_b.
+    For a pose graph, the result of its solve, or a g2o file, the result is a
+    :class:`GraphCovariance`. It has the covariance of each pose, as a right perturbation X Exp(d)
+    in the frame of the body, from the information of the edges. ``options`` are then
+    :class:`bundle.PoseGraphOptions`, of which error, information and loss count. A loss reduces the
+    weight of edges and makes poses less certain. The result of a solve uses its own options and the
+    final weights of the solve. ``gauge`` is "first" (the default: as in a solve, the first pose of
+    each component without a fixed pose is constant), "inner" (the pseudo-inverse) or "none" (fixed
+    poses determine the gauge). ``relative`` has pairs of pose ids, for the covariance of X_a^-1
+    X_b.
 
     Args:
-        problem: also the path of one, or a pycolmap.Reconstruction; of a :class:`Result` its
-            refined problem under its options.
-        options: what is refined, held and of which loss; the defaults of :class:`SolveOptions` if
-            not given. How to solve does not matter.
+        problem: problem, its path, or a pycolmap.Reconstruction. For a :class:`Result`, its refined
+            problem and its options are used.
+        options: refined and constant parameters, and the loss; by default those of
+            :class:`SolveOptions`. Solver choices have no effect.
         of: some of "poses", "points", "intrinsics".
         relative: pairs (a, b) of image ids, for the covariance of cam_b_from_cam_a.
         gauge: "inner" (the default), "two_cameras", "three_points" or "none".
-        scale: "unit": residuals have sigma 1 px, or what ``observation_sigma`` says; "sigma0":
+        scale: "unit": residuals have sigma 1 px, or ``observation_sigma`` if available; "sigma0":
             these times sigma0, estimated from the residuals. Priors keep their sigmas.
-        robust: what a loss means. "weights": its weights rho' make an observation less certain;
-            "sandwich": H^-1 (sum psi psi^T) H^-1, with psi the gradient of an observation, which
-            holds for independent residuals of any distribution and has a scale of its own.
-        factors: beside the observations, as in :func:`bundle.solve`.
-        priors: measured positions and control points, in the frame of the problem, which they do
-            not move.
-        bounds: of camera parameters; one on an active bound is held.
+        robust: treatment of a loss. "weights": its weights rho' make an observation less certain;
+            "sandwich": H^-1 (sum psi psi^T) H^-1, with psi the gradient of an observation. The
+            latter holds for independent residuals of any distribution and has its own scale.
+        factors: factors in addition to the observations, as in :func:`bundle.solve`.
+        priors: measured positions and control points, in the frame of the problem; they do not move
+            the problem.
+        bounds: bounds of camera parameters; a parameter at an active bound is constant.
         constraints: rules, as in :func:`bundle.solve`.
-        **changes: options by name, in place of those in ``options``.
+        **changes: options by name, which replace those in ``options``.
 
     Raises:
         InputError: an argument is wrong; there are no observations; a coordinate exceeds 1e50; the
-            gauge leaves something free; something beyond the gauge is not determined; no degrees of
-            freedom for sigma0; a factor couples a point with something else that is free, or is a
-            function in Python.
+            gauge leaves a direction free; parameters beyond the gauge are undetermined; sigma0 has
+            no degrees of freedom; a factor couples a point with another free parameter, or is a
+            Python function.
         KeyboardInterrupt: Ctrl-C.
-        MemoryError: memory or a limit of it does not suffice.
+        MemoryError: memory or a memory limit is too small.
         OSError: the path cannot be read.
 
     Example:
@@ -200,7 +202,7 @@ def covariance(
 
 
 def _check_same_factors(result: Result, *given: Iterable[Any]) -> None:
-    """Refuse a result of a solve with factors without them: it is no minimum of anything else."""
+    """Refuse a result without the factors of its solve: it is a minimum with them only."""
     if len(result.factor_costs_after) and not any(_is_given(one) for one in given):
         raise InputError(
             f"problem: expected the factors, priors or constraints of the solve "
@@ -214,7 +216,7 @@ def _is_given(values: Iterable[Any]) -> bool:
 
 @dataclass(frozen=True)
 class _Recipe:
-    """All that a covariance is computed from; it pickles."""
+    """All inputs of a covariance; supports pickling."""
 
     request: SolveRequest
     of: tuple[str, ...]
@@ -223,7 +225,7 @@ class _Recipe:
     robust: str
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        if "request" not in state:  # a pickle of before there were requests
+        if "request" not in state:  # a pickle of an older version, without requests
             align = False if state["priors"] else None
             names = ("options", "factors", "priors", "bounds", "constraints")
             known = {name: state[name] for name in names}
@@ -257,7 +259,7 @@ class _Recipe:
 
         out = run(ready.start, layout.options)
         dof = out["num_residuals"] - out["num_parameters"] + out["gauge_degrees"]
-        if dof < 0:  # what the factor of a matrix of rounding errors says means nothing
+        if dof < 0:  # a factor of rounding errors is meaningless
             raise InputError(
                 f"problem: expected at least as many residuals as parameters, found "
                 f"{out['num_residuals']} for {out['num_parameters'] - out['gauge_degrees']} "
@@ -270,7 +272,7 @@ class _Recipe:
         ):
             notes.append(far)
         cost = 0.5 * out["weighted_squares"]
-        # Control points start where the rays of their pixels meet, not where a solve had put them.
+        # Control points start at the intersection of their rays, not at the result of a solve.
         if ready.placed.targets is None and out["predicted_decrease"] > AT_MINIMUM * cost:
             share = 100 * out["predicted_decrease"] / cost if cost > 0 else float("inf")
             notes.append(not_converged(share, layout.options.loss == "trivial"))
@@ -298,7 +300,7 @@ class _Recipe:
     ) -> Covariance:
         problem = self.request.problem
         refuse_rounding(problem, out)
-        num_points = problem.num_points  # control points of the start come after them
+        num_points = problem.num_points  # control points of the start follow them
 
         def some(part: str, ids: NDArray[Any], values: NDArray[Any]) -> tuple[Any, Any]:
             count = len(ids) if part in self.of else 0
@@ -333,9 +335,9 @@ class _Recipe:
 
 
 def _scaled(problem: Problem, options: SolveOptions, sigma0: float) -> tuple[Problem, SolveOptions]:
-    """Return the problem with observations whose sigmas are sigma0 times theirs.
+    """Return the problem with the sigmas of observations multiplied by sigma0.
 
-    The weights of a loss stay what they are: it counts in the old sigmas.
+    The weights of a loss are unchanged: the loss uses the original sigmas.
     """
     old = problem.observation_sigma
     sigmas = np.full(problem.num_observations, sigma0) if old is None else sigma0 * old

@@ -1,4 +1,4 @@
-"""Covariances by the ids of what they are of."""
+"""Covariances, indexed by the ids of images, points and cameras."""
 
 from __future__ import annotations
 
@@ -25,36 +25,38 @@ _Ids = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Covariance(Displayed):
-    """Marginal covariances of a solution: of each block, with all else estimated beside it.
+    """Marginal covariances of a solution: of each block, with all others estimated as well.
 
     A pose has (w, t): w [rad] is the left perturbation of cam_from_world, R to Exp(w) R, and t its
-    translation in the unit of the model. What is held has covariance 0, parameters of cameras NaN;
-    what nothing observes has NaN. What was not asked for has no entries.
+    translation in the unit of the model. Constant poses and points have covariance 0, constant
+    camera parameters NaN. Unobserved parameters have NaN. Blocks that were not requested are
+    missing.
 
     Attributes:
         pose_ids: (n,) ids of images.
         pose_covariance: (n, 6, 6) of (w, t).
         point_ids: (n,) ids of points.
-        point_covariance: (n, 3, 3); NaN where nothing says where along its rays a point is.
+        point_covariance: (n, 3, 3); NaN if the depth of a point along its rays is undetermined.
         camera_ids: (n,) ids of cameras.
-        camera_covariance: (n, k, k) over all parameters of the model in COLMAP's order, NaN where
-            they are held and beyond the model's.
+        camera_covariance: (n, k, k) over all parameters of the model in COLMAP's order; NaN for
+            constant parameters, and for columns beyond the parameters of the model.
         frame_ids: (n,) ids of frames of rigs of several sensors.
-        frame_covariance: (n, 6, 6) of rig_from_world, as of poses.
+        frame_covariance: (n, 6, 6) of rig_from_world, as for poses.
         sensor_ids: (n, 2) ids of rigs and cameras.
-        sensor_covariance: (n, 6, 6) of sensor_from_rig, as of poses.
+        sensor_covariance: (n, 6, 6) of sensor_from_rig, as for poses.
         relative_ids: (m, 2) ids of images a and b.
-        relative_covariance: (m, 6, 6) of cam_b_from_cam_a, as of poses.
-        null_point_ids: ids of the points without parallax: along a direction that nothing sees
-            they were left out.
-        sigma0: root of the weighted squares of all residuals over their degrees of freedom: 1 where
-            the sigmas that were assumed are right. NaN without degrees of freedom.
-        dof: residuals, those of priors included, less the parameters that they determine.
-        gauge: how the world was held.
-        scale: "unit": residuals have the sigmas assumed (1 px where none is given); "sigma0": those
-            of observations times sigma0.
+        relative_covariance: (m, 6, 6) of cam_b_from_cam_a, as for poses.
+        null_point_ids: ids of points without parallax; they were left out along their undetermined
+            direction.
+        sigma0: root of the weighted sum of squares of all residuals over their degrees of freedom;
+            1 if the assumed sigmas are right. NaN without degrees of freedom.
+        dof: number of residuals, including those of priors, minus the number of parameters that
+            they determine.
+        gauge: gauge of the covariance.
+        scale: "unit": residuals have the assumed sigmas (1 px by default); "sigma0": those of
+            observations are multiplied by sigma0.
         robust: "weights" or "sandwich".
-        notes: sentences about what to know of it.
+        notes: sentences with remarks on the covariance.
     """
 
     pose_ids: _Ids
@@ -84,7 +86,7 @@ class Covariance(Displayed):
         """Return the (6, 6) covariance of an image's pose.
 
         Raises:
-            InputError: there is no such image, or poses were not asked for.
+            InputError: the image does not exist, or poses were not requested.
         """
         return self._one("image", self.pose_ids, self.pose_covariance, image_id)
 
@@ -92,7 +94,7 @@ class Covariance(Displayed):
         """Return the (3, 3) covariance of a point.
 
         Raises:
-            InputError: there is no such point, or points were not asked for.
+            InputError: the point does not exist, or points were not requested.
         """
         return self._one("point", self.point_ids, self.point_covariance, point_id)
 
@@ -100,19 +102,19 @@ class Covariance(Displayed):
         """Return the (k, k) covariance of a camera's parameters.
 
         Raises:
-            InputError: there is no such camera, or intrinsics were not asked for.
+            InputError: the camera does not exist, or intrinsics were not requested.
         """
         return self._one("camera", self.camera_ids, self.camera_covariance, camera_id)
 
     def relative(self, id_a: int, id_b: int) -> _Floats:
         """Return the (6, 6) covariance of cam_b_from_cam_a.
 
-        It does not depend on the gauge, but for the length of the translation where nothing gives
-        the scale. Pairs that were not asked for are computed now, which takes about a step of a
-        solve.
+        It does not depend on the gauge, except for the length of the translation if the scale is
+        undetermined. Pairs that were not requested are computed now, which takes about as long as
+        a step of a solve.
 
         Raises:
-            InputError: there is no such image.
+            InputError: an image does not exist.
         """
         found = np.flatnonzero((self.relative_ids == (id_a, id_b)).all(axis=1))
         if found.size:
@@ -124,7 +126,7 @@ class Covariance(Displayed):
         return alone
 
     def save(self, path: str | Path) -> None:
-        """Write all arrays, and what they were computed for, to an .npz file, whole or not at all.
+        """Write all arrays and settings to an .npz file; a failed write leaves no partial file.
 
         Raises:
             OSError: the file cannot be written.

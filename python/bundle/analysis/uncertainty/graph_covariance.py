@@ -28,10 +28,10 @@ __all__ = ["GRAPH_GAUGES", "GraphCovariance", "graph_covariance"]
 GRAPH_GAUGES = ("first", "inner", "none")
 
 AT_MINIMUM = 1e-4
-"""Relative decrease of the cost by one more step below which a state counts as a minimum."""
+"""Relative decrease of the cost by one more step, below which a state counts as a minimum."""
 
 LOST = 1e10
-"""An inflation beyond which the variances have fewer than six digits."""
+"""Inflation above which the variances have fewer than six digits."""
 
 _Floats = NDArray[np.float64]
 _Ids = NDArray[np.int64]
@@ -39,24 +39,25 @@ _Ids = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GraphCovariance(Displayed):
-    """Marginal covariances of the poses of a graph: of each, with all others estimated beside it.
+    """Marginal covariances of the poses of a graph: of each, with all others estimated as well.
 
     A pose X (world_from_body) has the covariance of d in X Exp(d), a right perturbation: in the
     plane x y angle, in space rotation [rad] and then translation, both in the frame of the body.
-    Poses that are held have 0.
+    Constant poses have covariance 0.
 
     Attributes:
-        pose_ids: (n,) ids.
+        pose_ids: (n,) ids of poses.
         pose_covariance: (n, d, d) with d = 3 or 6.
         relative_ids: (m, 2) ids of poses a and b.
-        relative_covariance: (m, d, d) of X_a^-1 X_b, a right perturbation; no gauge changes it.
-        sigma0: root of sum r^T W Omega r over the degrees of freedom: 1 where the information of
-            the edges is right. NaN without degrees of freedom.
-        dof: d times the edges, less d times the poses that are free once the gauge is held.
+        relative_covariance: (m, d, d) of X_a^-1 X_b, a right perturbation; independent of the
+            gauge.
+        sigma0: root of sum r^T W Omega r over the degrees of freedom; 1 if the information of the
+            edges is right. NaN without degrees of freedom.
+        dof: d times the number of edges, minus d times the number of free poses under the gauge.
         gauge: "first", "inner" or "none".
-        held_pose_ids: poses without a FIX that are held.
-        scale: "unit": by the information of the edges; "sigma0": times sigma0^2.
-        notes: sentences about what to know of it.
+        held_pose_ids: constant poses without a FIX.
+        scale: "unit": from the information of the edges; "sigma0": multiplied by sigma0^2.
+        notes: sentences with remarks on the covariance.
     """
 
     pose_ids: _Ids
@@ -74,7 +75,7 @@ class GraphCovariance(Displayed):
         """Return the (d, d) covariance of a pose.
 
         Raises:
-            InputError: there is no such pose.
+            InputError: the pose does not exist.
         """
         found = np.flatnonzero(self.pose_ids == pose_id)
         if not _is_id(pose_id) or not len(found):
@@ -87,7 +88,7 @@ class GraphCovariance(Displayed):
         """Return the (d, d) covariance of X_a^-1 X_b.
 
         Raises:
-            InputError: the pair was not asked for.
+            InputError: the pair was not requested.
         """
         found = np.flatnonzero((self.relative_ids == (id_a, id_b)).all(axis=1))
         if not found.size:
@@ -99,7 +100,7 @@ class GraphCovariance(Displayed):
         return of_pair
 
     def save(self, path: str | Path) -> None:
-        """Write all arrays, and what they were computed for, to an .npz file, whole or not at all.
+        """Write all arrays and settings to an .npz file; a failed write leaves no partial file.
 
         Raises:
             OSError: the file cannot be written.
@@ -135,11 +136,11 @@ def graph_covariance(
     scale: str = "unit",
     **changes: Any,
 ) -> GraphCovariance:
-    """Compute how certain the poses of a graph are; :func:`bundle.covariance` says what is what.
+    """Compute the covariances of the poses of a graph; see :func:`bundle.covariance`.
 
     Raises:
-        InputError: an argument is wrong; the gauge leaves something free, or the edges do, beyond
-            the gauge; no degrees of freedom for sigma0.
+        InputError: an argument is wrong; the gauge or the edges leave directions free; sigma0 has
+            no degrees of freedom.
         OSError: the path cannot be read.
     """
     gauge, scale = one_of("gauge", gauge, GRAPH_GAUGES), one_of("scale", scale, SCALES)
@@ -208,7 +209,7 @@ def _notes(out: dict[str, Any], chi2: float, num_floating: int, loss: str) -> tu
 def _check_determined(
     weighted: WeightedGraph, held: NDArray[np.bool_], for_gauge: list[int], rows: list[Any]
 ) -> None:
-    """Refuse what edges leave open, and relative poses of what nothing joins."""
+    """Refuse undetermined directions, and relative poses between unconnected poses."""
     used = weighted.graph
     joints = find_joints(used, held, weighted.options.error)
     if joints.num_open:
@@ -236,7 +237,7 @@ def _not_determined(graph: PoseGraph, poses: list[int]) -> InputError:
 
 
 def _rows_of(graph: PoseGraph, pairs: list[Any]) -> list[tuple[int, int]]:
-    """Return pairs of pose ids as positions."""
+    """Return pairs of pose ids as pairs of array positions."""
     place = {key: row for row, key in enumerate(graph.ids.tolist())}
     rows = []
     for k, pair in enumerate(pairs):

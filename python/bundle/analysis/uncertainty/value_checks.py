@@ -1,11 +1,12 @@
-"""Checks of a covariance: pairs of images, huge coordinates, rounding alone, points far away.
+"""Checks of a covariance: pairs of images, huge coordinates, rounding errors, distant points.
 
-Points far away hold the world under inner constraints. These ask for N^T x = 0 over all unknowns x,
-N being the changes by moving, turning and scaling the world (core/covariance/free_gauge.h). For a
-point at a distance d from the centre, the part of N that turns and scales is about d, and counts by
-its square: a point a thousand scenes away has the weight of a million. If a few such points have
-more of it than all others together, poses are as certain as the direction of these points. That is
-the definition, but rarely what the user wants.
+Distant points dominate the gauge under inner constraints. The constraints require N^T x = 0 over
+all unknowns x, with N the changes by moving, rotating and scaling the world
+(core/covariance/free_gauge.h). For a point at a distance d from the centre, the rows of N for
+rotation and scale are about d, and their weight is d^2. A point a thousand scene sizes away has the
+weight of a million points. If a few such points outweigh all others together, poses are as
+uncertain as the direction of these points. This follows from the definition, but users rarely want
+it.
 """
 
 from __future__ import annotations
@@ -22,19 +23,19 @@ from bundle.model.problem import Problem
 __all__ = ["note_on_far_points", "refuse_huge", "refuse_rounding", "rows_of"]
 
 LARGEST = 1e50
-"""Coordinates beyond this have fourth powers, which gauges need, near the end of doubles."""
+"""Limit of coordinates; gauges need fourth powers, which would exceed the range of doubles."""
 
 FAR = 100.0
-"""Times the median distance of points from the median of the cameras."""
+"""Multiple of the median distance of points from the median of the cameras."""
 
 MOST_NAMED = 5
 
 
 def note_on_far_points(problem: Problem, null_points: NDArray[np.int32]) -> str:
-    """Return a sentence if points far away dominate the inner constraints; else "".
+    """Return a sentence if distant points dominate the inner constraints; else "".
 
     Args:
-        problem: whose points are free.
+        problem: problem with free points.
         null_points: rows of points without parallax, which take no part.
     """
     takes_part = np.bincount(problem.observation_point, minlength=problem.num_points) > 0
@@ -58,7 +59,7 @@ def note_on_far_points(problem: Problem, null_points: NDArray[np.int32]) -> str:
 
 
 def refuse_huge(problem: Problem) -> None:
-    """Refuse coordinates whose powers leave the range of doubles, naming the first."""
+    """Refuse coordinates whose powers exceed the range of doubles; the error names the first."""
     for kind, ids, coordinates in (
         ("point", problem.point_ids, problem.points),
         ("image", problem.image_ids, problem.cam_from_world[:, 4:]),
@@ -72,7 +73,7 @@ def refuse_huge(problem: Problem) -> None:
 
 
 def refuse_rounding(problem: Problem, out: dict[str, Any]) -> None:
-    """Refuse variances that are no variances: negative, or no numbers where something is seen."""
+    """Refuse negative and infinite variances, and NaN variances of images with observations."""
     seen = np.zeros(problem.num_images, bool)
     seen[problem.observation_image] = True
     for kind, ids, blocks, known in (
@@ -91,7 +92,7 @@ def refuse_rounding(problem: Problem, out: dict[str, Any]) -> None:
 
 
 def rows_of(problem: Problem, pairs: list[Any]) -> list[tuple[int, int]]:
-    """Return pairs of image ids as places in the problem's arrays."""
+    """Return pairs of image ids as pairs of positions in the problem's arrays."""
     place = {key: row for row, key in enumerate(problem.image_ids.tolist())}
     rows = []
     for number_of, pair in enumerate(pairs):
