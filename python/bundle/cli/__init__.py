@@ -1,1 +1,1 @@
-"""The command line: parse, call the library, print."""
+"""Command line: parse arguments, call the library, print results."""

@@ -23,7 +23,7 @@ FLAGS = {
     "to": "--reference",
     "align": "expected --gcp, --gps or --reference",
 }
-"""Flags of the arguments of :func:`bundle.align`, which refuses those without effect."""
+"""Flags of the arguments of :func:`bundle.align`, which refuses flags without effect."""
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""Arguments of the commands that measure and predict: they leave the model as it is."""
+"""Arguments of the commands that measure and predict; they do not change the model."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Georeference beside an output: georeference.json is always true of the model beside it.
+"""georeference.json next to an output; it always describes the model next to it.
 
-A command that places a model writes it; one that leaves a model in its place carries that of its
-input along; where there is none, that of an earlier model goes with that model (``bundle.io``).
+A command that georeferences a model writes the file. A command that keeps the frame of its input
+copies the input's file. Without such a file, a file of an earlier model at the output is replaced
+together with that model (``bundle.io``).
 """
 
 from __future__ import annotations
@@ -29,16 +30,16 @@ FRAME = ("reference_system", "origin", "pipeline")
 
 
 def georeference_at(source: str) -> dict[str, Any] | None:
-    """Return what is said of the place of a model; None where nothing is."""
+    """Return the georeference next to a model; None without one."""
     return georeference_of(Path(source), is_folder=Path(source).is_dir())
 
 
 def check_georeference(path: str, format: str) -> None:
-    """Refuse now what could not be written later.
+    """Check that a georeference can be written later.
 
     Raises:
-        InputError: something that is no file stands there, or it is of another model.
-        OSError: there is no permission.
+        InputError: the path is not a file, or it has the georeference of another model.
+        OSError: permission is missing.
     """
     model = Path(path)
     beside = path_beside(model, is_folder=format != "bal")
@@ -59,13 +60,13 @@ def check_georeference(path: str, format: str) -> None:
 def write_georeference(
     georeference: Georeference | Alignment, path: str, format: str, reference: str | None = None
 ) -> None:
-    """Write the file, whole or not at all.
+    """Write georeference.json completely, or leave no file if the write fails.
 
     Args:
-        georeference: of the model.
-        path: of the model.
-        format: of the model.
-        reference: path of another model, whose frame it has.
+        georeference: content of the file.
+        path: path of the model.
+        format: format of the model.
+        reference: path of another model in the same frame.
     """
     found = plain(georeference.asdict())
     frame = None if reference is None else georeference_at(reference)
@@ -75,14 +76,14 @@ def write_georeference(
 def carry_georeference(
     found: dict[str, Any] | None, path: str, format: str, changed: str = ""
 ) -> None:
-    """Write what an input says of the place of its model, of a model in the same frame.
+    """Write the georeference of an input next to a model in the same frame.
 
     Args:
-        found: at the input; None: nothing.
-        path: of the model.
-        format: of the model.
-        changed: a sentence on what happened to it, if it is not that of the input any more. What
-            measurements say of it has gone then.
+        found: georeference of the input; None: none exists.
+        path: path of the model.
+        format: format of the model.
+        changed: sentence about a change, if the model differs from that of the input. The errors at
+            measurements are then dropped.
     """
     if found is None:
         return

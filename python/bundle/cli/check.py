@@ -21,7 +21,7 @@ __all__ = ["run"]
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Check INPUT: 0 if all is correct, 1 if anything is wrong, 3 if that cannot be decided."""
+    """Check INPUT; return 0 if all is correct, 1 if anything is wrong, 3 if undecided."""
     started = perf_counter()
     options = options_given(arguments, CheckOptions).asdict()
     if arguments.all:
@@ -39,6 +39,6 @@ def run(arguments: argparse.Namespace) -> int:
     publish(checked(arguments.input, problem, report, options, wall), arguments.json)
     if report.ok:
         return EXIT_DONE
-    if arguments.json == "-":  # the report that people read was not printed
+    if arguments.json == "-":  # standard output has only the JSON report
         complain(outcome(report))
     return EXIT_UNDECIDED if report.verdict == "undecided" else EXIT_NO_SOLUTION

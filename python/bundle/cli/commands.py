@@ -1,7 +1,7 @@
-"""Arguments of every command: INPUT, OUTPUT and reports by hand, options from their classes.
+"""Arguments of every command: INPUT, OUTPUT and reports; options come from their classes.
 
-``ARGUMENTS`` has the function that declares the arguments of each command; the function that runs
-the command is found by ``bundle.cli.dispatch``.
+``ARGUMENTS`` maps each command to the function that declares its arguments. The function that runs
+the command is in ``bundle.cli.dispatch``.
 """
 
 from __future__ import annotations
@@ -211,7 +211,7 @@ def _synth(parser: Parser) -> None:
 
 
 def ground_truth_path(arguments: argparse.Namespace) -> str | None:
-    """Return the path of the true solution of a scene; None for a flight, whose folder has it."""
+    """Return the path of a scene's true solution; None for a flight, whose folder contains it."""
     if arguments.scene == FLIGHT:
         return None
     path: str = arguments.output

@@ -24,7 +24,7 @@ __all__ = ["run"]
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compare methods on INPUT: 0 if one can be recommended."""
+    """Compare methods on INPUT; return 0 if one can be recommended."""
     refuse_flags_of_graphs(arguments)
     options = options_given(arguments, SolveOptions)
     asked = options_given(arguments, CompareOptions)
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _write_page(compared: Comparison, path: str, progress: Progress) -> None:
-    from bundle.reports.page.comparison_page import write_comparison  # for --html only
+    from bundle.reports.page.comparison_page import write_comparison  # only for --html
 
     progress.stage(f"writing {shown(path)}")
     write_comparison(compared, path)

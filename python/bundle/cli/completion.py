@@ -1,7 +1,7 @@
 """`bundle --print-completion SHELL`: a script that completes commands, flags, values and paths.
 
-shtab makes the script from the parser. The script is static: a shell completes without starting
-Python.
+shtab generates the script from the parser. The script is static, so a shell completes without
+starting Python.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ SHELLS = ("bash", "zsh", "tcsh")
 
 
 class PrintCompletion(argparse.Action):
-    """Action that prints the script of a shell and ends the command."""
+    """Action that prints the completion script of a shell and exits."""
 
     def __call__(self, parser: Any, _namespace: Any, shell: Any, _flag: str | None = None) -> None:
         """Print the script.
@@ -25,7 +25,7 @@ class PrintCompletion(argparse.Action):
         Raises:
             InputError: shtab is not installed.
         """
-        # Both are for this flag only; shtab is an extra.
+        # Only this flag needs these imports; shtab is an optional dependency.
         from bundle.cli.path_checks import PathArgument
 
         try:

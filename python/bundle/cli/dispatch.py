@@ -1,6 +1,6 @@
-"""Two tables: what each command is for, and which function runs it for which kind of input.
+"""Tables of the commands: their help texts, and their handlers by kind of input.
 
-Handlers are named, not imported: a command imports what it needs and no more.
+Handlers are names, not imports, so that a command imports only the modules that it needs.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ COMMANDS = {
     "convert": "between formats, saying what is lost",
     "synth": "seeded synthetic scenes with ground truth, from toy to millions of observations",
 }
-"""Commands in the order of the help, with what they do."""
+"""Commands in the order of the help, with their help texts."""
 
 SEVERAL = "several inputs"
 GRAPH_FILE = "file of a graph"
@@ -75,9 +75,9 @@ HANDLERS = {
     ("synth", Kind.RECONSTRUCTION): "synth:run",
     ("synth", FLIGHT): "flight_synthesis:run",
 }
-"""Functions of this room that run a command, by the kind of its input.
+"""Functions in this package that run a command, by the kind of its input.
 
-A kind that a command does not list goes to the reader of reconstructions, which says what it found.
+Other kinds go to the reader of reconstructions, whose error names the kind.
 """
 
 
@@ -90,7 +90,7 @@ def find_handler(command: str, kind: str) -> Callable[..., Any]:
 
 
 def kind_of_input(arguments: argparse.Namespace) -> str:
-    """Recognize INPUT; several inputs are a pose graph where one of them is."""
+    """Detect the kind of INPUT; several inputs are pose graphs if one of them is."""
     paths = [arguments.input] if "input" in arguments else getattr(arguments, "inputs", [])
     kinds = {recognize(path) for path in paths}
     if len(kinds) == 1:

@@ -1,4 +1,4 @@
-"""Errors that a user can cause, each in one line, and the exit codes.
+"""Errors that a user can cause, each as one line, and the exit codes.
 
 ===== =============================================================================================
 code  meaning
@@ -30,7 +30,7 @@ __all__ = [
     "is_interruption",
 ]
 
-# How the dynamic loader says so.
+# Messages of the dynamic loader about missing memory.
 _LACKS_MEMORY = re.compile("failed to map segment|cannot allocate memory", re.IGNORECASE)
 
 _NO_FOLDER = "the working directory is gone (removed or renamed); change to one that exists"
@@ -43,11 +43,11 @@ EXIT_INTERRUPTED = startup.EXIT_INTERRUPTED
 
 
 def describe_error(error: BaseException, written: Sequence[Path] = ()) -> str | None:
-    """Return an error in one line, or None for one that only a bug can cause.
+    """Return an error as one line, or None for an error that only a bug can cause.
 
     Args:
-        error: what ended the command.
-        written: paths that it had replaced before, which the line names.
+        error: exception that ended the command.
+        written: paths that were already replaced, which the line names.
     """
     paths = [shown(path) for path in dict.fromkeys(written)]
     after = f"{' and '.join(paths)} {'were' if len(paths) > 1 else 'was'} written"
@@ -58,7 +58,7 @@ def describe_error(error: BaseException, written: Sequence[Path] = ()) -> str | 
 
 
 def is_interruption(error: BaseException) -> bool:
-    """Tell whether Ctrl-C caused an error: an import may turn it into an ImportError."""
+    """Tell whether Ctrl-C caused an error; an import may turn it into an ImportError."""
     if isinstance(error, ImportError):
         cause = error.__cause__ or error.__context__
         return cause is not None and is_interruption(cause)

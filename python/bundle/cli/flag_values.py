@@ -1,6 +1,6 @@
-"""Values of flags: how the command line reads ids, names, lists and paths.
+"""Values of flags: parsing of ids, names, lists and paths.
 
-``READERS`` has a reader for each ``value`` that a field of an option class may name.
+``READERS`` has a parser for each ``value`` in the fields of option classes.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ __all__ = ["READERS", "choice_word", "parse_ids", "parse_images", "parse_sensors
 
 
 def choice_word(text: str) -> str:
-    """Return a choice as the command line writes it."""
+    """Return a choice in the spelling of the command line."""
     return text.lower().replace("_", "-")
 
 
 def parse_ids(text: str) -> tuple[int, ...]:
-    """Return the ids that "1,2,5-9" names, sorted, each once.
+    """Return the ids in text such as "1,2,5-9", sorted, without repeats.
 
     Raises:
-        argparse.ArgumentTypeError: anything else, or more than ten million ids.
+        argparse.ArgumentTypeError: the text has another form, or more than ten million ids.
     """
     ids: set[int] = set()
     for part in text.split(","):
@@ -36,17 +36,17 @@ def parse_ids(text: str) -> tuple[int, ...]:
             raise argparse.ArgumentTypeError(
                 f"expected ids and ranges such as 1,2,5-9, found {text!r}"
             )
-        if more.stop - more.start > MOST_IDS - len(ids):  # len() ends at 2^63 - 1
+        if more.stop - more.start > MOST_IDS - len(ids):  # len() of a range fails above 2^63 - 1
             raise argparse.ArgumentTypeError(f"expected at most {MOST_IDS} ids, found {text!r}")
         ids.update(more)
     return tuple(sorted(ids))
 
 
 def parse_images(text: str) -> tuple[int, ...] | str:
-    """Return the ids of images, or the text where it has names, which need the problem.
+    """Return the ids of images, or the text if it has names, which need the problem.
 
     Raises:
-        argparse.ArgumentTypeError: it is neither.
+        argparse.ArgumentTypeError: the text has neither ids nor names.
     """
     parts = [part.strip() for part in text.split(",")]
     numeric = all(part.replace("-", "").strip().isdigit() for part in parts)
@@ -54,10 +54,10 @@ def parse_images(text: str) -> tuple[int, ...] | str:
 
 
 def parse_sensors(text: str) -> tuple[tuple[int, int], ...]:
-    """Return the pairs of ids that "1:2,1:3" names.
+    """Return the pairs of ids in text such as "1:2,1:3".
 
     Raises:
-        argparse.ArgumentTypeError: anything else.
+        argparse.ArgumentTypeError: the text has another form.
     """
     return _pairs(text, "sensors RIG:CAMERA such as 1:2,1:3")
 
@@ -109,4 +109,4 @@ READERS: dict[str, tuple[Callable[[str], Any], str]] = {
     "word": (choice_word, ""),
     "words": (_parse_words, ""),
 }
-"""Readers of values, each with an example for the help, by the ``value`` of a field."""
+"""Parsers of values with an example for the help, by the ``value`` of a field."""

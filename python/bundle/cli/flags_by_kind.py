@@ -1,4 +1,4 @@
-"""Flags of one kind of input or scene: added beside those of the others, and refused for them."""
+"""Flags of one kind of input or scene; they are refused for other kinds."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def add_pose_graph_flags(
     names: Collection[str] | None = None,
     title: str = "pose graphs (.g2o), beside backend, loss, trust region, tolerances and threads",
 ) -> None:
-    """Add the options that only pose graphs have, and widen the choices of the others.
+    """Add the options that only pose graphs have, and extend the choices of shared options.
 
     Args:
-        parser: of the command.
-        names: of the options; None: all.
-        title: of their group in the help.
+        parser: parser of the command.
+        names: names of the options; None: all.
+        title: title of their group in the help.
     """
     for field in dataclasses.fields(option_class("PoseGraphOptions")):  # type: ignore[arg-type]
         if names is None or field.name in names:
@@ -50,7 +50,7 @@ def add_pose_graph_flags(
 
 
 def _widen(parser: argparse.ArgumentParser, field: dataclasses.Field[Any], kind: str) -> None:
-    """Let the flag that another class has made take the choices of this one as well."""
+    """Extend the flag of another option class by the choices of this class."""
     action = parser._option_string_actions.get(field.metadata["flag"])
     if action is None or action.choices is None:
         return
@@ -63,7 +63,7 @@ def _widen(parser: argparse.ArgumentParser, field: dataclasses.Field[Any], kind:
 
 
 def add_flight_flags(parser: argparse.ArgumentParser) -> None:
-    """Add the scene "flight", and the options that no other scene has."""
+    """Add the scene "flight" and its own options."""
     action = parser._option_string_actions["--scene"]
     action.choices = [*(action.choices or ()), FLIGHT]
     action.help = (
@@ -79,7 +79,7 @@ def add_flight_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def refuse_flags_of_flights(arguments: argparse.Namespace) -> None:
-    """Refuse, for another scene, what only a flight has.
+    """Refuse flags of flights for other scenes.
 
     Raises:
         InputError: such a flag was given.
@@ -90,7 +90,7 @@ def refuse_flags_of_flights(arguments: argparse.Namespace) -> None:
 
 
 def refuse_flags_of_scenes(arguments: argparse.Namespace) -> None:
-    """Refuse, for a flight, what only another scene has.
+    """Refuse flags of other scenes for flights.
 
     Raises:
         InputError: such a flag was given.
@@ -104,7 +104,7 @@ def refuse_flags_of_scenes(arguments: argparse.Namespace) -> None:
 
 
 def refuse_flags_of_graphs(arguments: argparse.Namespace) -> None:
-    """Refuse, for a reconstruction, what only a pose graph has.
+    """Refuse flags of pose graphs for reconstructions.
 
     Raises:
         InputError: such a flag was given.
@@ -116,11 +116,11 @@ def refuse_flags_of_graphs(arguments: argparse.Namespace) -> None:
 def refuse_flags_of_reconstructions(
     arguments: argparse.Namespace, taken: Collection[str] = ()
 ) -> None:
-    """Refuse, for a pose graph, what only a reconstruction has.
+    """Refuse flags of reconstructions for pose graphs.
 
     Args:
-        arguments: of the command line.
-        taken: arguments beside those of every command that a pose graph has.
+        arguments: parsed command line.
+        taken: arguments of pose graphs in addition to those of every command.
 
     Raises:
         InputError: such a flag was given.
@@ -133,7 +133,7 @@ def refuse_flags_of_reconstructions(
 
 
 def _only(kind: str, other: str) -> list[dataclasses.Field[Any]]:
-    """Return the fields of an option class that another one has not."""
+    """Return the fields of an option class that another class does not have."""
     shared = {field.name for field in _fields(option_class(other))}
     return [field for field in _fields(option_class(kind)) if field.name not in shared]
 
@@ -145,7 +145,7 @@ def _fields(kind: type[Options]) -> tuple[dataclasses.Field[Any], ...]:
 def _given(
     arguments: argparse.Namespace, fields: Iterable[dataclasses.Field[Any]]
 ) -> Iterable[str]:
-    """Yield the flags of those fields that were given."""
+    """Yield the flags of these fields that the command line has."""
     for field in fields:
         if getattr(arguments, field.name, None) is not None:
             yield field.metadata["flag"]

@@ -1,4 +1,4 @@
-"""`bundle synth --scene flight`: a visual-inertial sequence in place of a reconstruction."""
+"""`bundle synth --scene flight`: a visual-inertial sequence instead of a reconstruction."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["run"]
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Make a flight and write it, its truth beside its measurements."""
+    """Generate a flight and write its measurements and ground truth."""
     refuse_flags_of_scenes(arguments)
     options = options_given(arguments, FlightOptions)
     path = arguments.output

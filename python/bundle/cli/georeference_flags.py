@@ -1,4 +1,4 @@
-"""Positions and control points from the command line: checked, then made priors of a solve."""
+"""Positions and control points from the command line, as checked options and as priors."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ def georeference_given(
     page: bool = False,
     only_images: str | None = None,
 ) -> GeoreferenceOptions:
-    """Return what is known of positions and control points.
+    """Return the options of positions and control points.
 
     Args:
-        arguments: of the command line.
-        refined: kinds of parameters that are refined.
-        page: whether a page is written, which shows the photographs of ``--images``.
-        only_images: images to which the solve is confined.
+        arguments: parsed command line.
+        refined: kinds of refined parameters.
+        page: True if a report page is written, which shows the photographs of ``--images``.
+        only_images: images that the solve refines.
 
     Raises:
-        InputError: a flag lacks another that it needs or contradicts another, or there is no
-            folder of images.
+        InputError: a flag requires another flag or contradicts it, or the folder of images does
+            not exist.
     """
     if page and arguments.images is not None and not Path(arguments.images).is_dir():
         raise InputError(f"--images: expected a folder, found none: {shown(arguments.images)}")
@@ -67,12 +67,12 @@ def georeference_given(
 
 
 def main_flag(given: GeoreferenceOptions) -> str:
-    """Return the flag that an error about all priors names."""
+    """Return the flag for errors about all priors."""
     return "--gps" if given.gcp is None else "--gcp"
 
 
 def priors_of(given: GeoreferenceOptions, problem: Problem) -> GcpPriors | GpsPriors | None:
-    """Return the priors of images and control points; None where nothing was given.
+    """Return the priors of images and control points; None without any.
 
     Raises:
         InputError: a file or a flag is wrong; the message names the flag.
@@ -80,7 +80,7 @@ def priors_of(given: GeoreferenceOptions, problem: Problem) -> GcpPriors | GpsPr
     """
     if not given.is_given:
         return None
-    # Coordinates on the earth need pyproj, which most runs do without.
+    # Only geographic coordinates need pyproj.
     from bundle.georeference.gcp_priors import gcp_priors
     from bundle.georeference.gps_priors import gps_priors
 
@@ -94,10 +94,10 @@ def priors_of(given: GeoreferenceOptions, problem: Problem) -> GcpPriors | GpsPr
 
 
 def settings_of(given: GeoreferenceOptions) -> dict[str, Any]:
-    """Return the arguments of ``gps_priors``, ``gcp_priors`` and ``align`` that differ from theirs.
+    """Return non-default arguments of ``gps_priors``, ``gcp_priors`` and ``align``.
 
     Raises:
-        InputError: the place of the antenna cannot be read.
+        InputError: the antenna position is invalid.
     """
     settings = given.changed()
     if "antenna" in settings:

@@ -1,4 +1,4 @@
-"""`bundle info`: every INPUT described by the function for its kind."""
+"""`bundle info`: describe every INPUT by the function for its kind."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
         with naming_flags(ranks="--ranks", network="--network"):
             ranks = predict_ranks(problem, inspection, options, counts=counts, network=network)
         if arguments.html is not None:
-            from bundle.reports.page.inspection_page import write_inspection  # as asked
+            from bundle.reports.page.inspection_page import write_inspection  # only for a page
 
             progress.stage(f"writing {shown(arguments.html)}")
             page, name = arguments.html, str(arguments.input)

@@ -1,4 +1,4 @@
-"""`bundle inspect --graph`: a small graph from a file, eliminated step by step."""
+"""`bundle inspect --graph`: step by step elimination of a small graph from a file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["run"]
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Inspect the graph of a file."""
+    """Inspect the graph in a file."""
     if (arguments.input is None) == (arguments.graph is None):
         found = "neither" if arguments.input is None else "both"
         raise InputError(f"expected INPUT or --graph FILE, found {found}")
@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     given = options_given(arguments, GraphFileOptions)
     graph = _eliminate(given)
     if arguments.html is not None:
-        from bundle.reports.page.inspection_page import write_inspection  # as asked
+        from bundle.reports.page.inspection_page import write_inspection  # only for a page
 
         write_inspection(graph, arguments.html)
     publish(inspected(arguments.graph, graph, perf_counter() - started), arguments.json)

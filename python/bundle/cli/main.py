@@ -1,4 +1,4 @@
-"""The command `bundle`: finds the subcommand and turns every expected error into one line."""
+"""Entry point of `bundle`: run the subcommand and print every expected error as one line."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ __all__ = ["COMMANDS", "command_parser", "main"]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code; ``bundle.cli.error_lines`` has them all."""
+    """Run one command and return its exit code; see ``bundle.cli.error_lines``."""
     open_missing_streams()
     end_in_one_line()
     with recording() as written, _noting_recoveries():
@@ -49,11 +49,11 @@ def main(argv: Sequence[str] | None = None) -> int:
                 code = EXIT_INTERRUPTED if is_interruption(error) else EXIT_BAD_INPUT
         finally:
             startup.is_over = argv is None
-            if argv is None:  # nothing is left but the interpreter's end, which may take a moment
+            if argv is None:  # only the exit of the interpreter follows, which may take a moment
                 startup.ignore_interrupts()
             release_broken_streams()
     if argv is None:
-        gc.freeze()  # the interpreter need not search for garbage what the system takes back
+        gc.freeze()  # skip a garbage collection at exit; the system frees the memory
     return code
 
 
@@ -83,7 +83,7 @@ def _flush() -> None:
 
 
 def command_parser() -> Parser:
-    """Return the parser of all commands; each declares its arguments when they are needed."""
+    """Return the parser of all commands; their arguments are declared when needed."""
 
     def unknown(found: str, command: str) -> str:
         flags = {name: each.flags() for name, each in parser.commands().items()}
@@ -116,7 +116,7 @@ def command_parser() -> Parser:
 
 def _declare(name: str, parser: Parser) -> None:
     """Declare the arguments of a command."""
-    from bundle.cli.commands import ARGUMENTS, add_common  # --version and --help start quickly
+    from bundle.cli.commands import ARGUMENTS, add_common  # late, for fast --version and --help
     from bundle.cli.path_checks import check_paths
 
     parser.check = check_paths
@@ -128,7 +128,7 @@ def _declare(name: str, parser: Parser) -> None:
 
 @contextmanager
 def _noting_recoveries() -> Iterator[None]:
-    """Print notes on a model, such as that the replacement by a killed run was finished."""
+    """Print notes about a model, such as a completed replacement after a killed run."""
     with warnings.catch_warnings():
         show = warnings.showwarning
 
@@ -139,13 +139,13 @@ def _noting_recoveries() -> Iterator[None]:
                 show(message, category, *where, **how)
 
         warnings.simplefilter("always", NoteWarning)
-        setattr(warnings, "showwarning", note)  # noqa: B010 (the stub knows only functions of its own)
+        setattr(warnings, "showwarning", note)  # noqa: B010 (the stub allows only its own type)
         yield
 
 
 @contextmanager
 def _ignoring_interrupts(for_good: bool) -> Iterator[None]:
-    """Let impatience not interrupt the line that says what has happened, nor what follows."""
+    """Prevent Ctrl-C from interrupting the last line about the outcome, and the exit after it."""
     if for_good:
         startup.ignore_interrupts()
     if for_good or threading.current_thread() is not threading.main_thread():

@@ -1,6 +1,6 @@
-"""`mpirun -n N bundle refine ...`: the first process runs the command, the others wait for parts.
+"""`mpirun -n N bundle refine ...`: rank 0 runs the command, the other ranks wait for work.
 
-What goes wrong is said by one process in one line; Open MPI's mpirun adds some of its own.
+One process prints an error as one line; Open MPI's mpirun adds lines of its own.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from bundle.solving.ranks.launch import rank_by_launcher, size_by_launcher, use
 __all__ = ["note_alone", "run_command"]
 
 DELIVERY = 0.5
-"""Seconds that mpirun has to pass on a line of another process."""
+"""Seconds that mpirun gets to forward a line of another process."""
 
 DIVIDED = "refine"
-"""The command that several processes can share."""
+"""Command that several processes can run together."""
 
 
 def run_command(main: Callable[[], int]) -> int:
-    """Run the command of this process, which mpirun started beside others; return its exit code."""
+    """Run the command of this process under mpirun; return its exit code."""
     words = sys.argv[1:]
     is_first = rank_by_launcher() == 0
     refusal = _refusal(words)
@@ -54,7 +54,7 @@ def run_command(main: Callable[[], int]) -> int:
 
     crew = MpiCrew(comm)
     code = EXIT_BAD_INPUT
-    # Ctrl-C reaches mpirun, which ends all; it passes SIGUSR1 on, which ends a solve in order.
+    # mpirun ends all processes at Ctrl-C; it forwards SIGUSR1, which ends a solve cleanly.
     signal.signal(signal.SIGUSR1, crew.interrupt)
     try:
         with use(crew):
@@ -68,13 +68,13 @@ def run_command(main: Callable[[], int]) -> int:
 
 
 def note_alone(what: str) -> None:
-    """Say what one process does while the others wait; nothing where there are no others."""
+    """Print a note about work of rank 0 while others wait; print nothing for a single process."""
     if size_by_launcher() > 1:
         complain(f"note: one of {size_by_launcher()} processes {what}; the others wait")
 
 
 def _refusal(words: list[str]) -> str | None:
-    """Return why several processes cannot run a command; None where they can."""
+    """Return the reason why several processes cannot run this command; None if they can."""
     command = next((word for word in words if not word.startswith("-")), DIVIDED)
     if command == DIVIDED:
         return None
@@ -82,25 +82,25 @@ def _refusal(words: list[str]) -> str | None:
 
 
 def _refuse(why: str) -> int:
-    """Print why all end, in one of the processes, which all find the same; return the exit code."""
+    """Print the reason for the end in one process only; return the exit code."""
     if speaks_for_all():
         complain(f"error: {why}")
     else:
-        time.sleep(DELIVERY)  # as mpirun passes nothing on once one of them has ended
+        time.sleep(DELIVERY)  # mpirun forwards nothing once a process has ended
     return EXIT_BAD_INPUT
 
 
 def _complain_for_all(line: str) -> None:
-    """Print why all end, unless another process does."""
+    """Print the final error unless another process prints it."""
     if take_the_word():
         complain(line)
 
 
 def _world() -> Any:
-    """Return mpi4py's communicator of all processes; None if it is not that of mpirun."""
+    """Return mpi4py's communicator of all processes; None without mpirun's."""
     try:
         from mpi4py import MPI
-    except (ImportError, RuntimeError):  # no mpi4py, or no MPI library for it
+    except (ImportError, RuntimeError):  # mpi4py or its MPI library is missing
         return None
     return MPI.COMM_WORLD if MPI.COMM_WORLD.size == size_by_launcher() else None
 

@@ -27,7 +27,7 @@ MERGED = "Merged with another model, in the frame of the first."
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Merge A and B into OUTPUT."""
+    """Merge models A and B into OUTPUT."""
     paths, target = (arguments.a, arguments.b), arguments.output
     with Progress(quiet=arguments.quiet) as progress, naming_flags(**FLAGS):
         problems = []

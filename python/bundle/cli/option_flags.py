@@ -1,4 +1,4 @@
-"""Flags made from the fields of option classes (``bundle.interface.option_fields``), and back."""
+"""Flags from the fields of option classes (``bundle.interface.option_fields``), and back."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ def add_options(
     """Add a group with one flag for each field of an option class.
 
     Args:
-        parser: of the command.
-        kind: the option class, or its name.
-        title: of the group in the help.
-        names: of the fields; None: all.
-        description: of the group in the help.
-        **helps: help of fields whose meaning differs in this command.
+        parser: parser of the command.
+        kind: option class or its name.
+        title: title of the group in the help.
+        names: names of the fields; None: all.
+        description: description of the group in the help.
+        **helps: help texts of fields with another meaning in this command.
     """
     group = parser.add_argument_group(title, description)
     add_fields(group, kind, names, **helps)
@@ -73,17 +73,17 @@ def options_given(
     names_follow: bool = False,
     beside: Collection[str] = (),
 ) -> AnyOptions:
-    """Return the options that were given.
+    """Return the options from the command line.
 
     Args:
-        arguments: of the command line.
+        arguments: parsed command line.
         kind: class of the options.
-        names_follow: leave out images that are named, for :func:`with_named_images`.
-        beside: fields that have an effect without the options that they need.
+        names_follow: leave out images given by name; :func:`with_named_images` adds them.
+        beside: fields that have an effect without the options that they require.
 
     Raises:
-        InputError: a value is out of range, or an option lacks another that it needs; the message
-            names the flag.
+        InputError: a value is out of range, or an option requires another one; the message names
+            the flag.
     """
     fields = dataclasses.fields(kind)  # type: ignore[arg-type]
     values = {field.name: getattr(arguments, field.name, None) for field in fields}
@@ -110,15 +110,15 @@ def options_given(
 def with_named_images(
     options: SolveOptions, given: tuple[int, ...] | str | None, problem: Problem
 ) -> SolveOptions:
-    """Return the options with the ids of the images that were given by name.
+    """Return the options with the ids of images given by name.
 
     Args:
-        options: without these images.
-        given: to --fix-images; text where it has names.
-        problem: that has the images.
+        options: options without these images.
+        given: value of --fix-images; text if it has names.
+        problem: problem with the images.
 
     Raises:
-        InputError: there are no such images; the message names the flag.
+        InputError: an image does not exist; the message names the flag.
     """
     if not isinstance(given, str):
         return options
@@ -127,10 +127,10 @@ def with_named_images(
 
 @contextmanager
 def naming_flags(*kinds: type[Any], **others: str) -> Iterator[None]:
-    """Let an InputError about an option name its flag and its values as the command line does.
+    """Make an InputError about an option use its flag, and values as on the command line.
 
-    Options stand at the head of a message, and before "=" within it. ``others`` are the flags of
-    arguments that are no options.
+    Option names are at the start of a message, and before "=" within it. ``others`` are flags of
+    arguments that are not options.
     """
     try:
         yield
@@ -152,8 +152,8 @@ def _flags_of(kinds: Collection[type[Any]]) -> Mapping[str, str]:
 
 @functools.cache
 def _values() -> frozenset[str]:
-    """Return every value that options of a solve name."""
-    from bundle.interface.options import REFINABLE, SENSORS, SolveOptions  # for messages only
+    """Return every named value of the options of a solve."""
+    from bundle.interface.options import REFINABLE, SENSORS, SolveOptions  # only for messages
 
     fields = dataclasses.fields(SolveOptions)
     return frozenset(
@@ -192,7 +192,7 @@ def _add_option(
 
 
 def _shown(field: dataclasses.Field[Any]) -> str:
-    """Return the default of an option as the user would type it."""
+    """Return the default of an option in the syntax of the command line."""
     default, flag = field.default, str(field.metadata["flag"])
     if default is None:
         return str(field.metadata["unset"])
