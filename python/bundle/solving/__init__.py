@@ -1,1 +1,1 @@
-"""A request becomes a result."""
+"""Solve: turn a request into a result."""

@@ -17,13 +17,14 @@ class CameraChange:
     """The parameters of one camera before and after a solve.
 
     Attributes:
-        camera_id: of the source.
-        model: COLMAP's name.
-        before: parameters by name; pixels, or no unit for distortion.
-        after: likewise.
-        movement: the largest change of a parameter: in focal lengths for parameters in pixels, and
-            unscaled for distortion, which acts on coordinates in focal lengths. This is about the
-            angle in radians by which rays at 45 degrees from the axis move.
+        camera_id: id of the camera in the input.
+        model: COLMAP's name of the camera model.
+        before: parameters by name before the solve, in pixels; distortion has no unit.
+        after: the same after the solve.
+        movement: the largest change of a parameter. A change in pixels is divided by the focal
+            length; a change of distortion is not scaled, for distortion acts on coordinates in
+            focal lengths. This is about the angle in radians by which rays at 45 degrees from the
+            axis move.
     """
 
     camera_id: int
@@ -34,7 +35,7 @@ class CameraChange:
 
 
 def camera_changes(solved: Result) -> list[CameraChange]:
-    """Return the cameras that a solve changed, the largest movement first."""
+    """Return the cameras that a solve changed, sorted by descending movement."""
     first, last = solved.initial_problem, solved.problem
     changes = []
     for camera in np.flatnonzero((first.camera_params != last.camera_params).any(axis=1)):

@@ -1,4 +1,4 @@
-"""Executors: the core's solver in this process, or in all processes that mpirun started."""
+"""Executors: the core's solver in this process or in all processes that mpirun started."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ class Executor(Protocol):
     """A way to run the core's solver."""
 
     def run(self, prepared: Prepared, progress: Progress | None) -> dict[str, Any]:
-        """Return the output of the core; ``alone`` in it says why one process of several ran."""
+        """Return the output of the core.
+
+        ``alone`` in it is the reason why only one of several processes ran the solver.
+        """
 
 
 class ThisProcess:
@@ -34,16 +37,16 @@ class ThisProcess:
 
 
 def solve_prepared(prepared: Prepared, progress: Progress | None) -> Result:
-    """Run the solver, by all processes where there are several; the result is of the start.
+    """Run the solver, on all processes if there are several, and return the result for the start.
 
     Raises:
-        InputError: as :func:`bundle.solve`.
+        InputError: for the reasons of :func:`bundle.solve`.
     """
     check_function("progress", progress)
     executor: Executor = ThisProcess()
     crew = current()
     if crew is not None:
-        from bundle.solving.ranks.divided_solve import AllProcesses  # under mpirun only
+        from bundle.solving.ranks.divided_solve import AllProcesses  # imported under mpirun only
 
         executor = AllProcesses(crew, executor)
     return prepared.result(executor.run(prepared, progress))

@@ -1,24 +1,31 @@
 """Gauge freedom of a problem, counted from its structure.
 
-Images that share free points see a rigid piece of the world, up to a similarity: it may move by
-d = (a, b, s), X' = X + a + b x X + s X, without any of its images changing, if image i, R X + t,
-moves by local coordinates (R' = Exp(phi) R, t' = t + tau)
+Images that share free points determine a rigid piece of the world up to a similarity. The piece
+may move by d = (a, b, s), X' = X + a + b x X + s X. Its reprojections do not change if image i,
+R X + t, moves by local coordinates (R' = Exp(phi) R, t' = t + tau)
 
     phi = -R b,    tau = s t - R a.
 
-An image with a pose of its own can do so. An image of a rig, R = R_s R_f, t = R_s t_f + t_s, moves
-with its frame and its sensor:
+An image with its own pose can make this motion. An image of a rig, R = R_s R_f, t = R_s t_f + t_s,
+moves with its frame and its sensor:
 
     phi = R_s phi_f + phi_s,    tau = R_s tau_f + phi_s x (R_s t_f) + tau_s.
 
-For the images of a frame this is M_f u_f = D d - M_s u_s. A constant frame has no u_f. With P the
-projection onto the complement of the range of M_f, the possible (d, u_s) are the null space of the
-rows P [D, -M_s] of all frames, of a + b x X + s X = 0 for constant points X, and of L^T J for
-factors, J being the motion in the coordinates of their variables and L L^T their information. The
-count is the dimension of this null space: 7 for images alone, 6 if a fixed baseline gives the
-scale, 0 with priors that determine the world, and more for pieces that nothing connects.
+For the images of a frame this is M_f u_f = D d - M_s u_s. A constant frame has no u_f. Let P be the
+projection onto the complement of the range of M_f. The possible (d, u_s) are the null space of
+these rows:
 
-In special positions more is free: in critical configurations, and where few points connect pieces.
+    P [D, -M_s]           for every frame,
+    a + b x X + s X = 0   for every constant point X,
+    L^T J                 for every factor; J: motion in the coordinates of its variables,
+                          L L^T: its information.
+
+The gauge freedom is the dimension of this null space. It is 7 for images without factors, 6 if a
+fixed baseline gives the scale, and 0 with priors that determine the world. It is larger if the
+problem has pieces that nothing connects.
+
+Special geometry has more freedom that this count misses: critical configurations, and pieces that
+only few points connect.
 """
 
 from __future__ import annotations
@@ -47,7 +54,7 @@ if TYPE_CHECKING:
 __all__ = ["GaugeFreedom", "gauge_freedom"]
 
 RANK_TOLERANCE = 1e-9
-"""Singular values below this, of columns of norm 1 before the projection, are zero."""
+"""Threshold for zero singular values of columns that had norm 1 before the projection."""
 
 _Matrix = NDArray[np.float64]
 
@@ -57,9 +64,10 @@ class GaugeFreedom(Displayed):
     """Gauge freedom that the observations and factors of a problem leave.
 
     Attributes:
-        degrees: of freedom that nothing determines.
-        num_pieces: of the world that no free point connects.
-        num_loose: how many of the degrees move sensors against their rigs while no image moves.
+        degrees: number of degrees of freedom that nothing determines.
+        num_pieces: number of pieces of the world that no free point connects.
+        num_loose: number of these degrees that move sensors against their rigs while no image
+            moves.
     """
 
     degrees: int
@@ -68,7 +76,7 @@ class GaugeFreedom(Displayed):
 
     @property
     def sentence(self) -> str:
-        """Say it in words."""
+        """Describe the gauge freedom in words."""
         if self.degrees == 0:
             return (
                 "nothing is free: the world is where its positions, scale and directions are given"
@@ -99,15 +107,16 @@ def gauge_freedom(
 ) -> GaugeFreedom:
     """Count the degrees of freedom of a solve that no observation, factor or fixed id determines.
 
-    It is the number that ``gauge="none"`` leaves to the damping of the trust region. Intrinsics are
-    taken for determined.
+    With ``gauge="none"`` only the damping of the trust region controls these degrees. The count
+    assumes that intrinsics are determined.
 
     Args:
-        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
-        options: what is refined and what is fixed; ``gauge`` does not matter.
-        factors: beside the observations, as in :func:`bundle.solve`.
+        problem: the problem, which is not changed; also the path of one, or a
+            pycolmap.Reconstruction.
+        options: options that say which parameters are refined and fixed; ``gauge`` has no effect.
+        factors: factors in addition to the observations, as in :func:`bundle.solve`.
         priors: measured positions of images.
-        **changes: options by name, in place of those in ``options``.
+        **changes: options by name, which replace those in ``options``.
 
     Raises:
         InputError: an option or a factor is wrong.
@@ -133,7 +142,7 @@ def gauge_freedom(
 
 
 class _Count:
-    """Rows and columns of the equations above; columns are 7 a piece, then 6 a refined sensor."""
+    """Rows and columns of the equations above: 7 columns per piece, then 6 per refined sensor."""
 
     def __init__(self, problem: Problem, options: SolveOptions) -> None:
         self._problem = problem
@@ -148,7 +157,7 @@ class _Count:
         if not spread > 0 and problem.num_points:
             spread = np.abs(problem.points - middle).max()
         self._middle, self._size = middle, float(spread) or 1.0
-        # Poses of a world about the middle, in units of its size.
+        # Poses in a world that is centred and scaled to size 1.
         moved = np.einsum("nij,j->ni", self._rotations, middle)
         self._translations = (poses[:, 4:] + moved) / self._size
         self._points = (problem.points - middle) / self._size
@@ -172,7 +181,7 @@ class _Count:
         if not problem.num_frames:
             return
         frame = problem.image_frame
-        held = np.zeros(problem.num_frames + 1, bool)  # the last is no frame
+        held = np.zeros(problem.num_frames + 1, bool)  # the last entry: images without a frame
         held[frame[~self._image_is_free]] = True
         self._image_is_free = np.where(frame >= 0, ~held[frame], self._image_is_free)
         if not options.refine_sensor_from_rig:
@@ -188,7 +197,7 @@ class _Count:
             )
 
     def _find_pieces(self) -> None:
-        """Number the pieces: images connected by free points."""
+        """Number the pieces, which are sets of images that free points connect."""
         problem = self._problem
         free = np.flatnonzero(self._point_is_free[problem.observation_point])
         free = free[np.argsort(problem.observation_point[free], kind="stable")]
@@ -203,7 +212,7 @@ class _Count:
         self._piece_of_point[points[starts]] = self._piece[images[starts]]
 
     def add_frames(self) -> None:
-        """Add the equations of every frame, and of images that have a pose of their own."""
+        """Add the equations of every frame and of every image with its own pose."""
         problem = self._problem
         images = np.flatnonzero(self._observed)
         frame = problem.image_frame if problem.num_frames else np.full(problem.num_images, -1)
@@ -222,7 +231,7 @@ class _Count:
             self._add(wanted)
 
     def add_held_points(self) -> None:
-        """A point that is held does not move with the pieces that see it."""
+        """Add the equations of constant points: the pieces that observe one cannot move it."""
         problem = self._problem
         held = ~self._point_is_free[problem.observation_point]
         pairs = np.stack(
@@ -235,7 +244,7 @@ class _Count:
             self._add(rows)
 
     def add_factors(self, factors: list[Factor]) -> None:
-        """Add what factors see of the motions."""
+        """Add the equations of factors: their linearized residuals under the motions."""
         from bundle.graphs.factors.problem_factors import ProblemFactors
 
         for factor in factors:
@@ -260,7 +269,7 @@ class _Count:
         )
 
     def _image_rows(self, image: int) -> _Matrix:
-        """Return [D, -M_s] of an image: rotation, then translation."""
+        """Return [D, -M_s] of an image, with the rows of rotation first, then translation."""
         rows = np.zeros((6, self._width))
         rotation, translation = self._rotations[image], self._translations[image]
         column = 7 * self._piece[image]
@@ -277,7 +286,7 @@ class _Count:
         return rows
 
     def _frame_map(self, image: int, is_frame: bool) -> _Matrix:
-        """Return M_f of an image, the identity where it has a pose of its own."""
+        """Return M_f of an image; the identity if the image has its own pose."""
         sensor = self._problem.image_sensor[image] if is_frame else -1
         turn = np.eye(3)
         if sensor >= 0:
@@ -286,11 +295,11 @@ class _Count:
         return np.asarray(both, np.float64)
 
     def _motion(self, kind: str, index: int, size: int) -> _Matrix:
-        """Return (size, width) by which the columns move a variable, in its tangent coordinates."""
+        """Return the (size, width) motion of a variable, in its tangent coordinates, per column."""
         problem = self._problem
         if kind == "image" and self._piece[index] >= 0:
             rows = self._image_rows(index)
-            rows[:, 7 * self._num_pieces :] = 0  # the pieces alone say where images go
+            rows[:, 7 * self._num_pieces :] = 0  # pieces alone determine the motion of images
             return self._in_frame_of(problem.cam_from_world[index], rows, self._middle)
         if kind == "frame":
             images = np.flatnonzero(self._observed & (problem.image_frame == index)).tolist()
@@ -313,9 +322,9 @@ class _Count:
         return motion
 
     def _in_frame_of(self, pose: _Matrix, rows: _Matrix, middle: _Matrix) -> _Matrix:
-        """Return local coordinates about the middle as those of X Exp(d), in the problem's unit.
+        """Convert local coordinates about the middle to those of X Exp(d), in the problem's unit.
 
-        With t_m = t + R m the translation about the middle, tau = tau_m - phi x R m; and
+        Let t_m = t + R m be the translation about the middle. Then tau = tau_m - phi x R m and
         d = (R^T phi, R^T tau).
         """
         rotation = rotation_matrices(pose[None, :4])[0]
@@ -333,7 +342,7 @@ class _Count:
             self._flush()
 
     def _flush(self) -> None:
-        """Reduce the rows to as many as there are columns, with the same null space."""
+        """Reduce the rows by QR to a triangle with the same null space."""
         if self._waiting:
             rows = np.vstack([self._triangle, *self._waiting])
             self._triangle = np.asarray(np.linalg.qr(rows, mode="r"))
@@ -341,7 +350,7 @@ class _Count:
 
 
 def _nullity(rows: _Matrix, squares: _Matrix) -> int:
-    """Return the number of columns that the others give, each scaled by its norm."""
+    """Return the number of columns that depend on the others, after scaling each to norm 1."""
     width = int(rows.shape[1])
     if not width:
         return 0

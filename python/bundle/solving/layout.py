@@ -1,4 +1,4 @@
-"""The layout of a solve: factors by index, restrictions as arrays, options with nothing open."""
+"""Layout of a solve: factors by index, restrictions as arrays, resolved options."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ __all__ = ["Layout", "lay_out", "resolve_defaults"]
 
 
 class Layout(NamedTuple):
-    """The arguments of the core beside the problem.
+    """Arguments of the core in addition to the problem.
 
     Attributes:
-        options: with nothing left to choose.
-        known: the factors, those of priors and rules too; None without any.
-        limits: bounds, and the parameters that rules hold and tie; None without any.
+        options: resolved options, without "auto".
+        known: factors, including those of priors and rules; None without any.
+        limits: bounds, and the parameters that rules make constant or tie; None without any.
     """
 
     options: SolveOptions
@@ -35,7 +35,7 @@ class Layout(NamedTuple):
     limits: Restrictions | None
 
     def core_factors(self) -> Any:
-        """Return the factors as the core takes them."""
+        """Return the factors in the form that the core expects."""
         return None if self.known is None else self.known.core()
 
 
@@ -46,7 +46,7 @@ def lay_out(
     bounds: Bounds | None = None,
     applied: Applied | None = None,
 ) -> Layout:
-    """Check factors and bounds, add those of the rules, and resolve the options.
+    """Check factors and bounds, add the factors and bounds of the rules, and resolve the options.
 
     Raises:
         InputError: a factor or a bound does not fit the problem.

@@ -63,10 +63,10 @@ def place_at_priors(
 
     Args:
         problem: problem to move; not modified.
-        factors: factors beside the priors.
+        factors: factors in addition to the priors.
         priors: positions of images, and control points.
-        align: move the problem to the priors; None: do so if there are no factors and the priors
-            determine the place.
+        align: move the problem to the priors; None: move it if `factors` is empty and the priors
+            determine the similarity.
 
     Raises:
         InputError: see :func:`bundle.solve`.
@@ -118,7 +118,7 @@ def _similarity(problem: Problem, known: ProblemPriors, targets: TargetPriors | 
     """Return the similarity to the priors.
 
     Raises:
-        InputError: they do not determine it.
+        InputError: the priors do not determine the similarity.
     """
     if targets is None or not targets.used:
         return known.align(problem)
@@ -136,8 +136,8 @@ def _similarity(problem: Problem, known: ProblemPriors, targets: TargetPriors | 
     what = "control points and positions of images"
     losses = {entry.point.loss for entry in targets.used} | {prior.loss for prior in known.priors}
     if losses == {"trivial"}:
-        # A few priors beside thousands of pixels move the model slowly. A solve that begins at
-        # their least squares need not move it.
+        # A few priors against thousands of pixels move the model slowly. A solve that starts at
+        # the least-squares fit to the priors avoids this motion.
         try:
             return fit_similarity(joined, what=what).similarity
         except InputError:

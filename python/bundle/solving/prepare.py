@@ -1,8 +1,9 @@
-"""Preparation of a solve, from the request to the arguments of the core, and back to its result.
+"""Preparation of a solve: from the request to the arguments of the core, and back to the result.
 
-A problem is placed at its priors, the rules are resolved there, and the part to refine is taken.
-Factors and bounds are laid out last, for the values of the start and when they are first needed: a
-run of rounds lays out anew for each round, and refuses the checkpoint of another run before that.
+First, the problem is moved to its priors. Then the rules are resolved, and the subset to refine is
+selected. Factors and bounds are laid out last, for the values of the start, when they are first
+needed. A run of rounds makes a new layout for each round. It rejects the checkpoint of another run
+before the first layout.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = ["STATE", "Prepared", "prepare"]
 
-# Arrays of a problem that a solve returns; those of rigs only where there are some.
+# Arrays of a problem that a solve returns; arrays of rigs only if the problem has rigs.
 STATE = ("cam_from_world", "camera_params", "points", "rig_from_world", "sensor_from_rig")
 
 
@@ -43,16 +44,16 @@ class Prepared:
     """A request that is ready to run.
 
     Attributes:
-        request: as given.
+        request: the request as the caller made it.
         placed: the problem in the frame of its priors, with their factors and control points.
-        before: the problem that the result is compared with.
-        start: the problem that goes to the solver: `before`, parameters that are shared made equal.
-        options: of the start, its held ids included; defaults are not resolved.
-        factors: of the start, without those of rules.
-        bounds: of cameras of the start.
-        applied: the rules, resolved; None without any.
-        part: the images that are refined and what they see; None: the whole problem.
-        rest: the prior of all else; None where that is held.
+        before: the problem with which the result is compared.
+        start: the input of the solver: `before` with shared parameters made equal.
+        options: options for the start, including its fixed ids; defaults are not resolved.
+        factors: factors on the start, without those of rules.
+        bounds: bounds of the cameras of the start.
+        applied: the resolved rules; None without any.
+        part: the refined images and the points that they see; None: the entire problem.
+        rest: marginal prior of the remaining problem; None if the remaining problem is constant.
     """
 
     request: SolveRequest
@@ -76,12 +77,12 @@ class Prepared:
         return lay_out(self.start, self.options, self.factors, self.bounds, self.applied)
 
     def at(self, problem: Problem, options: SolveOptions | None = None) -> Prepared:
-        """Return the same for another start; resolved rules stay, indices are found anew."""
+        """Return a copy for another start: rules stay resolved, indices are computed again."""
         options = self.options if options is None else options
         return dataclasses.replace(self, before=problem, start=problem, options=options)
 
     def laid_out_at(self, problem: Problem, options: SolveOptions) -> Prepared:
-        """Return the same for other values of this layout, which is not made anew."""
+        """Return a copy for other values that reuses this layout."""
         moved = dataclasses.replace(self, before=problem, start=problem)
         vars(moved)["layout"] = self.layout._replace(options=options)
         return moved
@@ -110,11 +111,11 @@ class Prepared:
         )
 
     def finished(self, result: Result, state: State | None = None) -> Result:
-        """Return the last result of the start as one of the problem given.
+        """Convert the last result for the start to a result for the problem of the request.
 
         Args:
-            result: of the start, or of what filters have left of it.
-            state: of the rounds that led to it; None without any.
+            result: result for the start, or for the start after filtering.
+            state: state of the rounds before this result; None without rounds.
         """
         rounds = () if state is None else state.rounds
         last, given, placed = result.problem, self.request.problem, self.placed
@@ -147,7 +148,7 @@ class Prepared:
 
 
 def prepare(request: SolveRequest) -> Prepared:
-    """Place a problem at its priors, resolve the rules there, and take the part that is refined.
+    """Move a problem to its priors, resolve the rules, and select the subset to refine.
 
     Raises:
         InputError: see :func:`bundle.solve` and :func:`bundle.solve_rounds`.
@@ -181,16 +182,16 @@ def prepare(request: SolveRequest) -> Prepared:
 def _resolve_rules(
     problem: Problem, options: SolveOptions, rules: Rules, part: Mapping[str, Set[int]] | None
 ) -> tuple[Problem, SolveOptions, Applied | None]:
-    """Return the start, the options and the resolved rules; None without rules.
+    """Return the start, the options, and the resolved rules (None without rules).
 
-    ``part``: ids of the cameras, images and points that are refined, where these are not all.
+    ``part``: ids of the refined cameras, images and points; None: all.
     """
     if isinstance(rules, tuple | list) and not rules:
         return problem, options, None
-    from bundle.solving.constraints.applied import Applied  # without rules, nothing of them loads
+    from bundle.solving.constraints.applied import Applied  # not imported without rules
     from bundle.solving.constraints.resolve import apply
 
-    if isinstance(rules, Applied):  # by the caller, for another start
+    if isinstance(rules, Applied):  # resolved by the caller
         return problem, options, rules
     start, applied = apply(rules, problem, options, part)
     if applied is not None and applied.fixed_point_ids:
@@ -201,7 +202,7 @@ def _resolve_rules(
 
 def _local_part(problem: Problem, part: PartRequest, placed: PlacedProblem) -> LocalPart:
     from bundle.model.image_selection import find_images
-    from bundle.solving.rounds.local_part import LocalPart  # with only_images alone
+    from bundle.solving.rounds.local_part import LocalPart  # imported with only_images only
 
     if placed.control_point_ids:
         raise InputError(
@@ -212,10 +213,10 @@ def _local_part(problem: Problem, part: PartRequest, placed: PlacedProblem) -> L
 
 
 def _within(part: LocalPart, whole: Prepared) -> Prepared:
-    """Return what is prepared of the whole for its part, the rest held or marginalised.
+    """Restrict a prepared solve to a subset; the remaining problem is constant or marginalized.
 
     Raises:
-        InputError: the images see no points, or rules meet a marginal rest.
+        InputError: the images see no points, or there are rules although the rest is marginal.
     """
     given, options, applied = whole.request.problem, whole.options, whole.applied
     if whole.start is not given:
@@ -223,7 +224,7 @@ def _within(part: LocalPart, whole: Prepared) -> Prepared:
     part.check_observed()
     factors, rest = part.factors, None
     if part.is_marginal:
-        from bundle.solving.rounds.rest_prior import marginalize_rest  # with that rest alone
+        from bundle.solving.rounds.rest_prior import marginalize_rest  # for this rest only
 
         if applied is not None:
             raise InputError("rest: expected fixed with constraints, found marginal")
@@ -252,7 +253,7 @@ def _rule_ends(applied: Applied | None, before: Problem, after: Problem) -> tupl
 
 
 def _as_asked(used: SolveOptions, asked: SolveOptions) -> SolveOptions:
-    """Return the options as used, without what a part holds beyond what was asked for."""
+    """Return the used options without the ids that only the local adjustment made constant."""
     return used.replace(
         fixed_image_ids=asked.fixed_image_ids,
         fixed_camera_ids=asked.fixed_camera_ids,

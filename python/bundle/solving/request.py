@@ -1,4 +1,4 @@
-"""A solve as data: the problem with all that is known of it, and the plan of the run."""
+"""Request of a solve as data: problem, factors, priors and rules, and the plan of the run."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ Bounds = Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]]
 
 @dataclass(frozen=True)
 class PartRequest:
-    """The images that a solve refines, where these are not all.
+    """Images that a local adjustment refines.
 
     Attributes:
-        images: ids and names, as ``find_images`` takes them.
-        rest: "fixed" or "marginal": the role of all else.
+        images: ids and names in a form that ``find_images`` accepts.
+        rest: treatment of the remaining problem: "fixed" or "marginal".
     """
 
     images: ImageSelection
@@ -49,10 +49,10 @@ class PartRequest:
 
     @staticmethod
     def of(images: ImageSelection | None, rest: str) -> PartRequest | None:
-        """Return the part that arguments name; None: the whole problem.
+        """Return the local part that the arguments name; None: the entire problem.
 
         Raises:
-            InputError: there is no such rest, or it needs images.
+            InputError: ``rest`` has an unknown value, or needs ``images``.
         """
         rest = choice("rest", rest, RESTS)
         if images is None and rest == "marginal":
@@ -62,20 +62,21 @@ class PartRequest:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SolveRequest:
-    """All that decides the minimum that a solve looks for; :func:`bundle.solve` has the details.
+    """All inputs that define the minimum of a solve; see :func:`bundle.solve` for details.
 
     Attributes:
-        problem: opened; never changed.
-        options: as given, "auto" included.
-        factors: beside the observations.
+        problem: opened problem; never changed.
+        options: options as the caller gave them, including "auto".
+        factors: factors in addition to the observations.
         priors: measured positions of images, and control points.
-        align: whether the problem is first moved to its priors; None: where they determine that.
-        bounds: of camera parameters.
+        align: True to move the problem to its priors first; None: move it if the priors determine
+            the similarity.
+        bounds: bounds of camera parameters.
         constraints: rules, or rules that were resolved for this problem.
         part: the images to refine; None: all.
 
     Raises:
-        InputError: factors or priors are no list.
+        InputError: factors or priors are not a list.
     """
 
     problem: Problem
@@ -102,17 +103,17 @@ def _listed(name: str, things: str, given: Any) -> tuple[Any, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class RunPlan:
-    """The length of a run: its rounds, and where it can go on after a kill.
+    """Rounds of a run, and its checkpoints.
 
     Attributes:
-        rounds: how often to adjust and filter, and the limits of the filter.
+        rounds: number of rounds of adjusting and filtering, and the limits of the filter.
         checkpoint: file that is written after each round and each ``checkpoint_interval``
-            iterations; None: that of ``resume``, if any.
-        resume: checkpoint to go on from, if it exists.
+            iterations; None: the file of ``resume``, if given.
+        resume: checkpoint from which the run continues, if the file exists.
         checkpoint_interval: iterations from one checkpoint to the next.
 
     Raises:
-        InputError: an interval below 1, or what cannot be a path.
+        InputError: an interval is below 1, or a value cannot be a path.
     """
 
     rounds: RoundOptions = field(default_factory=RoundOptions)
@@ -130,5 +131,5 @@ class RunPlan:
 
     @property
     def file(self) -> Path | None:
-        """The checkpoint that is written; None: none is."""
+        """Path of the checkpoint to write; None: write no checkpoint."""
         return self.resume if self.checkpoint is None else self.checkpoint

@@ -40,26 +40,27 @@ class Result(SolveRecord):
 
     Attributes:
         problem: the refined problem.
-        initial_problem: the input, untouched.
+        initial_problem: the input, unchanged.
         options: every option as used.
-        summary: of the solver.
-        iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
-        build_time_in_seconds: from the arrays to a solver's problem and back, outside the solver.
-        solve_time_in_seconds: inside the solver.
-        factor_costs_before: (num_factors,) 1/2 rho(||r||^2) of each factor beside the observations,
-            in the order given, at the input; nan where it has no value.
-        factor_costs_after: the same at the output.
-        active_bounds: the bounds on which camera parameters end: key of the camera, name of the
-            parameter, "lower" or "upper".
+        summary: summary of the solver.
+        iterations: one array per field of Ceres' IterationSummary, with one entry per iteration.
+        build_time_in_seconds: time to build the solver's problem from the arrays and to copy the
+            values back, outside the solver.
+        solve_time_in_seconds: time inside the solver.
+        factor_costs_before: (num_factors,) cost 1/2 rho(||r||^2) of each additional factor at the
+            input, in the order given; nan if the factor has no value there.
+        factor_costs_after: the same costs at the output.
+        active_bounds: the bounds that camera parameters reach at the end: key of the camera, name
+            of the parameter, "lower" or "upper".
         constraints: outcome of each rule: pulls of priors in sigmas, active bounds, ties.
-        similarity: that moved the input to its priors before the solve; None if nothing moved.
-            ``initial_problem`` is the input before that.
-        control_points: ground control and check points, in the order given: position triangulated
-            by the refined cameras, minus that of the survey.
-        rounds: of :func:`bundle.solve_rounds`; options, summary, iterations and times are those of
-            the last adjustment.
-        part: the images and points that took part, where only some images were refined; costs are
-            those of the part, reprojection errors those of the whole problem.
+        similarity: similarity that moved the input to its priors before the solve; None if nothing
+            moved. ``initial_problem`` is the input before this motion.
+        control_points: ground control and check points, in the order given. Each residual is the
+            position triangulated by the refined cameras, minus the surveyed position.
+        rounds: rounds of :func:`bundle.solve_rounds`. Options, summary, iterations and times belong
+            to the last adjustment.
+        part: the images and points that took part, if only some images were refined. Costs belong
+            to this part, reprojection errors to the entire problem.
     """
 
     problem: Problem
@@ -75,23 +76,23 @@ class Result(SolveRecord):
 
     @cached_property
     def reprojection_error_before(self) -> ReprojectionError:
-        """Statistics in pixels at the input, measured when first asked for."""
+        """Statistics in pixels at the input, computed at the first access."""
         return self._measure(self.initial_problem)
 
     @cached_property
     def reprojection_error_after(self) -> ReprojectionError:
-        """Statistics in pixels at the output, measured when first asked for."""
+        """Statistics in pixels at the output, computed at the first access."""
         return self._measure(self.problem)
 
     @cached_property
     def worst_images(self) -> tuple[ImageError, ...]:
-        """The images with the largest errors at the output, measured when first asked for."""
+        """Images with the largest errors at the output, computed at the first access."""
         options = self.options
         return worst_images(self.problem, options.cheirality, num_threads=options.num_threads)
 
     @cached_property
     def gauge_freedom(self) -> GaugeFreedom:
-        """Degrees of freedom that the observations left open at the input."""
+        """Degrees of freedom that the observations leave undetermined at the input."""
         return gauge_freedom(self.initial_problem, self.options)
 
     def measure(self) -> None:
@@ -99,13 +100,13 @@ class Result(SolveRecord):
         _ = self.reprojection_error_before
         if {"reprojection_error_after", "worst_images"} <= vars(self).keys():
             return
-        # Both are of the same errors, which are computed once and not kept.
+        # Both statistics use the same errors, which are computed once and not stored.
         problem, options = self.problem, self.options
         cheirality = resolve_cheirality(problem, options.cheirality)
         errors, behind = reprojection_errors(
             problem, cheirality=cheirality, num_threads=options.num_threads
         )
-        values = vars(self)  # where cached_property keeps them; the dataclass itself is frozen
+        values = vars(self)  # storage of cached_property; the dataclass itself is frozen
         values["worst_images"] = worst_of_errors(problem, errors, behind, cheirality)
         values["reprojection_error_after"] = summarize_errors(errors, behind, cheirality)
 

@@ -1,4 +1,4 @@
-"""Records of a round of adjusting and filtering, and of the part that was refined."""
+"""Records of a round of adjusting and filtering, and of a local adjustment."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ class Round:
     """One round: an adjustment, then a filter. Costs of different rounds cannot be compared.
 
     Attributes:
-        round: from 1.
-        initial_cost: at the start of the adjustment, 1/2 sum rho(||r||^2).
-        cost: after the adjustment, before the filter.
-        termination_type: of the adjustment, by Ceres' name.
-        num_iterations: steps of the adjustment, the rejected ones included.
-        num_points: adjusted.
-        num_observations: adjusted.
-        num_observations_removed: by the filter after it, those of removed points included.
-        num_points_removed: by the filter after it.
+        round: number of the round, from 1.
+        initial_cost: cost at the start of the adjustment, 1/2 sum rho(||r||^2).
+        cost: cost after the adjustment, before the filter.
+        termination_type: Ceres' name of the adjustment's termination type.
+        num_iterations: steps of the adjustment, including rejected steps.
+        num_points: number of adjusted points.
+        num_observations: number of adjusted observations.
+        num_observations_removed: observations that the filter removed after the adjustment,
+            including those of removed points.
+        num_points_removed: points that the filter removed after the adjustment.
     """
 
     round: int
@@ -36,19 +37,20 @@ class Round:
 
 @dataclass(frozen=True, kw_only=True)
 class RestRecord:
-    """The marginalised rest of a local adjustment, and the prior that it left.
+    """Marginalized remainder of a problem in a local adjustment, and its prior.
 
     Attributes:
-        num_images: eliminated, neighbours of the part not included.
-        num_points: eliminated.
-        num_points_without_parallax: of these, left out along their unobserved direction.
-        prior_size: unknowns of the prior, poses of neighbours and parameters of cameras; 0: no
-            prior, since the rest has no information on the part.
-        prior_rank: of its information matrix, the held gauge included.
-        prior_bytes: of that matrix.
-        gauge_degrees: gauge freedom; along it the neighbours stay where they are on average.
-        cost_before: of the prior, above its minimum, at the start.
-        cost_after: the same at the end.
+        num_images: number of eliminated images, without the neighbours of the part.
+        num_points: number of eliminated points.
+        num_points_without_parallax: number of these points that have an unobserved direction, which
+            was left out.
+        prior_size: number of unknowns of the prior: poses of neighbours and parameters of cameras.
+            0: no prior, because the remainder has no information on the part.
+        prior_rank: rank of the prior's information matrix, including the fixed gauge.
+        prior_bytes: size of this matrix in bytes.
+        gauge_degrees: gauge freedom, which is fixed by keeping the neighbours in place on average.
+        cost_before: cost of the prior at the start, above its minimum.
+        cost_after: cost of the prior at the end, above its minimum.
     """
 
     num_images: int
@@ -64,16 +66,17 @@ class RestRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class PartRecord:
-    """The part of a problem in a local adjustment.
+    """Part of a problem that takes part in a local adjustment.
 
     Attributes:
-        num_images: refined.
-        num_images_held: others that see a point of these; constant, or under the prior of the rest.
-        num_points: seen by a refined image; refined.
-        num_observations: of these points.
-        shared_camera_ids: cameras of refined images that also took others: if their intrinsics are
+        num_images: number of refined images.
+        num_images_held: number of other images that see a point of the refined images. They are
+            constant, or under the marginal prior.
+        num_points: number of points that a refined image sees; all are refined.
+        num_observations: number of observations of these points.
+        shared_camera_ids: cameras of both refined and other images. If their intrinsics are
             refined, projections into constant images change.
-        rest: the marginalised rest; None if it was held.
+        rest: the marginalized remainder; None if it was constant.
     """
 
     num_images: int

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["SensorChange", "sensor_changes", "weak_baseline"]
 
 WEAK_CHANGE = 0.02
-"""Share by which a focal length and a baseline change together that is said to be weak."""
+"""Smallest common relative change of a focal length and a baseline that causes a warning."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,10 +27,11 @@ class SensorChange:
     """The pose of one sensor on its rig before and after a solve.
 
     Attributes:
-        rig_id: of the source.
-        camera_id: of the source.
-        baseline_before: distance from the rig's origin, in the reconstruction's length unit.
-        baseline_after: likewise.
+        rig_id: id of the rig in the input.
+        camera_id: id of the camera in the input.
+        baseline_before: distance from the rig's origin before the solve, in the reconstruction's
+            length unit.
+        baseline_after: the same distance after the solve.
         rotation: angle between the two orientations, in degrees.
     """
 
@@ -42,7 +43,7 @@ class SensorChange:
 
 
 def sensor_changes(solved: Result) -> list[SensorChange]:
-    """Return the sensors that a solve moved, the largest change of the baseline first."""
+    """Return the sensors that a solve moved, sorted by descending change of the baseline."""
     return _changes(solved.initial_problem, solved.problem)
 
 
@@ -52,7 +53,7 @@ def _changes(initial: Problem, problem: Problem) -> list[SensorChange]:
     before, after = (np.linalg.norm(poses[moved, 4:], axis=1) for poses in (first, last))
     turns = np.swapaxes(rotation_matrices(first[moved, :4]), 1, 2)
     turns = rotation_matrices(last[moved, :4]) @ turns
-    # Twice the sine and cosine of the angle: exact near zero, where its cosine alone is not.
+    # Use twice the sine and cosine of the angle: the cosine alone is inaccurate near zero.
     skew = np.stack([turns[:, i, j] - turns[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
     cosine = np.trace(turns, axis1=1, axis2=2) - 1
     angles = np.degrees(np.arctan2(np.linalg.norm(skew, axis=1), cosine))
@@ -72,10 +73,11 @@ def _changes(initial: Problem, problem: Problem) -> list[SensorChange]:
 def weak_baseline(
     options: SolveOptions, first: Problem, last: Problem, summary: Mapping[str, Any]
 ) -> str:
-    """Return a warning where a focal length and a baseline changed together, "" elsewhere.
+    """Return a warning if a focal length and a baseline changed together, else "".
 
-    A longer baseline with longer lenses gives nearly the same images: only the change of
-    perspective within an image tells them apart, and a solve moves far for little cost.
+    A longer baseline with longer lenses gives nearly the same images. Only the change of
+    perspective within an image distinguishes the two. A solve can therefore move far along this
+    direction for a small decrease of the cost.
     """
     if not options.refine_sensor_from_rig or "focal" not in options.refine:
         return ""

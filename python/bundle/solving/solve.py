@@ -1,4 +1,4 @@
-"""Bundle adjustment of a problem: the public function."""
+"""Bundle adjustment of a problem: the public function ``solve``."""
 
 from __future__ import annotations
 
@@ -73,91 +73,102 @@ def solve(
     progress: Progress | None = None,
     **changes: Any,
 ) -> Result | PoseGraphResult:
-    """Refine a problem: minimise 1/2 sum rho(||r||^2) over what ``options.refine`` names.
+    """Refine a problem: minimise 1/2 sum rho(||r||^2) over the variables in ``options.refine``.
 
     r is the reprojection error of an observation in pixels, rho the loss. The GIL is released while
-    the solver runs. Ctrl-C stops it, within a step where the solver can be left (Ceres' own linear
-    solvers cannot); the result then holds the best state and ``summary.interrupted``. Not
-    converging is a result as well, not an exception.
+    the solver runs. Ctrl-C stops the solver, even within a step, except in Ceres' own linear
+    solvers. The result then holds the best state and ``summary.interrupted``. A solve that does not
+    converge also returns a result and raises no exception.
 
-    Factors add their own 1/2 rho(||r||^2), r whitened, rho the factor's loss. Their keys name
-    variables of the problem: ``("image", image_id)`` is cam_from_world on se3 (qx qy qz qw tx ty
-    tz; its tangent coordinates are rotation, then translation, in the frame of cam_from_world, as
-    :class:`bundle.FactorGraph` has them), ``("camera", camera_id)`` the camera's parameters in
-    COLMAP's order and ``("point", point_id)`` the coordinates, both Euclidean. Of rigs,
-    ``("frame", frame_id)`` is rig_from_world and ``("sensor", (rig_id, camera_id))``
-    sensor_from_rig, on se3 as images are. For instance measured positions of the images' centres,
-    to 2 cm::
+    Each factor adds its own cost 1/2 rho(||r||^2), with r whitened and rho the factor's loss. Keys
+    of factors name variables of the problem:
+
+    - ``("image", image_id)``: cam_from_world on se3, qx qy qz qw tx ty tz. Its tangent coordinates
+      are rotation, then translation, in the frame of cam_from_world, as in
+      :class:`bundle.FactorGraph`.
+    - ``("camera", camera_id)``: parameters of the camera in COLMAP's order, Euclidean.
+    - ``("point", point_id)``: coordinates of the point, Euclidean.
+    - ``("frame", frame_id)``: rig_from_world of a rig's frame, on se3 as for images.
+    - ``("sensor", (rig_id, camera_id))``: sensor_from_rig, on se3 as for images.
+
+    This example adds measured positions of the images' centres with a sigma of 2 cm::
 
         factors = [bundle.PositionFactor(("image", i), xyz, 1 / 0.02**2) for i, xyz in gps.items()]
         bundle.solve(problem, factors=factors)
 
-    As images are cam_from_world, a relative pose of two of them is a
-    :class:`bundle.RelativePoseFactor`. What a factor touches is refined even if no observation sees
-    it. What is held stays, and the cost of its factors counts.
+    Poses of images are cam_from_world. Use a :class:`bundle.RelativePoseFactor` for a relative pose
+    of two images. Variables of factors are refined even if they have no observation. Constant
+    variables stay constant, and the cost of their factors counts.
 
-    Both backends take factors of images, rigs and cameras, and of one point; those that couple a
-    point with something else that is refined, and functions in Python, are for Ceres. With factors
-    of images or points gauge "auto" holds nothing: they say where the world is, as far as they do,
-    and the damping of the trust region holds the rest; "two_cameras" and "three_points" hold what
-    would be free without the factors, and warn (``gauge_beside_factors``). The world of the factors
-    is that of the problem, also where a far scene is solved about its centre.
+    Both backends support factors of images, rigs, cameras, or a single point. Only Ceres supports
+    Python functions, and factors that couple a point with another refined variable. With factors of
+    images or points, gauge "auto" fixes nothing: the factors determine the gauge in full or in
+    part, and the damping of the trust region controls the remaining directions. "two_cameras" and
+    "three_points" fix the gauge that would be free without the factors, and warn
+    (``gauge_beside_factors``). Factors always use the world frame of the problem, even if a far
+    scene is solved about its centre.
 
-    Priors of positions are factors, too. As a reconstruction stands in a frame of its own, the
-    problem is first moved by the similarity that they determine, robustly (``similarity`` of the
-    result), held images and points as well::
+    Priors of positions are factors, too. A reconstruction has an arbitrary frame. Therefore the
+    problem is first moved by the similarity that the priors determine robustly (``similarity`` of
+    the result). Constant images and points move as well::
 
         priors = [bundle.PositionPrior(name, enu, (2, 5)) for name, enu in gps.items()]
         bundle.solve(problem, priors=priors)
 
-    Ground control points (:class:`bundle.GroundControlPoint`, coordinates in the same metres) are
-    priors as well. Each becomes a point of the solve, with its surveyed position as a prior of its
-    own sigma and its pixels as observations with theirs; it decides where the problem is moved to
-    as positions do, and is not among the points of the result. Check points have no influence.
-    ``control_points`` of the result says how far all of them are from the survey::
+    Ground control points (:class:`bundle.GroundControlPoint`, coordinates in the same frame and in
+    metres) are priors as well. Each becomes a point of the solve. Its surveyed position is a prior
+    and its pixels are observations, each with its own sigma. Control points help to determine the
+    similarity, and are not among the points of the result. Check points have no influence.
+    ``control_points`` of the result has the residuals of all of them to the survey::
 
         known = bundle.georeference.gcp_priors(problem, "gcp_list.txt")
         bundle.solve(problem, priors=known.priors).control_points
 
-    Of a :class:`bundle.PoseGraph` the poses are refined, the options are those of
+    For a :class:`bundle.PoseGraph`, the poses are refined, the options are those of
     :class:`bundle.PoseGraphOptions`, and the result is a :class:`bundle.PoseGraphResult`. Fixed
-    poses stay; in a connected component without one the first pose is held::
+    poses stay. In a connected component without a fixed pose, the first pose is constant::
 
         bundle.solve("x.g2o", init="chordal", error="log").summary.chi2_final
 
     Args:
-        problem: left untouched; also the path of a reconstruction or of a pose graph, or a
-            pycolmap.Reconstruction.
-        options: how to solve; the defaults of :class:`SolveOptions` if not given.
-        factors: beside the observations, such as :class:`bundle.PriorFactor`.
+        problem: the problem, which is not changed; also the path of a reconstruction or of a pose
+            graph, or a pycolmap.Reconstruction.
+        options: solve options; the defaults of :class:`SolveOptions` if not given.
+        factors: factors in addition to the observations, such as :class:`bundle.PriorFactor`.
         priors: measured positions of images, and control points. Their costs come after those of
-            the factors, those of control points last.
-        align: whether the problem is first moved to where the priors are. None: if there are no
-            factors, and at least three positions and control points that do not lie on one line.
-        constraints: rules of what is held, bounded, shared or known, such as ``"cameras *: f prior
-            2 %"`` (:class:`bundle.Constraints`). They speak of the problem after it was moved to
-            the priors, and the costs of their priors come last. ``constraints`` of the result says
-            what became of each. With rules about positions or rotations gauge "auto" holds nothing.
-        bounds: ``{("camera", camera_id): (lower, upper)}``, a number for each parameter in COLMAP's
-            order, infinite where there is no bound. The parameter starts between its bounds and
-            stays there; bounds that are equal hold it. ``active_bounds`` of the result has those
-            on which it ends.
-        progress: called after each iteration with a dict under the names of Ceres'
-            IterationSummary. What it raises stops the solve and comes out of this function;
-            KeyboardInterrupt stops it as Ctrl-C does.
-        **changes: options by name, in place of those in ``options``.
+            the factors, with control points last.
+        align: True to move the problem to its priors first. None: move it if there are no factors,
+            and at least three positions and control points that do not lie on one line.
+        constraints: rules that fix, bound or share parameters or add priors, such as
+            ``"cameras *: f prior 2 %"`` (:class:`bundle.Constraints`). They refer to the problem
+            after it was moved to the priors. The costs of their priors come last. ``constraints``
+            of the result has the outcome of each rule. With rules about positions or rotations,
+            gauge "auto" fixes nothing.
+        bounds: ``{("camera", camera_id): (lower, upper)}``, with one number per parameter in
+            COLMAP's order, infinite without a bound. The parameter must start between its bounds
+            and stays there; equal bounds make it constant. ``active_bounds`` of the result lists
+            the bounds that parameters reach.
+        progress: function called after each iteration with a dict, whose keys are the names of
+            Ceres' IterationSummary. An exception of this function stops the solve and is passed on;
+            KeyboardInterrupt has the effect of Ctrl-C.
+        **changes: options by name, which replace those in ``options``.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C before the start was evaluated, so that there is nothing to keep.
-        MemoryError: memory or a limit of it does not suffice.
-        InputError: an option that does not exist, a camera model that is not supported, a fixed id
-            that does not exist, options that exclude each other or the backend asked for, dense
-            matrices beyond the memory of this machine, bounds of no camera, of another number of
-            parameters, or that exclude the start, or a factor with an unknown key, numbers that do
-            not fit its variables, or no finite value at the start; a prior of no image, control
-            points that are measured in no two images, or priors that do not determine where the
-            problem is although ``align`` is True; a rule that names nothing of the problem,
-            contradicts another one or the options, or excludes the start.
+        KeyboardInterrupt: Ctrl-C before the start was evaluated; there is no state to return.
+        MemoryError: memory, or a limit of memory, is not sufficient.
+        InputError: one of these causes.
+
+            - Options: an option or a fixed id does not exist, a camera model is not supported,
+              options exclude each other or the requested backend, or dense matrices exceed the
+              memory of this machine.
+            - Bounds: their camera does not exist, their number of parameters is wrong, or they
+              exclude the start.
+            - Factors: a key is unknown, numbers do not fit the variables, or the value at the start
+              is not finite.
+            - Priors: the image does not exist, no control point is measured in two images, or the
+              priors do not determine the similarity although ``align`` is True.
+            - Rules: a rule names something that the problem does not have, contradicts another rule
+              or the options, or excludes the start.
         OSError: the path cannot be read.
     """
     if is_pose_graph_file(problem):

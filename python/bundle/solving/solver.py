@@ -1,4 +1,4 @@
-"""A solver of one structure, laid out once and solved again and again."""
+"""Solver of one structure, set up once for repeated solves."""
 
 from __future__ import annotations
 
@@ -33,38 +33,40 @@ __all__ = ["Solver"]
 
 
 class Solver(Displayed):
-    """Bundle adjustment of one structure, solved again and again without setting up again.
+    """Bundle adjustment of one structure, set up once for repeated solves.
 
-    The structure is which image sees which point, the cameras' models, what is refined and how it
-    is solved, with its factors and bounds. All that depends on it alone is laid out once: threads,
-    unknowns, the order of the elimination, the analysed linear solver, buffers. A solve then starts
-    at the values of a problem: poses, camera parameters, points, observed pixels. It takes the
-    steps of :func:`bundle.solve`, bit for bit, and spends nearly all of its time in them.
-    Exceptions: Ceres on several threads sums in any order; relative priors of ``constraints`` stay
-    relative to the problem of the constructor.
+    The structure consists of the tracks, the camera models, the refined variables, the options, the
+    factors and the bounds. The set-up that depends on the structure alone is done once: threads,
+    unknowns, elimination order, symbolic analysis of the linear solver, and buffers. Each solve
+    starts at the values of a problem: poses, camera parameters, points, observed pixels. It takes
+    the same steps as :func:`bundle.solve`, bit for bit, and spends nearly all its time in them.
+    There are two exceptions. Ceres on several threads sums in any order. Relative priors of
+    ``constraints`` stay relative to the problem of the constructor.
 
-    Ceres has no such solver: with Ceres as the backend, each solve starts from scratch. If the
-    values make the gauge hold other numbers, everything is laid out anew. The two-level
-    preconditioner forms its clusters by values in each solve.
+    Ceres has no such solver: with Ceres as the backend, each solve starts from scratch. The set-up
+    is also repeated if other values change which numbers the gauge fixes. The two-level
+    preconditioner forms its clusters from the values in each solve.
 
-    A solver pickles as its problem, options, factors and bounds, and is laid out anew on reading.
-    Functions of factors have to pickle, too.
+    A pickled solver contains its problem, options, factors and bounds, and is set up again when it
+    is unpickled. Functions of factors must be picklable, too.
 
     Args:
-        problem: the structure, and the values that :meth:`solve` starts from if not given others;
-            also a path or a pycolmap.Reconstruction.
-        options: how to solve; the defaults of :class:`SolveOptions` if not given. What depends on
-            where the problem comes from, or on factors (``gauge``, ``cheirality``), is settled
-            here.
-        factors: beside the observations, as in :func:`bundle.solve`. What they measured stays as it
-            is, in the world of the problem, whatever values a solve starts from.
-        bounds: of camera parameters, as in :func:`bundle.solve`. Every solve starts within them.
-        constraints: rules, as in :func:`bundle.solve`. What they say of the start they say of the
-            values of this problem; parameters that are one number start as one.
-        **changes: options by name, in place of those in ``options``.
+        problem: the structure, and the default start values of :meth:`solve`; also a path or a
+            pycolmap.Reconstruction.
+        options: solve options; the defaults of :class:`SolveOptions` if not given. Options that
+            depend on the source of the problem or on factors (``gauge``, ``cheirality``) are
+            resolved here.
+        factors: factors in addition to the observations, as in :func:`bundle.solve`. Their
+            measurements are constant, in the world frame of the problem, for any start values.
+        bounds: bounds of camera parameters, as in :func:`bundle.solve`. Every solve must start
+            within them.
+        constraints: rules, as in :func:`bundle.solve`. Rules about the start refer to the values of
+            this problem; shared parameters start at one common value.
+        **changes: options by name, which replace those in ``options``.
 
     Raises:
-        KeyboardInterrupt, MemoryError, InputError, OSError: as :func:`bundle.solve`.
+        KeyboardInterrupt, MemoryError, InputError, OSError: for the reasons of
+            :func:`bundle.solve`.
     """
 
     @takes_options(SolveOptions)
@@ -78,7 +80,7 @@ class Solver(Displayed):
         constraints: Constraints | Iterable[str | Rule] | Applied = (),
         **changes: Unpack[SolveKeywords],
     ) -> None:
-        self._prepared = prepare(  # without priors: nothing is moved
+        self._prepared = prepare(  # no priors, so the problem is not moved
             SolveRequest(
                 problem=as_problem(problem),
                 options=SolveOptions.of(options, changes, "Solver"),
@@ -95,17 +97,17 @@ class Solver(Displayed):
 
     @property
     def problem(self) -> Problem:
-        """The problem that the solver was made for."""
+        """Problem of the constructor."""
         return self._prepared.start
 
     @property
     def options(self) -> SolveOptions:
-        """Options as used, but for those that :meth:`solve` changes."""
+        """Options as used, before the changes in :meth:`solve`."""
         return self._options
 
     @property
     def factors(self) -> tuple[Factor, ...]:
-        """Factors beside the observations."""
+        """Factors in addition to the observations."""
         return self._prepared.request.factors
 
     @property
@@ -117,7 +119,7 @@ class Solver(Displayed):
 
     @property
     def constraints(self) -> Constraints:
-        """The rules."""
+        """Rules of the constructor."""
         from bundle.solving.constraints.rule_list import Constraints
 
         return Constraints(() if self._applied is None else self._applied.rules)
@@ -131,23 +133,23 @@ class Solver(Displayed):
     ) -> Result:
         """Refine a problem of this structure, from its values; see :func:`bundle.solve`.
 
-        One solve at a time: threads need a solver each. After any exception the solver can be used
-        again.
+        A solver runs one solve at a time; each thread needs its own solver. After any exception the
+        solver can be used again.
 
         Args:
-            problem: left untouched; the one of the constructor if not given. Its poses, camera
-                parameters, points and observed pixels are free; all else that a solve looks at has
-                to be the same.
+            problem: problem with the start values, which is not changed; by default the problem of
+                the constructor. Its poses, camera parameters, points and observed pixels may
+                differ; all other inputs of a solve must be the same.
             progress: as in :func:`bundle.solve`.
-            **changes: for this solve alone: ``loss``, ``loss_scale``, ``max_num_iterations``,
-                ``function_tolerance``, ``gradient_tolerance``, ``parameter_tolerance``,
-                ``check_solution``.
+            **changes: options for this solve only: ``loss``, ``loss_scale``,
+                ``max_num_iterations``, ``function_tolerance``, ``gradient_tolerance``,
+                ``parameter_tolerance``, ``check_solution``.
 
         Raises:
-            InputError: the problem has another structure, a camera parameter that is not within
-                its bounds or values at which a factor has none, an option is none of these, or the
+            InputError: the problem has another structure, a camera parameter is not within its
+                bounds, a factor has no value at the start, an option is not in this list, or the
                 solver is in use.
-            KeyboardInterrupt, MemoryError, OSError: as :func:`bundle.solve`.
+            KeyboardInterrupt, MemoryError, OSError: for the reasons of :func:`bundle.solve`.
         """
         problem = self.problem if problem is None else as_problem(problem)
         check_function("progress", progress)
@@ -170,7 +172,7 @@ class Solver(Displayed):
         return _make_solver(*self._parts())
 
     def __deepcopy__(self, _memo: Any) -> Solver:
-        return self.__copy__()  # nothing of it ever changes
+        return self.__copy__()  # a solver is immutable
 
     def __reduce__(self) -> tuple[Any, ...]:
         for position, factor in enumerate(self.factors):
@@ -204,7 +206,7 @@ def _make_solver(
 
 
 def _check_pickles(name: str, factor: Factor) -> None:
-    """Raise an InputError if the factor is a function in Python that does not pickle."""
+    """Raise an InputError if the factor is a Python function that cannot be pickled."""
     function = getattr(factor, "function", None)
     if function is None:
         return

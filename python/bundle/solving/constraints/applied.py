@@ -1,7 +1,7 @@
 """Resolved rules: their constants, bounds, priors and ties in one problem.
 
 Rules are resolved once. Priors and bounds relative to the start ("2 %", "as at the start") refer to
-the start of the whole run, not to that of a round.
+the start of the entire run, not to the start of a round.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ class KnownPrior:
     """A prior on one parameter of a camera, or on a position or rotation.
 
     Attributes:
-        rule: index among the rules.
+        rule: index of the rule in the list of rules.
         subject: ("camera", id), ("image", id) or ("point", id).
-        parameter: its name, such as "fx" or "position".
-        value: as known: a number; x, y, z; or cam_from_world, of a rotation.
-        sigma: in the parameter's unit, degrees for a rotation; per axis for a position; a share of
-            the value where relative.
+        parameter: name of the parameter, such as "fx" or "position".
+        value: prior value: a number; x, y, z of a position; or cam_from_world of a rotation.
+        sigma: standard deviation in the parameter's unit; degrees for a rotation; per axis for a
+            position; a fraction of the value if `relative`.
         relative: True if the prior is on the logarithm.
-        column: of a camera's parameter.
+        column: column of a camera's parameter.
     """
 
     rule: int
@@ -48,7 +48,7 @@ class KnownPrior:
 
 @dataclass(frozen=True)
 class Tie:
-    """Parameters of cameras that are multiples of one number.
+    """Parameters of cameras that are multiples of one shared number.
 
     Attributes:
         members: (camera id, column, multiple).
@@ -64,14 +64,14 @@ class Applied:
     """Rules, resolved for one problem.
 
     Attributes:
-        rules: as given.
+        rules: the rules as the caller gave them.
         held_params: columns of the constant parameters of a camera, by camera id.
         held_poses: bits of the constant parts of an image's pose, by image id.
-        fixed_point_ids: constant points.
+        fixed_point_ids: ids of the constant points.
         bounds: (lower, upper) by camera id and column.
-        priors: one for each factor.
-        factors: of the priors.
-        ties: parameters that are multiples of one number.
+        priors: the priors, in the order of `factors`.
+        factors: the factor of each prior.
+        ties: parameters that are multiples of one shared number.
         counts: number of parameters (or positions, rotations) that each rule names.
         bounded: index of the rule that bounds a parameter, by camera id and column.
     """
@@ -89,16 +89,16 @@ class Applied:
 
     @property
     def locate(self) -> bool:
-        """True if rules determine the world in part, so that gauge "auto" holds nothing."""
+        """Return True if rules determine part of the gauge, so that gauge "auto" fixes nothing."""
         both = HELD_POSITION | HELD_ROTATION
         return any(prior.subject[0] != "camera" for prior in self.priors) or any(
             parts != both for parts in self.held_poses.values()
         )
 
     def restricted(self, part: Problem) -> Applied:
-        """Return the rules of the cameras, images and points of a part of the problem.
+        """Return the rules on the cameras, images and points of a subproblem.
 
-        A parameter that is tied to a camera outside of the part becomes constant.
+        A parameter that is tied to a camera outside the subproblem becomes constant.
         """
         cameras, images = set(part.camera_ids.tolist()), set(part.image_ids.tolist())
         points = set(part.point_ids.tolist())

@@ -1,4 +1,4 @@
-"""Bounds of camera parameters: within which a solve keeps them, and which it ends on."""
+"""Bounds of camera parameters, and the bounds that are active at the end of a solve."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bundle.model.problem_keys import ProblemKeys, parameter_names
 __all__ = ["ActiveBound", "CameraBounds"]
 
 ActiveBound = tuple[tuple[str, int], str, str]
-"""Key of a camera, name of a parameter, "lower" or "upper"."""
+"""Tuple of a camera's key, a parameter's name, and "lower" or "upper"."""
 
 _SIDES = ("lower", "upper")
 
@@ -29,8 +29,8 @@ class CameraBounds:
     """Bounds of every camera parameter of a problem.
 
     Attributes:
-        lower: (num_cameras, width) as in ``Problem.camera_params``; -inf where there is none.
-        upper: likewise; inf where there is none.
+        lower: (num_cameras, width) as in ``Problem.camera_params``; -inf without a lower bound.
+        upper: upper bounds in the same shape; inf without an upper bound.
     """
 
     lower: NDArray[np.float64]
@@ -38,12 +38,12 @@ class CameraBounds:
 
     @staticmethod
     def make(problem: Problem, bounds: Any) -> CameraBounds:
-        """Return bounds given as {("camera", id): (lower, upper)}, checked.
+        """Check bounds given as {("camera", id): (lower, upper)} and return them.
 
         Raises:
-            InputError: a key names no camera of the problem, a bound has not one number for each
-                parameter of the camera's model or is nan, a lower bound is above the upper one, or
-                the problem's parameter is not between them.
+            InputError: the problem has no camera of a key; the length of a bound differs from the
+                number of parameters of the camera's model; a bound is nan; a lower bound is above
+                the upper bound; or the problem's parameter is not between them.
         """
         if not isinstance(bounds, Mapping):
             raise InputError(
@@ -66,7 +66,9 @@ class CameraBounds:
         return CameraBounds(freeze(result.lower), freeze(result.upper))
 
     def check_start(self, problem: Problem) -> None:
-        """Check a problem of the structure that the bounds were made for.
+        """Check that a problem starts within the bounds.
+
+        The problem must have the cameras for which the bounds were made.
 
         Raises:
             InputError: a parameter is not between its bounds.
@@ -84,14 +86,14 @@ class CameraBounds:
         )
 
     def tightened(self, more: Mapping[tuple[int, int], tuple[float, float]]) -> CameraBounds:
-        """Return bounds with more of them, by index of the camera and column; the closer counts."""
+        """Return the bounds after adding others, by camera index and column; the tighter counts."""
         lower, upper = self.lower.copy(), self.upper.copy()
         for place, (least, most) in more.items():
             lower[place], upper[place] = max(lower[place], least), min(upper[place], most)
         return CameraBounds(freeze(lower), freeze(upper))
 
     def given(self, problem: Problem) -> dict[tuple[str, int], tuple[Any, Any]]:
-        """Return what :meth:`make` takes, of the cameras that have a bound."""
+        """Return the bounds as input of :meth:`make`, for the cameras that have a bound."""
         bounded = np.isfinite(self.lower) | np.isfinite(self.upper)
         bounds = {}
         for camera in np.flatnonzero(bounded.any(axis=1)).tolist():
@@ -101,7 +103,7 @@ class CameraBounds:
         return bounds
 
     def active(self, problem: Problem) -> tuple[ActiveBound, ...]:
-        """Return the bounds on which parameters of the problem are."""
+        """Return the active bounds: those that parameters of the problem have reached."""
         params = problem.camera_params
         found = []
         for camera, j in np.argwhere(

@@ -23,7 +23,7 @@ class Chooser:
         """Return the indices of the rule's cameras, images or points, ascending.
 
         Raises:
-            InputError: it names something that the problem does not have.
+            InputError: the problem does not have an id or name of the rule.
         """
         target = rule.target
         known = self._known(target.kind)
@@ -48,11 +48,11 @@ class Chooser:
     def parameters(self, rule: Rule) -> list[tuple[int, str, tuple[int, ...]]]:
         """Return (camera index, name, columns) of each parameter that the rule names.
 
-        ``f`` has the columns of all focal lengths of a model that has several. Of ``cameras *``
-        those are left out whose model has no such parameter.
+        For a model with several focal lengths, ``f`` has the columns of all of them.
+        ``cameras *`` leaves out the cameras whose model does not have the parameter.
 
         Raises:
-            InputError: a camera has no such parameter; the message lists those that it has.
+            InputError: a camera does not have the parameter; the message lists its parameters.
         """
         cameras = self.indices(rule)
         every = rule.target.entries is None
@@ -102,5 +102,5 @@ def _columns(model: str, name: str) -> tuple[int, ...]:
 
 
 def _and_f(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names, and f where a model has two focal lengths."""
+    """Return the names, and also "f" if the model has two focal lengths."""
     return ("f", *names) if "fx" in names and "f" not in names else names

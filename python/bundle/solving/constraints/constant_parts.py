@@ -1,4 +1,4 @@
-"""Constant parameters and parts of poses of a problem under rules, with the reason of each."""
+"""Constant parameters and pose parts of a problem under rules, with the reason for each."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ __all__ = ["ConstantParts"]
 
 
 class ConstantParts:
-    """Parameters, poses and points that rules, options or the part of a solve make constant.
+    """Parameters, poses and points that rules, options or the subset of a solve make constant.
 
     Args:
-        rules: as given.
-        problem: whose cameras, images and points they name.
-        options: whose fixed ids and ``refine`` count.
+        rules: the rules as the caller gave them.
+        problem: the problem with the cameras, images and points that the rules name.
+        options: options; their fixed ids and ``refine`` make parameters constant, too.
         part: ids of the refined cameras, images and points; None: all.
     """
 
@@ -34,10 +34,10 @@ class ConstantParts:
     ) -> None:
         self._rules, self._problem, self._options, self._part = rules, problem, options, part
         self._params = problem.camera_params.copy()
-        self._fixed: dict[Member, int] = {}  # the rule that holds a parameter
+        self._fixed: dict[Member, int] = {}  # rule that makes a parameter constant
         self._bounds: dict[Member, tuple[float, float]] = {}
         self._bounded: dict[Member, int] = {}
-        self._poses: dict[tuple[int, str], int] = {}  # the rule that holds a part of a pose
+        self._poses: dict[tuple[int, str], int] = {}  # rule that fixes part of a pose
         self._points: dict[int, int] = {}
         self._free_kinds = set(options.refine)
         self._fixed_ids = {
@@ -59,7 +59,7 @@ class ConstantParts:
         return len(frames) > 0 and bool(frames[image] >= 0)
 
     def _why_held(self, member: Member) -> str:
-        """Return why a parameter is held, or ""."""
+        """Return why a parameter is constant; "" if it is not constant."""
         if member in self._fixed:
             return f"is held by {self._place(self._fixed[member])}"
         camera, j = member

@@ -13,16 +13,16 @@ class PriorEnd:
 
     Attributes:
         subject: "camera", "image" or "point".
-        id: of it.
-        parameter: its name, such as "fx", "position" or "rotation".
-        known: as it was known: a number, or x, y, z; of a rotation qx, qy, qz, qw.
-        sigma: in the parameter's unit, degrees for a rotation, per axis for a position; where
-            relative a share of the value.
-        relative: whether the logarithm was known.
-        before: at the start, as known.
-        after: at the end, as known.
-        pull: how far the end is from what was known, in sigmas: with its sign for a number, the
-            length otherwise. The prior costs half its square.
+        id: id of the camera, image or point.
+        parameter: name of the parameter, such as "fx", "position" or "rotation".
+        known: prior value: a number; x, y, z of a position; or qx, qy, qz, qw of a rotation.
+        sigma: standard deviation in the parameter's unit; degrees for a rotation; per axis for a
+            position; a fraction of the value if `relative`.
+        relative: True if the prior is on the logarithm.
+        before: value at the start, in the form of `known`.
+        after: value at the end, in the form of `known`.
+        pull: difference of the end from the prior value, in sigmas: signed for a number, the
+            length of the vector otherwise. The cost of the prior is half the square of the pull.
     """
 
     subject: str
@@ -38,11 +38,11 @@ class PriorEnd:
 
 @dataclass(frozen=True, kw_only=True)
 class BoundEnd:
-    """A bound on which a parameter ends.
+    """A bound that a parameter reaches at the end of a solve.
 
     Attributes:
-        camera_id: of the camera.
-        parameter: its name.
+        camera_id: id of the camera.
+        parameter: name of the parameter.
         side: "lower" or "upper".
         value: the bound.
     """
@@ -55,14 +55,14 @@ class BoundEnd:
 
 @dataclass(frozen=True, kw_only=True)
 class TieEnd:
-    """Parameters that moved as one number.
+    """Parameters that the solver moved as multiples of one number.
 
     Attributes:
-        camera_ids: of the cameras, one entry a parameter.
-        parameters: their names.
-        multiples: how many times the number each is.
-        before: each at the input, before they were made equal.
-        after: each at the end.
+        camera_ids: id of the camera of each parameter.
+        parameters: name of each parameter.
+        multiples: ratio of each parameter to the shared number.
+        before: value of each parameter in the input, before the solver made them equal.
+        after: value of each parameter at the end.
     """
 
     camera_ids: tuple[int, ...]
@@ -74,16 +74,17 @@ class TieEnd:
 
 @dataclass(frozen=True, kw_only=True)
 class RuleEnd:
-    """One rule and what became of it.
+    """One rule and its outcome.
 
     Attributes:
-        rule: its text.
-        place: where it was given.
+        rule: text of the rule.
+        place: place of the rule in a file or list.
         kind: "fixed", "prior", "bounds", "share" or "ratio".
-        num_parameters: how many parameters, positions and rotations it is about.
-        priors: of a prior.
-        active_bounds: of bounds: those on which parameters end.
-        ties: of a share or ratio: what moved together, with what other rules tie to it.
+        num_parameters: number of parameters, positions and rotations that the rule names.
+        priors: outcome of each prior, for a rule of kind "prior".
+        active_bounds: bounds that parameters reach at the end, for a rule of kind "bounds".
+        ties: groups of parameters that moved together, for a share or ratio; a group includes
+            parameters that other rules tie to it.
     """
 
     rule: str

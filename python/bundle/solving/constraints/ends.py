@@ -18,12 +18,12 @@ __all__ = ["rule_ends"]
 
 
 def rule_ends(applied: Applied, before: Problem, after: Problem) -> tuple[RuleEnd, ...]:
-    """Return what became of each rule.
+    """Return the outcome of each rule.
 
     Args:
         applied: the rules.
         before: the start, before shared parameters were made equal.
-        after: the end, with the same images and cameras; points may be gone.
+        after: the end, with the same images and cameras; points may have been removed.
     """
     first, last = _Values(before), _Values(after)
     priors: dict[int, list[PriorEnd]] = {}
@@ -81,7 +81,7 @@ class _Values:
         return camera_models()[self._problem.camera_models[row]][j]
 
     def of(self, prior: KnownPrior) -> tuple[float, ...] | None:
-        """Return the value that a prior is about; None where it is gone."""
+        """Return the value of a prior's parameter; None if its subject has been removed."""
         kind, key = prior.subject
         row = self.row(kind, key)
         if row is None:

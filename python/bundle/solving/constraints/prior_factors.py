@@ -18,8 +18,8 @@ __all__ = ["factor_of"]
 def factor_of(prior: KnownPrior) -> Factor:
     """Return the factor whose whitened residual is the prior's pull in sigmas.
 
-    That of a rotation is Log(R0^T R) / sigma: a :class:`bundle.LinearPrior` about the pose whose
-    information on the position is zero.
+    For a rotation this residual is Log(R0^T R) / sigma. The factor is then a
+    :class:`bundle.LinearPrior` on the pose, with zero information on the position.
     """
     from bundle.graphs.factors.factors import PositionFactor, PriorFactor, ScalarPriorFactor
     from bundle.graphs.factors.linear_prior import LinearPrior

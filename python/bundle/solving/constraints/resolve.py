@@ -1,4 +1,4 @@
-"""Resolution of rules: the constants, bounds, ties and priors that they mean in a problem."""
+"""Resolution of rules into the constants, bounds, ties and priors of a problem."""
 
 from __future__ import annotations
 
@@ -51,14 +51,15 @@ def apply(
 
     Args:
         constraints: the rules.
-        problem: whose cameras, images and points they name.
-        options: whose fixed ids and ``refine`` make parameters constant, too.
-        part: ids of the refined cameras, images and points, where these are not all; rules have no
-            effect on the others.
+        problem: the problem with the cameras, images and points that the rules name.
+        options: options; their fixed ids and ``refine`` make parameters constant, too.
+        part: ids of the refined cameras, images and points; None: all. Rules have no effect on the
+            others.
 
     Raises:
-        InputError: something is no rule, names nothing of the problem, contradicts another rule or
-            the options, or excludes the start; the message begins with the place of the rule.
+        InputError: an entry is not a rule, names something that the problem does not have,
+            contradicts another rule or the options, or excludes the start. The message begins with
+            the place of the rule.
     """
     rules = rules_of(constraints)
     if not rules:
@@ -77,7 +78,7 @@ class _Resolver(ConstantParts):
         super().__init__(rules, problem, options, part)
         self._chooser = Chooser(problem)
         self._groups = Groups()
-        self._known: dict[Any, int] = {}  # the rule with a prior on something
+        self._known: dict[Any, int] = {}  # rule with a prior on the key
         self._priors: list[KnownPrior] = []
         self._counts = [0] * len(rules)
 
@@ -200,7 +201,7 @@ class _Resolver(ConstantParts):
             )
 
     def _settle_ties(self) -> tuple[tuple[Tie, ...], set[Member]]:
-        """Move the start to where ties hold; return the free ties, and the constant members."""
+        """Change the start so that ties hold; return the free ties and the constant members."""
         ties, held = [], set[Member]()
         camera_ids = self._problem.camera_ids.tolist()
         groups = self._groups.all()
@@ -231,7 +232,7 @@ class _Resolver(ConstantParts):
         return tuple(ties), held
 
     def _bound_group(self, group: Group, u: float) -> None:
-        """Give all members of a group the bounds of each."""
+        """Apply the bounds of each member of a group to all its members."""
         lower, upper, by = -math.inf, math.inf, -1
         for member, times in group.members:
             if member not in self._bounds:
@@ -248,7 +249,7 @@ class _Resolver(ConstantParts):
             return
         for member, times in group.members:
             low, high = sorted((times * lower, times * upper))
-            # The start is within, whatever rounding makes of multiples.
+            # Rounding of the multiples must not put the start out of bounds.
             self._bounds[member] = min(low, times * u), max(high, times * u)
             self._bounded.setdefault(member, by)
 
@@ -300,7 +301,7 @@ class _Resolver(ConstantParts):
                 self._counts[number] += 1
                 root = root_of.get(member, member)
                 if root in said:
-                    continue  # one number that cameras share, known once
+                    continue  # one prior on a number that cameras share
                 said.add(root)
                 value = float(self._params[member]) if rule.value is None else _one(rule.value)
                 is_focal = param_kinds(model)[j] == "focal"

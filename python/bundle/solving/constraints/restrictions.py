@@ -23,15 +23,15 @@ __all__ = ["Restrictions"]
 
 @dataclass(frozen=True, eq=False)
 class Restrictions:
-    """Bounds, constants and ties; None where there are none of a kind.
+    """Bounds, constants and ties. An attribute is None if the problem has nothing of its kind.
 
     Attributes:
-        bounds: of camera parameters.
-        held_camera_params: (num_cameras,) bit j: parameter j is constant.
+        bounds: bounds of camera parameters.
+        held_camera_params: (num_cameras,) bit j is set if parameter j is constant.
         held_pose_parts: (num_images,) bits of the constant parts of a pose.
-        camera_tie: as ``Problem.camera_params``: index of the shared number that a parameter is a
-            multiple of, or -1.
-        camera_tie_scale: the multiple.
+        camera_tie: index of the shared number of each parameter, or -1; in the shape of
+            ``Problem.camera_params``.
+        camera_tie_scale: ratio of each parameter to its shared number.
         num_ties: number of shared numbers.
     """
 
@@ -44,22 +44,22 @@ class Restrictions:
 
     @property
     def lower(self) -> NDArray[np.float64] | None:
-        """Lower bounds as in ``Problem.camera_params``."""
+        """Lower bounds in the shape of ``Problem.camera_params``."""
         return None if self.bounds is None else self.bounds.lower
 
     @property
     def upper(self) -> NDArray[np.float64] | None:
-        """Upper bounds likewise."""
+        """Upper bounds in the shape of ``Problem.camera_params``."""
         return None if self.bounds is None else self.bounds.upper
 
     @staticmethod
     def make(
         problem: Problem, bounds: Mapping[Any, Any] | None, applied: Applied | None
     ) -> Restrictions | None:
-        """Return the restrictions of a problem; None where there are none.
+        """Return the restrictions of a problem; None without any restriction.
 
         Raises:
-            InputError: as :meth:`CameraBounds.make`.
+            InputError: for the reasons of :meth:`CameraBounds.make`.
         """
         limits = None if bounds is None else CameraBounds.make(problem, bounds)
         if applied is None:
@@ -94,11 +94,13 @@ class Restrictions:
         return Restrictions(bounds=limits, **parts)
 
     def check_start(self, problem: Problem) -> None:
-        """Check a problem of the structure that the restrictions were made for.
+        """Check that a problem starts within the restrictions.
+
+        The problem must have the structure for which the restrictions were made.
 
         Raises:
-            InputError: a parameter is not between its bounds, or parameters that move as one number
-                are not the multiples of one.
+            InputError: a parameter is not between its bounds, or tied parameters are not multiples
+                of one number.
         """
         if self.bounds is not None:
             self.bounds.check_start(problem)
@@ -117,5 +119,5 @@ class Restrictions:
                 )
 
     def active(self, problem: Problem) -> tuple[ActiveBound, ...]:
-        """Return the bounds on which parameters of the problem are."""
+        """Return the active bounds: those that parameters of the problem have reached."""
         return () if self.bounds is None else self.bounds.active(problem)

@@ -1,4 +1,4 @@
-"""Rules as a list: of texts and objects, from a file."""
+"""List of rules, made from texts and objects or read from a file."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Constraints(Displayed):
         rules: texts, objects such as :class:`bundle.constraints.Fixed`, and lists of them.
 
     Raises:
-        InputError: one is no rule; the message names which.
+        InputError: an argument is not a rule; the message names it.
     """
 
     rules: tuple[Rule, ...]
@@ -40,11 +40,11 @@ class Constraints(Displayed):
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Constraints:
-        """Return the rules of a file: one a line, ``#`` begins a comment.
+        """Read rules from a file with one rule per line; ``#`` begins a comment.
 
         Raises:
-            InputError: the file is no text or a line is no rule; the message names the line.
-            OSError: it cannot be read.
+            InputError: the file is not text or a line is not a rule; the message names the line.
+            OSError: the file cannot be read.
         """
         return cls(
             tuple(
@@ -61,7 +61,7 @@ class Constraints(Displayed):
         return len(self.rules)
 
     def __add__(self, other: Any) -> Constraints:
-        """Return these rules and more."""
+        """Return these rules followed by other rules."""
         return Constraints((*self.rules, *rules_of(other)))
 
     def _display(self) -> Display:
@@ -74,7 +74,7 @@ def rules_of(given: Any) -> tuple[Rule, ...]:
     """Return rules given as texts or objects, each with its place.
 
     Raises:
-        InputError: something is no rule.
+        InputError: an entry is not a rule.
     """
     if isinstance(given, Constraints):
         return given.rules

@@ -1,4 +1,4 @@
-"""The text of a rule.
+"""Parser of the text of a rule.
 
     RULE    = TARGET ":" CLAUSE
     TARGET  = ("camera" | "image" | "point") ["s"] SELECTION
@@ -13,7 +13,7 @@
     VALUE   = number | "[" number "," number "," number "]"
     SIGMA   = number | number "/" number | "[" number "," number "," number "]"
 
-``#`` begins a comment where it is in no quotes.
+``#`` outside quotes begins a comment.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _CLAUSES = (
 
 
 def parse_rule(text: str, place: str) -> Rule:
-    """Return the rule that a text is.
+    """Parse the text of a rule.
 
     Raises:
-        InputError: it is none; the message begins with the place.
+        InputError: the text is not a rule; the message begins with the place.
     """
     try:
         return _Reader(without_comment(text), place).rule()
@@ -50,12 +50,12 @@ def parse_rule(text: str, place: str) -> Rule:
 
 
 def without_comment(text: str) -> str:
-    """Return what stands before a # that is in no quotes."""
+    """Return the text before the first # outside quotes."""
     return text[: _find("#", text)]
 
 
 def _find(wanted: str, text: str) -> int:
-    """Return the place of a character outside of quotes; the length where there is none."""
+    """Return the index of a character outside quotes; the length of the text without one."""
     quote = ""
     for place, character in enumerate(text):
         if character in "\"'" and quote in ("", character):

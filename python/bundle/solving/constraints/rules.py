@@ -1,8 +1,8 @@
-"""The rules: what each says, and the text that says it.
+"""Classes of the rules, and the text of each rule.
 
-A rule is a target (``camera 3``, ``cameras 1-4``, ``cameras *``, ``image "left/*.jpg"``, ``point
-12``), the names of some of its parameters, and what is known of these. ``str()`` of a rule is text
-that ``rule_text.parse_rule`` reads as the same rule.
+A rule consists of a target, names of parameters of the target, and a statement about these
+parameters. Targets are ``camera 3``, ``cameras 1-4``, ``cameras *``, ``image "left/*.jpg"`` or
+``point 12``. ``rule_text.parse_rule`` reads the ``str()`` of a rule as the same rule.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["KINDS", "POSES", "Bounds", "Fixed", "Prior", "Ratio", "Rule", "Share
 
 KINDS = ("camera", "image", "point")
 POSES = ("position", "rotation")
-"""Quantities of rules on images; rules on points are about the position."""
+"""Parameters of rules on images; the parameter of rules on points is the position."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Target:
 
     Attributes:
         kind: "camera", "image" or "point".
-        entries: ids and ranges of ids, and patterns of names of images; None: all there are.
+        entries: ids, ranges of ids, and patterns of image names; None: all.
     """
 
     kind: str
@@ -36,10 +36,10 @@ class Target:
 
     @staticmethod
     def of(text: Any) -> Target:
-        """Return what such text as "cameras 1-4" names, or a target itself.
+        """Return the target that a text such as "cameras 1-4" names; return a target unchanged.
 
         Raises:
-            InputError: it names nothing.
+            InputError: the text is not a target.
         """
         if isinstance(text, Target):
             return text
@@ -58,7 +58,7 @@ class Target:
         return Target(kind, tuple(_entry(kind, part) for part in _split(rest)))
 
     def __str__(self) -> str:
-        """The text that means this."""
+        """Return the text of this object, which the parser reads."""
         if self.entries is None:
             return f"{self.kind}s *"
         parts = [_text(entry) for entry in self.entries]
@@ -92,7 +92,7 @@ def _entry(kind: str, text: str) -> range | str:
 
 
 def _split(text: str) -> list[str]:
-    """Return the parts between commas that are in no quotes."""
+    """Split a text at commas outside quotes."""
     parts, quote = [""], ""
     for character in text:
         if character in "\"'" and quote in ("", character):
@@ -109,11 +109,11 @@ class Rule:
     """Base of all rules.
 
     Attributes:
-        target: of which cameras, images or points; also as text, such as "cameras 1-4".
-        parameters: names of parameters, a sequence or such text as "f,k1". Of a camera COLMAP's
-            names, and ``f`` for every focal length of a model that has several; of an image
-            "position" (the projection centre) and "rotation"; of a point "position".
-        place: where the rule stands, for messages.
+        target: the cameras, images or points; also as text, such as "cameras 1-4".
+        parameters: names of parameters, as a sequence or as text such as "f,k1". Cameras have
+            COLMAP's names, and ``f`` for all focal lengths of a model with several. Images have
+            "position" (the projection centre) and "rotation". Points have "position".
+        place: place of the rule in its file or list, for messages.
     """
 
     target: Target
@@ -164,26 +164,27 @@ def _names(given: Any) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Fixed(Rule):
-    """The parameters stay as they are at the start."""
+    """Rule that keeps parameters constant at their start values."""
 
     kind = "fixed"
 
     def __str__(self) -> str:
-        """The text that means this."""
+        """Return the text of this object, which the parser reads."""
         return f"{self._head()} fixed"
 
 
 @dataclass(frozen=True)
 class Prior(Rule):
-    """The parameters are known with a standard deviation: each costs 1/2 ((x - value) / sigma)^2.
+    """Rule with a Gaussian prior on parameters; each costs 1/2 ((x - value) / sigma)^2.
 
     Attributes:
-        value: that was measured: a number, for positions x, y and z; None: as at the start.
-        sigma: in the unit of the parameter: pixels for focal lengths and the principal point, no
-            unit for distortion, degrees for rotations, the length unit of the reconstruction for
-            positions: one number, (horizontal, vertical) with z up, or one per axis.
-        percent: in place of sigma, of the value. A focal length then costs
-            1/2 (log(f / value) / (percent / 100))^2.
+        value: measured value: a number, or x, y and z of a position; None: the start value.
+        sigma: standard deviation in the unit of the parameter. The unit is pixels for focal lengths
+            and the principal point, degrees for rotations and the length unit of the reconstruction
+            for positions; distortion has no unit. For positions: one number, (horizontal,
+            vertical) with z up, or one number per axis.
+        percent: standard deviation in percent of the value, instead of sigma. A focal length then
+            costs 1/2 (log(f / value) / (percent / 100))^2.
     """
 
     value: float | tuple[float, ...] | None = None
@@ -228,7 +229,7 @@ class Prior(Rule):
                 )
 
     def __str__(self) -> str:
-        """The text that means this."""
+        """Return the text of this object, which the parser reads."""
         value = "" if self.value is None else f" {_numbers(self.value)}"
         if self.percent is not None:
             return f"{self._head()} prior{value} {self.percent!r} %"
@@ -238,7 +239,7 @@ class Prior(Rule):
 
 @dataclass(frozen=True)
 class Bounds(Rule):
-    """The parameters start and stay between two numbers, either of which may be infinite."""
+    """Rule that keeps parameters between two numbers from the start; either may be infinite."""
 
     lower: float = -math.inf
     upper: float = math.inf
@@ -256,16 +257,16 @@ class Bounds(Rule):
             )
 
     def __str__(self) -> str:
-        """The text that means this."""
+        """Return the text of this object, which the parser reads."""
         return f"{self._head()} in [{self.lower!r}, {self.upper!r}]"
 
 
 @dataclass(frozen=True)
 class Share(Rule):
-    """Each of the parameters is one number for all cameras of the target.
+    """Rule that gives a parameter one value in all cameras of the target.
 
-    ``f`` is each focal length on its own where all of these cameras have fx and fy; where some have
-    one focal length, it is one number for all focal lengths of all of them.
+    If all these cameras have fx and fy, ``f`` shares fx and fy separately. If some have a single
+    focal length, ``f`` makes all focal lengths of all these cameras equal.
     """
 
     kind = "share"
@@ -274,16 +275,16 @@ class Share(Rule):
         self._only_cameras()
 
     def __str__(self) -> str:
-        """The text that means this."""
+        """Return the text of this object, which the parser reads."""
         return f"{self.target}: share {','.join(self.parameters)}"
 
 
 @dataclass(frozen=True)
 class Ratio(Rule):
-    """The first of two parameters stays as many times the second as at the start, in each camera.
+    """Rule that keeps the ratio of two parameters of each camera constant at its start value.
 
     Attributes:
-        parameters: both.
+        parameters: the two names, numerator first.
     """
 
     kind = "ratio"
@@ -297,7 +298,7 @@ class Ratio(Rule):
             )
 
     def __str__(self) -> str:
-        """The text that means this."""
+        """Return the text of this object, which the parser reads."""
         return f"{self.target}: {'/'.join(self.parameters)} fixed"
 
 
@@ -331,7 +332,7 @@ def _one(name: str, value: Any) -> float:
 def _positive(name: str, value: Any) -> float | tuple[float, ...]:
     numbers = _finite(name, value)
     for number in numbers if isinstance(numbers, tuple) else (numbers,):
-        # Beyond these its inverse square, by which it counts, is zero or infinite.
+        # Beyond these limits the weight 1 / sigma^2 is zero or infinite.
         if not 1e-100 <= number <= 1e100:
             raise InputError(
                 f"{name}: expected a number above 0 (1e-100 to 1e100), found {number:g}"

@@ -1,12 +1,13 @@
-"""Parameters that move together: each is a multiple of one number.
+"""Tied parameters: each is a multiple of one shared number.
 
-``share`` makes parameters of several cameras equal, a ratio makes one parameter of a camera a
-multiple of another; together they make groups. With x_i = s_i u for the members of a group and one
-number u, ratios x_i / x_j = s_i / s_j hold by construction, and a solver has one unknown for the
-group: columns are eliminated, nothing is penalised.
+``share`` makes parameters of several cameras equal. A ratio makes one parameter of a camera a
+multiple of another. Together they make groups. The members of a group are x_i = s_i u with one
+number u, so that the ratios x_i / x_j = s_i / s_j hold by construction. The solver has one unknown
+per group: Jacobian columns are eliminated, no penalty is added.
 
-At the start u is what the members say on average, weighted alike, or what the held one of them
-says, which holds all. Where members already agree, but for rounding, u is the first one's.
+At the start, u is the unweighted mean of x_i / s_i. If a member is constant, u is the value of that
+member, and the entire group is constant. If the members already agree except for rounding, u is the
+value of the first member.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ Member = tuple[int, int]
 
 ROUNDING = 1e-12
 MOST_SHARED = 16
-"""Numbers that cameras may share which are tied to each other, directly or by others."""
+"""Largest number of shared values of cameras that are tied, directly or through others."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """Members with their multiples, and the rules that tie them, in order."""
+    """Tied parameters with their multiples, and the rules that tie them, in order."""
 
     members: tuple[tuple[Member, float], ...]
     rules: tuple[int, ...]
@@ -40,15 +41,15 @@ class Group:
         held: Callable[[Member], bool],
         describe: Callable[[Member], str],
     ) -> tuple[float, bool]:
-        """Return u, and whether a held member holds it.
+        """Return u, and True if a constant member makes u constant.
 
         Args:
-            value: of a member at the start.
-            held: whether a member is.
-            describe: a member, for messages.
+            value: function that returns the start value of a member.
+            held: function that returns True if a member is constant.
+            describe: function that returns the description of a member for messages.
 
         Raises:
-            InputError: two members are held at values that do not agree.
+            InputError: two members are constant at values that do not agree.
         """
         said = [(member, value(member) / times) for member, times in self.members]
         fixed = [(member, u) for member, u in said if held(member)]
@@ -69,9 +70,9 @@ class Group:
 
 
 def check_components(groups: Iterable[Group]) -> Group | None:
-    """Return a group of more than MOST_SHARED that cameras share which others tie to each other.
+    """Return a group of a connected component with more than MOST_SHARED shared numbers, or None.
 
-    The core has one block for all that such cameras share. None: there is no such group.
+    The core has one block for all shared numbers of connected cameras.
     """
     parent: dict[int, int] = {}
 
@@ -98,7 +99,7 @@ def _agree(a: float, b: float) -> bool:
 
 
 def divided_bounds(bounds: tuple[float, float], times: float) -> tuple[float, float]:
-    """Return bounds of u for x = times u, such that no rounding takes x out of its own."""
+    """Return bounds of u for x = times u that keep x within its bounds despite rounding."""
     low, high = sorted(bound / times for bound in bounds)
     for _ in range(2):  # a quotient and a product, half a unit in the last place each
         if not bounds[0] <= times * low <= bounds[1]:
@@ -112,12 +113,12 @@ class Groups:
     """Groups as they grow (union-find with multiples)."""
 
     def __init__(self) -> None:
-        # Each member's parent and how many times the parent's value its own is.
+        # Parent of each member, and the ratio of the member's value to the parent's value.
         self._parent: dict[Member, tuple[Member, float]] = {}
         self._rules: dict[Member, set[int]] = {}
 
     def tie(self, a: Member, b: Member, times: float, rule: int) -> bool:
-        """Make the value of a so many times that of b; False if it already is another multiple."""
+        """Tie a = times b; return False if a is already a different multiple of b."""
         (root_a, of_a), (root_b, of_b) = self._find(a), self._find(b)
         if root_a == root_b:
             self._rules[root_a].add(rule)

@@ -1,4 +1,4 @@
-"""A solve by several processes: rank 0 sends the parts, all solve, rank 0 collects."""
+"""Solve by several processes: rank 0 sends parts, all ranks solve, rank 0 collects the points."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ __all__ = [
 
 
 class Ranks(Protocol):
-    """Communication of one rank in ``_core.solve_part``, with its tally of messages."""
+    """Communication of one rank in ``_core.solve_part``, with counts of its messages."""
 
     rank: int
     num_ranks: int
@@ -73,11 +73,11 @@ class Job:
     """Input of one process.
 
     Attributes:
-        part: its points.
-        options: resolved.
-        restrictions: bounds, and the parameters that are held and tied; None without any.
-        factors: as ``partition.factors_of`` returns them.
-        image_is_observed: (num_images,) of the whole problem.
+        part: the points of the process.
+        options: resolved options.
+        restrictions: bounds, and the constant and tied parameters; None without any.
+        factors: factors in the form of ``partition.factors_of``.
+        image_is_observed: (num_images,) True if the full problem has observations in the image.
     """
 
     part: ProblemPart
@@ -89,7 +89,7 @@ class Job:
 
 @dataclass
 class PartOfOutput:
-    """Output of one process: its points, the costs of its factors, its record."""
+    """Output of one process: its points, the costs of its factors, and its record."""
 
     points: NDArray[np.float64]
     factor_costs_before: NDArray[np.float64]
@@ -99,7 +99,7 @@ class PartOfOutput:
 
 @dataclass(frozen=True)
 class AllProcesses:
-    """Executor by all processes, or by this one alone where a solve cannot be divided."""
+    """Executor on all processes, or on this process alone if a solve cannot be divided."""
 
     crew: Crew
     alone: Executor
@@ -123,10 +123,10 @@ def solve_divided(
     limits: Restrictions | None,
     core_factors: Any,
 ) -> dict[str, Any]:
-    """Solve by all processes; return the same as ``_core.solve``.
+    """Solve on all processes; return the output of ``_core.solve``.
 
     Raises:
-        InputError: there are fewer points than processes, or as ``_core.solve``.
+        InputError: there are fewer points than processes, or for the reasons of ``_core.solve``.
     """
     division = divide(problem, crew.num_ranks)
     points_of = division.parts
@@ -196,7 +196,7 @@ _COSTS = ("factor_costs_before", "factor_costs_after")
 def work_on(
     job: Job, ranks: Ranks, progress: Callable[[dict[str, Any]], None] | None = None
 ) -> tuple[dict[str, Any], PartOfOutput]:
-    """Solve the part of one process; return the output of the core, and its part for rank 0."""
+    """Solve the part of one process; return the core's output, and the output for rank 0."""
     output = _core.solve_part(
         job.part,
         job.options,

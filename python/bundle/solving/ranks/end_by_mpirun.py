@@ -1,6 +1,6 @@
-"""The one error line of a run that mpirun ends; ``bind_launcher.cpp`` has the protocol.
+"""Error output of a run that mpirun ends: one line; ``bind_launcher.cpp`` has the protocol.
 
-Processes on other machines than mpirun's are silent.
+Processes on machines other than mpirun's print nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ PARENTS = ("mpirun", "prterun")
 
 
 def begin() -> None:
-    """Prepare for signals of Open MPI's mpirun, where that has started this process."""
+    """Prepare for signals of Open MPI's mpirun, if it started this process."""
     size = os.environ.get("OMPI_COMM_WORLD_SIZE", "1")
     if size == "1":
         return
@@ -38,7 +38,7 @@ def take_the_word() -> bool:
 
 
 def speaks_for_all() -> bool:
-    """Claim the same right for an error that all processes have."""
+    """Claim the right to print an error that all processes have."""
     if not _mark():
         return rank_by_launcher() == 0
     return take_the_word()

@@ -1,7 +1,8 @@
-"""The processes of mpirun: the view of rank 0, and the loop of the others.
+"""Processes of mpirun: the interface of rank 0, and the loop of the other ranks.
 
-The others poll for jobs a hundred times a second, so that they take no time from rank 0 while it
-reads or writes. A process that fails ends all of them: the others wait for its terms of a sum.
+The other ranks poll for jobs a hundred times per second, so that they take no CPU time from rank 0
+while it reads or writes. A process that fails ends all processes, because the others wait for its
+contribution to a sum.
 """
 
 from __future__ import annotations
@@ -17,16 +18,16 @@ __all__ = ["MpiCrew", "serve"]
 
 BETWEEN_LOOKS = 0.01
 DELIVERY = 0.5
-"""Seconds for mpirun to pass on a line before it ends all ranks."""
+"""Seconds that mpirun has to forward a line before it ends all ranks."""
 GRACE = 3.0
-"""Seconds in which rank 0 may end all ranks with its own line, often the same one."""
+"""Seconds in which rank 0 may end all ranks with its own line, which is often the same line."""
 
 
 class MpiCrew:
     """The first process of several; see ``divided_solve.Crew``.
 
     Args:
-        comm: mpi4py's, of all processes.
+        comm: mpi4py's communicator of all processes.
     """
 
     def __init__(self, comm: Any) -> None:
@@ -38,18 +39,18 @@ class MpiCrew:
     def interrupt(self, *_signal: object) -> None:
         """End the solve after its iteration with the best state, or raise KeyboardInterrupt.
 
-        An exception within a sum would leave the others waiting.
+        An exception within a sum would leave the other ranks waiting.
         """
         if not self.is_solving:
             raise KeyboardInterrupt
         self.is_told_to_end = True
 
     def meeting(self) -> MpiMeeting:
-        """Return the communication of all ranks outside of a solve."""
+        """Return the communication of all ranks outside a solve."""
         return MpiMeeting(self._comm)
 
     def send_to_all(self, job: Any) -> None:
-        """Send a job with a method ``work``; the others accept no other until it ends."""
+        """Send a job with a method ``work``; the other ranks accept no other job until it ends."""
         self.is_solving = True
         for rank in range(1, self.num_ranks):
             _any_size(self._comm).send(job, rank)
@@ -72,7 +73,7 @@ class MpiCrew:
         return part
 
     def end(self, code: int) -> None:
-        """End the other ranks; by force if they are in a solve that this rank has left."""
+        """End the other ranks. Kill them if they are in a solve that this rank has left."""
         if self.is_solving:
             time.sleep(DELIVERY)
             self._comm.Abort(code)
@@ -93,7 +94,7 @@ class MpiMeeting:
         return _any_size(self._comm).bcast(value, root=0)
 
     def gather(self, value: Any) -> Any:
-        """Return the values of all ranks to rank 0, None to the others."""
+        """Return the values of all ranks to rank 0, None to the other ranks."""
         return _any_size(self._comm).gather(value, root=0)
 
     def ranks(self) -> Ranks:
@@ -102,12 +103,12 @@ class MpiMeeting:
 
 
 def serve(comm: Any, complain: Callable[[str], None], describe: Callable[[Exception], str]) -> None:
-    """Serve the jobs of rank 0, until it sends None.
+    """Run the jobs of rank 0 until it sends None.
 
     Args:
-        comm: mpi4py's, of all processes.
-        complain: prints a line.
-        describe: what an exception says to a user, in one line.
+        comm: mpi4py's communicator of all processes.
+        complain: function that prints a line.
+        describe: function that returns the one-line error message of an exception.
     """
     while True:
         while not comm.iprobe(source=0):

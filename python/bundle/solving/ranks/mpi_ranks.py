@@ -13,15 +13,16 @@ from bundle import _core
 __all__ = ["MpiRanks"]
 
 MOST_AT_ONCE = 1 << 24
-"""Doubles of one message: counts of MPI have 31 bits, and buffers of Open MPI take memory."""
+"""Largest number of doubles per message: counts of MPI have 31 bits, and Open MPI's buffers take
+memory."""
 
 
 class MpiRanks:
-    """Communication that ``_core.solve_part`` calls, with a tally {what: [messages, bytes, s]}.
+    """Communication that ``_core.solve_part`` calls, with counts {what: [messages, bytes, s]}.
 
-    Sums are those of MPI_Reduce. Open MPI chooses their order by the number of processes and the
-    length of the message, not by the order of arrival. MPI has no double-double sums: these go up a
-    binary tree here.
+    MPI_Reduce computes the sums. Open MPI chooses the order of summation by the number of processes
+    and the length of the message, not by the order of arrival. MPI has no double-double sums: this
+    class computes them along a binary tree.
     """
 
     def __init__(self, comm: Any) -> None:
@@ -43,7 +44,7 @@ class MpiRanks:
         self._for_pieces(what, values, reduce)
 
     def sum_double_doubles_to_first(self, what: str, sums: memoryview, errors: memoryview) -> None:
-        """Replace those of rank 0 by the double-double sums over all ranks."""
+        """Replace the values of rank 0 by the double-double sums over all ranks."""
         begun = perf_counter()
         mine = np.frombuffer(sums, np.float64), np.frombuffer(errors, np.float64)
         for begin in range(0, len(mine[0]), MOST_AT_ONCE):
@@ -64,7 +65,7 @@ class MpiRanks:
                 self._comm.Send(array, self.rank - step)
 
     def broadcast(self, what: str, values: memoryview, root: int) -> None:
-        """Replace the values by those of rank ``root``."""
+        """Replace the values on all ranks by the values of rank ``root``."""
         self._for_pieces(what, values, lambda piece: self._comm.Bcast(piece, root=root))
 
     def _for_pieces(self, what: str, values: memoryview, send: Callable[[Any], None]) -> None:

@@ -1,7 +1,8 @@
-"""Solves that rank 0 does alone while the others wait, and the reasons.
+"""Solves that rank 0 runs alone while the other ranks wait, and the reasons.
 
-The fused backend divides points. A solve by Ceres is not divided, nor one that needs points of
-several ranks at once: three points that hold the gauge, a factor of several points.
+The fused backend divides points among ranks. A solve by Ceres is not divided. A solve that needs
+points of several ranks at once is not divided either: three points that fix the gauge, or a factor
+of several points.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from bundle import _core
 __all__ = ["reason_in_options", "reason_to_be_alone", "warning"]
 
 _OPEN = ("gauge", "cheirality")
-"""Options that depend on the problem, and do not decide who solves."""
+"""Options that depend on the problem and have no effect on the division among ranks."""
 
 
 def reason_in_options(options: dict[str, Any]) -> str:
@@ -27,8 +28,9 @@ def reason_to_be_alone(options: dict[str, Any], core_factors: Any) -> str:
     """Return why a solve cannot be divided; "" if it can.
 
     Args:
-        options: resolved.
-        core_factors: variables, factors and places, as ``_core.solve`` takes them; None: none.
+        options: resolved options.
+        core_factors: variables, factors and places in the form of ``_core.solve``; None without
+            factors.
     """
     reason = reason_in_options(options)
     if reason or core_factors is None:
@@ -42,6 +44,6 @@ def reason_to_be_alone(options: dict[str, Any], core_factors: Any) -> str:
 
 
 def warning(reason: str, num_ranks: int) -> str:
-    """Return the warning that the others waited."""
+    """Return the warning that the other ranks waited."""
     others = "the other one" if num_ranks == 2 else f"the other {num_ranks - 1}"
     return f"One process solved, and {others} waited. {reason}"

@@ -1,16 +1,16 @@
 """Division of points among processes.
 
-Points are sorted by the first image that sees them, then by the last one. This order is cut where
-the observations so far are k/N of all. So
+Points are sorted by the first image that sees them, then by the last one. This order is cut for N
+processes where the cumulative number of observations reaches k/N of all. Therefore
 
-- each process has as many observations as any other, up to one track,
-- the points of a process are seen by images that follow each other, as far as points are at all:
-  its part of the reduced camera system has few blocks that others have, too,
-- the division depends on the problem and N alone: runs with as many processes are equal.
+- all processes have the same number of observations, up to one track;
+- the points of a process are mostly seen by consecutive images, so that its part of the reduced
+  camera system shares few blocks with other processes;
+- the division depends on the problem and N only: runs with the same number of processes are equal.
 
-The same order is cut in K parts for the core (cpp/core/sums/point_sections.h), which sums up one
-such section after the other: where N divides K, a process has whole sections, and sums have the
-bits of one process.
+The same order is cut into K sections for the core (cpp/core/sums/point_sections.h), which adds up
+one section after the other. If N divides K, each process has complete sections, and sums are equal
+bit for bit to those of one process.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = [
     "shared_of",
 ]
 
-# What a part has of the whole problem as it is; rigs only where there are some.
+# Arrays of the full problem that each part has unchanged; arrays of rigs only if it has rigs.
 _SHARED = (
     *("cam_from_world", "image_ids", "image_camera", "image_names"),
     *("camera_ids", "camera_models", "camera_params", "camera_sizes"),
@@ -56,7 +56,7 @@ class Division:
 
     Attributes:
         parts: indices of the points of each process, ascending.
-        section: (num_points,) of each point.
+        section: (num_points,) section of each point.
     """
 
     parts: list[NDArray[np.int64]]
@@ -81,7 +81,7 @@ def divide(problem: Problem, num_parts: int) -> Division:
 def divide_tracks(
     first: NDArray[Any], last: NDArray[Any], seen: NDArray[Any], num_parts: int
 ) -> Division:
-    """Return the same from the first and the last image and the observations of each point.
+    """Return the division from each point's first image, last image and number of observations.
 
     Raises:
         InputError: there are fewer points than parts.
@@ -103,7 +103,7 @@ def divide_tracks(
     section = np.empty(num_points, np.uint16)
     section[order] = place(_core.num_point_sections(total))
     cuts = np.searchsorted(place(num_parts), np.arange(1, num_parts))
-    at_least = np.arange(1, num_parts)  # a point for each
+    at_least = np.arange(1, num_parts)  # at least one point per part
     cuts = np.clip(cuts, at_least, num_points - num_parts + at_least)
     cuts = np.maximum.accumulate(cuts - at_least) + at_least
     return Division([np.sort(part) for part in np.split(order, cuts)], section)
@@ -130,27 +130,30 @@ class ProblemPart:
 
 
 def shared_of(problem: Problem) -> dict[str, Any]:
-    """Return what a part has of the whole problem as it is."""
+    """Return the arrays of the full problem that each part has unchanged."""
     return {name: getattr(problem, name) for name in _SHARED}
 
 
 def part_of(
     problem: Problem, points: NDArray[np.int64], section: NDArray[np.uint16]
 ) -> ProblemPart:
-    """Return the part of a problem that has these points, ascending indices; sections of all."""
+    """Return the part of a problem with these points.
+
+    The indices of the points are ascending; the sections are those of all points.
+    """
     mine = problem.select(points=points).problem
     own = {name: getattr(mine, name) for name in _OWN}
     return ProblemPart(**own, point_section=section[points], shared=shared_of(problem))
 
 
 def factors_of(core: Any, points: NDArray[np.int64]) -> tuple[Any, list[int]]:
-    """Return the factors of a part, as ``_core.solve_part`` takes them, and which of all they are.
+    """Return the factors of a part in the form of ``_core.solve_part``, and their indices.
 
-    These are all but those of points that others have.
+    These are all factors except those on points of other parts.
 
     Args:
-        core: variables, factors and places of the whole problem, or None.
-        points: those of the part, ascending indices.
+        core: variables, factors and places of the full problem, or None.
+        points: ascending indices of the points of the part.
 
     Raises:
         InputError: a factor has several points, which may be in different parts.

@@ -1,13 +1,14 @@
-"""The file from which a killed run goes on.
+"""Checkpoint: the file from which a killed run continues.
 
-It is a NumPy archive (.npz) of the values that the next solve starts from, of what the filters have
-left, and of what was done, with a fingerprint of the run: a digest of the input, and every option
-that decides the result (not the number of threads). It is replaced whole or not at all
-(``bundle.io.atomic.atomic_write``: written beside, flushed, renamed): a kill at any instant leaves
-a checkpoint.
+It is a NumPy archive (.npz). It holds the start values of the next solve, the masks of the
+observations and points that passed the filters, and the record of the run so far. It also holds a
+fingerprint of the run: a digest of the input, and every option that affects the result (not the
+number of threads). The file is replaced atomically (``bundle.io.atomic.atomic_write``: write a
+temporary file in the same folder, flush it, rename it). A kill at any instant leaves a valid
+checkpoint.
 
-A checkpoint costs its size, 24 bytes per point and 56 per image (and frame of a rig) beside a bit
-per observation, and the wait for the disk.
+A checkpoint takes 24 bytes per point, 56 per image (and per frame of a rig) and one bit per
+observation. Its cost is this size and the wait for the disk.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ SCHEMA = "bundle checkpoint 3"  # 1: another digest of the input; 2: pickles of 
 
 SCHEMA_OF_PICKLES = "bundle checkpoint 2"
 NO_FACTORS = "4a3475571dfe38659e491096b8138447bd69b242ce6511e9282ed8948c85769f"
-"""Digest of the pickle of no factors and no bounds, as checkpoints of that schema have it."""
+"""Digest of the pickle that stands for "no factors, no bounds" in checkpoints of that schema."""
 
 Made = TypeVar("Made")
 
@@ -59,12 +60,12 @@ class Checkpoint:
     """The checkpoint of one run.
 
     Args:
-        path: where it is written.
-        fingerprint: of the run.
+        path: path of the file.
+        fingerprint: fingerprint of the run.
         interval: iterations from one checkpoint to the next.
 
     Raises:
-        InputError, OSError: as :func:`check_target`.
+        InputError, OSError: for the reasons of :func:`check_target`.
     """
 
     def __init__(self, path: Path, fingerprint: Mapping[str, Any], interval: int) -> None:
@@ -73,7 +74,7 @@ class Checkpoint:
 
     @staticmethod
     def of(path: Path, prepared: Prepared, plan: RunPlan) -> Checkpoint:
-        """Return the checkpoint of a run of what was prepared."""
+        """Return the checkpoint of a run of a prepared solve."""
         return Checkpoint(path, fingerprint_of_run(prepared, plan), plan.checkpoint_interval)
 
     def write(self, state: State) -> None:
@@ -86,11 +87,12 @@ class Checkpoint:
 
 
 def check_target(path: Path) -> None:
-    """Refuse now what cannot become a checkpoint later, or holds something else.
+    """Check that a checkpoint can be written to a path without overwriting another kind of file.
 
     Raises:
-        InputError: a folder, a device, no folder to be in, or a file that is no checkpoint.
-        OSError: there is no permission to write.
+        InputError: the path is a folder or a device, its parent folder does not exist, or the file
+            exists and is not a checkpoint.
+        OSError: the user has no permission to write.
     """
     atomic.check_file(path)
     if path.exists() and path.stat().st_size > 0:
@@ -129,13 +131,13 @@ def read(
     """Return the state that a checkpoint holds.
 
     Args:
-        path: of the checkpoint.
+        path: path of the checkpoint.
         start: the problem of the first round.
         options: every option as used.
-        fingerprint: of this run.
+        fingerprint: fingerprint of this run.
 
     Raises:
-        InputError: the file is no checkpoint, or one of another input or other options.
+        InputError: the file is not a checkpoint, or belongs to another input or other options.
         OSError: the file cannot be read.
     """
 
@@ -150,10 +152,10 @@ def read_by(
     path: Path,
     fingerprint: Mapping[str, Any],
 ) -> Made:
-    """Return what is made of the record and the arrays of a checkpoint.
+    """Read a checkpoint and return ``make`` of its record and arrays.
 
     Raises:
-        InputError, OSError: as :func:`read`.
+        InputError, OSError: for the reasons of :func:`read`.
     """
     meta, arrays = _open(path)
     saved = meta["fingerprint"]
@@ -207,7 +209,7 @@ def result_of_record(
     problem: Problem,
     options: SolveOptions,
 ) -> Result:
-    """Return what was done of a round, of the record and the arrays of a checkpoint."""
+    """Return the result of an unfinished round from the record and arrays of a checkpoint."""
     summary: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in record["summary"].items()
@@ -243,7 +245,7 @@ def _without_prefix(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any
 
 
 def _open(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Return what a checkpoint holds: about the run, and arrays."""
+    """Return the record and the arrays of a checkpoint."""
     try:
         with path.open("rb") as file:
             if file.read(2) != b"PK":
@@ -264,10 +266,10 @@ def _open(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 
 
 def _redigested(path: Path, saved: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the digest of no factors as it is now, in place of that of their pickle.
+    """Replace the old pickle digest of a run without factors by the present digest.
 
     Raises:
-        InputError: there were factors, bounds or rules: their pickles cannot be compared.
+        InputError: the run had factors, bounds or rules, whose pickles cannot be compared.
     """
     if saved.get("factors and bounds") != NO_FACTORS:
         raise InputError(

@@ -1,13 +1,12 @@
-"""Removal of observations and points that a reconstruction is better without, by COLMAP's rules.
+"""Removal of outlier observations and badly determined points, by COLMAP's rules.
 
-As ``ObservationManager::FilterAllPoints3D``, in this order, since an outlier must not make a point
-look well triangulated:
+The rules are those of ``ObservationManager::FilterAllPoints3D``. Observations are removed first,
+so that an outlier cannot make a point look well triangulated:
 
-1. An observation goes if its reprojection error exceeds ``max_error`` pixels, if the point is
-   behind the camera, or if there is no projection.
-2. A point goes, with all that is left of its track, if fewer than ``min_track_length``
-   observations are left.
-3. A point goes if the largest angle between two of the rays that are left is below ``min_angle``
+1. Remove an observation if its reprojection error exceeds ``max_error`` pixels, if the point is
+   behind the camera, or if the point has no projection.
+2. Remove a point and its remaining track if fewer than ``min_track_length`` observations remain.
+3. Remove a point if the largest angle between two of its remaining rays is below ``min_angle``
    degrees. An angle above 90 degrees counts as its supplement.
 """
 
@@ -36,16 +35,16 @@ _Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Filtered(Displayed):
-    """A problem without what was removed, and what that was.
+    """Filtered problem, and masks and counts of the removed observations and points.
 
     Attributes:
-        problem: the problem that is left; the one that was given if nothing was removed.
-        observation_mask: (num_observations,) of the given problem: the observations that stay.
-        point_mask: (num_points,) of the given problem: the points that stay.
-        num_observations_removed: in total, those of removed points included.
-        num_points_removed: in total.
-        num_observations_beyond_max_error: observations removed by rule 1, those behind the camera
-            or without a projection included.
+        problem: the remaining problem; the given problem object if nothing was removed.
+        observation_mask: (num_observations,) True for observations of the given problem that stay.
+        point_mask: (num_points,) True for points of the given problem that stay.
+        num_observations_removed: total number, including observations of removed points.
+        num_points_removed: total number.
+        num_observations_beyond_max_error: observations removed by rule 1, including those behind
+            the camera or without a projection.
         num_points_with_short_track: points removed by rule 2.
         num_points_below_min_angle: points removed by rule 3.
     """
@@ -87,25 +86,26 @@ def filter_observations(
     """Remove observations with large errors, and points with short tracks or small angles.
 
     The rules are COLMAP's (``ObservationManager.filter_all_points3D``). Cameras and images stay,
-    observed or not. What is left keeps ids, tracks, keypoints and colours: saved as a COLMAP model,
-    the keypoints of removed observations have no point.
+    observed or not. The remaining points keep ids, tracks, keypoints and colours. In a saved COLMAP
+    model, the keypoints of removed observations have no point.
 
     Args:
-        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
+        problem: the problem, which is not changed; also the path of one, or a
+            pycolmap.Reconstruction.
         max_error: largest reprojection error of an observation, in pixels. Observations behind
-            their camera, and those without a projection, exceed any.
-        min_angle: smallest triangulation angle of a point, in degrees from 0 to 90: the largest one
-            over all pairs of its observations counts. A point with a single observation has none;
-            0 asks for none.
+            their camera or without a projection are always removed.
+        min_angle: smallest triangulation angle of a point, in degrees from 0 to 90. The angle of a
+            point is the largest one over all pairs of its observations. A point with a single
+            observation has no angle and stays only with ``min_angle`` 0.
         min_track_length: smallest number of observations of a point.
-        kept_point_ids: ids of points that stay whatever their track and angle are, such as surveyed
-            ones; their observations are held to ``max_error``.
-        kept_track_ids: ids of points that stay with all of their observations.
-        num_threads: 0: all cores.
+        kept_point_ids: ids of points that stay with any track and angle, such as surveyed points;
+            ``max_error`` still applies to their observations.
+        kept_track_ids: ids of points that stay with all their observations.
+        num_threads: number of threads; 0: all cores.
 
     Raises:
-        InputError: a limit is out of range, an id is no point's, or an observed image has a camera
-            model that is not supported.
+        InputError: a limit is out of range, a point of an id does not exist, or an observed image
+            has a camera model that is not supported.
         OSError: the path cannot be read.
 
     Example:

@@ -1,13 +1,13 @@
 """Fingerprints of runs: options, and digests of the problem, factors, bounds and rules.
 
 The digest of a problem covers its arrays and names, not its source. Points and observations are
-rows: each row is hashed, and the hashes are added modulo 2^64. So processes with slices add their
-sums, and their checkpoint is that of the whole problem. The row of a point includes its index: a
-checkpoint stores coordinates by index. The order of observations does not change a solve; rounds
-store masks of observations and add ``digest_of_order``.
+rows: each row is hashed, and the hashes are added modulo 2^64. Processes with slices can therefore
+add their sums, and their checkpoint equals the checkpoint of the entire problem. The row of a point
+includes its index, because a checkpoint stores coordinates by index. The order of observations does
+not change a solve. Rounds store masks of observations and therefore also use ``digest_of_order``.
 
-The digest of an object covers the name of its class and its fields, not the module of the class: a
-class may move. A function, and an object of another package, is digested as its pickle.
+The digest of an object covers the name of its class and its fields. It does not cover the module of
+the class, which may be moved. Functions and objects of other packages are hashed by their pickles.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ NOT_DECISIVE = ("num_threads", "check_solution")
 
 _ROWS = ("points", "point_ids", "observation_sigma")
 _BLOCK = 1 << 18
-"""Rows that are hashed at a time."""
+"""Number of rows that are hashed at a time."""
 
 _Sums = NDArray[np.uint64]
 
 
 def fingerprint_of_options(options: SolveOptions) -> dict[str, Any]:
-    """Return the options that decide the result, as JSON has them."""
+    """Return the options that affect the result, as JSON values."""
     kept = {name: value for name, value in options.asdict().items() if name not in NOT_DECISIVE}
     plain: dict[str, Any] = json.loads(json.dumps(kept))
     return plain
@@ -73,9 +73,9 @@ def plain_fingerprint(
 
 
 def fingerprint_of_run(prepared: Prepared, plan: RunPlan) -> dict[str, Any]:
-    """Return what has to be the same in the run that goes on.
+    """Return the fingerprint that a resumed run must have.
 
-    The places of the rules, such as lines of a file, do not count.
+    The places of the rules, such as lines of a file, are not part of it.
     """
     request, placed, part, rules = (
         *(prepared.request, prepared.placed, prepared.part, prepared.applied),
@@ -94,12 +94,12 @@ def fingerprint_of_run(prepared: Prepared, plan: RunPlan) -> dict[str, Any]:
 
 
 def digest(problem: Problem) -> str:
-    """Return what tells a problem from others."""
+    """Return the digest of a problem."""
     return digest_of_parts(problem, sums_of_rows(problem, np.arange(problem.num_points)))
 
 
 def digest_of_order(problem: Problem) -> str:
-    """Return what tells an order of the observations from others."""
+    """Return the digest of the order of the observations."""
     digest = hashlib.sha256()
     for name in ("observation_image", "observation_point", "observation_xy"):
         digest.update(np.ascontiguousarray(getattr(problem, name)).data)
@@ -107,7 +107,7 @@ def digest_of_order(problem: Problem) -> str:
 
 
 def digest_of_parts(cameras: Problem, sums: _Sums) -> str:
-    """Return the same of the images and cameras, and of the sums of all parts."""
+    """Return the digest of a problem from its images and cameras, and the sums of all parts."""
     digest = hashlib.sha256(sums.tobytes())
     for field in dataclasses.fields(cameras):
         name = field.name
@@ -130,7 +130,7 @@ def digest_of_fields(value: Any) -> str:
     """
     try:
         return _hash(value).hexdigest()
-    except Exception as error:  # whatever the user's objects raise
+    except Exception as error:  # objects of users may raise anything
         raise InputError(
             "checkpoint: expected factors that pickle, so that the run that goes on has the same, "
             f"found one that does not ({first_line(error)})"
@@ -138,7 +138,7 @@ def digest_of_fields(value: Any) -> str:
 
 
 def _hash(value: Any) -> hashlib._Hash:
-    """Hash the class and the parts of a value; each part has a length of its own."""
+    """Hash the class of a value and the digests of its parts, which have a fixed length."""
     kind = type(value)
     is_own = kind.__module__.startswith("bundle.")
     if is_own and dataclasses.is_dataclass(value):
@@ -168,10 +168,10 @@ def _joined(name: str, parts: Iterable[hashlib._Hash]) -> hashlib._Hash:
 
 
 def sums_of_rows(part: Any, places: NDArray[np.int64]) -> _Sums:
-    """Return numbers, hashes and hashes mixed once more, of points, then of observations.
+    """Return sums over points, then over observations: count, hashes, and hashes mixed again.
 
     Args:
-        part: a problem, or a part of one (``ranks.partition.ProblemPart``).
+        part: a problem, or a part of a problem (``ranks.partition.ProblemPart``).
         places: (num_points,) index in the problem of each point of the part.
     """
     ids, point = part.point_ids, part.observation_point

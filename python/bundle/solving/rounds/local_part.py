@@ -1,17 +1,17 @@
-"""The part of a problem that moves when only some images do (COLMAP's local bundle adjustment).
+"""Local adjustment: refinement of some images of a problem (COLMAP's local bundle adjustment).
 
-The named images and all points that they see are refined. Other images that see one of these
-points, the neighbours, take part, so that a point stays where they see it. What becomes of the rest
-is one of two choices.
+The named images and all points that they see are refined. The neighbours are other images that see
+one of these points. They take part, so that their observations constrain the points. The rest of
+the problem is treated in one of two ways.
 
-"fixed": neighbours are held, and what none of the named images sees does not reach the solver.
-Intrinsics are refined of cameras that took a named image, held of others: a camera that also took
-held images changes their projections, which the record of the part says.
+"fixed": The neighbours are constant. Points that no named image sees do not reach the solver.
+Intrinsics of cameras that took a named image are refined, other cameras are constant. If such a
+camera also took constant images, their projections change; the record of the part names it.
 
-"marginal": neighbours and their cameras are unknowns, too, under the prior that all else leaves
-when it is marginalised (rest_prior.py). What they become is not part of the result: only named
-images, their points and their cameras are. A factor takes part if it touches one of these, or
-nothing but neighbours and their cameras; other factors go into the prior.
+"marginal": The neighbours and their cameras are unknowns, too. The rest is marginalized to a prior
+on them (rest_prior.py). The result contains only the named images, their points and their cameras;
+refined values of neighbours are discarded. A factor takes part if one of its variables is refined,
+or if all its variables are neighbours and their cameras. Other factors go into the prior.
 """
 
 from __future__ import annotations
@@ -42,27 +42,29 @@ _Mask = NDArray[np.bool_]
 
 
 class LocalPart:
-    """A problem of its own for some images, and the way back.
+    """Subproblem of some images, and the merge of its result into the full problem.
+
+    All masks are masks in the full problem.
 
     Args:
-        whole: the problem.
-        image_ids: of the images that are refined, all of them in the problem.
-        factors: whose variables have to be in the part; with the rest fixed, those that are nothing
-            to the images are held.
-        marginal: whether the rest is marginalised.
+        whole: the full problem.
+        image_ids: ids of the images to refine, all of them in the problem.
+        factors: factors, whose variables become members of the part. With the rest fixed, variables
+            that are unrelated to the images are constant.
+        marginal: True to marginalize the rest.
 
     Attributes:
-        problem: what goes to the solver.
-        record: what that is, for reports.
-        named_ids: of the images that are refined, in the order of the problem.
-        is_marginal: whether the rest is marginalised.
-        factors: that take part.
-        factors_of_rest: the others.
-        named: (num_images,) mask in the whole, as all others: the images that are refined.
-        neighbours: other images that take part.
-        seen: (num_points,) points that are refined.
-        cameras: (num_cameras,) cameras that take part.
-        selection: the problem of the part, with its rows in the whole.
+        problem: the subproblem, the input of the solver.
+        record: description of the subproblem for reports.
+        named_ids: ids of the refined images, in the order of the problem.
+        is_marginal: True if the rest is marginalized.
+        factors: factors that take part.
+        factors_of_rest: the other factors.
+        named: (num_images,) mask of the refined images.
+        neighbours: (num_images,) mask of the other images that take part.
+        seen: (num_points,) mask of the refined points.
+        cameras: (num_cameras,) mask of the cameras that take part.
+        selection: the subproblem with its row indices in the full problem.
     """
 
     def __init__(
@@ -113,13 +115,13 @@ class LocalPart:
         )
 
     def _observing(self, points: _Mask) -> _Mask:
-        """Return the named images, and all that see one of these points."""
+        """Return the mask of the named images and of all images that see one of the points."""
         whole, images = self._whole, self.named.copy()
         images[whole.observation_image[points[whole.observation_point]]] = True
         return images
 
     def _split_factors(self) -> None:
-        """Leave the factors that touch what is refined, or nothing but neighbours."""
+        """Split the factors into those that take part and those of the rest."""
         whole = self._whole
         near = self._observing(self.seen)
         cameras = set(whole.camera_ids[np.unique(whole.image_camera[near])].tolist())
@@ -143,7 +145,7 @@ class LocalPart:
         self.factors, self.factors_of_rest = tuple(here), tuple(there)
 
     def of(self, whole: Problem) -> LocalPart:
-        """Return the same part of the whole at other values."""
+        """Return the same part of the full problem at other values."""
         return LocalPart(whole, self.named_ids, self._given, marginal=self.is_marginal)
 
     def check_observed(self) -> None:
@@ -155,7 +157,7 @@ class LocalPart:
             )
 
     def options(self, options: SolveOptions) -> SolveOptions:
-        """Return the options of a solve of the part: all that does not belong to it is held."""
+        """Return options for a solve of the part, in which all other parameters are constant."""
         part, whole = self.problem, self._whole
         if self.is_marginal:
             options = self.whole_frames_fixed(options)
@@ -169,11 +171,11 @@ class LocalPart:
             free = np.ones(len(ids), bool) if self.is_marginal else moves
             name = f"fixed_{kind}_ids"
             fixed[name] = _held(name, options, known, ids, free)
-        # To move a sensor on its rig is to move images of every frame.
+        # A sensor that moves on its rig would move images of every frame.
         return options.replace(**fixed, refine_sensor_from_rig=False, fixed_sensors=())
 
     def whole_frames_fixed(self, options: SolveOptions) -> SolveOptions:
-        """Return the options with all images of a frame held where one is."""
+        """Return the options with all images of a frame constant if one of them is."""
         whole = self._whole
         held = with_frames(whole, np.isin(whole.image_ids, options.fixed_image_ids))
         ids = {*options.fixed_image_ids, *whole.image_ids[held].tolist()}
@@ -190,7 +192,7 @@ class LocalPart:
         }
 
     def bounds(self, bounds: Bounds | None) -> Bounds | None:
-        """Return the bounds without those of cameras that are not in the part."""
+        """Return the bounds of the cameras in the part."""
         if bounds is None:
             return None
         outside = set(self._whole.camera_ids.tolist()) - set(self.problem.camera_ids.tolist())
@@ -198,11 +200,11 @@ class LocalPart:
         return {key: value for key, value in bounds.items() if key not in keys}
 
     def merge(self, refined: Problem, state: State | None = None) -> Problem:
-        """Return the whole problem with the values of the part that were refined.
+        """Return the full problem with the refined values of the part.
 
         Args:
-            refined: the part, or what is left of it.
-            state: of the rounds, whose masks say what is left; None: all is.
+            refined: the part after the solve, without removed points and observations.
+            state: state of the rounds, with masks of the remaining rows; None: nothing was removed.
         """
         whole, part = self._whole, self.selection
         left = np.ones(whole.num_observations, bool)
@@ -237,7 +239,7 @@ def _held(
     part: _Indices,
     refined: NDArray[np.bool_],
 ) -> tuple[int, ...]:
-    """Return the ids of the part that are held: those given, and those that are not refined."""
+    """Return the constant ids of the part: those in the options, and those that are not refined."""
     given = np.array(getattr(options, name), np.int64)
     unknown = ~np.isin(given, known)
     if unknown.any():

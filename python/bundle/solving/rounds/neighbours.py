@@ -1,4 +1,4 @@
-"""The images around a part of a problem, which stand under the prior of the rest."""
+"""Neighbour images of a local adjustment, which have the marginal prior of the rest."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Neighbours of a part that are free, as masks in the whole; images without a frame."""
+    """Masks of the free neighbours of a part in the full problem; images of frames are excluded."""
 
     images: _Mask
     frames: _Mask
@@ -29,7 +29,7 @@ class Neighbours:
 
     @staticmethod
     def find(whole: Problem, part: LocalPart, options: SolveOptions) -> Neighbours:
-        """Return the neighbours of a part that may move."""
+        """Return the free neighbours of a part."""
         free = part.neighbours & ~np.isin(whole.image_ids, options.fixed_image_ids)
         frames = np.zeros(whole.num_frames, bool)
         if whole.num_frames:
@@ -40,7 +40,7 @@ class Neighbours:
         return Neighbours(free, frames, cameras)
 
     def rows_in(self, selection: Selection) -> tuple[list[int], list[int], list[int]]:
-        """Return those that a selection has, by their places in it."""
+        """Return the row indices in a selection of the images, frames and cameras it contains."""
         masks = (self.images, selection.images), (self.frames, selection.frames)
         images, frames, cameras = (
             np.flatnonzero(mask[indices]).tolist() if len(mask) else []
@@ -49,7 +49,7 @@ class Neighbours:
         return images, frames, cameras
 
     def variables(self, whole: Problem) -> list[tuple[tuple[str, int], int]]:
-        """Return keys and tangent sizes: images, frames, cameras."""
+        """Return the key and tangent size of each variable: images, then frames, then cameras."""
         found = [(("image", key), 6) for key in whole.image_ids[self.images].tolist()]
         found += [(("frame", key), 6) for key in whole.frame_ids[self.frames].tolist()]
         for row in np.flatnonzero(self.cameras).tolist():
@@ -58,11 +58,11 @@ class Neighbours:
         return found
 
     def size(self, whole: Problem) -> int:
-        """Return how many tangent coordinates they have."""
+        """Return the number of tangent coordinates of all variables."""
         return sum(size for _, size in self.variables(whole))
 
     def coordinates(self, whole: Problem, selection: Selection) -> NDArray[np.int64]:
-        """Return which tangent coordinates those in a selection are, in its order."""
+        """Return the indices of the tangent coordinates of the variables in a selection."""
         images, frames, cameras = self.rows_in(selection)
         problem = selection.problem
         there = {("image", int(problem.image_ids[row])) for row in images}
@@ -72,7 +72,7 @@ class Neighbours:
         return np.flatnonzero(np.concatenate(masks)) if masks else np.empty(0, np.int64)
 
     def values(self, whole: Problem) -> list[tuple[tuple[str, int], _Floats]]:
-        """Return keys and values: images, frames, cameras."""
+        """Return the key and value of each variable: images, then frames, then cameras."""
         rows = [*whole.cam_from_world[self.images], *whole.rig_from_world[self.frames]]
         for row in np.flatnonzero(self.cameras).tolist():
             width = len(parameter_names("rest", whole, row))

@@ -1,27 +1,27 @@
-"""The exact marginal prior of all that a local adjustment leaves out.
+"""Exact marginal prior of the rest of a problem in a local adjustment.
 
-Named images see points; the other images that see one of these points are the neighbours. All
-observations of these points take part in the adjustment, with neighbours and their cameras as
-unknowns. The rest of the problem, observations of other points and its factors, is linearised at
-its present values; everything in it but neighbours and their cameras is eliminated::
+The neighbours are the other images that see a point of a named image. All observations of these
+points take part in the adjustment, with neighbours and their cameras as unknowns. The rest of the
+problem consists of the observations of other points and of its factors. It is linearized at its
+present values, and all its unknowns except neighbours and their cameras are eliminated::
 
     Lambda' = Lambda_bb - Lambda_ba Lambda_aa^-1 Lambda_ab,
     eta'    = eta_b - Lambda_ba Lambda_aa^-1 eta_a
 
-(core/covariance/rest_information.h). That is a Gaussian prior on neighbours and cameras, a few
-numbers per image. Minimising over the neighbours as well gives the prior on the refined points that
-eliminating everything else would leave, but that one is dense over thousands of points; points that
-stay independent can be eliminated one by one, by both backends. To second order the two are the
-same; this one also relinearises how the neighbours see the points.
+(core/covariance/rest_information.h). This is a Gaussian prior on neighbours and cameras, with a few
+numbers per image. Eliminating the neighbours as well would give an equivalent prior on the refined
+points. That prior would be dense over thousands of points. With the neighbours as unknowns the
+points stay independent, so that both backends can eliminate them one by one. The two priors agree
+to second order. This one also relinearizes the observations of the points by the neighbours.
 
-A loss of the rest counts with its weights rho' at the present values.
+A robust loss of the rest enters with its weights rho' at the present values.
 
-Where all is free, the problem does not say where the world is: rest and part can turn, move and
-scale together. That is counted (what no residual of the part and nothing in the prior sees), and
-the neighbours stay where they are on average: of d, what they move, in units of Lambda's diagonal
-D^(1/2), the part along these similarities N is zero. As a term of Lambda that is Q Q^T with
-Q = D^(1/2) times an orthonormal basis of D^(1/2) N. No residual changes along N: neither the cost
-at the minimum nor anything that does not depend on the gauge does.
+If nothing fixes the gauge, rest and part can rotate, move and scale together. These similarities N
+are found as motions that change no residual of the part and not the prior. The gauge is fixed by
+keeping the neighbours in place on average: the displacement d of the neighbours, in units of
+Lambda's diagonal D^(1/2), must have no component along N. As a term of Lambda this is Q Q^T with
+Q = D^(1/2) times an orthonormal basis of D^(1/2) N. No residual changes along N. Therefore the cost
+at the minimum and all gauge-independent results stay the same.
 """
 
 from __future__ import annotations
@@ -58,16 +58,18 @@ _Floats = NDArray[np.float64]
 _Mask = NDArray[np.bool_]
 
 FREE = 1e-10
-"""Information along a similarity of the world beside the sum of that of single unknowns, below
-which nothing holds it."""
+"""Threshold below which a similarity of the world counts as free: its information, relative to the
+sum of the information on single unknowns."""
 
 COPIES = 10
-"""Matrices of its size that a prior takes while it is made: eigenvectors, roots, Jacobians."""
+"""Number of matrices of the prior's size that its computation needs: eigenvectors, roots,
+Jacobians."""
 
 FAR = 500.0
-"""Sizes of a scene between it and the origin from which on a prior on its poses is refused: a turn
-about the origin moves a camera by as many times as much as the scene, and in the information matrix
-the square of that hides what the rest knows."""
+"""Largest distance of a scene from the origin, in sizes of the scene, for a prior on its poses.
+
+A rotation about the origin moves a camera by this ratio more than a rotation about the scene does.
+Its square enters the information matrix, where it would hide the information of the rest."""
 
 SMALLEST = 64 * np.finfo(float).eps
 """Rounding of an eigenvalue of the scaled information, relative to its size."""
@@ -78,9 +80,9 @@ class RestPrior:
     """Information of the rest of a problem on a part.
 
     Attributes:
-        factor: None without information.
-        holds_gauge: whether there are neighbours, so that no other gauge is needed.
-        record: for reports, costs not known yet.
+        factor: the prior; None if the rest has no information.
+        holds_gauge: True if there are neighbours, so that no other gauge is needed.
+        record: record for reports, before the costs are known.
     """
 
     factor: LinearPrior | None
@@ -91,17 +93,17 @@ class RestPrior:
 def marginalize_rest(
     whole: Problem, part: LocalPart, options: SolveOptions, bounds: Bounds | None
 ) -> RestPrior:
-    """Marginalise what does not take part in a local adjustment.
+    """Marginalize the rest of the problem in a local adjustment.
 
     Args:
-        whole: the problem.
-        part: of it.
-        options: of the whole.
-        bounds: of camera parameters, as in :func:`bundle.solve`.
+        whole: the full problem.
+        part: the part of the local adjustment.
+        options: options of the full problem.
+        bounds: bounds of camera parameters, as in :func:`bundle.solve`.
 
     Raises:
-        InputError: a factor of the rest couples a point with something else or is a function in
-            Python; the prior does not fit into the memory; the origin is far outside the scene.
+        InputError: a factor of the rest couples a point with another variable or is a Python
+            function; the prior does not fit into memory; or the origin is far outside the scene.
     """
     _refuse_far_origins(whole)
     options = part.whole_frames_fixed(options).replace(
@@ -135,7 +137,7 @@ def marginalize_rest(
 def without_prior(
     result: Result, record: PartRecord, prior: RestPrior
 ) -> tuple[Result, PartRecord]:
-    """Return the result with the factors that were given, and the record with the prior's costs."""
+    """Return the result without the prior's factor, and the record with the prior's costs."""
     rest = prior.record
     if prior.factor is not None:
         before, after = result.factor_costs_before, result.factor_costs_after
@@ -151,7 +153,7 @@ def without_prior(
 
 
 def _refuse_far_origins(whole: Problem) -> None:
-    """Raise an InputError if a prior on poses about the origin would be one of rounding errors."""
+    """Raise an InputError if rounding errors would dominate a prior on poses about the origin."""
     if not (whole.num_images and whole.num_points):
         return
     center = np.median(whole.projection_centers, axis=0)
@@ -166,7 +168,7 @@ def _refuse_far_origins(whole: Problem) -> None:
 
 
 def _refuse_too_much(size: int, num_neighbours: int) -> None:
-    """Raise an InputError if a prior on so many unknowns does not fit into the memory."""
+    """Raise an InputError if a prior on this number of unknowns does not fit into memory."""
     needed, free = 8.0 * size * size * COPIES, _core.available_memory()
     if needed > SHARE_OF_FREE_MEMORY * free:
         raise InputError(
@@ -177,10 +179,10 @@ def _refuse_too_much(size: int, num_neighbours: int) -> None:
 
 
 def _rest_of(whole: Problem, part: LocalPart, options: SolveOptions) -> Selection | None:
-    """Return what is not in the part and can say something; None if nothing is."""
+    """Return the observations of the rest that have information; None without any."""
     touched = touched_ids(part.factors_of_rest)
     length = np.bincount(whole.observation_point, minlength=whole.num_points)
-    # One observation of a free point determines two of its coordinates, and nothing else.
+    # A single observation of a free point determines two coordinates of the point, nothing else.
     known = np.isin(whole.point_ids, [*options.fixed_point_ids, *touched["point"]])
     known |= "points" not in options.refine
     points = ~part.seen & ((length >= 2) | known)
@@ -198,7 +200,7 @@ def _rest_of(whole: Problem, part: LocalPart, options: SolveOptions) -> Selectio
 
 
 def _options_of(selection: Selection, options: SolveOptions) -> SolveOptions:
-    """Return the options with the ids that a selection has."""
+    """Return the options with the fixed ids that exist in a selection."""
     problem = selection.problem
     fixed = {}
     for kind, ids in (
@@ -221,8 +223,8 @@ def _add_information(
     information: _Floats,
     eta: _Floats,
 ) -> dict[str, int]:
-    """Add what the rest knows of the neighbours; return what is gone."""
-    # A bound of a camera that takes part is that of the part.
+    """Add the information of the rest on the neighbours; return counts of eliminated unknowns."""
+    # Bounds of cameras that take part belong to the part.
     gone = set(rest.problem.camera_ids.tolist()) - set(part.problem.camera_ids.tolist())
     own = {key: value for key, value in (bounds or {}).items() if key[1] in gone}
     layout = lay_out(rest.problem, _options_of(rest, options), part.factors_of_rest, own or None)
@@ -246,7 +248,7 @@ def _hold_gauge(
     bounds: Bounds | None,
     information: _Floats,
 ) -> int:
-    """Hold what nothing holds of the world; return how many degrees of freedom that takes."""
+    """Fix the free gauge in the information matrix; return the number of fixed degrees."""
     num_poses = int(near.images.sum() + near.frames.sum())
     if num_poses == 0:
         return 0
@@ -279,7 +281,7 @@ def _hold_gauge(
 def _as_factor(
     whole: Problem, near: Neighbours, information: _Floats, eta: _Floats
 ) -> tuple[LinearPrior | None, int]:
-    """Return the prior on the variables of which something is known, and its rank."""
+    """Return the prior on the variables that have information, and its rank."""
     kept, masks = [], []
     first = 0
     for key, size in near.variables(whole):
@@ -295,13 +297,13 @@ def _as_factor(
     root = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(information / root[:, None] / root)
     regular = values > SMALLEST * len(rows) * values[-1]
-    # Of what Lambda does not know, rounding is all that eta has.
+    # In the null space of Lambda, eta contains rounding errors only.
     vectors = vectors[:, regular]
     eta = root * (vectors @ (vectors.T @ (eta / root)))
     if not regular.any():
         return None, 0
     points = dict(near.values(whole))
-    from bundle.graphs.factors.linear_prior import LinearPrior  # brings the gradient checker along
+    from bundle.graphs.factors.linear_prior import LinearPrior  # also loads the gradient checker
 
     prior = LinearPrior(
         information,

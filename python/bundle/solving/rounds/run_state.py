@@ -1,4 +1,4 @@
-"""The state of a run of rounds: the start of the next solve, and the rows that filters left."""
+"""State of a run of rounds: the start of the next solve, and masks of the remaining rows."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class State:
     """State of a run of rounds.
 
     Attributes:
-        problem: start of the next solve, or the end.
-        observation_mask: which observations of the first round's problem are left.
-        point_mask: which of its points are left.
-        rounds: that are over.
-        so_far: what was done of the current adjustment; None at its start.
-        end: the last adjustment, where nothing is left to do; None before.
+        problem: start of the next solve, or the end of the run.
+        observation_mask: mask of the remaining observations of the first round's problem.
+        point_mask: mask of the remaining points of the first round's problem.
+        rounds: completed rounds.
+        so_far: result of the current adjustment so far; None at its start.
+        end: result of the last adjustment of a complete run; None before.
     """
 
     problem: Problem
@@ -62,7 +62,7 @@ class State:
 
 
 def _left_of(mask: _Mask, left: _Mask) -> _Mask:
-    """Return what is left of a mask, `left` being of what it has."""
+    """Return a mask reduced by `left`, which has one entry per True entry of the mask."""
     out = mask.copy()
     out[mask] = left
     return out

@@ -1,14 +1,15 @@
-"""One adjustment as several solves of a few iterations, each of which starts where the last ended.
+"""Adjustment in segments: several solves of a few iterations, each from the end of the last.
 
-A solver's state is more than the values of its problem: a trust region's radius, the chart of each
-rotation, the scaling of the columns. A solve that starts anew from saved values takes other steps.
-So a run that can be resumed always solves in segments: after every ``interval`` iterations the
-solver starts anew from values alone, which the checkpoint holds. The run that was killed and the
-one that was not then do the same solves from the same values.
+The state of a solver contains more than the values of its problem: the trust region radius, the
+chart of each rotation, and the scaling of the columns. A solve that restarts from saved values
+therefore takes different steps. For this reason a run that can be resumed always solves in
+segments: after every ``interval`` iterations the solver restarts from the values alone, which the
+checkpoint holds. A killed and resumed run then does the same solves from the same values as an
+uninterrupted run.
 
-Both end where one solve ends, up to the tolerances. What a new start costs: the set-up, and a few
-steps until the radius, which begins at Ceres' default, is that of before. Under cheirality "zero" a
-segment decides anew which observations are behind their camera, as each round does.
+Up to the tolerances, both runs end at the same minimum as a single solve. A restart costs the
+set-up and a few steps, because the radius restarts at Ceres' default. With cheirality "zero" every
+segment, like every round, determines again which observations are behind their camera.
 """
 
 from __future__ import annotations
@@ -44,13 +45,13 @@ def solve_in_segments(
     """Adjust a problem in segments.
 
     Args:
-        solve: one segment, of a problem under options.
-        problem: where to start, or where the segments so far have ended.
-        options: of the whole adjustment.
-        interval: iterations of a segment.
-        so_far: what the segments so far did, if there are any.
-        progress: called after each iteration, with numbers that count on.
-        save: called after each segment but the last, with what was done so far.
+        solve: function that solves one segment of a problem with options.
+        problem: start, or the end of the previous segments.
+        options: options of the entire adjustment.
+        interval: number of iterations of a segment.
+        so_far: result of the previous segments; None without any.
+        progress: function called after each iteration; iteration numbers continue across segments.
+        save: function called after each segment except the last, with the result so far.
     """
     while True:
         done = 0 if so_far is None else num_steps(so_far)
@@ -78,12 +79,12 @@ def solve_in_segments(
 
 
 def num_steps(result: Result) -> int:
-    """Return the number of steps, the rejected ones included."""
+    """Return the number of steps, including rejected steps."""
     return len(result.iterations["iteration"]) - 1
 
 
 def join(first: Result, second: Result) -> Result:
-    """Return two segments as one adjustment."""
+    """Join the results of two segments into the result of one adjustment."""
     a, b = first.iterations, second.iterations
     iterations = {name: np.concatenate([a[name], b[name][1:]]) for name in a}
     tail = slice(len(a["iteration"]), None)
@@ -122,7 +123,7 @@ def _counting_on(progress: Progress | None, so_far: Result) -> Progress | None:
 
     def later(values: dict[str, Any]) -> None:
         if values["iteration"] == 0:
-            return  # it was told as the last of the segment before
+            return  # already reported as the last iteration of the previous segment
         counted = {
             name: values[name] + last[name] for name in ("iteration", "cumulative_time_in_seconds")
         }

@@ -1,4 +1,4 @@
-"""Rounds: adjust, filter, adjust what is left, and so on (COLMAP's iterative refinement)."""
+"""Rounds of adjusting and filtering (COLMAP's iterative refinement)."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 __all__ = ["run", "solve_rounds"]
 
 SMALLEST_CHANGE = 5e-4
-"""Share of its observations that a round has to remove for another one to follow, as in COLMAP
-(``ba_global_max_refinement_change``)."""
+"""Smallest fraction of observations removed in a round for which another round follows, as in
+COLMAP (``ba_global_max_refinement_change``)."""
 
 
 @takes_options(SolveOptions)
@@ -62,68 +62,72 @@ def solve_rounds(
     progress: Progress | None = None,
     **changes: Unpack[SolveKeywords],
 ) -> Result:
-    """Adjust and filter in turns: outliers found after one adjustment do not disturb the next.
+    """Adjust and filter in turns, so that removed outliers do not disturb the next adjustment.
 
-    Each round is a :func:`bundle.solve` of what the round before has left, then a
-    :func:`bundle.filter_observations`, in the last round too. The rounds end before ``num_rounds``
-    when one removes less than 0.05 % of its observations (COLMAP's rule), and when an adjustment
-    has no usable solution or was interrupted; what that one adjusted is not filtered. As the filter
-    changes the objective, costs of different rounds cannot be compared, and what the last filter
-    leaves is adjusted once more: the problem returned is at a minimum.
+    Each round is a :func:`bundle.solve` of the remaining problem, followed by a
+    :func:`bundle.filter_observations`, also in the last round. The rounds end before ``num_rounds``
+    if a round removes less than 0.05 % of its observations (COLMAP's rule). They also end if an
+    adjustment has no usable solution or was interrupted; no filter follows this adjustment. The
+    filter changes the objective, so that costs of different rounds cannot be compared. After the
+    last filter the remaining problem is adjusted once more: the returned problem is at a minimum.
 
-    Points that are held (``fixed_point_ids``) or that a factor names stay, whatever their track and
-    angle are; they lose observations only.
+    Points that are constant (``fixed_point_ids``) or that a factor names are not removed for a
+    short track or small angle. They can only lose observations.
 
     Args:
-        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
-        options: how to adjust, as in :func:`bundle.solve`.
-        num_rounds: the maximum; 0: adjust once and filter nothing.
+        problem: the problem, which is not changed; also the path of one, or a
+            pycolmap.Reconstruction.
+        options: options of the adjustments, as in :func:`bundle.solve`.
+        num_rounds: maximum number of rounds; 0: adjust once without filtering.
         max_error: as in :func:`bundle.filter_observations`, in pixels.
-        min_angle: likewise, in degrees.
-        min_track_length: likewise, in observations.
-        only_images: refine only these images, the points that they see and their cameras; hold all
-            else and leave it as it is, bit for bit. Ids and names, such as ``"1,5-9,left/*.jpg"``
+        min_angle: as in :func:`bundle.filter_observations`, in degrees.
+        min_track_length: as in :func:`bundle.filter_observations`, in observations.
+        only_images: refine only these images, the points that they see and their cameras. All else
+            is constant and stays equal bit for bit. Ids and names, such as ``"1,5-9,left/*.jpg"``
             or ``[1, 5, "left/*.jpg"]``. Only these points, with all their observations, go to the
             solver and the filter. A camera that also took other images is refined, too, unless it
             is in ``fixed_camera_ids`` (``part`` of the result names it).
-        rest: with ``only_images``, what all else does. "fixed": other images that see one of these
-            points take part, held. "marginal": these neighbours and their cameras move, under the
-            exact marginal prior of all that does not take part, linearised at its present values;
-            only the named images, their points and cameras are in the result, all else is left bit
-            for bit as well. Where nothing holds the world, the neighbours stay where they are on
-            average. The cost includes the prior's; ``part.rest`` of the result tells of it.
-        factors: beside the observations, as in :func:`bundle.solve`. With the rest marginal those
-            that touch neither what is refined nor neighbours alone go into the prior, and have no
-            place in ``factor_costs_before`` and ``_after``.
+        rest: treatment of all else with ``only_images``. "fixed": other images that see one of
+            these points (the neighbours) take part and are constant. "marginal": the neighbours and
+            their cameras move, under the exact marginal prior of the rest, linearized at its
+            present values. Only the named images, their points and cameras change in the result;
+            all else stays equal bit for bit. If nothing fixes the gauge, the neighbours stay in
+            place on average. The cost includes the cost of the prior; ``part.rest`` of the result
+            describes the prior.
+        factors: factors in addition to the observations, as in :func:`bundle.solve`. With the
+            marginal rest, a factor goes into the prior if it has no refined variable and not only
+            neighbours as variables. ``factor_costs_before`` and ``_after`` do not include it.
         priors: measured positions of images and control points, as in :func:`bundle.solve`. No
             filter removes a measurement of a control point; counts of points and observations in
             ``rounds`` include control points.
         align: as in :func:`bundle.solve`, before the first round; never with ``only_images``.
-        bounds: of camera parameters, as in :func:`bundle.solve`.
-        constraints: rules, as in :func:`bundle.solve`. What they say of the start they say of the
-            start of the first round. With ``only_images`` a parameter that is shared with a camera
-            outside of the part is held. Not with the rest marginal.
-        checkpoint: file that is replaced, whole or not at all, after each round and each
-            ``checkpoint_interval`` iterations, so that a run that was killed can go on. The solver
-            starts anew from what the file holds, whether the run is killed or not: with the option
-            ``deterministic`` a resumed run ends where the uninterrupted one does, bit for bit.
+        bounds: bounds of camera parameters, as in :func:`bundle.solve`.
+        constraints: rules, as in :func:`bundle.solve`. Rules about the start refer to the start of
+            the first round. With ``only_images``, a parameter that is shared with a camera outside
+            the part is constant. Rules are not allowed with the marginal rest.
+        checkpoint: file that is replaced atomically after each round and each
+            ``checkpoint_interval`` iterations, so that a killed run can continue. The solver
+            restarts from the content of the file in every run, killed or not. With the option
+            ``deterministic``, a resumed run and an uninterrupted run end with equal bits.
         checkpoint_interval: iterations from one checkpoint to the next within a round.
-        resume: checkpoint to go on from, with the same problem and options (the number of threads
-            may differ); from the start if the file does not exist. Checkpoints go on to be written
-            there if ``checkpoint`` names no other file.
+        resume: checkpoint from which the run continues, with the same problem and options (the
+            number of threads may differ). If the file does not exist, the run begins at the start.
+            Further checkpoints are written to this file unless ``checkpoint`` names another one.
         progress: as in :func:`bundle.solve`, in each round.
-        **changes: options by name, in place of those in ``options``.
+        **changes: options by name, which replace those in ``options``.
 
     Returns:
-        What the last filter has left, adjusted, beside the problem given. ``rounds`` tells of
-        each round; summary, iterations and times are those of the last adjustment.
+        Result with the problem after the last filter and adjustment, and the given problem.
+        ``rounds`` describes each round; summary, iterations and times belong to the last
+        adjustment.
 
     Raises:
-        InputError: as :func:`bundle.solve` and :func:`bundle.filter_observations`; a filter
-            removed all observations; or the checkpoint is none, or one of another problem or with
-            other options.
-        KeyboardInterrupt, MemoryError: as :func:`bundle.solve`.
-        OSError: as :func:`bundle.solve`, or the checkpoint cannot be read or written.
+        InputError: for the reasons of :func:`bundle.solve` and :func:`bundle.filter_observations`;
+            a filter removed all observations; the file is not a checkpoint; or the checkpoint
+            belongs to another problem or to other options.
+        KeyboardInterrupt, MemoryError: for the reasons of :func:`bundle.solve`.
+        OSError: for the reasons of :func:`bundle.solve`, or the checkpoint cannot be read or
+            written.
     """
     options = SolveOptions.of(options, changes, "solve_rounds")
     limits = RoundOptions(
@@ -155,8 +159,8 @@ def solve_rounds(
 def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) -> Result:
     """Adjust and filter in turns; see :func:`solve_rounds`.
 
-    The filter changes the objective: what the last one has left is adjusted once more, unless it
-    removed nothing. So the end is a minimum.
+    The filter changes the objective. Therefore the remaining problem is adjusted once more after
+    the last filter, unless this filter removed nothing. The run then ends at a minimum.
     """
     prepared = prepare(request)
     checkpoint = None if plan.file is None else Checkpoint.of(plan.file, prepared, plan)
@@ -166,7 +170,7 @@ def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) 
     while state.end is None:
         result = _adjust(prepared, state, checkpoint, progress)
         if result.summary.interrupted or not result.summary.is_solution_usable:
-            return prepared.finished(result, state)  # a checkpoint keeps what was before
+            return prepared.finished(result, state)  # a checkpoint keeps the earlier state
         state = _next(prepared, state, result, plan.rounds)
         if checkpoint is not None:
             checkpoint.write(state)
@@ -176,7 +180,7 @@ def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) 
 def _adjust(
     prepared: Prepared, state: State, checkpoint: Checkpoint | None, progress: Progress | None
 ) -> Result:
-    """Adjust what the filters have left, from one checkpoint to the next if there are any."""
+    """Adjust the remaining problem, in segments if there is a checkpoint."""
 
     def solve(problem: Problem, options: SolveOptions, progress: Progress | None) -> Result:
         return solve_prepared(prepared.at(problem, options), progress)
@@ -197,7 +201,7 @@ def _adjust(
 
 
 def _next(prepared: Prepared, state: State, result: Result, limits: RoundOptions) -> State:
-    """Filter what was adjusted; the run ends if nothing is left to do."""
+    """Filter the adjusted problem and return the next state; mark the end of the run."""
     adjusted = dataclasses.replace(state, problem=result.problem, so_far=None)
     if limits.num_rounds == 0 or _is_last(state, limits):
         return adjusted.ended(result)
@@ -210,7 +214,7 @@ def _next(prepared: Prepared, state: State, result: Result, limits: RoundOptions
 
 
 def _is_last(state: State, limits: RoundOptions) -> bool:
-    """Return whether no round follows those that are over."""
+    """Return True if no further round follows."""
     if not state.rounds:
         return False
     done = state.rounds[-1]
@@ -219,9 +223,9 @@ def _is_last(state: State, limits: RoundOptions) -> bool:
 
 
 def _filter(prepared: Prepared, problem: Problem, limits: RoundOptions) -> Filtered:
-    """Filter what a round has adjusted.
+    """Filter the adjusted problem of a round.
 
-    Points that are known otherwise stay, and control points with all of their observations.
+    Points that are fixed or named by a factor stay. Control points stay with all observations.
     """
     rules = prepared.applied
     known = touched_ids((*prepared.factors, *(() if rules is None else rules.factors)))["point"]
@@ -253,7 +257,7 @@ def _round_of(number: int, result: Result, filtered: Filtered) -> Round:
 
 
 def _check_left(filtered: Filtered, done: Round, limits: RoundOptions) -> None:
-    """Raise an InputError if a filter has left nothing."""
+    """Raise an InputError if a filter removed everything."""
     if filtered.problem.num_observations == 0:
         raise InputError(
             f"num_rounds: the filter of round {done.round} removed all {done.num_observations} "

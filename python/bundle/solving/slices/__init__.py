@@ -1,1 +1,1 @@
-"""Files too large for one process, read and solved in slices."""
+"""Reading and solving in slices, for files that are too large for one process."""

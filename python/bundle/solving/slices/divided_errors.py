@@ -1,9 +1,9 @@
 """Statistics of reprojection errors whose observations are in several processes.
 
-Sums and maxima are those of the processes. An order statistic, as the median is one, is found by
-bisection: doubles that are not negative are ordered as the integers of their bits are, so that 63
-halvings find the k-th smallest error. In each, every process counts its errors up to the middle:
-the result is exact, and no process sees more than its own errors.
+Sums and maxima are combined from those of the processes. An order statistic, such as the median, is
+found by bisection. Non-negative doubles have the same order as the integers of their bits, so that
+63 bisection steps find the k-th smallest error. In each step, every process counts its errors up to
+the middle. The result is exact, and no process needs the errors of another one.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ __all__ = ["divided_statistics", "order_statistics"]
 def divided_statistics(
     meeting: Meeting, errors: NDArray[np.float64], behind: NDArray[np.bool_], cheirality: str
 ) -> ReprojectionError | None:
-    """Return what ``reprojection.summarize_errors`` returns, to the first process.
+    """Return the output of ``reprojection.summarize_errors`` to rank 0.
 
     Args:
-        meeting: all processes.
-        errors: of this process, ||r|| in pixels; nan without a projection.
-        behind: of this process.
-        cheirality: that of `behind`, resolved.
+        meeting: communication of all processes.
+        errors: errors ||r|| of this process in pixels; nan without a projection.
+        behind: mask of this process's observations behind their camera.
+        cheirality: resolved cheirality option for `behind`.
     """
     own = np.sort(errors[counted_errors(errors, behind, cheirality)])
     with np.errstate(over="ignore"):
@@ -66,12 +66,12 @@ def divided_statistics(
 def order_statistics(
     meeting: Meeting, own: NDArray[np.float64], positions: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Return the values at some positions of the sorted values of all, to all.
+    """Return, on all ranks, the values at some positions of the sorted values of all processes.
 
     Args:
-        meeting: all processes.
+        meeting: communication of all processes.
         own: values of this process, at least 0 and ascending.
-        positions: from 0 on, the same in all processes.
+        positions: positions from 0, the same in all processes.
     """
     bits = own.view(np.int64)
     low = np.zeros(len(positions), np.int64)

@@ -1,10 +1,10 @@
-"""The gauge problem of a model in slices: a small problem with the same gauge freedom.
+"""Gauge problem of a model in slices: a small problem with the same gauge freedom.
 
 Gauge freedom (``bundle.solving.gauge_freedom``) depends on the images that free points connect, and
-on the positions of constant points. Of free points a slice therefore gives, for each
-image that it observes, one point that connects the image with the first one of its component; of
-constant points it gives all observations. That is at most one point per image and process, and the
-points that the user named.
+on the positions of constant points. For free points, a slice therefore contributes one point per
+observed image, which connects the image with the first image of its component. For constant points
+it contributes all observations. The gauge problem has at most one point per image and process, and
+the points that the user named.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ __all__ = ["gauge_problem"]
 
 
 def gauge_problem(meeting: Meeting, own: Slice, fixed_point_ids: list[int]) -> Problem | None:
-    """Return a problem of the same gauge freedom to rank 0, None to the others.
+    """Return a problem with the same gauge freedom to rank 0, None to the other ranks.
 
     Args:
-        meeting: all processes.
+        meeting: communication of all processes.
         own: slice of this process.
         fixed_point_ids: constant points of all slices.
     """
@@ -50,7 +50,7 @@ def gauge_problem(meeting: Meeting, own: Slice, fixed_point_ids: list[int]) -> P
 
 
 def _of_slice(own: Slice, fixed: NDArray[np.int64]) -> tuple[NDArray[Any], ...]:
-    """Return linked images, then images, rows, positions and ids of the constant points."""
+    """Return the connected images; and images, rows, positions and ids of the constant points."""
     part = own.part
     is_held = np.isin(part.point_ids, fixed)
     held = np.flatnonzero(is_held[part.observation_point])

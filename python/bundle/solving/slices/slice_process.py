@@ -1,4 +1,4 @@
-"""One process of a refinement in slices: it runs the methods that rank 0 calls on all ranks."""
+"""Process of a refinement in slices: it runs the methods that rank 0 calls on all ranks."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ _LAST = "measure"
 
 
 class Process:
-    """A process with its slice. All ranks run each method; rank 0 gets the values.
+    """Process with its slice. All ranks run each method; rank 0 gets the results.
 
     Args:
-        meeting: all processes.
-        path: of the model.
-        found: survey of rank 0; None on the others.
+        meeting: communication of all processes.
+        path: path of the model.
+        found: survey of rank 0; None on the other ranks.
 
     Raises:
-        InputError, OSError: as ``read_slice``.
+        InputError, OSError: for the reasons of ``read_slice``.
     """
 
     def __init__(self, meeting: Meeting, path: Path, found: Survey | None) -> None:
         self._meeting = meeting
         self.slice = read_slice(meeting, path, found)
         self._part = self.slice.part
-        self._errors: dict[str, tuple[Any, Any]] = {}  # by cheirality
+        self._errors: dict[str, tuple[Any, Any]] = {}  # key: cheirality
 
     def serve(self) -> None:
-        """Run the methods that rank 0 broadcasts, up to the measuring."""
+        """Run the methods that rank 0 broadcasts, until `measure`."""
         name = ""
         while name != _LAST:
             name, given = self._meeting.broadcast()
@@ -57,9 +57,9 @@ class Process:
         """Run a method on all ranks and return rank 0's result.
 
         Args:
-            name: of the method.
-            given: arguments of all ranks.
-            own: arguments of rank 0 alone.
+            name: name of the method.
+            given: arguments on all ranks.
+            own: arguments on rank 0 only.
         """
         self._meeting.broadcast((name, given))
         return getattr(self, name)(*given, **own)
@@ -74,8 +74,8 @@ class Process:
         """Continue from other values.
 
         Args:
-            state: of images and cameras, on all ranks.
-            points: (num_points, 3) of the model, on rank 0 alone.
+            state: values of images and cameras, on all ranks.
+            points: (num_points, 3) points of the model, on rank 0 only.
         """
         survey, own = self.slice.survey, self._part.points
         for rank in range(self._meeting.num_ranks):  # one part at a time
@@ -87,7 +87,7 @@ class Process:
     def solve(
         self, options: dict[str, Any], progress: _Progress | None = None
     ) -> tuple[dict[str, Any], list[PartOfOutput] | None, Ranks]:
-        """Adjust; return the output of the core, and the points of all ranks to rank 0."""
+        """Adjust. Return the output of the core, and to rank 0 also the points of all ranks."""
         part = self._part
         fixed = np.intersect1d(np.asarray(options["fixed_point_ids"], np.int64), part.point_ids)
         ranks = self._meeting.ranks()
@@ -99,7 +99,7 @@ class Process:
         return output, self._meeting.gather(given), ranks
 
     def point_errors(self, num_threads: int) -> list[NDArray[np.float64]] | None:
-        """Return the mean error of each point, as COLMAP's files have it, by process."""
+        """Return the mean error of each point, as defined in COLMAP's files, by process."""
         errors, behind = self._errors_now(num_threads, "auto")
         part = self._part
         return self._meeting.gather(
@@ -107,7 +107,7 @@ class Process:
         )
 
     def measure(self, options: dict[str, Any]) -> tuple[Any, Any, Any, Any]:
-        """Return the statistics before and after, the sums of images, and the gauge problem.
+        """Return the statistics before and after, the sums per image, and the gauge problem.
 
         The gauge problem is None without rigs, and with gauge "none".
         """

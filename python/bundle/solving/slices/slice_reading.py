@@ -1,4 +1,4 @@
-"""Reading of a slice of a model: all cameras, the points of a process, their observations."""
+"""Reading of a slice of a model: all cameras, and a process's points with their observations."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Meeting(Protocol):
         """Return the value of rank 0."""
 
     def gather(self, value: Any) -> list[Any]:
-        """Return the values of all ranks to rank 0, None to the others."""
+        """Return the values of all ranks to rank 0, None to the other ranks."""
 
     def ranks(self) -> Ranks:
         """Return the communication of this rank in one solve."""
@@ -41,12 +41,12 @@ class Survey:
     """Counts of a model, and the owner of each point.
 
     Attributes:
-        num_images: of the model.
-        num_observations: of the model.
-        owner: (num_points,) rank that has a point.
-        section: (num_points,) of each point; see ``ranks.partition``.
-        point_ids: (num_points,) of a COLMAP model, ascending; None of a BAL file, whose points have
-            their positions for ids.
+        num_images: number of images of the model.
+        num_observations: number of observations of the model.
+        owner: (num_points,) rank that owns each point.
+        section: (num_points,) section of each point; see ``ranks.partition``.
+        point_ids: (num_points,) ascending ids of a COLMAP model; None for a BAL file, whose ids are
+            the positions in the file.
     """
 
     num_images: int
@@ -56,7 +56,7 @@ class Survey:
     point_ids: NDArray[np.int64] | None = None
 
     def unknown(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the ids that are no point's."""
+        """Return the ids of which no point exists."""
         if self.point_ids is None:
             return ids[(ids < 0) | (ids >= len(self.owner))]
         return np.setdiff1d(ids, self.point_ids)
@@ -68,9 +68,9 @@ class Slice:
 
     Attributes:
         cameras: all images and cameras, without points and observations.
-        part: its points and observations.
-        survey: of the whole model.
-        image_is_observed: (num_images,) by any process.
+        part: points and observations of the process.
+        survey: survey of the entire model.
+        image_is_observed: (num_images,) True if any process has an observation in the image.
     """
 
     cameras: Problem
@@ -83,8 +83,8 @@ def survey(path: Path, num_parts: int) -> Survey:
     """Read a BAL file or a binary COLMAP model once, and divide its points.
 
     Raises:
-        InputError: it is not what its format says, or has fewer points than parts. Whether the
-            tracks of a COLMAP model are those of its keypoints is left to :func:`read_slice`.
+        InputError: the file violates its format, or has fewer points than parts. The agreement of
+            tracks and keypoints of a COLMAP model is checked in :func:`read_slice`.
         OSError: a file cannot be read.
     """
     ids = None
@@ -104,11 +104,11 @@ def survey(path: Path, num_parts: int) -> Survey:
 
 
 def read_slice(meeting: Meeting, path: Path, found: Survey | None) -> Slice:
-    """Read the slice of this process; ``found`` is the survey of rank 0, None elsewhere.
+    """Read the slice of this process; ``found`` is the survey on rank 0, None on other ranks.
 
     Raises:
-        InputError: the model is not the one that was surveyed, as far as counts tell; or, in the
-            first process, tracks and keypoints of any slice contradict each other.
+        InputError: the counts of the model differ from the survey; or, on rank 0 only, tracks and
+            keypoints of any slice contradict each other.
         OSError: a file cannot be read.
     """
     whole: Survey = meeting.broadcast(found)

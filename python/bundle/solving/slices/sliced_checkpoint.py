@@ -1,4 +1,4 @@
-"""Checkpoints of a refinement in slices: the files of one process, written by rank 0."""
+"""Checkpoints of a refinement in slices. Rank 0 writes the same files as a single process."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Kept:
     """Content of a checkpoint.
 
     Attributes:
-        state: arrays of the whole model by name, as ``prepare.STATE`` has them.
-        so_far: the adjustment so far; its problem has no points.
+        state: arrays of the entire model, by the names in ``prepare.STATE``.
+        so_far: result of the adjustment so far; its problem has no points.
         has_ended: True if nothing is left to do.
     """
 
@@ -41,15 +41,15 @@ class SlicedCheckpoint:
     """The checkpoint of a run.
 
     Args:
-        path: where it is written.
-        cameras: of the model as it was read.
-        sums: of its rows (``input_digest.sums_of_rows``).
-        found: its counts.
-        options: of the run, as given.
+        path: path of the file.
+        cameras: images and cameras of the model as it was read.
+        sums: sums over the model's rows (``input_digest.sums_of_rows``).
+        found: survey of the model.
+        options: options of the run, as the caller gave them.
         interval: iterations from one checkpoint to the next.
 
     Raises:
-        InputError, OSError: as ``checkpoint.check_target``.
+        InputError, OSError: for the reasons of ``checkpoint.check_target``.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class SlicedCheckpoint:
         self._fingerprint = plain_fingerprint(digest_of_parts(cameras, sums), options, interval)
 
     def write(self, result: Result, *, has_ended: bool = False) -> None:
-        """Replace the checkpoint by one whose next solve starts from the problem of a result.
+        """Replace the checkpoint by the state after a result, from which the next solve starts.
 
         Raises:
             OSError: the system refuses: no permission, disk full.
@@ -81,10 +81,10 @@ class SlicedCheckpoint:
         write(self._path, state, self._fingerprint)
 
     def read(self, path: Path, options: SolveOptions) -> Kept:
-        """Return the content of a checkpoint of this run; ``options`` are those as used.
+        """Return the content of a checkpoint of this run; ``options`` are the options as used.
 
         Raises:
-            InputError, OSError: as ``checkpoint.read``.
+            InputError, OSError: for the reasons of ``checkpoint.read``.
         """
 
         def kept(meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Kept:

@@ -1,4 +1,4 @@
-"""Refinement of a BAL file or a binary COLMAP model by processes with a slice each."""
+"""Refinement of a BAL file or a binary COLMAP model by processes that each have a slice."""
 
 from __future__ import annotations
 
@@ -52,21 +52,21 @@ class SliceCrew(Crew, Protocol):
         """Return the communication of all ranks."""
 
     def send_to_all(self, job: SliceJob) -> None:
-        """Send a job to the other ranks, which accept no other until it ends."""
+        """Send a job to the other ranks, which accept no other job until it ends."""
 
     def release(self) -> None:
         """Mark the other ranks as waiting again."""
 
 
 class SlicedRefinement:
-    """The side of rank 0, and an executor. Methods are called in their order.
+    """Refinement as seen by rank 0; also an executor. Call the methods in the order of definition.
 
     Args:
         crew: the other ranks, which wait for a job.
-        path: of a BAL file, or the folder of a COLMAP model in binary.
+        path: path of a BAL file, or of the folder of a binary COLMAP model.
 
     Raises:
-        InputError: as ``bundle.load``; or there are no observations.
+        InputError: for the reasons of ``bundle.load``; or the model has no observations.
         OSError: a file cannot be read.
     """
 
@@ -85,7 +85,7 @@ class SlicedRefinement:
 
     @property
     def cameras(self) -> Problem:
-        """The model as it was read, its points left in the slices."""
+        """Images and cameras of the model as it was read; the points are in the slices."""
         return DividedModel.of(self._slice.cameras, self._survey, np.zeros((0, 3)))
 
     def solve(
@@ -97,18 +97,18 @@ class SlicedRefinement:
         resume: str | os.PathLike[str] | None = None,
         checkpoint_interval: int = CHECKPOINT_INTERVAL,
     ) -> Result:
-        """Refine; the problems of the result have cameras only.
+        """Refine the model. The problems of the result have cameras only.
 
         Args:
-            options: how.
-            progress: called after each iteration.
-            checkpoint: as in :func:`bundle.solve_rounds`; it is one of the whole model, for any
-                number of processes.
-            resume: as there.
-            checkpoint_interval: as there.
+            options: options of the solve.
+            progress: function called after each iteration.
+            checkpoint: as in :func:`bundle.solve_rounds`; the file holds the entire model and can
+                be resumed with any number of processes.
+            resume: as in :func:`bundle.solve_rounds`.
+            checkpoint_interval: as in :func:`bundle.solve_rounds`.
 
         Raises:
-            InputError, OSError: as :func:`bundle.solve_rounds`.
+            InputError, OSError: for the reasons of :func:`bundle.solve_rounds`.
         """
         self._prepared = prepare(SolveRequest(problem=self._slice.cameras, options=options))
         settled = self._prepared.layout.options
@@ -153,7 +153,7 @@ class SlicedRefinement:
         return self._finished(so_far)
 
     def save(self, path: Path) -> tuple[str, ...]:
-        """Write the refined model; return what is lost by that, one sentence each.
+        """Write the refined model; return one sentence for each kind of data that is lost.
 
         Raises:
             InputError: the input has changed.
@@ -181,9 +181,9 @@ class SlicedRefinement:
         return save_model(path, "colmap", write)
 
     def measure(self, result: Result) -> None:
-        """Measure the errors before and after, and the worst images, into the result."""
+        """Compute the errors before and after and the worst images; store them in the result."""
         before, after, sums, gauge = self._process.run_on_all("measure", self._options)
-        values = vars(result)  # where cached_property keeps them; the dataclass itself is frozen
+        values = vars(result)  # storage of cached_property; the dataclass itself is frozen
         values["reprojection_error_before"] = before
         values["reprojection_error_after"] = after
         count, total, largest = zip(*sums, strict=True)
@@ -207,7 +207,7 @@ class SlicedRefinement:
         return {**output, "points": prepared.before.points}
 
     def _segment(self, options: SolveOptions, progress: Progress | None) -> Result:
-        """Adjust from the present values, which its end becomes."""
+        """Adjust from the present values, and replace them by the result."""
         before = self._now
         prepared = self._prepared.laid_out_at(before, options)
         result = prepared.result(self.run(prepared, progress))
@@ -224,13 +224,13 @@ class SlicedRefinement:
 
 
 class DividedModel(Problem):
-    """A model whose points and observations are in slices: cameras, counts, and refined points."""
+    """Model whose points and observations are in slices: cameras, counts, and refined points."""
 
     _census: Survey
 
     @staticmethod
     def of(cameras: Problem, found: Survey, points: NDArray[np.float64]) -> DividedModel:
-        """Return the model of these cameras, with the counts that were found."""
+        """Return the model of these cameras, with the counts of a survey."""
         model = object.__new__(DividedModel)
         vars(model).update(vars(cameras), points=points, _census=found)
         return model
