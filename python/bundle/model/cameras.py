@@ -30,10 +30,11 @@ class ProjectionResult(NamedTuple):
 
     Attributes:
         xy: (N, 2) pixels; NaN where the projection does not exist.
-        valid: (N,) True where the camera sees the point by COLMAP's rules: for most models in front
-            of it; for SIMPLE_DIVISION, DIVISION and EQUIRECTANGULAR wherever it projects.
-        d_point: (N, 2, 3) pixels per length unit, by the point in the camera frame.
-        d_params: (N, 2, num_params), by the parameters in COLMAP's order.
+        valid: (N,) True where the camera sees the point by COLMAP's rules. Most models see points
+            in front of the camera. SIMPLE_DIVISION, DIVISION and EQUIRECTANGULAR see all points
+            whose projection exists.
+        d_point: (N, 2, 3) derivative by the point in the camera frame, pixels per length unit.
+        d_params: (N, 2, num_params) derivative by the parameters in COLMAP's order.
     """
 
     xy: NDArray[np.float64]
@@ -54,15 +55,15 @@ _PARAM_NAMES = {name: tuple(param.name for param in params) for name, params in 
 
 
 def camera_models() -> dict[str, tuple[str, ...]]:
-    """Return the names of all models with the names of their parameters, in COLMAP's order."""
+    """Return the parameter names of each camera model, in COLMAP's order, by model name."""
     return dict(_PARAM_NAMES)
 
 
 def reach(model: str) -> str:
     """Return the range of angles from the optical axis in which a model has no discontinuity.
 
-    "front": less than 90 degrees, or the model is unknown. "beyond": more, up to a discontinuity.
-    "all": every direction that has a value.
+    "front": less than 90 degrees; also for unknown models. "beyond": more than 90 degrees, up to a
+    discontinuity. "all": every direction whose projection exists.
     """
     return _REACH.get(model, "front")
 
@@ -71,7 +72,7 @@ def param_kinds(model: str) -> tuple[str, ...]:
     """Return the kind of each parameter of a model.
 
     Raises:
-        InputError: there is no such model.
+        InputError: the model is unknown.
     """
     return tuple(param.kind for param in _params(model))
 
@@ -95,15 +96,15 @@ def project(
 
     Args:
         model: COLMAP's name of the model.
-        params: its parameters in COLMAP's order; focal lengths and principal point in pixels.
+        params: parameters in COLMAP's order; focal lengths and principal point in pixels.
         points_in_camera: (N, 3) in the frame of the camera: x right, y down, z forward.
         jacobians: also return the derivatives.
 
     Returns:
         Pixels (N, 2) and validity (N,), or with ``jacobians=True`` a :class:`ProjectionResult`.
-        A point that the camera does not see may still have pixels, by the formula: behind a
-        perspective camera those of the mirrored point, for a fisheye those of an angle beyond 90
-        degrees. It is not valid.
+        A point that the camera does not see is not valid, but the formula may still give pixels:
+        behind a perspective camera those of the mirrored point, for a fisheye camera those of an
+        angle beyond 90 degrees.
 
     Raises:
         InputError: unknown model, or arrays of the wrong shape.

@@ -14,7 +14,7 @@ from bundle.model.problem import Problem
 __all__ = ["MOST_IDS", "ImageSelection", "find_images", "id_range", "named_images"]
 
 MOST_IDS = 10_000_000
-"""Largest number of ids in a list: a typing error in a range must not fill the memory."""
+"""Largest number of ids in a list. It prevents that a typing error in a range fills the memory."""
 
 ImageSelection = str | Iterable[int | str]
 """A list such as "1,5-9,left/*.jpg", or its entries one by one."""
@@ -23,10 +23,10 @@ ImageSelection = str | Iterable[int | str]
 def find_images(argument: str, problem: Problem, selection: Any) -> tuple[int, ...]:
     """Return the sorted ids of the images in a selection, each once.
 
-    An entry is an id (12), a range of ids (5-9), or a name of an image with wildcards: ``*`` for
-    any characters, ``?`` for one and ``[ab]`` for one of a set. Case matters. A string is split at
-    its commas; a name with a comma must be an entry of a list, or have a ``?`` in place of the
-    comma.
+    An entry is an id (12), a range of ids (5-9), or an image name, which may contain wildcards:
+    ``*`` for any characters, ``?`` for one character and ``[ab]`` for a character of a set. Names
+    are case-sensitive. A string is split at its commas. For a name with a comma, pass a list of
+    entries, or write ``?`` for the comma.
 
     Raises:
         InputError: an id does not exist, no name matches the pattern, or the selection has another

@@ -1,7 +1,7 @@
 """Robust losses (M-estimators): values, and the correction of residuals and Jacobians.
 
-A residual r costs 1/2 rho(||r||^2). Names and scales are those of :class:`bundle.SolveOptions`. The
-core computes everything, with the code of a solve.
+A residual r costs 1/2 rho(||r||^2). Names and scales are those of :class:`bundle.SolveOptions`. All
+values are computed by the C++ code that a solve uses.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ def evaluate_loss(loss: str, scale: float, squared_norms: ArrayLike) -> NDArray[
     """Return rho, rho' and rho'' at squared norms s = ||r||^2.
 
     Args:
-        loss: a name out of SolveOptions.
-        scale: norm from which the loss departs from the quadratic, in the unit of r.
-        squared_norms: (N,), not negative.
+        loss: name of the loss, as in SolveOptions.
+        scale: norm above which the loss differs from the quadratic, in the unit of r.
+        squared_norms: (N,) values s, not negative.
 
     Returns:
-        (N, 3); rho' and rho'' are derivatives by s.
+        (N, 3) array; rho' and rho'' are derivatives by s.
 
     Raises:
-        InputError: there is no such loss, or a value is out of its range.
+        InputError: the loss is unknown, or a value is out of its range.
     """
     name = choice("loss", loss, LOSSES)
     scale = number("scale", scale, above=0)
@@ -75,15 +75,15 @@ def correct(
     """Return the corrected residual and Jacobian that replace r and J in a least-squares solver.
 
     Args:
-        rho: (3,) rho, rho', rho'' at ||r||^2, with rho' > 0 where rho'' is not zero.
+        rho: (3,) rho, rho', rho'' at ||r||^2, with rho' > 0 if rho'' is not zero.
         residual: (m,) r.
         jacobian: (m, n) J.
-        second_order_term: "full" (Triggs'), "clamped" (no second-order term where rho'' <= 0) or
-            "ceres" (Ceres' own code).
+        second_order_term: "full" (Triggs'), "clamped" (no second-order term if rho'' <= 0) or
+            "ceres" (Ceres' code).
 
     Returns:
-        The corrected pair; None where the full correction does not exist because the block is
-        singular or indefinite.
+        The corrected pair; None if the full correction does not exist because the block is singular
+        or indefinite.
 
     Raises:
         InputError: shapes are inconsistent, rho' is out of range, or the term is unknown.

@@ -18,31 +18,31 @@ from bundle.errors import InputError, brief
 __all__ = ["PoseGraph"]
 
 TANGENT = {3: 3, 7: 6}
-"""Number of tangent coordinates of a pose by the length of its row."""
+"""Number of tangent coordinates of a pose, by the number of values that represent it."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class PoseGraph(Displayed):
     """Poses X_i (world_from_body) and edges that measure X_i^-1 X_j.
 
-    Arrays are read-only. A pose in the plane is x y angle (units of length, radians), in space
-    qx qy qz qw tx ty tz, a quaternion of any norm but 0. Information matrices are in the order of
-    the tangent coordinates of :class:`bundle.FactorGraph`: x y angle in the plane; rotation x y z,
-    then translation x y z in space (g2o's files have the translation first; reading and writing
-    permute). So ``BetweenFactor(a, b, graph.measurements[k], graph.information[k])`` is edge k.
+    Arrays are read-only. A 2D pose is x y angle (length unit, radians). A 3D pose is
+    qx qy qz qw tx ty tz, with a quaternion of any norm but 0. Information matrices are in the order
+    of the tangent coordinates of :class:`bundle.FactorGraph`: x y angle in 2D; rotation x y z, then
+    translation x y z in 3D. (g2o files have the translation first; reading and writing permute.)
+    Edge k is thus ``BetweenFactor(a, b, graph.measurements[k], graph.information[k])``.
 
     Attributes:
-        poses: (n, 3) or (n, 7).
-        edges: (m, 2) positions of poses, the first the one in whose frame the second is measured.
-        measurements: (m, 3) or (m, 7), as poses.
+        poses: (n, 3) or (n, 7) poses.
+        edges: (m, 2) positions of two poses; the second is measured in the frame of the first.
+        measurements: (m, 3) or (m, 7) relative poses, in the layout of ``poses``.
         information: (m, d, d) with d = 3 or 6; symmetric positive semidefinite for a solve.
-        ids: (n,) of the poses, 0 or above, each once; positions if not given.
-        fixed: (n,) True where a pose is constant (FIX in g2o); by default nowhere.
-        edge_lines: (m,) lines of the file that the edges come from; 0: none.
-        path: of that file; "" from memory.
-        has_poses: False if the file had edges alone, so that the poses are those of odometry, or
-            of a spanning tree where the chain of ids is broken.
-        format: of that file, "g2o" or "toro"; "" from memory.
+        ids: (n,) unique ids of the poses, 0 or above; by default their positions.
+        fixed: (n,) True for a constant pose (FIX in g2o); by default all False.
+        edge_lines: (m,) line of each edge in its file; 0 without a file.
+        path: path of the file; "" from memory.
+        has_poses: False if the file had only edges. The poses then come from odometry, or from a
+            spanning tree if the chain of ids is broken.
+        format: format of the file, "g2o" or "toro"; "" from memory.
         notes: sentences on entries that were interpreted.
 
     Raises:
@@ -141,7 +141,7 @@ class PoseGraph(Displayed):
 
     @property
     def dimension(self) -> int:
-        """2 in the plane, 3 in space."""
+        """Dimension of the space: 2 or 3."""
         return 2 if self.poses.shape[1] == 3 else 3
 
     @property
@@ -161,7 +161,7 @@ class PoseGraph(Displayed):
 
     @property
     def is_closure(self) -> NDArray[np.bool_]:
-        """(m,) True for edges that are not between consecutive ids."""
+        """(m,) True for loop closures: edges between ids that are not consecutive."""
         first, second = self.ids[self.edges[:, 0]], self.ids[self.edges[:, 1]]
         found: NDArray[np.bool_] = np.abs(first - second) != 1
         return found
@@ -177,7 +177,7 @@ class PoseGraph(Displayed):
         return dataclasses.replace(self, **changes)
 
     def edge_name(self, position: int) -> str:
-        """Return the name of an edge in messages: its ids, after file and line where known."""
+        """Return the name of an edge in messages: file and line if known, then its ids."""
         line = int(self.edge_lines[position])
         place = f"{self.path}:{line}: " if line and self.path else ""
         first, second = self.ids[self.edges[position]]

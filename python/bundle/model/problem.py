@@ -1,8 +1,8 @@
 """The problem: cameras, images, points and observations as read-only NumPy arrays.
 
-Conventions are COLMAP's. A point ``X`` of the world appears in the frame of image ``i`` as
-``R(q) X + t`` with ``cam_from_world[i] = (qx, qy, qz, qw, tx, ty, tz)``: x right, y down, z
-forward; the centre of the upper left pixel is (0.5, 0.5).
+Conventions are COLMAP's. A world point ``X`` has the coordinates ``R(q) X + t`` in the camera frame
+of image ``i``, with ``cam_from_world[i] = (qx, qy, qz, qw, tx, ty, tz)``. In the camera frame, x is
+right, y down, z forward. The centre of the upper left pixel is (0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ FORMATS = ("bal", "colmap", "memory")
 
 
 def _by_default() -> Any:
-    """Return None, which stands for the default until the number of images is known."""
+    """Return None, a placeholder for the default until the number of images is known."""
     return None
 
 
@@ -47,60 +47,61 @@ def _by_default() -> Any:
 class Problem(Displayed):
     """A bundle adjustment problem.
 
-    Poses, camera models and parameters, points and observations are required; all else has a
-    default. Arrays are C-contiguous and immutable. An immutable array, such as one of another
-    problem, is shared; others are copied.
+    Poses, camera models and parameters, points and observations are required; all other fields have
+    defaults. Arrays are C-contiguous and immutable. Immutable arrays, such as arrays of another
+    problem, are shared; other arrays are copied.
 
-    A problem has registered images only: everything else of a reconstruction stays in ``source``
-    and is written back by ``bundle.save``. To edit a problem, make another one with
-    ``dataclasses.replace`` or :meth:`replace`. ``bundle.save`` writes every edit, refuses it, or
-    returns a sentence for what the format cannot hold.
+    A problem has registered images only. Other records of a reconstruction stay in ``source`` and
+    are written back by ``bundle.save``. To edit a problem, create a new one with
+    ``dataclasses.replace`` or :meth:`replace`. ``bundle.save`` writes every edit, raises an error,
+    or returns a sentence on information that the format cannot hold.
 
     Attributes:
         cam_from_world: (num_images, 7) pose of each image, qx qy qz qw tx ty tz, translation in the
             reconstruction's length unit. The quaternion need not be exactly normalised.
         image_ids: (num_images,) ids in the source; from 0 by default, as in BAL.
-        image_names: num_images names; "" (the default) where the source has none.
+        image_names: num_images names; "" (the default) for an image without a name in the source.
         image_camera: (num_images,) index (not id) of each image's camera. By default image i has
-            camera i, or all images have the only camera.
-        rig_from_world: (num_frames, 7) pose of each frame of a rig of several sensors, as
-            cam_from_world; empty (the default) where every image has a pose of its own.
+            camera i; if the problem has one camera, all images have it.
+        rig_from_world: (num_frames, 7) pose of each frame of rigs with several sensors, in the
+            layout of cam_from_world; empty (the default) if every image has its own pose.
         frame_ids: (num_frames,) ids in the source; from 0 by default.
-        frame_rig_ids: (num_frames,) id of the rig of each frame; by default that of its sensors.
-        image_frame: (num_images,) index (not id) of each image's frame, -1 where the pose of the
-            image is its own; empty (the default) where there are no frames.
-        image_sensor: (num_images,) index of each image's sensor, -1 for the reference sensor of its
-            rig and for images without a frame; empty (the default) where there are no frames.
-        sensor_from_rig: (num_sensors, 7) pose of each camera on its rig but of reference sensors,
-            whose pose is the rig's: as cam_from_world, with the rig in place of the world. An image
-            with a frame has cam_from_world = sensor_from_rig * rig_from_world, to a millionth in
-            each entry of the rotation and relative to the larger of the two translations.
-        sensor_rig_ids: (num_sensors,) id of the rig of each sensor in the source.
-        sensor_camera_ids: (num_sensors,) id (not index) of the camera that the sensor is.
+        frame_rig_ids: (num_frames,) rig id of each frame; by default the rig id of its sensors.
+        image_frame: (num_images,) index (not id) of each image's frame; -1 for an image with its
+            own pose; empty (the default) if the problem has no frames.
+        image_sensor: (num_images,) index of each image's sensor; -1 for the reference sensor of its
+            rig and for images without a frame; empty (the default) if the problem has no frames.
+        sensor_from_rig: (num_sensors, 7) pose of each camera on its rig, in the layout of
+            cam_from_world with the rig in place of the world. Reference sensors are left out: their
+            pose is the rig's. An image with a frame has cam_from_world = sensor_from_rig *
+            rig_from_world. The tolerance is 1e-6 in each entry of the rotation, and 1e-6 of the
+            larger of the two translations.
+        sensor_rig_ids: (num_sensors,) rig id of each sensor in the source.
+        sensor_camera_ids: (num_sensors,) camera id (not index) of each sensor.
         camera_ids: (num_cameras,) ids in the source; from 0 by default.
         camera_models: num_cameras COLMAP model names; see ``bundle.camera_models()``.
         camera_params: (num_cameras, width) parameters in COLMAP's order (pixels for focal lengths
             and principal point), rows padded with zeros to the longest model.
-        camera_sizes: (num_cameras, 2) image width and height in pixels, 0 (the default) where
-            unknown.
+        camera_sizes: (num_cameras, 2) image width and height in pixels; 0 (the default) if unknown.
         points: (num_points, 3) world coordinates in the reconstruction's length unit.
         point_ids: (num_points,) ids in the source; from 0 by default.
         observation_image: (num_observations,) image index (not id) of each observation.
         observation_point: (num_observations,) point index (not id) of each observation.
-        observation_xy: (num_observations, 2) measured position in pixels, the origin in the upper
-            left corner of the upper left pixel (BAL: in the principal point), x right, y down.
+        observation_xy: (num_observations, 2) measured position in pixels, x right, y down. The
+            origin is the upper left corner of the upper left pixel (BAL: the principal point).
         observation_keypoint: (num_observations,) index of the observation among the keypoints of
-            its image in the source; -1 (the default) where it is none of them.
+            its image in the source; -1 (the default) if the source has no such keypoint.
         observation_sigma: (num_observations,) standard deviation of each measured position, in
-            pixels, or None (the default): 1 each. A solve divides the residual r by it, before the
-            loss: its cost is 1/2 sum rho(||r / sigma||^2), and ``loss_scale`` is in sigmas.
-            Statistics of reprojection errors stay in pixels. No file format stores it.
+            pixels; None (the default) means 1 for all. A solve divides the residual r by sigma
+            before it applies the loss: the cost is 1/2 sum rho(||r / sigma||^2), and ``loss_scale``
+            is in sigmas. Statistics of reprojection errors stay in pixels. No file format stores
+            sigmas.
         format: "bal", "colmap" or "memory" (the default): origin of the problem. It determines the
-            defaults of ``gauge`` and, with the camera models, of ``cheirality``, and the format of
-            ``bundle.save`` where the path leaves it open.
-        source: the data that was read, kept so that writing back loses nothing: a
-            pycolmap.Reconstruction for COLMAP models, the rotations of the file for BAL, None (the
-            default) for problems from memory. It is never modified.
+            defaults of ``gauge`` and, with the camera models, of ``cheirality``. It is also the
+            output format of ``bundle.save`` if the path does not decide it.
+        source: the data that was read, kept for writing without loss: a pycolmap.Reconstruction for
+            COLMAP models, the rotations of the file for BAL, None (the default) for problems from
+            memory. It is never modified.
 
     Raises:
         InputError: an array has the wrong shape or type, holds a value that is not finite, an index
@@ -193,19 +194,19 @@ class Problem(Displayed):
 
     @property
     def projection_centers(self) -> NDArray[np.float64]:
-        """(num_images, 3) position of each camera in the world, in its length unit: -R(q)^T t."""
+        """(num_images, 3) camera positions -R(q)^T t in the world, in its length unit."""
         axis, w = -self.cam_from_world[:, :3], self.cam_from_world[:, 3:4]
         back = -self.cam_from_world[:, 4:]
-        # The conjugate turns back; v + 2 w (u x v) + 2 u x (u x v) for a quaternion of norm 1.
+        # Rotate by the conjugate: v + 2 w (u x v) + 2 u x (u x v) for a quaternion of norm 1.
         scale = 2 / (self.cam_from_world[:, :4] ** 2).sum(axis=1, keepdims=True)
         cross = np.cross(axis, back)
         centers: NDArray[np.float64] = back + scale * (w * cross + np.cross(axis, cross))
         return centers
 
     def check_padding(self) -> None:
-        """Raise an InputError for numbers beyond a camera's parameters, which no file can store.
+        """Raise an InputError for nonzero padding in ``camera_params``, which no file can store.
 
-        They remain where a model with fewer parameters replaced another one.
+        Such numbers remain if a camera model was replaced by one with fewer parameters.
         """
         models = camera_models()
         lengths = np.array([len(models[name]) for name in self.camera_models], dtype=np.int64)
@@ -233,8 +234,8 @@ class Problem(Displayed):
         """Return a copy with some arrays replaced; the others are shared, not copied.
 
         If frames or sensors of rigs change and ``cam_from_world`` is not given, it is recomputed
-        for the images that move. A ``cam_from_world`` that contradicts the rigs is refused: to move
-        images of rigs, replace ``rig_from_world`` or ``sensor_from_rig``.
+        for the images that move. A ``cam_from_world`` that contradicts the rigs raises an error. To
+        move images of rigs, replace ``rig_from_world`` or ``sensor_from_rig``.
         """
         poses = rig_arrays.recomputed_poses(self, changes)
         if poses is not None:
@@ -249,18 +250,20 @@ class Problem(Displayed):
         points: ArrayLike | None = None,
         observations: ArrayLike | None = None,
     ) -> Selection:
-        """Return a problem of some images, cameras, points and observations, and the way back.
+        """Return a sub-problem with some images, cameras, points and observations.
 
-        An observation is selected if it, its image and its point are.
+        The result can also put refined values back into this problem. An observation is selected if
+        its own mask, its image and its point are selected.
 
         Args:
-            images: mask, or indices in any order; None: all, as for the others.
-            cameras: those of the images among them.
-            points: likewise.
-            observations: likewise.
+            images: mask, or indices in any order; None: all.
+            cameras: as ``images``, for cameras; must include the cameras of the selected images.
+            points: as ``images``, for points.
+            observations: as ``images``, for observations.
 
         Raises:
-            InputError: no mask and no indices, or the camera of an image is missing.
+            InputError: an argument is neither a mask nor indices, or the camera of a selected image
+                is missing.
 
         Example:
             >>> near = problem.select(points=problem.points[:, 2] < 10)
@@ -271,32 +274,32 @@ class Problem(Displayed):
         )
 
     def without_rigs(self) -> Self:
-        """Return a copy in which each image has a pose of its own, with the same value."""
+        """Return a copy without rigs in which each image has its own pose, with the same value."""
         return self.replace(**dict.fromkeys(rig_arrays.DTYPES))
 
     def _moved(self, **state: Any) -> Self:
-        """Return a copy with other arrays, which are immutable and valid already."""
+        """Return a copy with other arrays, which must be immutable and valid."""
         moved = object.__new__(type(self))
         vars(moved).update(vars(self), **state)
         return moved
 
     @staticmethod
     def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
-        """Make a problem of the registered images of a reconstruction; its source is a copy.
+        """Make a problem from the registered images of a reconstruction; keep a copy as source.
 
         Raises:
-            InputError: a camera with images has no sensor_from_rig, or references do not resolve.
+            InputError: a camera with images has no sensor_from_rig, or references are invalid.
         """
         from bundle.model.pycolmap.reconstruction import fields_of
 
         return Problem(**fields_of(reconstruction))
 
     def to_pycolmap(self) -> pycolmap.Reconstruction:
-        """Return a reconstruction: a copy of the source with the numbers of this problem in it.
+        """Return a reconstruction: a copy of the source with the values of this problem.
 
-        The errors of points are recomputed; ``observation_sigma`` is lost. A problem that did not
-        come from COLMAP gives a new reconstruction, with a trivial rig and frame for each image
-        without a rig.
+        The errors of points are recomputed; ``observation_sigma`` is lost. A problem that does not
+        come from COLMAP gives a new reconstruction. In it, each image without a rig gets a trivial
+        rig and frame.
         """
         from bundle.model.pycolmap.write_back import to_pycolmap
 
@@ -324,7 +327,7 @@ class Problem(Displayed):
 
 
 class _Source:
-    """The field ``source``, which becomes a reconstruction on first access."""
+    """Descriptor of the field ``source``; converts it to a reconstruction on first access."""
 
     def __get__(self, problem: Problem | None, owner: type[Problem]) -> Any:
         if problem is None:

@@ -1,7 +1,7 @@
 """The arrays of a problem as a protocol.
 
-Modules that :class:`bundle.Problem` imports (defaults of fields, rigs, records of COLMAP's files)
-use this protocol in place of the class, which documents each array.
+:class:`bundle.Problem` documents each array. The modules that it imports (defaults of fields, rigs,
+records of COLMAP's files) use this protocol instead of the class.
 """
 
 from __future__ import annotations
@@ -79,4 +79,4 @@ class ProblemArrays(Protocol):
     def num_sensors(self) -> int: ...  # noqa: D102
 
     def check_padding(self) -> None:
-        """Raise an InputError for numbers beyond the parameters of a camera."""
+        """Raise an InputError for nonzero padding in ``camera_params``."""

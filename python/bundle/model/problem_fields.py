@@ -1,4 +1,4 @@
-"""Types and defaults of the fields of a problem, and the checks that the core does not make."""
+"""Types and defaults of a problem's fields, and the checks that are not in the C++ core."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bundle.model.problem_arrays import ProblemArrays
 
 __all__ = ["DTYPES", "check_values", "default", "sigmas_or_none", "strings"]
 
-# Fields without a default first: the defaults of others depend on their lengths.
+# Fields without a default come first, because the defaults of others depend on their lengths.
 DTYPES: dict[str, type] = {
     "cam_from_world": np.float64,
     "camera_params": np.float64,
@@ -31,7 +31,7 @@ DTYPES: dict[str, type] = {
     **rig_arrays.DTYPES,
 }
 
-# Fields with a default, and the count that is their length.
+# Fields with a default, and the count that gives their length.
 _ONE_FOR_EACH = {
     "image_ids": "num_images",
     "image_camera": "num_images",
@@ -43,7 +43,7 @@ _ONE_FOR_EACH = {
 
 
 def default(problem: ProblemArrays, name: str) -> NDArray[Any]:
-    """Return the default of an array; the arrays that it depends on are set."""
+    """Return the default of an array; the arrays on which it depends must be set."""
     if name in rig_arrays.DTYPES:
         return rig_arrays.default(problem, name)
     if name not in _ONE_FOR_EACH:

@@ -20,11 +20,11 @@ KINDS = ("image", "camera", "point", "frame", "sensor")
 
 
 class ProblemKeys:
-    """A table from keys to variables of a problem.
+    """Table from keys to variables of a problem.
 
     Args:
         problem: problem with the variables.
-        kinds: first members that a key may have.
+        kinds: allowed first elements of a key.
         what: role of a key for the caller, in messages.
     """
 
@@ -38,7 +38,7 @@ class ProblemKeys:
         """Return the kind of a key and its index in the problem's arrays.
 
         Raises:
-            InputError: it is no such key, or the problem does not have the variable.
+            InputError: the key is invalid, or the problem does not have the variable.
         """
         if (
             not isinstance(key, tuple)
@@ -85,7 +85,7 @@ def parameter_names(argument: str, problem: Problem, camera: int) -> tuple[str, 
     """Return the names of a camera's parameters, by its index.
 
     Raises:
-        InputError: its model is not supported.
+        InputError: the camera's model is not supported.
     """
     model = problem.camera_models[camera]
     names = camera_models().get(model)
@@ -97,10 +97,10 @@ def parameter_names(argument: str, problem: Problem, camera: int) -> tuple[str, 
 
 
 def touched_ids(factors: Iterable[Any]) -> dict[str, list[Any]]:
-    """Return the ids of the variables of factors by kind; keys of no kind are left out."""
+    """Return the ids of the variables of factors by kind; keys of unknown kind are left out."""
     touched: dict[str, list[Any]] = {kind: [] for kind in KINDS}
     keys: list[Any] = [key for factor in factors for key in factor.keys]
     for key in keys:
-        if isinstance(key, tuple) and len(key) == 2 and key[0] in KINDS:  # else refused later
+        if isinstance(key, tuple) and len(key) == 2 and key[0] in KINDS:  # others: error later
             touched[key[0]].append(key[1])
     return touched

@@ -1,18 +1,19 @@
 """Triangulation angles of points: the largest angle over all pairs of rays, against a limit.
 
-The angle of two rays is that of the lines along them, min(a, 180 - a) degrees (COLMAP,
+The angle of two rays is the angle of the lines along them, min(a, 180 - a) degrees (COLMAP,
 ``CalculateTriangulationAngle``): rays from opposite sides determine a point as badly as parallel
-ones. With unit rays u and v it is arcsin |u x v|, accurate also where it is tiny, and it is the
-metric of the projective plane: the triangle inequality holds. That decides nearly every point of n
-rays in O(n), each step for the points that the one before has left:
+rays. With unit rays u and v it is arcsin |u x v|, which is accurate also for tiny angles. It is the
+metric of the projective plane, so the triangle inequality holds. The following steps decide nearly
+every point with n rays in O(n). Each step handles the points that the previous steps left
+undecided:
 
-1. the first and the last ray enclose the limit: kept;
-2. a ray encloses the limit with the first one: kept;
-3. all rays are within less than half of the limit of the first one: removed;
-4. a ray encloses the limit with the ray f that is farthest from the first one: kept;
-5. all rays are within less than half of the limit of the line midway between f and the ray that is
-   farthest from f: removed;
-6. all pairs are looked at, a million at a time.
+1. The first and the last ray enclose at least the limit: keep the point.
+2. Some ray encloses at least the limit with the first ray: keep.
+3. All rays are closer than half the limit to the first ray: remove.
+4. Let f be the ray farthest from the first. Some ray encloses at least the limit with f: keep.
+5. All rays are closer than half the limit to the line midway between f and the ray farthest from
+   f: remove.
+6. Test all pairs, a million at a time.
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ _Vectors = tuple[_Array, _Array, _Array]
 
 
 def enclose_angle(problem: Problem, observations: _Indices, min_angle: float) -> _Mask:
-    """Return a mask of the points of which two rays enclose at least an angle.
+    """Return a mask of the points that have two rays that enclose at least ``min_angle``.
 
     Args:
         problem: poses, points and observations.
-        observations: indices of observations that count; a point with fewer than two fails.
-        min_angle: degrees, from above 0 to 90.
+        observations: indices of the observations to use; a point with fewer than two fails.
+        min_angle: smallest accepted angle in degrees, above 0, at most 90.
 
     Returns:
         (num_points,)
@@ -68,41 +69,41 @@ def enclose_angle(problem: Problem, observations: _Indices, min_angle: float) ->
 
 
 def _runs(begin: _Indices, lengths: _Indices) -> tuple[_Indices, _Indices]:
-    """Return the positions in some runs, concatenated, and the begin of each run among them."""
+    """Return the concatenated positions of some runs, and where each run begins in the result."""
     begins = np.cumsum(lengths) - lengths
     return np.arange(lengths.sum()) + np.repeat(begin - begins, lengths), begins
 
 
 @dataclass(frozen=True)
 class _Rays:
-    """Unit rays by point: those of point k are begin[k] ... begin[k] + lengths[k] - 1."""
+    """Unit rays, grouped by point: point k has rays begin[k] to begin[k] + lengths[k] - 1."""
 
     xyz: _Vectors
     begin: _Indices
     lengths: _Indices
 
     def of(self, mask: _Mask) -> _Rays:
-        """Return the rays of some points."""
+        """Return the rays of the points in a mask."""
         places, begin = _runs(self.begin[mask], self.lengths[mask])
         return _Rays(self.at(places), begin, self.lengths[mask])
 
     def at(self, places: _Indices) -> _Vectors:
-        """Return the rays at some places."""
+        """Return the rays at some positions."""
         x, y, z = self.xyz
         return x[places], y[places], z[places]
 
     def squared_sines(self, lines: _Vectors) -> _Array:
-        """Return sin^2 of each ray and the line of its point."""
+        """Return sin^2 of the angle between each ray and its point's line in ``lines``."""
         x, y, z = (np.repeat(values, self.lengths) for values in lines)
         return _squared_sines(self.xyz, (x, y, z))
 
     def largest(self, values: _Array) -> _Array:
-        """Return the largest of the values of each point's rays."""
+        """Return the largest value for each point, from one value per ray."""
         result: _Array = np.maximum.reduceat(values, self.begin)
         return result
 
     def farthest(self, values: _Array, largest: _Array) -> _Indices:
-        """Return the place of the first ray of each point that has the largest value."""
+        """Return, for each point, the position of the first ray with the largest value."""
         hits = np.flatnonzero(values == np.repeat(largest, self.lengths))
         return hits[np.searchsorted(hits, self.begin)]
 
@@ -126,9 +127,9 @@ def _squared_sines(a: _Vectors, b: _Vectors) -> _Array:
 
 
 def _enclose(rays: _Rays, angle: float) -> _Mask:
-    """Return a mask of the runs in which some pair of rays encloses the angle in radians."""
+    """Return a mask of the points with a pair of rays that encloses the angle [rad]."""
     limit, half = np.sin(angle) ** 2, np.sin(angle / 2) ** 2
-    # 2, 3: the first ray.
+    # Steps 2 and 3: the first ray.
     sines = rays.squared_sines(rays.at(rays.begin))
     largest = rays.largest(sines)
     kept: _Mask = largest >= limit
@@ -137,30 +138,30 @@ def _enclose(rays: _Rays, angle: float) -> _Mask:
         return kept
     farthest = (rays.farthest(sines, largest) - rays.begin)[open_]
     rest = rays.of(open_)
-    # 4: the ray farthest from it.
+    # Step 4: the ray farthest from the first.
     first = rest.at(rest.begin + farthest)
     sines = rest.squared_sines(first)
     largest = rest.largest(sines)
     decided = largest >= limit
-    # 5: the line midway.
+    # Step 5: the line midway.
     second = rest.at(rest.farthest(sines, largest))
     sign = np.where(sum(a * b for a, b in zip(first, second, strict=True)) < 0, -1.0, 1.0)
     x, y, z = (a + sign * b for a, b in zip(first, second, strict=True))
     norm = np.sqrt(x * x + y * y + z * z)
     radius = rest.largest(rest.squared_sines((x / norm, y / norm, z / norm)))
     undecided = ~decided & (radius >= half)
-    # 6: all pairs.
+    # Step 6: all pairs.
     decided[undecided] = _all_pairs(rest.of(undecided), limit)
     kept[open_] = decided
     return kept
 
 
 def _all_pairs(rays: _Rays, limit: float) -> _Mask:
-    """Return a mask of the points of which sin^2 of some pair of rays reaches the limit."""
+    """Return a mask of the points with a pair of rays whose sin^2 reaches the limit."""
     kept = np.zeros(len(rays.begin), bool)
     run = np.repeat(np.arange(len(rays.begin)), rays.lengths)
     place = np.arange(len(run))
-    later = rays.begin[run] + rays.lengths[run] - 1 - place  # rays after this one, of its point
+    later = rays.begin[run] + rays.lengths[run] - 1 - place  # later rays of the same point
     ends = np.cumsum(later)
     low = 0
     while low < len(place):

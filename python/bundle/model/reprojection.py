@@ -28,11 +28,11 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class ReprojectionError:
-    """Reprojection errors ||r|| over the observations that have one, in pixels.
+    """Statistics of the reprojection errors ||r|| in pixels.
 
-    ``rmse`` is sqrt(mean ||r||^2). Observations behind their camera, and those whose projection
-    does not exist, are counted and, unless ``cheirality`` is "algebraic", left out of the
-    statistics. Every number is NaN where there is no observation.
+    ``rmse`` is sqrt(mean ||r||^2). Observations behind their camera, and observations whose
+    projection does not exist, are counted separately. Unless ``cheirality`` is "algebraic", the
+    statistics leave them out. All statistics are NaN if they include no observation.
     """
 
     rmse: float
@@ -45,15 +45,15 @@ class ReprojectionError:
 
 
 class Linearization(NamedTuple):
-    """Residuals and their derivatives, one row an observation.
+    """Residuals and their derivatives, one row per observation.
 
     Attributes:
         residual: (N, 2) projection minus measurement, in pixels.
-        d_pose: (N, 2, 6) by the pose (w, t) of the observation's image, where the rotation is
-            Exp(w) R with R that of the problem, w in radians, t in the length unit.
-        d_params: (N, 2, width) by the parameters of the camera, in COLMAP's order, zero beyond
-            those of its model.
-        d_point: (N, 2, 3) by the point.
+        d_pose: (N, 2, 6) derivative by the pose (w, t) of the observation's image. The rotation is
+            Exp(w) R, where R is the rotation in the problem; w in radians, t in the length unit.
+        d_params: (N, 2, width) derivative by the parameters of the camera, in COLMAP's order; zero
+            in columns beyond the parameters of its model.
+        d_point: (N, 2, 3) derivative by the point.
     """
 
     residual: NDArray[np.float64]
@@ -63,10 +63,10 @@ class Linearization(NamedTuple):
 
 
 def resolve_cheirality(problem: Problem, cheirality: str) -> str:
-    """Return the cheirality that "auto" stands for in this problem.
+    """Return the cheirality that "auto" means for this problem.
 
-    "algebraic" for BAL, and if the formula of every lens is defined beyond 90 degrees; "zero" if
-    that of none is; "auto" if it depends on the lens or the angle: the core decides.
+    "algebraic" for BAL, and if every lens formula is defined beyond 90 degrees. "zero" if no lens
+    formula is. "auto" if it depends on the lens or the angle; then the core decides.
 
     Raises:
         InputError: the cheirality is unknown.
@@ -86,7 +86,7 @@ def resolve_cheirality(problem: Problem, cheirality: str) -> str:
 def reprojection_errors(
     problem: Problem, *, cheirality: str = "auto", num_threads: int = 0
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return errors and mask of :func:`bundle.reprojection_errors`, which takes paths, too."""
+    """Return errors and mask as :func:`bundle.reprojection_errors`, which also takes paths."""
     cheirality = choice("cheirality", cheirality, CHEIRALITIES)
     num_threads = number("num_threads", num_threads, minimum=0, whole=True)
     return _core.reprojection_errors(problem, num_threads, cheirality)
@@ -107,7 +107,10 @@ def reprojection_error(
 def counted_errors(
     errors: NDArray[np.float64], behind: NDArray[np.bool_], cheirality: str
 ) -> NDArray[np.bool_]:
-    """Return a mask of the errors that count; `cheirality` is the resolved one of `behind`."""
+    """Return a mask of the errors that count.
+
+    `cheirality` is the resolved value with which `behind` was computed.
+    """
     counted = ~np.isnan(errors)
     if cheirality != "algebraic":
         counted &= ~behind
@@ -119,7 +122,7 @@ def summarize_errors(
 ) -> ReprojectionError:
     """Return statistics of the output of `reprojection_errors`; the errors are reordered.
 
-    `cheirality` is the resolved one that `behind` belongs to.
+    `cheirality` is the resolved value with which `behind` was computed.
     """
     counted = counted_errors(errors, behind, cheirality)
     if not counted.all():
@@ -134,7 +137,7 @@ def summarize_errors(
                 "mean": float(errors.mean()),
                 "max": float(errors.max()),
             }
-        # Last, as quantiles reorder the errors.
+        # Quantiles come last because they reorder the errors.
         statistics["median"], statistics["p95"] = _quantiles(errors, [0.5, 0.95])
     return ReprojectionError(
         **statistics, num_observations=len(errors), num_behind_camera=int(behind.sum())
@@ -164,11 +167,11 @@ def between(low: float, high: float, share: float) -> float:
 def linearize(
     problem: Problem, cheirality: str = "auto", *, rotation_offsets: ArrayLike | None = None
 ) -> Linearization:
-    """Return residuals and analytic Jacobians of all observations, those of a solve.
+    """Return the residuals and analytic Jacobians of all observations, as used in a solve.
 
     Args:
-        problem: values at which to evaluate.
-        cheirality: as in a solve; observations that do not count are zero.
+        problem: the problem; the evaluation is at its values.
+        cheirality: as in a solve; rows of observations that do not count are zero.
         rotation_offsets: (num_images, 3) values of w at which to evaluate; 0 by default.
 
     Raises:

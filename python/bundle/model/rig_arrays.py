@@ -1,11 +1,11 @@
 """Rigs of several sensors: poses of their images, defaults and checks of their arrays.
 
-A frame is a rig at one time. Sensor s of the rig took an image in frame f at
+A frame is a rig at one time. An image of sensor s in frame f has the pose
 
     cam_from_world = sensor_from_rig[s] * rig_from_world[f],    R = R_s R_f,  t = R_s t_f + t_s,
 
-and the rig's reference sensor at rig_from_world itself. The pose of such an image is therefore no
-variable of its own: to move it, move its frame or its sensor.
+and an image of the rig's reference sensor has the pose rig_from_world. The pose of such an image is
+therefore not an independent variable: to change it, change the pose of its frame or its sensor.
 """
 
 from __future__ import annotations
@@ -46,27 +46,27 @@ DTYPES: dict[str, type] = {
     "sensor_rig_ids": np.int64,
     "sensor_camera_ids": np.int64,
     "image_sensor": np.int32,
-    "frame_rig_ids": np.int64,  # the last: its default depends on the others
+    "frame_rig_ids": np.int64,  # last, because its default depends on the others
 }
-"""The fields of a problem for rigs, in an order in which their defaults can be computed."""
+"""Fields of a problem for rigs, in an order in which their defaults can be computed."""
 
 TOLERANCE = 1e-6
-"""Largest difference of a pose from that of its rig: in entries of the rotation, and of the
-translation relative to the larger one of frame and sensor. The poses of rigs are used; files round
-those of images."""
+"""Largest allowed difference between an image's pose and the pose computed from its rig: in entries
+of the rotation, and in the translation relative to the larger translation of frame and sensor. The
+poses of rigs are used, because files round the poses of images."""
 
 
 # The caller checks the poses.
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
 def compose(sensor_from_rig: _Poses, rig_from_world: _Poses) -> _Poses:
-    """Return (n, 7) poses of the cameras of (n, 7) sensors on rigs at (n, 7) poses."""
+    """Return cam_from_world, (n, 7), from sensor_from_rig and rig_from_world, (n, 7) each."""
     return multiply_poses(unit_poses(sensor_from_rig), unit_poses(rig_from_world))
 
 
 def placed(fields: Mapping[str, Any]) -> _Poses:
-    """Return cam_from_world of a problem's fields; images with a frame get the pose of their rig.
+    """Return cam_from_world from a problem's fields; poses of images with a frame are computed.
 
-    An image of a reference sensor gets the pose of its frame, bit for bit.
+    An image of a reference sensor gets exactly the pose of its frame, bit for bit.
     """
     poses: _Poses = fields["cam_from_world"]
     images = np.flatnonzero(fields["image_frame"] >= 0)
@@ -84,7 +84,7 @@ def placed(fields: Mapping[str, Any]) -> _Poses:
 def pose_differences(
     poses: _Poses, others: _Poses
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Return angles [rad] and shifts of the centres between poses (n, 7) and others.
+    """Return the angles [rad] and the distances of the centres between poses (n, 7) and others.
 
     The last value is the largest distance of a centre from the origin.
     """
@@ -96,9 +96,10 @@ def pose_differences(
 
 
 def recomputed_poses(problem: ProblemArrays, changes: Mapping[str, Any]) -> _Poses | None:
-    """Return cam_from_world after changes of rigs; None if it is given, or arrays are invalid.
+    """Return cam_from_world after changes of rigs.
 
-    Poses of images whose frame and sensor do not move keep their bits.
+    None if the changes contain cam_from_world, or arrays are invalid. Poses of images whose frame
+    and sensor do not change keep their bits.
     """
     names = ("rig_from_world", "sensor_from_rig", "image_frame", "image_sensor")
     given = [name for name in names if changes.get(name) is not None]
@@ -116,14 +117,14 @@ def recomputed_poses(problem: ProblemArrays, changes: Mapping[str, Any]) -> _Pos
         poses = placed(after)
         moved = _differ(before, after)
     except (TypeError, ValueError, IndexError):
-        return None  # the checks of the new problem name the error
+        return None  # the checks of the new problem raise the error
     if not np.isfinite(poses).all():
         return None
     return np.where(moved[:, None], poses, problem.cam_from_world)
 
 
 def default(problem: ProblemArrays, name: str) -> NDArray[Any]:
-    """Return the default of a field; fields before it in DTYPES are set.
+    """Return the default of a field; fields before it in DTYPES must be set.
 
     Raises:
         InputError: the field has no default.
@@ -145,10 +146,10 @@ def default(problem: ProblemArrays, name: str) -> NDArray[Any]:
 
 
 def settle(problem: ProblemArrays) -> None:
-    """Drop rows of -1 where there are no frames.
+    """Replace index arrays that contain only -1 by empty arrays if the problem has no frames.
 
     Raises:
-        InputError: there are sensors or indices of sensors, but no frames.
+        InputError: the problem has sensors or indices of sensors, but no frames.
     """
     if len(problem.rig_from_world):
         return
@@ -171,7 +172,7 @@ def settle(problem: ProblemArrays) -> None:
 
 
 def check(problem: ProblemArrays) -> None:
-    """Check that frames, sensors and rigs are consistent; the core checks the rest.
+    """Check that frames, sensors and rigs are consistent; the core checks all other fields.
 
     Raises:
         InputError: a rig does not have the sensors of its frames, a sensor has two images in a
@@ -207,7 +208,7 @@ def check(problem: ProblemArrays) -> None:
 
 
 def rig_of_image(problem: ProblemArrays) -> NDArray[np.int64]:
-    """Return (num_images,) ids of the images' rigs, -1 where an image has a pose of its own."""
+    """Return (num_images,) ids of the images' rigs; -1 for an image without a frame."""
     rig = np.full(problem.num_images, -1, np.int64)
     if problem.num_frames:
         images = problem.image_frame >= 0
@@ -233,7 +234,7 @@ def reference_cameras(problem: ProblemArrays) -> dict[int, int]:
 
 
 def _differ(before: Mapping[str, Any], after: Mapping[str, Any]) -> NDArray[np.bool_]:
-    """Return a mask of images whose frame or whose pose on the rig has changed."""
+    """Return a mask of images whose rig_from_world or sensor_from_rig has changed."""
     differ: NDArray[np.bool_] = np.zeros(len(before["cam_from_world"]), bool)
     for poses, rows in (("rig_from_world", "image_frame"), ("sensor_from_rig", "image_sensor")):
         old, new = before[rows], after[rows]
@@ -244,7 +245,7 @@ def _differ(before: Mapping[str, Any], after: Mapping[str, Any]) -> NDArray[np.b
 
 
 def _rigs_of_frames(problem: ProblemArrays) -> NDArray[np.int64]:
-    """Return the rig of each frame: that of its sensors, the only rig, or that of its camera."""
+    """Return the rig of each frame: the rig of its sensors, the only rig, or its camera's rig."""
     num_frames = len(problem.rig_from_world)
     rig = np.full(num_frames, -1, np.int64)
     if not num_frames or problem.image_frame.shape != (problem.num_images,):
@@ -278,7 +279,7 @@ def _rigs_of_frames(problem: ProblemArrays) -> NDArray[np.int64]:
 
 
 def _check_poses(problem: ProblemArrays, images: Any) -> None:
-    """Check that images have the poses of their rigs, up to the rounding of files."""
+    """Check that the poses of images match those of their rigs, up to the rounding of files."""
     names = ("cam_from_world", "image_frame", "image_sensor", "rig_from_world", "sensor_from_rig")
     expected = placed({name: getattr(problem, name) for name in names})[images]
     given = problem.cam_from_world[images]
@@ -316,7 +317,7 @@ def _check_once(problem: ProblemArrays, images: Any) -> None:
 
 
 def _check_references(problem: ProblemArrays, images: Any, rig: NDArray[np.int64]) -> None:
-    """Check that a rig's reference sensor has images of one camera, which no other sensor is."""
+    """Check that a rig's reference sensor is one camera, and that no other sensor has it."""
     by_reference = problem.image_sensor[images] < 0
     cameras = problem.camera_ids[problem.image_camera[images[by_reference]]]
     reference: dict[int, int] = {}

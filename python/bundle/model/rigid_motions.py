@@ -25,16 +25,16 @@ def inverse_poses(poses: Array) -> Array:
 
 
 def multiply_poses(a: Array, b: Array) -> Array:
-    """Return the motions (n, 7) b, then a, of poses with unit quaternions."""
+    """Return the products a b (n, 7), motion b first, then a; quaternions are unit."""
     turned = quaternion_multiply(a[:, :4], b[:, :4])
     return np.hstack([turned, quaternion_rotate(a[:, :4], b[:, 4:]) + a[:, 4:]])
 
 
 def multiply_as_colmap(a: Array, b: Array) -> Array:
-    """Return the motions (n, 7) b, then a, to the last bit as COLMAP computes them.
+    """Return the products a b (n, 7), motion b first, then a, bit for bit as in COLMAP.
 
-    The operations and their order are those of Eigen's quaternions on x86-64: the product is
-    normalised; the rotation of the vector uses the quaternion without normalising it.
+    The operations and their order are those of Eigen's quaternions on x86-64. The product of the
+    quaternions is normalised; the quaternion that rotates the vector is not.
     """
     x, y, z, w = a.T[:4]
     bx, by, bz, bw = b.T[:4]

@@ -1,7 +1,7 @@
 """Rotations of many images at once, as matrices and as COLMAP's quaternions.
 
-Every product is written out element by element: BLAS would give other last bits on other machines,
-and with them another scene for the same seed.
+Every product is written element by element. BLAS would give different last bits on different
+machines, and therefore a different scene for the same seed.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def look_along(forward: Array, roll: Array) -> Array:
 def quaternion_from_matrix(matrix: Array) -> Array:
     """Return unit quaternions (N, 4) as qx qy qz qw, qw >= 0, of rotation matrices (N, 3, 3)."""
     m = matrix
-    # Four times the products of the components; the row of the largest component divides safely.
+    # Entries are 4 q_i q_j. Dividing the row of the largest component by it is numerically safe.
     xx = 1 + m[:, 0, 0] - m[:, 1, 1] - m[:, 2, 2]
     yy = 1 - m[:, 0, 0] + m[:, 1, 1] - m[:, 2, 2]
     zz = 1 - m[:, 0, 0] - m[:, 1, 1] + m[:, 2, 2]
@@ -99,7 +99,7 @@ def inverse_jacobian_coefficient(angle: Array) -> Array:
 
 
 def quaternion_multiply(a: Array, b: Array) -> Array:
-    """Return the quaternions (N, 4) of the rotations b, then a."""
+    """Return the products a b (N, 4): rotation b first, then a."""
     w = a[:, 3:] * b[:, 3:] - dot(a[:, :3], b[:, :3])[:, None]
     v = a[:, 3:] * b[:, :3] + b[:, 3:] * a[:, :3] + np.cross(a[:, :3], b[:, :3])
     return np.concatenate([v, w], axis=1)

@@ -1,11 +1,12 @@
-"""A selection of a problem: some of its images, cameras, points and observations, and the way back.
+"""Selections: sub-problems with some images, cameras, points and observations of a problem.
 
-The rows that are selected keep their order and their ids; indices are those of the selection. An
-observation is selected if it, its image and its point are. With images come the frames that have
-one of them, and all sensors of the rigs of these frames.
+Refined values of a selection can be put back into the original problem. Selected rows keep their
+order and their ids; indices refer to the rows of the selection. An observation is selected if its
+mask, its image and its point are selected. The frames of selected images, and all sensors of the
+rigs of these frames, are selected too.
 
-No value is checked again: it was when the problem was made. Where images or cameras are left out, a
-selection is no longer what a file had: it has no source, and its observations are no keypoints.
+Values are not checked again, because the original problem was checked. If images or cameras are
+left out, a selection has no source and its observations have no keypoint indices.
 """
 
 from __future__ import annotations
@@ -30,16 +31,16 @@ _Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Selection:
-    """A problem of its own, and the rows of the whole that it consists of.
+    """A sub-problem, and the rows of the original problem that it contains.
 
     Attributes:
-        problem: with the ids of the whole; the whole itself if all is selected.
-        images: indices in the whole, ascending, as all others.
-        cameras: likewise.
-        points: likewise.
-        observations: likewise.
-        frames: likewise.
-        sensors: likewise.
+        problem: the sub-problem, with the original ids; the original problem if all is selected.
+        images: indices of the selected images in the original problem, ascending.
+        cameras: as ``images``, for cameras.
+        points: as ``images``, for points.
+        observations: as ``images``, for observations.
+        frames: as ``images``, for frames.
+        sensors: as ``images``, for sensors.
     """
 
     problem: Problem
@@ -51,7 +52,7 @@ class Selection:
     sensors: _Indices
 
     def restricted(self, observations: _Mask, points: _Mask) -> Selection:
-        """Return what masks of this selection leave of its observations and points."""
+        """Return a selection with those observations and points of this one that masks keep."""
         left = select(self.problem, points=points, observations=observations)
         return replace(
             self,
@@ -70,19 +71,19 @@ class Selection:
         cameras: _Mask | None = None,
         points: _Mask | None = None,
     ) -> Problem:
-        """Return the whole with the values that a selection of it has now.
+        """Return the original problem with refined values of the selection inserted.
 
         Args:
-            whole: what was selected from.
-            refined: the selection's problem at other values.
-            images: mask of the selection's images whose poses are put back; None: all.
-            frames: likewise.
-            cameras: likewise.
-            points: likewise.
+            whole: the original problem.
+            refined: the sub-problem with new values.
+            images: mask of the selected images whose poses are inserted; None: all.
+            frames: as ``images``, for the poses of frames.
+            cameras: as ``images``, for the parameters of cameras.
+            points: as ``images``, for the coordinates of points.
         """
 
         def put(name: str, rows: _Indices, chosen: _Mask | None) -> NDArray[Any]:
-            """Return values of the whole, those of some rows replaced."""
+            """Return an array of the original problem with some rows replaced."""
             mask = np.ones(len(rows), bool) if chosen is None else chosen
             values: NDArray[Any] = getattr(whole, name).copy()
             values[rows[mask]] = getattr(refined, name)[mask]
@@ -129,7 +130,7 @@ def select(
             state[name] = freeze(getattr(whole, name).take(rows, axis=0))
 
     def renumber(name: str, rows: _Indices, count: int) -> None:
-        """Replace indices in the whole by those in the selection; -1 stays."""
+        """Replace indices in the original problem by indices in the selection; -1 stays."""
         place = np.full(count + 1, -1, np.int32)
         place[rows] = np.arange(len(rows), dtype=np.int32)
         state[name] = freeze(place.take(state.get(name, getattr(whole, name))))
@@ -176,7 +177,7 @@ def select(
 
 
 def with_frames(problem: Problem, images: _Mask) -> _Mask:
-    """Return the images, and those that share a frame with one of them."""
+    """Return a mask of the given images and of all images that share a frame with one of them."""
     if not problem.num_frames:
         return images
     frames = problem.image_frame[images]
@@ -187,7 +188,7 @@ def _mask(name: str, given: ArrayLike | None, count: int) -> _Mask | None:
     """Return rows as a mask; None: all of them.
 
     Raises:
-        InputError: a mask of another length, or an index out of range.
+        InputError: the mask has another length, or an index is out of range.
     """
     if given is None:
         return None
@@ -213,7 +214,7 @@ def _rows(mask: _Mask | None, count: int) -> _Indices:
 
 
 def _rigs_of(whole: Problem, images: _Indices) -> tuple[_Indices, _Indices]:
-    """Return the frames of images, and the sensors of rigs that have one of them."""
+    """Return the frames of images, and all sensors of the rigs of these frames."""
     frames = whole.image_frame[images]
     of_images = np.unique(frames[frames >= 0]).astype(np.int64)
     rigs = whole.frame_rig_ids[of_images]

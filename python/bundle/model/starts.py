@@ -18,19 +18,19 @@ from bundle.model.pose_graph_arrays import PoseGraph
 __all__ = ["NAMES", "Start", "choose_start", "lower_start", "start_without_poses", "started"]
 
 FEW, MORE = 5, 30
-"""Steps that starts are compared after."""
+"""Numbers of solver steps after which the costs of starts are compared."""
 
 SLOW = 20
-"""Steps after which a solve is asked whether another start would have served it better."""
+"""Number of steps above which a solve counts as slow and other starts are tried after it."""
 
 SAME = 1e-6
-"""Relative difference of costs below which two solves approach one minimum."""
+"""Relative difference of costs below which two solves are taken to approach the same minimum."""
 
 NOT_LOWER = 1e-6
-"""Relative difference of costs below which another start is no better."""
+"""Relative difference of costs below which another start does not count as better."""
 
 ROUNDING = 1e-12
-"""Rounding of poses, in place of an error that is zero."""
+"""Relative rounding error of poses. It bounds the cost that rounding alone can cause."""
 
 NAMES = {
     "file": "the file's poses",
@@ -48,10 +48,10 @@ class Start:
     """Initial poses.
 
     Attributes:
-        poses: as those of a graph.
+        poses: initial poses, in the layout of ``PoseGraph.poses``.
         init: "file", "odometry", "spanning_tree" or "chordal".
         reason: reason of the choice; "" if the user chose.
-        starts: poses of all starts by name, if they were compared.
+        starts: poses of all starts by name, if several starts were compared.
     """
 
     poses: Floats
@@ -61,7 +61,7 @@ class Start:
 
 
 def start_without_poses(graph: PoseGraph) -> PoseGraph:
-    """Return a graph without poses in its file with those of odometry or a spanning tree."""
+    """Return the graph with poses from odometry or a spanning tree if its file had no poses."""
     held, _, _ = _core.hold_poses(graph)
     joined = _core.odometry_gap(graph)[0] < 0
     init = "odometry" if joined and not graph.fixed.any() else "spanning_tree"
@@ -69,7 +69,7 @@ def start_without_poses(graph: PoseGraph) -> PoseGraph:
 
 
 def started(graph: PoseGraph, held: NDArray[np.bool_], init: str, num_threads: int) -> Start:
-    """Return the start of one kind.
+    """Return the start of the kind ``init``.
 
     Raises:
         InputError: odometry was requested, but consecutive ids have no edge.
@@ -87,17 +87,18 @@ def started(graph: PoseGraph, held: NDArray[np.bool_], init: str, num_threads: i
 
 
 def choose_start(graph: PoseGraph, held: Flags, doubted: Flags, options: PoseGraphOptions) -> Start:
-    """Return the start from which a few steps reach the least cost; on a tie the earliest.
+    """Return the start that reaches the lowest cost in a few steps; on a tie the earliest.
 
-    The initial cost is a poor criterion: a start may be far away, but in the basin of the right
-    minimum. All starts take a few steps; those above the least cost then take more, each from its
-    beginning, so that the comparison is the beginning of the solve.
+    The initial cost is a poor criterion, because a start with a high cost may be in the basin of
+    the right minimum. All starts take a few steps. Those above the lowest cost then take more
+    steps, again from their initial poses, so that they equal the first steps of the solve.
 
     Args:
         graph: the graph, with the information matrices of the solve.
         held: (n,) mask of constant poses.
-        doubted: (m,) mask of edges that the loss applies to.
-        options: of the solve; losses that run several solves are compared without a loss.
+        doubted: (m,) mask of edges to which the loss applies.
+        options: options of the solve. For losses that run several solves, starts are compared
+            without a loss.
     """
     if options.loss in ("gnc_tls", "auto"):
         options = options.replace(loss="trivial", loss_scale=1.0, loss_on="closures")
@@ -126,19 +127,19 @@ def lower_start(
     solved: dict[str, Any],
     cost: Callable[[Floats], float],
 ) -> str:
-    """Return the name of a start with a lower cost than the end of a solve; "" if there is none.
+    """Return a hint that names a start with a lower cost than the solve's final cost, or "".
 
-    Initial costs are compared at no cost. After a slow solve each other start takes some steps,
-    too.
+    The initial costs of the other starts are compared first. After a slow solve, each other start
+    also takes a few steps.
 
     Args:
         graph: the graph, with the information matrices of the solve.
         held: (n,) mask of constant poses.
-        doubted: (m,) mask of edges that the loss applies to.
-        start: of the solve.
-        options: of the solve, with the loss that it ended with.
+        doubted: (m,) mask of edges to which the loss applies.
+        start: start of the solve.
+        options: options of the solve, with its final loss.
         solved: output of the solve.
-        cost: function of chi2 (m,).
+        cost: function that returns the cost for chi2 (m,).
     """
     end = float(solved["summary"]["final_cost"])
     starts = start.starts or _starts(graph, held, options.num_threads)
@@ -164,7 +165,7 @@ def lower_start(
 
 
 def _comparison(graph: PoseGraph, end: float) -> Callable[[dict[str, float]], bool]:
-    """Return a function that tells whether a cost is below an end by more than rounding."""
+    """Return a predicate: is the lowest of some costs below ``end`` by more than rounding?"""
     size = max(1.0, float(np.abs(graph.poses).max()))
     trace = float(np.trace(graph.information, axis1=1, axis2=2).sum())
     least = max(NOT_LOWER * end, trace * (ROUNDING * size) ** 2)
@@ -182,7 +183,7 @@ def _reached(
 
 
 def _starts(graph: PoseGraph, held: Flags, num_threads: int) -> dict[str, Floats]:
-    """Return the poses of every available start, those of the file first."""
+    """Return the poses of every available start; the file's poses come first."""
     found = {"file": graph.poses} if graph.has_poses else {}
     for init in ("chordal", "odometry", "spanning_tree"):
         try:

@@ -19,9 +19,9 @@ __all__ = [
 ]
 
 WORST = 5
-"""Images that are named."""
+"""Default number of images to return."""
 
-# Observations copied at a time: a copy of hundreds of millions takes gigabytes.
+# Number of observations copied at a time: a copy of hundreds of millions takes gigabytes.
 _BLOCK = 1 << 20
 
 
@@ -30,9 +30,9 @@ class ImageError:
     """Reprojection errors of one image, in pixels, over the observations that count.
 
     Attributes:
-        image_id: of the source.
-        name: of the image; "" where the source has none.
-        num_observations: that count.
+        image_id: id of the image in the source.
+        name: name of the image; "" if the source has no name for it.
+        num_observations: number of observations that count.
         rmse: sqrt(mean ||r||^2).
         max: largest ||r||.
     """
@@ -47,13 +47,13 @@ class ImageError:
 def worst_images(
     problem: Problem, cheirality: str = "auto", *, most: int = WORST, num_threads: int = 0
 ) -> tuple[ImageError, ...]:
-    """Return the images of largest RMSE, at most `most`, the worst first.
+    """Return the images with the largest RMSE, the worst first.
 
     Args:
-        problem: the errors are those at its values.
+        problem: the problem; errors are evaluated at its values.
         cheirality: as in a solve; observations that do not count are left out.
-        most: images to return.
-        num_threads: 0 for all cores.
+        most: largest number of images to return.
+        num_threads: number of threads; 0: all cores.
 
     Raises:
         InputError: an observed image has a camera model that is not supported.
@@ -88,7 +88,7 @@ def sums_of_images(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Return for each image the number, sum of squares and maximum of the errors that count.
 
-    `cheirality` is the resolved one that `behind` belongs to.
+    `cheirality` is the resolved value with which `behind` was computed.
     """
     count = np.zeros(num_images, dtype=np.int64)
     total, largest = np.zeros(num_images), np.zeros(num_images)
@@ -111,7 +111,7 @@ def worst_of_sums(
     largest: NDArray[np.float64],
     most: int = WORST,
 ) -> tuple[ImageError, ...]:
-    """Return the images of largest RMSE from the output of `sums_of_images`."""
+    """Return the images with the largest RMSE, from the output of `sums_of_images`."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         rmse = np.sqrt(total / count)
     seen = np.flatnonzero(count)

@@ -1,1 +1,1 @@
-"""COLMAP models as records: what files hold beside a problem, and models to be written."""
+"""COLMAP models as records: data of files that a problem lacks, and models to be written."""

@@ -1,8 +1,8 @@
 """Indices of the observations of a problem among the keypoints of a COLMAP model.
 
-COLMAP identifies an observation by image and keypoint. Keypoints of an image of the source keep
-their indices, for databases and descriptors refer to them; an observation without an index becomes
-a new keypoint after them. Images that the source does not have hold the observed keypoints only.
+COLMAP identifies an observation by image and keypoint. Keypoints of source images keep their
+indices, because databases and descriptors refer to them. An observation without an index becomes a
+new keypoint after them. Images that the source does not have contain only observed keypoints.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class KeypointNumbers:
 
     Attributes:
         keypoint: (num_observations,) index of each observation in its image.
-        num_keypoints: (num_images,) keypoints of each image, with those that are new.
-        num_renumbered: observations whose index is not the problem's.
+        num_keypoints: (num_images,) number of keypoints of each image, including new keypoints.
+        num_renumbered: number of observations with another index than in the problem.
     """
 
     keypoint: _Indices
@@ -40,11 +40,11 @@ def number_keypoints(problem: ProblemArrays, num_keypoints: _Indices) -> Keypoin
 
     Args:
         problem: the problem.
-        num_keypoints: (num_images,) keypoints that each image of the problem has in the source;
-            -1 for an image that is not in it.
+        num_keypoints: (num_images,) number of keypoints of each image in the source; -1 for an
+            image that is not in the source.
 
     Raises:
-        InputError: a keypoint index is beyond those of the image, or there twice.
+        InputError: a keypoint index is out of the image's range, or occurs twice.
     """
     capacity = num_keypoints[problem.observation_image]
     given = problem.observation_keypoint >= 0
@@ -70,7 +70,7 @@ def number_keypoints(problem: ProblemArrays, num_keypoints: _Indices) -> Keypoin
 
 
 def _check_once(problem: ProblemArrays, given: _Indices) -> None:
-    """Check that no two of the given observations are one keypoint."""
+    """Check that the given observations have different keypoints."""
     image = problem.observation_image[given].astype(np.int64)
     keys = image << 32 | problem.observation_keypoint[given]
     order = np.argsort(keys, kind="stable")
@@ -89,8 +89,8 @@ def _numbered(
 ) -> _Indices:
     """Return the indices of new keypoints: after those of the source, without gaps.
 
-    In each image those with an index come first, in its order, then the others, in the order of
-    the observations.
+    In each image, observations with an index come first, in the order of their indices. The other
+    observations follow in the order of the problem.
     """
     keypoint = problem.observation_keypoint[new].astype(np.int64)
     keypoint[keypoint < 0] = np.iinfo(np.int64).max

@@ -1,9 +1,9 @@
-"""A problem as the COLMAP model that is written of it: its source with every edit in it.
+"""Conversion of a problem to the COLMAP model to be written: its source with every edit applied.
 
-The problem decides about all that it has: cameras, registered images, points and observations are
-its own in the model, no more and no fewer. The source adds what a problem does not have: colours,
-rigs, ids of frames, keypoints without a point. A problem without a source is an edit of the empty
-model; its points stay black, COLMAP's "no colour".
+Cameras, registered images, points and observations of the model are exactly those of the problem.
+The source adds records that a problem does not have: colours, rigs, ids of frames, keypoints
+without a point. A problem without a source is treated as an edit of the empty model; its points are
+black, COLMAP's "no colour".
 """
 
 from __future__ import annotations
@@ -25,35 +25,37 @@ from bundle.model.rigid_motions import multiply_as_colmap
 __all__ = ["ModelRecords", "check", "model_records"]
 
 MAX_POINT_ID = 2**63 - 1
-"""The largest point id: we hold them as signed numbers."""
+"""The largest point id: ids are stored as signed numbers here."""
 
 _NO_POINT = np.uint64(2**64 - 1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelRecords:
-    """A COLMAP model to be written, in the order of COLMAP's files: by id, but images by frame.
+    """A COLMAP model to be written, in the order of COLMAP's files.
+
+    Records are ordered by id, images by frame.
 
     Attributes:
-        camera_ids: (num_cameras,); models, sizes and parameters as in a problem.
+        camera_ids: (num_cameras,) ids; models, sizes and parameters are as in a problem.
         rigs: id and sensors of each rig.
         frames: id, rig, rig_from_world and data of each frame.
-        image_ids: (num_images,).
-        image_camera_ids: (num_images,) camera of each image.
-        cam_from_world: (num_images, 7) as COLMAP computes it of frames and rigs.
-        num_keypoints: (num_images,) of each image.
-        keypoint_xy: (num_keypoints, 2) image by image.
-        keypoint_points: (num_keypoints,) id of the point of each; 2^64-1 for none.
-        point_ids: (num_points,).
-        points: (num_points, 3).
+        image_ids: (num_images,) ids of the images.
+        image_camera_ids: (num_images,) camera id of each image.
+        cam_from_world: (num_images, 7) poses, computed from frames and rigs as COLMAP does.
+        num_keypoints: (num_images,) number of keypoints of each image.
+        keypoint_xy: (num_keypoints, 2) coordinates, image by image.
+        keypoint_points: (num_keypoints,) point id of each keypoint; 2^64-1 without a point.
+        point_ids: (num_points,) ids of the points.
+        points: (num_points, 3) world coordinates.
         point_colors: (num_points, 3) red, green, blue.
-        track_lengths: (num_points,) observations of each point.
+        track_lengths: (num_points,) number of observations of each point.
         track_images: (num_observations,) position in ``image_ids``, point by point.
         track_keypoints: (num_observations,) index among the keypoints of the image.
-        num_renumbered: observations with another keypoint index than in the problem.
-        num_new_points: points that the source does not have; 0 where there is no source.
-        num_without_pose: images of the source without a pose, which no file holds.
-        frames_without_pose: by id; no file holds them.
+        num_renumbered: number of observations with another keypoint index than in the problem.
+        num_new_points: number of points that the source does not have; 0 without a source.
+        num_without_pose: number of source images without a pose, which files cannot hold.
+        frames_without_pose: frames without a pose by id, which files cannot hold.
     """
 
     camera_ids: NDArray[np.int64]
@@ -82,12 +84,12 @@ class ModelRecords:
 
 
 def check(problem: ProblemArrays, source: Any) -> None:
-    """Raise now what :func:`model_records` would raise."""
+    """Raise the error that :func:`model_records` would raise."""
     _checked(problem, source)
 
 
 def _checked(problem: ProblemArrays, source: Any) -> tuple[SourceRecords | None, KeypointNumbers]:
-    """Check that COLMAP can hold a problem; return its source and where its observations go."""
+    """Check that COLMAP can hold a problem; return its source and its keypoint numbers."""
     for kind, ids, largest in (
         ("camera", problem.camera_ids, MAX_ID),
         ("image", problem.image_ids, MAX_ID),
@@ -108,17 +110,17 @@ def _checked(problem: ProblemArrays, source: Any) -> tuple[SourceRecords | None,
 
 
 def model_records(problem: ProblemArrays, source: Any) -> ModelRecords:
-    """Return the model that is written of a problem.
+    """Return the COLMAP model to be written for a problem.
 
     Args:
         problem: the problem.
-        source: of the problem, as it keeps it. Without one from COLMAP, images get names such as
-            image_000007 where they have none.
+        source: source in the form kept by the problem. If it is not a COLMAP model, images without
+            a name get names such as image_000007.
 
     Raises:
-        InputError: an id that COLMAP cannot hold, numbers beyond the parameters of a camera, rigs
-            without a reference sensor, or a keypoint index that does not exist or is there twice;
-            the message names the field.
+        InputError: COLMAP cannot hold an id, the padding of ``camera_params`` is not zero, a rig
+            has no reference sensor, or a keypoint index does not exist or occurs twice; the message
+            names the field.
     """
     records, numbers = _checked(problem, source)
     known = records or SourceRecords()
@@ -177,7 +179,7 @@ def model_records(problem: ProblemArrays, source: Any) -> ModelRecords:
 
 
 def _rows_of(ids: NDArray[np.int64], among: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the position of each id among others, -1 where it is not there."""
+    """Return the position of each id in ``among``, -1 if it is absent."""
     order = np.argsort(among, kind="stable")
     found = np.searchsorted(among, ids, sorter=order)
     rows = np.append(order, 0)[found]
@@ -186,13 +188,13 @@ def _rows_of(ids: NDArray[np.int64], among: NDArray[np.int64]) -> NDArray[np.int
 
 
 def _num_without_pose(problem: ProblemArrays, source: SourceRecords) -> int:
-    """Count the images of the source that have no pose, neither there nor in the problem."""
+    """Count the source images that have a pose neither in the source nor in the problem."""
     ids = [i for frame in source.frames.values() if frame.pose is None for i in frame.image_ids]
     return len(set(ids) - set(problem.image_ids.tolist())) if ids else 0
 
 
 def _poses(problem: ProblemArrays) -> NDArray[np.float64]:
-    """Return (num_images, 7) cam_from_world; of images with a frame as COLMAP computes it."""
+    """Return (num_images, 7) cam_from_world; with a frame, poses are computed as in COLMAP."""
     if not problem.num_frames:
         return problem.cam_from_world
     poses = problem.cam_from_world.copy()
@@ -211,14 +213,16 @@ def _keypoints(
     first: NDArray[np.int64],
     total: int,
 ) -> NDArray[np.float64]:
-    """Return (total, 2) keypoints, those of the source in their places, the others zero.
+    """Return (total, 2) keypoint coordinates of the model; only keypoints of the source are set.
+
+    The coordinates of new keypoints are zero.
 
     Args:
         source: records of the source.
-        contents: of the source.
-        image_ids: (num_images,) of the model.
-        first: (num_images,) row of the first keypoint of each.
-        total: how many keypoints the model has.
+        contents: keypoints of the source.
+        image_ids: (num_images,) image ids of the model.
+        first: (num_images,) row of the first keypoint of each image.
+        total: number of keypoints of the model.
     """
     rows = _rows_of(source.image_ids, image_ids)
     kept = np.repeat(rows >= 0, source.num_keypoints)
@@ -236,12 +240,12 @@ def _tracks(
     keypoint: NDArray[np.int64],
     by_point: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """Return the observations by point, and of each point in the order of its track.
+    """Return the observations sorted by point, then in the order of the point's track.
 
-    A track keeps the order of the source; what is new comes after, in the order of the problem.
+    A track keeps the order of the source. New observations follow in the order of the problem.
     """
     num_elements = len(contents.track_keypoints)
-    # The number of each element of a track by its keypoint, all images one after the other.
+    # Number of each track element by its keypoint; keypoints of all images are concatenated.
     begins = np.cumsum(source.num_keypoints) - source.num_keypoints
     element = np.full(len(contents.keypoint_xy) + 1, -1)
     image_rows = _rows_of(contents.track_image_ids, source.image_ids)
@@ -260,7 +264,7 @@ def _tracks(
 
 
 def _names(problem: ProblemArrays, *, is_named: bool) -> list[str]:
-    """Return the names of the images; of a model that is not from COLMAP none is empty."""
+    """Return the names of the images; if ``is_named``, empty names are replaced."""
     names = list(problem.image_names)
     if is_named:
         return names

@@ -1,12 +1,13 @@
 """Rigs and frames of a problem as COLMAP writes them.
 
-Where each image is in the frame in which the source has it, the poses of frames and sensors are
-replaced and everything else of the source's rigs stays: IMUs, sensors without images, frames
-without images. Where images have changed frames, or sensors rigs, all frames and rigs are made anew
-from the problem, and what only the source has of them is gone.
+If every image is in the same frame as in the source, the poses of frames and sensors are replaced.
+All other data of the source's rigs stay: IMUs, sensors without images, frames without images. If an
+image has changed its frame, or a sensor its rig, all frames and rigs are created from the problem.
+Data of rigs that only the source has are then lost.
 
-Of an image that is gone, the frame goes, too, if it has no other image; of a camera, all rigs that
-have it. The rig of a camera whose images are gone stays while the problem has the camera.
+If an image was removed, its frame is removed too, unless it has other images. If a camera was
+removed, all rigs that contain it are removed. The rig of a camera without images stays as long as
+the problem has the camera.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from bundle.model.problem_arrays import ProblemArrays
 __all__ = ["check_rigs", "edited_rigs"]
 
 MAX_ID = 2**32 - 2
-"""COLMAP's largest id; the one above stands for none."""
+"""COLMAP's largest id; the next number marks a missing id."""
 
 _Rigs = dict[int, list[Sensor]]
 _Frames = dict[int, Frame]
@@ -43,8 +44,8 @@ def check_rigs(problem: ProblemArrays, source: SourceRecords) -> None:
     """Check that COLMAP can hold the rigs of a problem.
 
     Raises:
-        InputError: an id is out of range, a sensor is no camera of the problem, or the reference
-            sensor of a rig is not known.
+        InputError: an id is out of range, a sensor is not a camera of the problem, or the reference
+            sensor of a rig is unknown.
     """
     for name in ("frame_ids", "frame_rig_ids", "sensor_rig_ids", "sensor_camera_ids"):
         ids = getattr(problem, name)
@@ -70,8 +71,8 @@ def check_rigs(problem: ProblemArrays, source: SourceRecords) -> None:
 def edited_rigs(problem: ProblemArrays, source: SourceRecords) -> tuple[_Rigs, _Frames]:
     """Return the rigs and the frames of a problem, by id.
 
-    Frames stand in the order in which COLMAP would register them. Those without a pose are frames
-    of the source that stay; no file holds them.
+    Frames are in the order in which COLMAP would register them. Frames without a pose come from the
+    source; files cannot hold them.
     """
     rigs, frames = _kept(problem, source) if _fits(problem, source) else _made_anew(problem)
     by_type_and_id = {
@@ -85,7 +86,7 @@ def edited_rigs(problem: ProblemArrays, source: SourceRecords) -> tuple[_Rigs, _
 
 
 def _fits(problem: ProblemArrays, source: SourceRecords) -> bool:
-    """Tell whether the rigs of a problem are the source's, with other poses and fewer images."""
+    """Return True if a problem's rigs differ from the source's in poses and removed images only."""
     known: set[tuple[int, int]] = set()
     camera_ids = set(problem.camera_ids.tolist())
     for rig_id in {*problem.frame_rig_ids.tolist(), *problem.sensor_rig_ids.tolist()}:
@@ -163,7 +164,7 @@ def _kept(problem: ProblemArrays, source: SourceRecords) -> tuple[_Rigs, _Frames
     for frame_id, pose in zip(
         problem.frame_ids.tolist(), problem.rig_from_world.tolist(), strict=True
     ):
-        if frame_id in frames:  # else none of its images is in the problem
+        if frame_id in frames:  # otherwise the problem has no image of the frame
             _move(frames, frame_id, tuple(pose))
     moved = {(rig_id, camera_id): pose for rig_id, camera_id, pose in _sensors(problem)}
     for rig_id in {rig_id for rig_id, _ in moved}:
@@ -177,7 +178,7 @@ def _kept(problem: ProblemArrays, source: SourceRecords) -> tuple[_Rigs, _Frames
 
 
 def _move(frames: _Frames, frame_id: int, pose: Pose) -> None:
-    """Set the pose of a frame; a frame without one is registered after the others."""
+    """Set the pose of a frame; a frame that had no pose moves to the end of the order."""
     moved = frames[frame_id]._replace(pose=pose)
     if frames[frame_id].pose is None:
         del frames[frame_id]
@@ -185,7 +186,7 @@ def _move(frames: _Frames, frame_id: int, pose: Pose) -> None:
 
 
 def _without_images(source: SourceRecords, image_ids: set[int]) -> _Frames:
-    """Return the source's frames with no other images than these, but for frames without a pose."""
+    """Return the source's frames without removed images; frames without a pose stay unchanged."""
     frames: _Frames = {}
     for frame_id, frame in source.frames.items():
         if frame.pose is None and image_ids.isdisjoint(frame.image_ids):
@@ -195,13 +196,16 @@ def _without_images(source: SourceRecords, image_ids: set[int]) -> _Frames:
         kept = frame._replace(data=data)
         if kept.image_ids or not frame.image_ids:
             frames[frame_id] = kept
-    # COLMAP's frames cannot lose an image: where one does, all are registered anew.
+    # COLMAP cannot remove an image from a frame: if a frame loses one, all are registered again.
     is_partial = any(len(frames[f].data) < len(source.frames[f].data) for f in frames)
     return dict(sorted(frames.items())) if is_partial else frames
 
 
 def _made_anew(problem: ProblemArrays) -> tuple[_Rigs, _Frames]:
-    """Return the rigs and frames of a problem alone; a rig a camera for images without a frame."""
+    """Return rigs and frames created from a problem without its source.
+
+    Images without a frame get one rig per camera.
+    """
     rigs: _Rigs = {
         rig_id: [Sensor(CAMERA, camera_id)]
         for rig_id, camera_id in sorted(rig_arrays.reference_cameras(problem).items())
@@ -270,5 +274,5 @@ def _cameras_of_images(source: SourceRecords) -> dict[int, int]:
 
 
 def _free(taken: _Rigs | _Frames, wanted: int) -> int:
-    """Return an id that is not taken, the wanted one where possible."""
+    """Return an unused id, if possible the wanted one."""
     return wanted if wanted not in taken else max(taken) + 1

@@ -1,7 +1,7 @@
-"""Records of a problem's source that the problem lacks: rigs, frames, keypoints, colours, tracks.
+"""Source records that a problem lacks: rigs, frames, keypoints, colours, tracks.
 
-COLMAP puts every image into a frame of a rig. The sensors of a rig are cameras and IMUs, the first
-of them its reference sensor; the data of a frame name the images (of cameras) that it took.
+COLMAP puts every image into a frame of a rig. The sensors of a rig are cameras and IMUs. The first
+sensor is the reference sensor. The data of a frame list its images (for cameras).
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ __all__ = [
 ]
 
 CAMERA = 0
-"""The type of a sensor that is a camera; 1 is an IMU."""
+"""Sensor type of a camera; 1 is an IMU."""
 
 Pose = tuple[float, ...]
-"""qx qy qz qw tx ty tz."""
+"""Pose qx qy qz qw tx ty tz."""
 
 
 _ORIGIN = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
@@ -42,9 +42,9 @@ class Sensor(NamedTuple):
     """A sensor of a rig.
 
     Attributes:
-        type: CAMERA or 1 for an IMU.
-        id: of the camera, or of the IMU.
-        pose: sensor_from_rig; None where it is not known, and for the reference sensor.
+        type: CAMERA, or 1 for an IMU.
+        id: id of the camera or IMU.
+        pose: sensor_from_rig; None if unknown, and for the reference sensor.
     """
 
     type: int
@@ -53,7 +53,7 @@ class Sensor(NamedTuple):
 
 
 class Datum(NamedTuple):
-    """A measurement of a sensor; of a camera, ``id`` is the id of the image."""
+    """A measurement of a sensor; for a camera, ``id`` is the id of the image."""
 
     type: int
     sensor_id: int
@@ -61,7 +61,7 @@ class Datum(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """A rig at one time; ``pose`` is rig_from_world, None where it is not known."""
+    """A rig at one time; ``pose`` is rig_from_world, None if unknown."""
 
     rig_id: int
     pose: Pose | None
@@ -69,7 +69,7 @@ class Frame(NamedTuple):
 
     @property
     def image_ids(self) -> list[int]:
-        """Ids of the images that the frame took."""
+        """Ids of the images of the frame."""
         return [datum.id for datum in self.data if datum.type == CAMERA]
 
 
@@ -78,11 +78,12 @@ class Contents:
     """Keypoints, colours and tracks.
 
     Attributes:
-        keypoint_xy: (num_keypoints, 2) of all images, in the order of ``SourceRecords.image_ids``.
-        point_ids: (num_points,) in any order.
+        keypoint_xy: (num_keypoints, 2) coordinates, image by image in the order of
+            ``SourceRecords.image_ids``.
+        point_ids: (num_points,) ids of the points, in any order.
         point_colors: (num_points, 3) red, green, blue.
-        track_lengths: (num_points,) elements of each track.
-        track_image_ids: (num_elements,) image of each element, track by track.
+        track_lengths: (num_points,) number of elements of each track.
+        track_image_ids: (num_elements,) image id of each element, track by track.
         track_keypoints: (num_elements,) index among the keypoints of the image.
     """
 
@@ -112,11 +113,11 @@ class SourceRecords:
 
     Attributes:
         rigs: sensors by rig id.
-        frames: by id, in the order in which they were registered: the order of images in files.
-        image_ids: (num_images,) in any order.
-        image_camera_ids: (num_images,) camera of each image.
-        num_keypoints: (num_images,) of each image.
-        contents: function that reads the rest; slow for large models.
+        frames: frames by id, in the order of registration, which is the order of images in files.
+        image_ids: (num_images,) ids of the images, in any order.
+        image_camera_ids: (num_images,) camera id of each image.
+        num_keypoints: (num_images,) number of keypoints of each image.
+        contents: function that reads keypoints, colours and tracks; slow for large models.
     """
 
     rigs: dict[int, list[Sensor]] = field(default_factory=dict)
@@ -130,8 +131,8 @@ class SourceRecords:
 def records_of_model(model: _core.ColmapModel) -> SourceRecords:
     """Return the records of a model that was read.
 
-    A model without rigs and frames gets those that COLMAP creates: a rig for each camera and a
-    frame for each image, of the same ids.
+    A model without rigs and frames gets those that COLMAP would create: a rig for each camera and a
+    frame for each image, with the same ids.
     """
     views: dict[str, Any] = _core.colmap_views(model)
     rigs = {rig_id: [Sensor(*sensor) for sensor in sensors] for rig_id, sensors in views["rigs"]}
@@ -161,5 +162,5 @@ def frame_of_image(rig_id: int, image_id: int, camera_id: int, pose: Pose) -> Fr
 
 
 def is_trivial(sensors: list[Sensor]) -> bool:
-    """Tell whether the only camera of a rig is its reference sensor."""
+    """Return True if the only camera of a rig is its reference sensor."""
     return all(sensor.type != CAMERA for sensor in sensors[1:])

@@ -1,9 +1,9 @@
 """Rigs of a ``pycolmap.Reconstruction`` as the arrays of a problem.
 
 COLMAP puts every image into a frame of a rig. A problem ignores rigs whose only camera is their
-reference sensor, with or without IMUs: their images have poses of their own. A problem has the
-other rigs that have an image in it: their frames with an image, and their cameras with a known
-sensor_from_rig, observed or not. Everything else stays in the source.
+reference sensor, with or without IMUs: their images have their own poses. A problem contains every
+other rig that took one of its images. Of such a rig it contains the frames with an image, and all
+cameras with a known sensor_from_rig, even without images. All other records stay in the source.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ class RigFields:
     """Fields of a problem for the rigs of a reconstruction.
 
     Attributes:
-        fields: by name.
-        framed: for each image, True if it is in a frame of a rig of several sensors.
+        fields: fields of the problem by name.
+        framed: for each image, True if it is in a frame of a rig with several cameras.
     """
 
     fields: dict[str, Any]
@@ -37,8 +37,8 @@ def rigs_of(reconstruction: pycolmap.Reconstruction, images: list[pycolmap.Image
     """Return the fields for the rigs of these images.
 
     Raises:
-        InputError: a frame has several images of one camera, or an image of a camera whose
-            sensor_from_rig is not known.
+        InputError: a frame has several images of one camera, or an image of a camera without
+            sensor_from_rig.
     """
     _check_frames(reconstruction, {image.image_id for image in images})
     rigs = reconstruction.rigs
@@ -91,7 +91,7 @@ def rigs_of(reconstruction: pycolmap.Reconstruction, images: list[pycolmap.Image
 
 
 def is_trivial(rig: pycolmap.Rig) -> bool:
-    """Tell whether the only camera of a rig is its reference sensor."""
+    """Return True if the only camera of a rig is its reference sensor."""
     return all(rig.is_ref_sensor(sensor) for sensor in cameras_of(rig))
 
 

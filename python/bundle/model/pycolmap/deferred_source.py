@@ -1,8 +1,8 @@
-"""A COLMAP model that was read, and becomes a ``pycolmap.Reconstruction`` on first use.
+"""A COLMAP model in memory that is converted to a ``pycolmap.Reconstruction`` on first use.
 
 Importing pycolmap and building a reconstruction takes longer than solving a small problem. No
-command needs either: our reader returns arrays, and our writer takes the records that a problem
-lacks from the files, which stay in memory.
+command needs them. This package's reader returns arrays. Its writer takes the records that a
+problem lacks from the bytes of the files, which are kept in memory.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ __all__ = ["DeferredSource"]
 
 
 class DeferredSource:
-    """The source of a problem that was read from a COLMAP model, shared by its edits.
+    """Source of a problem that was read from a COLMAP model; edited copies share it.
 
     Args:
-        model: the files as they were read.
-        fields: the fields of the problem that the model is, by name.
-        folder: of the files, for messages.
+        model: content of the files at the time of reading.
+        fields: fields of the problem of this model, by name.
+        folder: folder of the files, for messages.
     """
 
     def __init__(self, model: _core.ColmapModel, fields: Mapping[str, Any], folder: Path) -> None:
@@ -41,21 +41,21 @@ class DeferredSource:
 
     @property
     def fields(self) -> Mapping[str, Any]:
-        """The fields of the problem that the model is, by name."""
+        """Fields of the problem of this model, by name."""
         return self._fields
 
     @property
     def model(self) -> _core.ColmapModel | None:
-        """The files; None once there is a reconstruction, which its holders may change."""
+        """The files; None after the conversion, because callers may edit the reconstruction."""
         return self._model
 
     def reconstruction(self) -> pycolmap.Reconstruction:
-        """Return the model as a reconstruction, always the same.
+        """Return the model as a reconstruction; every call returns the same object.
 
         Raises:
-            InputError: this version of pycolmap cannot read it.
-            MemoryError: a limit of memory leaves too little for pycolmap.
-            OSError: there is no room for temporary files.
+            InputError: this version of pycolmap cannot read the model.
+            MemoryError: a memory limit leaves too little for pycolmap.
+            OSError: the disk has too little space for temporary files.
         """
         with self._lock:
             if self._reconstruction is None:
@@ -66,14 +66,14 @@ class DeferredSource:
 
 
 def _read_by_pycolmap(model: _core.ColmapModel, folder: Path) -> pycolmap.Reconstruction:
-    """Read a model by pycolmap, from its files as they were read."""
+    """Read a model by pycolmap from the bytes that were read earlier."""
     address_space.require("pycolmap", address_space.PYCOLMAP)
     import tempfile  # slow to import
 
     with interrupts_deferred():  # the import of pycolmap cannot be interrupted
         import pycolmap
     reconstruction = pycolmap.Reconstruction()
-    # The files as they were read: those on the disk may have changed.
+    # Use the bytes that were read: the files on the disk may have changed.
     with tempfile.TemporaryDirectory(prefix="bundle-") as temporary:
         for name, content in model.files().items():
             (Path(temporary) / name).write_bytes(content)
@@ -83,7 +83,7 @@ def _read_by_pycolmap(model: _core.ColmapModel, folder: Path) -> pycolmap.Recons
             else:
                 reconstruction.read_text(temporary)
         except (ValueError, LookupError, RuntimeError, MemoryError) as error:
-            # Older versions lack the newest camera models.
+            # Older versions of pycolmap lack the newest camera models.
             raise InputError(
                 f"{folder}: expected a model that pycolmap {pycolmap.__version__} reads, "
                 f"found: {first_line(error)}"

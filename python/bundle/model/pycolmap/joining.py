@@ -1,14 +1,16 @@
 """Joining of model B to model A, in the same coordinate frame: images, cameras, points.
 
-Everything of A stays unchanged: ids, poses, cameras, points. B's ids are kept where they are free
-in A. Two points meet if they have observations at the same keypoint of a shared image. Points of B
-are handled in the order of their ids:
+Ids, poses, cameras and points of A stay unchanged. B's ids are kept if A does not use them. Two
+points meet if they have observations at the same keypoint of a shared image. Points of B are
+handled in the order of their ids:
 
 * A point that meets no point of A becomes a new point.
-* A point that meets points of A is joined to one that agrees with it: the one with most meetings,
-  and of several the one with the least id. Its track extends A's in images that A's track lacks.
-* A point that agrees with none of them becomes a new point without the keypoints of the meetings,
-  which A keeps. It is dropped if fewer than two observations are left.
+* A point that meets points of A is joined to an agreeing point of A: the point with most meetings,
+  on a tie the point with the smallest id. Its observations in images that A's track lacks are added
+  to A's track.
+* A point that meets points of A but agrees with none of them becomes a new point. It loses its
+  observations at the shared keypoints, which stay with A's points. It is dropped if fewer than two
+  observations are left.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from bundle.model.pycolmap.colmap_rigs import is_trivial
 __all__ = ["Joined", "join"]
 
 FEWEST = 2
-"""Least observations of a point of B that meets points of A and agrees with none."""
+"""Minimum observations left of a point of B that meets points of A but agrees with none."""
 
 
 @dataclass
@@ -36,11 +38,12 @@ class Joined:
         num_cameras: cameras that were added to A.
         num_points_added: points of B without a meeting.
         num_points_joined: points of B whose tracks extend tracks of A.
-        num_points_apart: points of B that agree with none that they meet, and were added.
+        num_points_apart: points of B that were added although they meet points of A, because they
+            agree with none of them.
         num_points_dropped: points of B with fewer than two observations left.
         num_observations: observations that were added.
-        num_observations_dropped: observations of B that were not added: at keypoints that A keeps,
-            in images that a track has already, and of dropped points.
+        num_observations_dropped: observations of B that were not added: observations at keypoints
+            of A's points, in images that the track already has, and of dropped points.
     """
 
     num_images: int = 0
@@ -66,12 +69,12 @@ def join(
     """Join B to A.
 
     Args:
-        a: changed in place.
-        b: in the frame of A.
+        a: model A; changed in place.
+        b: model B, in the coordinate frame of A.
         images: ids in A and in B of each shared image.
         keypoints: for each shared image, table from observed keypoints of B to those of A or None.
-        meetings: for points of B, numbers of meetings by point of A.
-        agreeing: ids in B and in A of points that agree.
+        meetings: for each point of B, number of meetings with each point of A.
+        agreeing: pairs of ids, in B and in A, of points that agree.
         cameras: table from cameras of B to cameras of A that replace them.
     """
     joined = Joined()
@@ -106,7 +109,7 @@ def join(
             else:
                 joined.num_points_added += 1
         joined.num_observations += added
-        # A meeting of points that agree loses nothing: A has the observation.
+        # Meetings with the joined point lose no observation: A's point has it already.
         kept = met[chosen] if same else 0
         joined.num_observations_dropped += len(elements) - added - kept
     a.update_point_3d_errors()
@@ -119,7 +122,7 @@ def _shared_places(
     images: list[tuple[int, int]],
     keypoints: tuple[dict[int, int | None], ...],
 ) -> dict[tuple[int, int], tuple[int, int]]:
-    """Return image and keypoint in A of those in B; append keypoints that A lacks."""
+    """Map image and keypoint in B to image and keypoint in A; append keypoints that A lacks."""
     places = {}
     for (id_a, id_b), same in zip(images, keypoints, strict=True):
         image = a.image(id_a)
@@ -182,7 +185,7 @@ def _continue(a: pycolmap.Reconstruction, point_id: int, free: list[tuple[int, i
 
 
 class _Rigs:
-    """Frames and rigs for images that are added: a rig of one camera for each, made if missing."""
+    """Frames and rigs for added images. Each camera gets a single-camera rig if it has none."""
 
     def __init__(self, reconstruction: pycolmap.Reconstruction) -> None:
         self._reconstruction = reconstruction
@@ -193,7 +196,7 @@ class _Rigs:
                 self._rig_of_camera.setdefault(rig.ref_sensor_id.id, rig_id)
 
     def free_frame_id(self, wanted: int) -> int:
-        """Return a frame id that is not taken, the wanted one where possible."""
+        """Return an unused frame id, if possible the wanted one."""
         taken = self._reconstruction.frames
         return wanted if wanted not in taken else max(taken) + 1
 

@@ -1,8 +1,7 @@
 """Inverse projection by COLMAP's camera models: from pixels to the plane z = 1 of the camera.
 
-``bundle.model.cameras`` has the projections themselves. COLMAP inverts most models by Newton's
-method; ``bundle.editing.cameras.pixel_rays`` inverts a model to machine precision, which takes
-longer.
+``bundle.model.cameras`` has the projections. COLMAP inverts most models by Newton's method.
+``bundle.editing.cameras.pixel_rays`` inverts a model to machine precision but is slower.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Sources of problems: the file or reconstruction that a problem comes from.
 
-A ``pycolmap.Reconstruction`` does not pickle. It is pickled as the bytes of its binary files and
-the information that these lose.
+A ``pycolmap.Reconstruction`` cannot be pickled. It is pickled as the bytes of its binary files,
+with the information that these files lose.
 """
 
 from __future__ import annotations
@@ -46,16 +46,16 @@ __all__ = [
 ]
 
 LOST_SIGMAS = "Sigmas of observations are left out."
-"""Sentence on a loss of every file format."""
+"""Sentence about information that every file format loses."""
 
 
 @dataclass(frozen=True, eq=False)
 class BalSource:
-    """The rotations of a BAL file: quaternions would lose their last bits.
+    """Rotation vectors of a BAL file, kept because quaternions would lose their last bits.
 
     Attributes:
         rotations: (num_images, 3) angle-axis in radians, as in the file.
-        cam_from_world: (num_images, 7) the poses that they became, by image id.
+        cam_from_world: (num_images, 7) poses computed from the file, by image id.
     """
 
     rotations: NDArray[np.float64]
@@ -63,23 +63,23 @@ class BalSource:
 
 
 def is_source(source: object) -> bool:
-    """Tell whether an object can be the source of a problem."""
+    """Return True if an object can be the source of a problem."""
     return source is None or isinstance(source, BalSource) or is_reconstruction(source)
 
 
 def is_colmap(source: object) -> bool:
-    """Tell whether a source, as the problem keeps it, is a COLMAP model."""
+    """Return True if a source, in the form kept by the problem, is a COLMAP model."""
     return isinstance(source, DeferredSource) or is_reconstruction(source)
 
 
 def is_reconstruction(source: object) -> bool:
-    """Tell whether a source is a pycolmap.Reconstruction, without importing pycolmap."""
-    pycolmap = sys.modules.get("pycolmap")  # not imported: there is no reconstruction
+    """Return True if a source is a pycolmap.Reconstruction; does not import pycolmap."""
+    pycolmap = sys.modules.get("pycolmap")  # None: no reconstruction can exist
     return pycolmap is not None and isinstance(source, pycolmap.Reconstruction)
 
 
 def beside_the_problem(source: Any) -> list[str]:
-    """Return the kinds of information in a source that its problem lacks."""
+    """Return the kinds of information that a source has and its problem lacks."""
     if source is None or isinstance(source, BalSource):
         return []
     is_known = is_reconstruction(source)
@@ -98,11 +98,11 @@ class _Frame(NamedTuple):
 
     frame_id: int
     rig_id: int
-    data: list[tuple[str, int, int]]  # type and id of the sensor, id of what it took
+    data: list[tuple[str, int, int]]  # type and id of the sensor, id of its measurement
 
 
 class _Image(NamedTuple):
-    """An image without a pose, which observes no point."""
+    """An image without a pose and without observations of points."""
 
     image_id: int
     name: str
@@ -112,7 +112,7 @@ class _Image(NamedTuple):
 
 
 class Packed(NamedTuple):
-    """A reconstruction that pickles: its binary files, and the information that they lose."""
+    """A picklable reconstruction: its binary files, and the information that they lose."""
 
     files: dict[str, bytes]
     frames: list[_Frame]
@@ -141,7 +141,7 @@ def packed(source: Any) -> Any:
 
 
 def unpacked(source: Any) -> Any:
-    """Return the source of a copy by :func:`packed`."""
+    """Return the source that :func:`packed` made picklable."""
     if not isinstance(source, Packed):
         return source
     import pycolmap  # not at start-up: takes longer than solving a small problem
@@ -166,13 +166,15 @@ def unpacked(source: Any) -> Any:
 
 
 def source_records(source: Any) -> SourceRecords | None:
-    """Return the records of a source that its problem lacks; None if it is no COLMAP model.
+    """Return the records that a source has and its problem lacks; None for other than COLMAP.
 
     Args:
-        source: as the problem keeps it, also a model that is not yet a reconstruction.
+        source: source in the form kept by the problem; may be a model that is not yet converted to
+            a reconstruction.
 
     Raises:
-        InputError: it cannot be the source of a problem, or is an inconsistent reconstruction.
+        InputError: the object cannot be the source of a problem, or is an inconsistent
+            reconstruction.
     """
     if isinstance(source, DeferredSource):
         if source.model is not None:
@@ -187,7 +189,7 @@ def source_records(source: Any) -> SourceRecords | None:
 
 
 def _records(source: Packed) -> SourceRecords:
-    """Return the records of a reconstruction, also of its images without a pose."""
+    """Return the records of a reconstruction, including those of images without a pose."""
     try:
         with _written(source.files) as folder:
             model, _ = _core.read_colmap_model(folder, may_be_empty=True)
@@ -209,7 +211,7 @@ def _records(source: Packed) -> SourceRecords:
     def more(ids: NDArray[np.int64], others: list[int]) -> NDArray[np.int64]:
         return np.append(ids, np.array(others, np.int64))
 
-    # The images stand in the order in which their frames were registered, the frames by id.
+    # Images are in the order in which their frames were registered. Frames are ordered by id.
     frame_of_image = {i: f for f, frame in records.frames.items() for i in frame.image_ids}
     registered = dict.fromkeys(frame_of_image[i] for i in records.image_ids.tolist())
     in_order = {frame_id: records.frames[frame_id] for frame_id in [*registered, *records.frames]}

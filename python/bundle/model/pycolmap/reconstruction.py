@@ -1,8 +1,8 @@
-"""From ``pycolmap.Reconstruction`` to the fields of a problem; ``write_back`` goes the other way.
+"""Conversion of a ``pycolmap.Reconstruction`` to the fields of a problem.
 
-A rig of one camera has ``rig_from_world = cam_from_world``: the pose is read from the image. For
-other rigs see ``bundle.model.rig_arrays``. pycolmap keeps every bit of poses, parameters and
-points.
+``write_back`` converts in the other direction. A rig with one camera has
+``rig_from_world = cam_from_world``, so the pose is read from the image. For other rigs see
+``bundle.model.rig_arrays``. pycolmap preserves every bit of poses, parameters and points.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from bundle.model.pycolmap.colmap_rigs import as_row, rigs_of
 
 __all__ = ["fields_of"]
 
-MAX_POINT_ID = 2**63 - 1  # we hold them as signed numbers
+MAX_POINT_ID = 2**63 - 1  # ids are stored as signed numbers here
 
 
 def fields_of(reconstruction: pycolmap.Reconstruction) -> dict[str, Any]:
-    """Return the fields of the problem of a reconstruction, which is copied and kept as source.
+    """Return the fields of a problem from a reconstruction. A copy becomes the problem's source.
 
     Raises:
-        InputError: a frame has several images of one camera, or an image of a camera of which the
-            pose on the rig is not known; keypoints and tracks do not match; a value that
-            :class:`bundle.Problem` refuses.
+        InputError: a frame has several images of one camera, or an image of a camera without
+            sensor_from_rig; keypoints and tracks do not match; or :class:`bundle.Problem` rejects a
+            value.
     """
     check_type("reconstruction", reconstruction, pycolmap.Reconstruction)
     reconstruction = pycolmap.Reconstruction(reconstruction)
@@ -99,7 +99,7 @@ def _size(camera: pycolmap.Camera) -> tuple[int, int]:
 
 
 def _params(camera: pycolmap.Camera) -> NDArray[np.float64]:
-    # Problem refuses unknown models.
+    # Problem raises the error for unknown models.
     expected = len(camera_models().get(camera.model.name, camera.params))
     if len(camera.params) != expected:
         raise InputError(
@@ -119,7 +119,10 @@ def _padded(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Observations:
-    """Images and points by position in the order of their ids; sorted by point, image, keypoint."""
+    """Observations, sorted by point, image, keypoint.
+
+    Images and points are given by their positions in the order of ids.
+    """
 
     image: NDArray[np.int32]
     point: NDArray[np.int32]
@@ -164,7 +167,8 @@ def _check_tracks(
 ) -> None:
     """Check that tracks and the keypoints of registered images refer to each other.
 
-    Otherwise pycolmap could not compute the errors of points, and what it writes would not load.
+    Otherwise pycolmap could not compute the errors of points and would write files that do not
+    load.
     """
     length = np.fromiter((point.track.length() for _, point in points), np.int64, len(points))
     observed = np.bincount(observations.point, minlength=len(points))

@@ -1,4 +1,4 @@
-"""Shared images of two models: their common keypoints, and the points that meet there."""
+"""Shared images of two models: common keypoints, and pairs of points observed at them."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ text files round coordinates."""
 
 @dataclass(frozen=True)
 class SharedView:
-    """Meetings of points of two models at keypoints of shared images, a row each.
+    """Meetings: pairs of points of two models that are observed at the same shared keypoint.
 
     Attributes:
-        image: (n,) index of the shared image, in the order given.
+        image: (n,) index of the shared image, in the caller's order.
         point_a: (n,) id of the point of A.
         point_b: (n,) id of the point of B.
-        keypoints: for each shared image, table from observed keypoints of B to those of A; None
-            where A's image has no such keypoint.
+        keypoints: for each shared image, table from observed keypoints of B to keypoints of A; None
+            if A's image lacks the keypoint.
     """
 
     image: NDArray[np.int64]
@@ -36,11 +36,11 @@ class SharedView:
 def shared_keypoints(
     a: pycolmap.Reconstruction, b: pycolmap.Reconstruction, images: list[tuple[int, int]]
 ) -> SharedView:
-    """Return the common keypoints of shared images, and the points that meet there.
+    """Return the common keypoints of shared images, and the pairs of points observed at them.
 
     Args:
         a: the first model.
-        b: the second.
+        b: the second model.
         images: ids in A and in B of each shared image.
     """
     rows: list[tuple[int, int, int]] = []
@@ -61,11 +61,11 @@ def shared_keypoints(
 
 
 def _same_keypoints(a: pycolmap.Image, b: pycolmap.Image) -> dict[int, int | None]:
-    """Return A's keypoint for each observed keypoint of B: by index, else by coordinates.
+    """Return A's keypoint for each observed keypoint of B, by index or else by coordinates.
 
-    Models from one database agree in the index. Lists that were reduced, as by writing observed
-    keypoints only, agree in the coordinates; coordinates that several keypoints of A have are
-    ambiguous and ignored.
+    In models from the same database, keypoint indices agree. If a model was written with observed
+    keypoints only, indices differ but coordinates agree. Coordinates shared by several keypoints of
+    A are ambiguous and ignored.
     """
     xy = np.array([point.xy for point in a.points2D]).reshape(-1, 2)
     places: dict[tuple[float, float], int] = {}

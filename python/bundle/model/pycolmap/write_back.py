@@ -1,7 +1,8 @@
-"""A problem as a ``pycolmap.Reconstruction``: the model that is written of it, read by pycolmap.
+"""Conversion of a problem to a ``pycolmap.Reconstruction``.
 
-Information of the source that files lose is added for the records that the problem still has:
-images and frames without a pose, and the flags of prior focal lengths.
+The problem's COLMAP files are written and then read by pycolmap. Source information that files
+lose is added afterwards, if the problem still has the records: images and frames without a pose,
+and the flags of prior focal lengths.
 """
 
 from __future__ import annotations
@@ -21,16 +22,16 @@ __all__ = ["to_pycolmap"]
 
 
 def to_pycolmap(problem: ProblemArrays) -> pycolmap.Reconstruction:
-    """Return a reconstruction: a copy of the source with every edit of the problem in it.
+    """Return a reconstruction: a copy of the source with every edit of the problem applied.
 
-    The errors of the points are recomputed. A problem that did not come from COLMAP gives a new
-    reconstruction: the same ids, the rigs of the problem, a trivial rig and frame for each other
-    image, keypoints in the order of the problem, and names such as image_000007 for images without
-    one.
+    The errors of the points are recomputed. A problem that does not come from COLMAP gives a new
+    reconstruction with the same ids and rigs. Each image without a rig gets a trivial rig and
+    frame. Keypoints are in the order of the problem. Images without a name get names such as
+    image_000007.
 
     Raises:
-        InputError: an id that COLMAP cannot hold, or a keypoint index that does not exist or is
-            there twice; the message names the field.
+        InputError: COLMAP cannot hold an id, or a keypoint index does not exist or occurs twice;
+            the message names the field.
     """
     source = vars(problem)["source"]
     records = model_records(problem, source)
@@ -40,12 +41,12 @@ def to_pycolmap(problem: ProblemArrays) -> pycolmap.Reconstruction:
     reconstruction: pycolmap.Reconstruction = unpacked(_pack(files, records, source))
     reconstruction.update_point_3d_errors()
     for point_id in records.point_ids[records.track_lengths == 0].tolist():
-        reconstruction.point3D(point_id).error = -1.0  # COLMAP's "not known"
+        reconstruction.point3D(point_id).error = -1.0  # COLMAP's value for "unknown"
     return reconstruction
 
 
 def _pack(files: dict[str, bytes], records: ModelRecords, source: Any) -> Packed:
-    """Return the files of a model, and what they do not hold of its source."""
+    """Return the files of a model, with the source information that files lose."""
     if not is_reconstruction(source):
         return Packed(files, [], [], [])
     before = packed(source)

@@ -15,7 +15,7 @@
     gyro_bias_random_walk: 1.9e-5    # rad/s^2/sqrt(Hz)
     accel_bias_random_walk: 3.0e-3   # m/s^3/sqrt(Hz)
 
-YAML reads ``1e-4``, without a point, as a word; it is converted to a number here.
+YAML reads ``1e-4``, without a decimal point, as a string. This module converts it to a number.
 """
 
 from __future__ import annotations
@@ -52,15 +52,15 @@ class Calibration:
     """Sensors of a sequence.
 
     Attributes:
-        camera_from_imu: (7,) qx qy qz qw tx ty tz [m], the quaternion of norm 1.
-        noise: densities and random walks of the IMU.
-        camera_model: COLMAP's name, or None where observations are normalised image coordinates.
-        camera_params: of the model, in COLMAP's order.
+        camera_from_imu: (7,) qx qy qz qw tx ty tz [m], with a unit quaternion.
+        noise: noise densities and random walks of the IMU.
+        camera_model: COLMAP's name, or None if observations are normalised image coordinates.
+        camera_params: parameters of the camera model, in COLMAP's order.
         imu_rate: samples per second [Hz].
         camera_rate: images per second [Hz].
         time_offset: seconds that are added to the stamps of images.
         pixel_sigma: standard deviation of x and of y of an observation [pixels].
-        focal: pixels per unit of normalised coordinates; the model's where there is one.
+        focal: pixels per unit of normalised coordinates; taken from the camera model if given.
 
     Raises:
         InputError: a value has another shape or range, or the model does not exist.
@@ -109,8 +109,8 @@ def load_calibration(path: Path) -> Calibration:
     """Read ``calibration.yaml``.
 
     Raises:
-        InputError: it is no YAML, lacks a key, or has an unknown key or an invalid value.
-        OSError: it cannot be read.
+        InputError: the file is not YAML, lacks a key, or has an unknown key or an invalid value.
+        OSError: the file cannot be read.
     """
     import yaml
 
@@ -144,7 +144,7 @@ def load_calibration(path: Path) -> Calibration:
 
 
 def calibration_text(calibration: Calibration) -> str:
-    """Return ``calibration.yaml``, whose numbers read back as the same."""
+    """Return the text of ``calibration.yaml``; its numbers read back unchanged."""
     import yaml
 
     content: dict[str, Any] = {}
@@ -176,14 +176,14 @@ def _pose(name: str, value: Any) -> tuple[float, ...]:
     norm = math.sqrt(float(found[:4] @ found[:4]))
     if not 0.99 < norm < 1.01:
         raise InputError(f"{name}: expected a quaternion of norm 1, found norm {norm:g}")
-    if abs(norm - 1) > 1e-15:  # a quaternion of norm 1 up to rounding keeps its digits
+    if abs(norm - 1) > 1e-15:  # otherwise keep the quaternion's digits
         found[:4] /= norm
     return tuple(found.tolist())
 
 
 def _numbers(name: str, value: Any) -> Array:
     try:
-        found = np.array(value, dtype=np.float64)  # words such as "1e-4" become numbers
+        found = np.array(value, dtype=np.float64)  # converts strings such as "1e-4"
     except (TypeError, ValueError):
         raise InputError(f"{name}: expected numbers, found {brief(value)}") from None
     if not np.isfinite(found).all():

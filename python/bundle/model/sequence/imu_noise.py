@@ -12,17 +12,17 @@ __all__ = ["ImuNoise"]
 
 @dataclass(frozen=True, repr=False)
 class ImuNoise(Displayed):
-    """Noise of an IMU as densities in continuous time, as data sheets and Allan plots give them.
+    """Noise densities of an IMU in continuous time, as in data sheets and Allan deviation plots.
 
     Attributes:
         gyro_noise_density: rad/s/sqrt(Hz), above 0.
         accel_noise_density: m/s^2/sqrt(Hz), above 0.
         gyro_bias_random_walk: rad/s^2/sqrt(Hz).
         accel_bias_random_walk: m/s^3/sqrt(Hz).
-        integration_covariance: m^2/s per axis, the error of integrating velocity to position.
+        integration_covariance: m^2/s per axis, for the error of integrating velocity to position.
 
     Raises:
-        InputError: a value is no finite number, or out of its range.
+        InputError: a value is not a finite number, or is out of its range.
     """
 
     gyro_noise_density: float
@@ -41,16 +41,17 @@ class ImuNoise(Displayed):
             object.__setattr__(self, entry.name, value)
 
     def scaled(self, scale: float, *, walks: bool = True) -> ImuNoise:
-        """Return the noise with its four densities times a number.
+        """Return a copy with its four densities multiplied by ``scale``.
 
         Data sheets are optimistic: estimators use 3 to 10 times their values.
 
         Args:
-            scale: the number.
-            walks: scale the random walks, too; vibration adds to the white noises only.
+            scale: factor, above 0.
+            walks: also scale the random walks. Use False for vibration, which increases only the
+                white noises.
 
         Raises:
-            InputError: the scale is no number above 0.
+            InputError: the scale is not a number above 0.
         """
         scale = number("ImuNoise.scaled: scale", scale, above=0)
         walk = scale if walks else 1.0

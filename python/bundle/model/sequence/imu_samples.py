@@ -11,9 +11,9 @@ from bundle.errors import InputError
 __all__ = ["check_imu_samples", "suspected_units"]
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
-# Averaged over a second, a device that is not in free fall measures about |g|.
+# The average over a second is about |g| for a device that is not in free fall.
 LEAST_MEAN, MOST_MEAN = 0.7, 1.3
-DEGREES_SUSPECTED = 2 * np.pi * 5  # rad/s in the median: five turns per second all the time
+DEGREES_SUSPECTED = 2 * np.pi * 5  # rad/s, limit of the median: five turns per second
 
 
 def check_imu_samples(
@@ -23,18 +23,18 @@ def check_imu_samples(
     gyro_range: float | None = None,
     accel_range: float | None = None,
 ) -> None:
-    """Refuse samples with wrong units, saturated or invalid values.
+    """Raise an error for samples with wrong units, saturated or invalid values.
 
     Args:
-        gyro: (n, 3) rad/s.
-        accel: (n, 3) m/s^2, specific force.
-        gyro_range: largest rate that the gyroscope measures, in rad/s; None: not known.
-        accel_range: largest acceleration that the accelerometer measures, in m/s^2.
+        gyro: (n, 3) angular rates in rad/s.
+        accel: (n, 3) specific forces in m/s^2.
+        gyro_range: largest rate that the gyroscope measures, in rad/s; None: unknown.
+        accel_range: largest acceleration that the accelerometer measures, in m/s^2; None: unknown.
 
     Raises:
-        InputError: another shape, a number that is not finite, a sample at the end of its range
-            (saturated), accelerations that look like g instead of m/s^2, or rates that look like
-            degrees.
+        InputError: an array has another shape, a number is not finite, a sample is at the end of
+            the sensor's range (saturated), accelerations seem to be in g instead of m/s^2, or rates
+            seem to be in degrees.
     """
     samples = {name: _rows(name, given) for name, given in (("gyro", gyro), ("accel", accel))}
     if len(samples["gyro"]) != len(samples["accel"]):
@@ -58,7 +58,7 @@ def check_imu_samples(
 
 
 def suspected_units(gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> str:
-    """Return a sentence on samples (n, 3) that seem to be in g or degrees; "" if none do."""
+    """Return a sentence if samples (n, 3) seem to be in g or degrees, otherwise ""."""
     if not len(gyro):
         return ""
     mean = float(np.linalg.norm(accel, axis=1).mean())

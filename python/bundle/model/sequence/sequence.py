@@ -21,7 +21,7 @@ __all__ = ["Sequence", "check_imu", "check_overlap", "check_tracks"]
 
 Place = Callable[[int], str]
 
-FREE_FALL = 3.0  # m/s^2; no vehicle is in free fall for half of a sequence
+FREE_FALL = 3.0  # m/s^2; a lower median is an error: no vehicle is in free fall for so long
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,16 +32,16 @@ class Sequence(Displayed):
         imu_timestamps_ns: (n,) int64, ascending.
         gyro: (n, 3) angular rate in the IMU's frame [rad/s].
         accel: (n, 3) specific force in the IMU's frame [m/s^2].
-        track_timestamps_ns: (m,) int64 stamps of the images, as the camera gave them.
-        track_ids: (m,) int64.
+        track_timestamps_ns: (m,) int64 image stamp of each observation, on the camera's clock.
+        track_ids: (m,) int64 track id of each observation.
         xy: (m, 2) pixels, or normalised image coordinates if the calibration has no camera model.
-        calibration: of both sensors.
+        calibration: calibration of both sensors.
 
     Rows of tracks are sorted by time, then id.
 
     Raises:
-        InputError: shapes do not fit, a number is not finite, stamps go back or repeat, an image
-            has a track twice, no image lies between two samples, or accelerations are in g.
+        InputError: shapes do not match, a number is not finite, stamps decrease or repeat, an image
+            has a track twice, no image lies between two IMU samples, or accelerations are in g.
     """
 
     imu_timestamps_ns: NDArray[np.int64]
@@ -77,7 +77,7 @@ class Sequence(Displayed):
 
     @property
     def image_timestamps_ns(self) -> NDArray[np.int64]:
-        """(m,) stamps of the observations on the IMU's clock: with the time offset added."""
+        """(m,) stamps of the observations on the IMU's clock (time offset added)."""
         offset = round(1e9 * self.calibration.time_offset)
         return self.track_timestamps_ns + offset if offset else self.track_timestamps_ns
 
@@ -92,19 +92,19 @@ class Sequence(Displayed):
         return 1 + int(np.count_nonzero(np.diff(self.track_timestamps_ns)))
 
     def frames(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the stamps of the images (f,) on the camera's clock, and their first observations.
+        """Return the image stamps (f,) on the camera's clock, and ``begin`` (f + 1,).
 
-        Observations of image i are rows ``begin[i]`` to ``begin[i + 1]``, ``begin`` is (f + 1,).
+        The observations of image i are the rows ``begin[i]`` to ``begin[i + 1]`` (exclusive).
         """
         stamps, begin = np.unique(self.track_timestamps_ns, return_index=True)
         return stamps, np.append(begin, len(self.track_timestamps_ns)).astype(np.int64)
 
     def normalized(self) -> NDArray[np.float64]:
-        """Return the observations (m, 2) on the plane z = 1 of the camera, without distortion."""
+        """Return the undistorted observations (m, 2) on the plane z = 1 of the camera."""
         calibration = self.calibration
         if calibration.camera_model is None:
             return self.xy
-        from bundle.model.pycolmap.lens import normalized  # start-up: it loads pycolmap
+        from bundle.model.pycolmap.lens import normalized  # slow: loads pycolmap
 
         return normalized(calibration.camera_model, calibration.camera_params, self.xy)
 
@@ -124,21 +124,21 @@ class Sequence(Displayed):
 def check_stamp_units(
     imu_stamps: Any, track_stamps: Any, calibration: Calibration, imu_place: Place, place: Place
 ) -> None:
-    """Refuse stamps that are not nanoseconds; ``imu_place`` and ``place`` name rows.
+    """Check that stamps are nanoseconds; ``imu_place`` and ``place`` convert a row to text.
 
     Raises:
-        InputError: as :func:`bundle.model.sequence.stamp_units.check_stamp_unit`.
+        InputError: as for :func:`bundle.model.sequence.stamp_units.check_stamp_unit`.
     """
     check_stamp_unit(imu_stamps, calibration.imu_rate, "imu_rate", imu_place)
     check_stamp_unit(track_stamps, calibration.camera_rate, "camera_rate", place)
 
 
 def check_imu(stamps: Any, gyro: Any, accel: Any, place: Place) -> None:
-    """Refuse samples that cannot be integrated; ``place`` names a row.
+    """Check that IMU samples can be integrated; ``place`` converts a row to text.
 
     Raises:
-        InputError: fewer than two samples, numbers that are not finite, stamps that go back or
-            repeat, accelerations in g, rates in degrees.
+        InputError: fewer than two samples, numbers that are not finite, stamps that decrease or
+            repeat, accelerations in g, or rates in degrees.
     """
     if len(stamps) < 2:
         raise InputError(f"{place(0)}: expected at least two IMU samples, found {len(stamps)}")
@@ -162,11 +162,11 @@ def check_imu(stamps: Any, gyro: Any, accel: Any, place: Place) -> None:
 
 
 def check_tracks(stamps: Any, ids: Any, xy: Any, place: Place) -> None:
-    """Refuse observations that are not sorted by time and id; ``place`` names a row.
+    """Check that observations are sorted by time and id; ``place`` converts a row to text.
 
     Raises:
-        InputError: there are no observations, a number is not finite, the order is wrong, or an
-            image has a track twice.
+        InputError: the list is empty, a number is not finite, the order is wrong, or an image has a
+            track twice.
     """
     if not len(stamps):
         raise InputError(f"{place(0)}: expected observations, found an empty table")
@@ -197,10 +197,10 @@ def check_tracks(stamps: Any, ids: Any, xy: Any, place: Place) -> None:
 
 
 def check_overlap(imu_stamps: Any, image_stamps: Any, where: str) -> None:
-    """Refuse images and samples that have no time in common.
+    """Check that images and IMU samples overlap in time.
 
     Raises:
-        InputError: no image lies between two samples; the message begins with ``where``.
+        InputError: no image lies between two IMU samples; the message begins with ``where``.
     """
     inside = (image_stamps >= imu_stamps[0]) & (image_stamps <= imu_stamps[-1])
     if not inside.any():

@@ -1,4 +1,4 @@
-"""Findings in a sequence: gaps, saturated samples, tracks with one view."""
+"""Problems found in a sequence: gaps, saturated samples, tracks with one view."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ __all__ = ["SequenceFinding", "sequence_findings"]
 
 Array = NDArray[np.float64]
 
-GAP = 2.5  # sampling periods without a sample that count as a gap
+GAP = 2.5  # a longer interval between samples, in sampling periods, counts as a gap
 LONGEST_GAP = 0.1  # s; integration across longer gaps is unreliable
-SATURATED_RUN = 4  # equal samples in a row at the largest value of an axis
-SATURATED_SIGMAS = 3.0  # from the mean, to exclude a quantised sensor at rest
+SATURATED_RUN = 4  # number of consecutive samples equal to the largest value of an axis
+SATURATED_SIGMAS = 3.0  # distance from the mean, to exclude a quantised sensor at rest
 FASTEST = math.radians(2000)  # rad/s: the widest range of usual gyroscopes
-ONE_VIEW = 0.5  # share of tracks with one view from which it is reported
+ONE_VIEW = 0.5  # fraction of tracks with one view from which a finding is reported
 
 
 @dataclass(frozen=True)
 class SequenceFinding:
-    """A finding.
+    """A finding in a sequence.
 
     Attributes:
         kind: "imu gap", "image gap", "saturated", "one view", "no samples", "rate".
-        sentence: with file and line, or the row.
+        sentence: description with file and line, or with the row.
         count: number of occurrences.
         is_fatal: True if odometry would give a wrong trajectory.
     """
@@ -43,7 +43,7 @@ class SequenceFinding:
 def sequence_findings(
     sequence: Sequence, imu_place: Place, track_place: Place
 ) -> tuple[SequenceFinding, ...]:
-    """Return the findings; ``imu_place`` and ``track_place`` name rows."""
+    """Return the findings; ``imu_place`` and ``track_place`` convert a row to text."""
     findings: list[SequenceFinding] = []
     stamps = sequence.imu_timestamps_ns
     _imu_gaps(sequence, imu_place, findings)
@@ -99,7 +99,7 @@ def _imu_gaps(sequence: Sequence, place: Place, findings: list[SequenceFinding])
 
 
 def _saturated(sequence: Sequence, place: Place, findings: list[SequenceFinding]) -> None:
-    """Find runs of the largest value of an axis, where the range of the sensor ends."""
+    """Find runs of samples equal to the largest value of an axis: the sensor's range ends there."""
     rows = []
     for values in (*sequence.gyro.T, *sequence.accel.T):
         spread = float(values.std())

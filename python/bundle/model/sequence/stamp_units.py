@@ -1,8 +1,8 @@
-"""Units of time stamps, detected by the rates of a calibration and the range of 64 bits.
+"""Detection of the unit of time stamps from the calibrated rates and the range of 64 bits.
 
-All stamps are nanoseconds. A sensor with rate f has a stamp every 1e9 / f; if stamps are a thousand
-or a million times closer, they are microseconds or milliseconds. Rates that are off by less than
-half a unit, a factor of 316, give no information on the unit.
+All stamps must be nanoseconds. A sensor with rate f then has a stamp every 1e9 / f. If stamps are a
+thousand or a million times closer, they are microseconds or milliseconds. Deviations from the rate
+by less than half a unit, a factor of 316, are not evidence of another unit.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from bundle.errors import InputError, brief
 __all__ = ["LATEST", "check_stamp_unit", "other_unit", "stamp_of_seconds"]
 
 _UNITS = {3: "microseconds", 6: "milliseconds", 9: "seconds"}
-"""By the power of ten that nanoseconds have more of."""
+"""Units by the power of ten that converts them to nanoseconds."""
 
 LATEST = 2**63 / 1e9  # s
 _EARLIEST_NOW, _LATEST_NOW = 1e8, 5e9  # s since 1970 of plausible clocks
@@ -28,13 +28,13 @@ _EARLIEST_NOW, _LATEST_NOW = 1e8, 5e9  # s since 1970 of plausible clocks
 def check_stamp_unit(
     stamps: NDArray[np.int64], rate: float, name: str, place: Callable[[int], str]
 ) -> None:
-    """Refuse stamps that are not nanoseconds.
+    """Raise an error for stamps that are not nanoseconds.
 
     Args:
-        stamps: (n,), not necessarily sorted; those that repeat count once.
-        rate: of the sensor [Hz].
-        name: of the rate in the calibration.
-        place: function that names a row.
+        stamps: (n,) stamps, not necessarily sorted; repeated stamps count once.
+        rate: rate of the sensor [Hz].
+        name: name of the rate in the calibration.
+        place: function that converts a row to text for messages.
 
     Raises:
         InputError: the stamps are far too close to each other for the rate.
@@ -56,7 +56,7 @@ def stamp_of_seconds(word: str, place: str) -> int:
     """Convert a stamp in seconds to nanoseconds without rounding.
 
     Raises:
-        InputError: it is not finite, or its nanoseconds exceed 64 bits.
+        InputError: the stamp is not finite, or its nanoseconds exceed 64 bits.
     """
     seconds = Decimal(word)
     if seconds.is_finite() and abs(seconds) <= LATEST:
@@ -72,7 +72,7 @@ def stamp_of_seconds(word: str, place: str) -> int:
 
 
 def other_unit(stamps: NDArray[np.int64], others: NDArray[np.int64]) -> str:
-    """Return a hint if stamps times a power of a thousand fall into the range of others, or ""."""
+    """Return a hint if stamps, times a power of 1000, fall into the range of others; else ""."""
     first, last = float(others.min()), float(others.max())
     for power in (-9, -6, -3, 3, 6, 9):
         scaled = stamps * 10.0**power
