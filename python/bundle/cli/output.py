@@ -1,4 +1,4 @@
-"""Output: what it must not replace, and writing that leaves no halves."""
+"""Output: protection of existing files, and writing without partial files."""
 
 from __future__ import annotations
 
@@ -28,16 +28,17 @@ __all__ = ["check_new", "check_replaced", "publish", "same_images", "show", "wri
 def check_replaced(
     path: str, sources: Iterable[str], overwrite: bool, is_same: Callable[[Path], bool]
 ) -> None:
-    """Refuse to replace another model, pose graph or sequence than what is worked on.
+    """Refuse to replace a model, pose graph or sequence that is not the input.
 
     Args:
-        path: of the output.
-        sources: what the command reads, which it may replace.
-        overwrite: whether --overwrite was given.
-        is_same: tells whether a model, graph or sequence holds the same images or poses.
+        path: path of the output.
+        sources: paths that the command reads, which it may replace.
+        overwrite: True if --overwrite was given.
+        is_same: function that tells whether a model, graph or sequence has the same images or
+            poses.
 
     Raises:
-        InputError: there is one of other images, or one that cannot be read.
+        InputError: the output has other images, or cannot be read.
     """
     target = Path(path)
     if overwrite or not target.exists() or any(_is_same_file(target, source) for source in sources):
@@ -60,9 +61,9 @@ def check_replaced(
 
 
 def same_images(*problems: Problem) -> Callable[[Path], bool]:
-    """Return a function that tells whether a model at a path has the images of some problems."""
+    """Return a function that tells whether a model at a path has the images of these problems."""
     names = [name for problem in problems for name in problem.image_names]
-    if len(problems) > 1:  # of shared images once
+    if len(problems) > 1:  # shared images count once
         names = list(dict.fromkeys(names))
     return lambda path: has_same_images(path, names)
 
@@ -75,10 +76,10 @@ def _is_same_file(one: Path, other: str) -> bool:
 
 
 def check_new(path: str, flag: str) -> None:
-    """Refuse to replace what stands at a path, an empty folder aside; the flag allows it.
+    """Refuse to replace an existing path other than an empty folder; the flag allows it.
 
     Raises:
-        InputError: something stands there.
+        InputError: the path exists.
     """
     target = Path(path)
     if not os.path.lexists(target) or (target.is_dir() and next(target.iterdir(), None) is None):
@@ -88,7 +89,7 @@ def check_new(path: str, flag: str) -> None:
 
 
 def publish(report: Report, json_path: str | None) -> None:
-    """Show a report; write it for programs to a file, or to standard output ("-") instead."""
+    """Print a report; write its JSON to a file, or print the JSON instead ("-")."""
     if json_path != "-":
         show(*laid_out(report))
     if json_path is not None:
@@ -96,7 +97,7 @@ def publish(report: Report, json_path: str | None) -> None:
 
 
 def write_json(path: str | None, report: dict[str, Any]) -> None:
-    """Write a report to a file, whole or not at all, to standard output ("-"), or nowhere."""
+    """Write JSON completely to a file, to standard output ("-"), or not at all (None)."""
     if path is None:
         return
     if path == "-":
@@ -109,6 +110,6 @@ def show(*renderables: RenderableType) -> None:
     """Print to standard output, in colour if it is a terminal."""
     screen = console(sys.stdout)
     if screen.is_terminal:
-        screen.print(*renderables, sep="\n", crop=False)  # a long word of a command stays whole
+        screen.print(*renderables, sep="\n", crop=False)  # do not cut long words of a command
     else:
         print_out(render(*renderables, width=screen.width))

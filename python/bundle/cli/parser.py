@@ -1,4 +1,4 @@
-"""The parser of the command line: complaints in one line, help that breaks at blanks only."""
+"""Parser of the command line: one-line errors, and help with line breaks only at blanks."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ __all__ = ["Parser"]
 
 
 class _Formatter(argparse.HelpFormatter):
-    """Help that breaks lines at blanks only: "principal-point" stays one word."""
+    """Help formatter that breaks lines only at blanks: "principal-point" stays one word."""
 
     def __init__(self, prog: str) -> None:
-        import shutil  # for help only: it loads three compressors
+        import shutil  # only for help: it loads three compressors
 
         width = min(shutil.get_terminal_size().columns, 100)
         super().__init__(prog, max_help_position=28, width=width)
@@ -30,15 +30,15 @@ class _Formatter(argparse.HelpFormatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose complaints are InputErrors.
+    """Argument parser whose errors are InputErrors.
 
-    An unknown flag is reported before a missing one: who misspells ``--output`` learns that, not
-    that ``--output`` is required.
+    An unknown flag is reported before a missing one. A user who misspells ``--output`` sees the
+    misspelling, not that ``--output`` is required.
 
     Args:
-        declare: adds the arguments, when they are first needed.
-        explain: returns the message about an unknown flag or word.
-        **settings: of ``argparse.ArgumentParser``.
+        declare: function that adds the arguments when they are first needed.
+        explain: function that returns the message about an unknown flag or word.
+        **settings: arguments of ``argparse.ArgumentParser``.
     """
 
     def __init__(
@@ -61,11 +61,11 @@ class Parser(argparse.ArgumentParser):
         return self
 
     def error(self, message: str) -> NoReturn:
-        """Raise what is wrong as one line that also says where to read more."""
+        """Raise the error as one line that also refers to the help."""
         raise InputError(f"{shown(message)} (see {self.prog} --help)")
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        """Print help and versions; unlike the base class, raise where they do not arrive."""
+        """Print help and versions; unlike the base class, raise an error if printing fails."""
         if file is sys.stderr:
             super()._print_message(message, file)
         else:
@@ -74,11 +74,11 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """Parse; unlike the base class, take no flag or word that is not known."""
+        """Parse; unlike the base class, refuse unknown flags and words."""
         flags = self.declared().flags()
         for word in args or ():
             if word == "--" or (self._subparsers is not None and not word.startswith("-")):
-                break  # what follows is no flag, or those of a command
+                break  # the following words are no flags, or flags of a command
             if word.startswith("--") and word.partition("=")[0] not in flags:
                 self.error(self.explain(word))
         parsed, rest = super().parse_known_args(args, namespace)
@@ -89,11 +89,11 @@ class Parser(argparse.ArgumentParser):
         return parsed, rest
 
     def flags(self) -> tuple[str, ...]:
-        """Return every flag."""
+        """Return all flags."""
         return tuple(self.declared()._option_string_actions)
 
     def flags_by_name(self) -> dict[str, str]:
-        """Return the flag of each argument that has one; of a switch, the one that is on."""
+        """Return the flag of each argument that has one; for a switch, its enabling flag."""
         actions = [action for action in self.declared()._actions if action.option_strings]
         switches = argparse.BooleanOptionalAction
         return {a.dest: a.option_strings[0 if isinstance(a, switches) else -1] for a in actions}

@@ -1,9 +1,10 @@
-"""Paths among the arguments of a command, and the guard over all of them.
+"""Path arguments of a command, and a check of all of them together.
 
-Each path is declared once, as the type of its argument: read, or written as what. Before a command
-runs, no path that it writes may be, by the identity of the file, one that it reads or also writes,
-nor a file of a model or sequence there. Links and different spellings do not hide that, and two
-outputs that do not exist yet are compared by their folder and name.
+The type of an argument declares if its path is read, or what is written to it. Before a command
+runs, the check compares all paths. A written path must differ from all read paths and all other
+written paths, and from the files of models and sequences at these paths. Existing files are
+compared by identity, so links and different spellings are detected. Outputs that do not exist yet
+are compared by folder and name.
 """
 
 from __future__ import annotations
@@ -42,13 +43,13 @@ class PathArgument:
     """Type of an argument that is a path.
 
     Attributes:
-        written: what the command writes there, such as "page"; empty: it reads.
-        is_data: it is the file or folder of a model, pose graph or sequence.
-        replaces: destinations of arguments that it may be the same as.
-        words: values that are no paths.
-        format: what its name may say, for :func:`check_name`; empty: anything.
+        written: content that the command writes, such as "page"; empty: the path is read.
+        is_data: True for the file or folder of a model, pose graph or sequence.
+        replaces: destinations of arguments that may have the same path.
+        words: values that are not paths.
+        format: format for the check of the name by :func:`check_name`; empty: any name.
         own: suffixes of that format.
-        otherwise: returns the path of a file that is written where none is given.
+        otherwise: function that returns the path of a file that is written by default.
     """
 
     written: str = ""
@@ -63,7 +64,7 @@ class PathArgument:
         """Return the path.
 
         Raises:
-            argparse.ArgumentTypeError: it is empty.
+            argparse.ArgumentTypeError: the path is empty.
         """
         if not text.strip():
             raise argparse.ArgumentTypeError("expected a path, found an empty one")
@@ -71,26 +72,26 @@ class PathArgument:
 
 
 a_path = PathArgument()
-"""Type of the path of a file or folder that is read, and is no model or sequence."""
+"""Type of a path that is read and is not a model or sequence."""
 
 reconstruction = PathArgument(is_data=True)
-"""Type of the path of a model, a pose graph or a sequence that is read."""
+"""Type of a path of a model, a pose graph or a sequence that is read."""
 
 
-_JSON = ".json .jsonl .ndjson .yaml .yml .txt"  # JSON is YAML as well, and text
+_JSON = ".json .jsonl .ndjson .yaml .yml .txt"  # JSON is also valid YAML and text
 report_path = PathArgument("report", format="a report (.json)", own=_JSON)
 telemetry_path = PathArgument("telemetry", format="lines of JSON (.jsonl)", own=_JSON)
 trajectory_path = PathArgument("trajectory", format="a trajectory (.tum)", own=".tum .txt")
 
 
 def page_path(written: str = "page") -> PathArgument:
-    """Return the type of the path of a page."""
+    """Return the type of a path of a page."""
     return PathArgument(written, format=PAGE[0], own=PAGE[1])
 
 
 @dataclass(frozen=True)
 class _Given:
-    """A path that was given, and the argument that has it."""
+    """Given path with its argument."""
 
     kind: PathArgument
     argument: str
@@ -101,7 +102,7 @@ class _Given:
         return _identity(self.path)
 
     def identities(self) -> set[tuple[Any, ...]]:
-        """Return those of the path and of all files that belong to it."""
+        """Return the identities of the path and of all files that belong to it."""
         found = {self.identity()}
         if self.kind.is_data:
             folder = Path(self.path)
@@ -112,16 +113,17 @@ class _Given:
 
 
 def check_paths(actions: Iterable[argparse.Action], arguments: argparse.Namespace) -> None:
-    """Refuse paths of which one would replace another, and what could not be written later.
+    """Refuse paths that would replace each other, and paths that cannot be written later.
 
     Args:
-        actions: the arguments of a command.
-        arguments: what was given for them.
+        actions: arguments of a command.
+        arguments: their values.
 
     Raises:
-        InputError: see the head of this file; or a name says another format, the path of a file is
-            a folder or has no folder to be in, or a reconstruction stands there.
-        OSError: there is no permission to write.
+        InputError: two paths conflict (see the top of this file), a suffix is that of another
+            format, the path of a file is a folder, its parent folder does not exist, or a
+            reconstruction exists at the path.
+        OSError: write permission is missing.
     """
     given = list(_given(actions, arguments))
     known = [one for one in given if not one.kind.written]
@@ -170,7 +172,7 @@ def _check_file(one: _Given) -> None:
 
 
 def _identity(path: str | os.PathLike[str]) -> tuple[Any, ...]:
-    """Return device and inode of the nearest thing that exists, and the names below it."""
+    """Return device and inode of the nearest existing path, and the names below it."""
     place, names = Path(_real(path)), []
     while True:
         try:
@@ -187,5 +189,5 @@ def _identity(path: str | os.PathLike[str]) -> tuple[Any, ...]:
 def _real(path: str | os.PathLike[str]) -> str:
     try:
         return os.path.realpath(path)
-    except (OSError, ValueError):  # a zero in the name: who opens it says so
+    except (OSError, ValueError):  # zero byte in the name: opening the file reports it
         return os.fspath(path)

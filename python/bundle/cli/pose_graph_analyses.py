@@ -22,7 +22,7 @@ from bundle.reports.terminal.diagnose import diagnosed_graph
 __all__ = ["compute_covariance", "diagnose"]
 
 LINEARIZATION = ("error", "information", "loss", "loss_scale", "loss_on")
-"""Options on which the information of a graph at its poses depends."""
+"""Options that affect the information of a graph at its poses."""
 
 
 def diagnose(arguments: argparse.Namespace) -> int:

@@ -76,7 +76,7 @@ def describe(path: str, arguments: argparse.Namespace, _progress: Progress) -> R
 
 
 def convert(arguments: argparse.Namespace) -> int:
-    """Write the pose graph INPUT anew: compressed or not, with poses where it had none."""
+    """Write the pose graph INPUT with or without compression; compute missing poses."""
     refuse_flags_of_reconstructions(arguments)
     path = arguments.output
     check_g2o_target(path)
@@ -93,6 +93,6 @@ def convert(arguments: argparse.Namespace) -> int:
 
 
 def _has_same_poses(graph: PoseGraph, path: Path) -> bool:
-    """Tell whether the file of a pose graph has poses of the same ids."""
+    """Tell whether a pose graph file has poses with the same ids."""
     there = load_g2o(path)
     return there.poses.shape == graph.poses.shape and sorted(there.ids) == sorted(graph.ids)

@@ -45,7 +45,7 @@ def inspect_graph(arguments: argparse.Namespace) -> int:
 
 
 def compare_graph(arguments: argparse.Namespace) -> int:
-    """Compare methods on the pose graph INPUT: 0 if one can be recommended."""
+    """Compare methods on the pose graph INPUT; return 0 if one can be recommended."""
     started = perf_counter()
     if len(arguments.inputs) > 1:
         raise InputError(f"expected one INPUT with a pose graph, found {len(arguments.inputs)}")

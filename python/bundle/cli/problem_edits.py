@@ -1,6 +1,6 @@
-"""Changes of a problem before it is solved: cameras, rigs, loops, and rules about its parameters.
+"""Changes of a problem before its solve: cameras, rigs, loops, and rules for parameters.
 
-Each needs modules that most runs do without; they are imported where the change is asked for.
+Each change needs modules that most runs do not use; they are imported when needed.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ __all__ = ["cameras_edited", "loops_closed", "rules_as_options", "rules_of", "wi
 
 
 def with_rigs(problem: Problem, path: str | None) -> Problem:
-    """Return the problem with the rigs of a file, if there is one.
+    """Return the problem with the rigs of a file; unchanged without a file.
 
     Raises:
-        InputError: the file is no rig configuration, or does not fit the problem.
+        InputError: the file is not a rig configuration, or does not fit the problem.
         OSError: the file cannot be read.
     """
     if path is None:
@@ -36,10 +36,10 @@ def with_rigs(problem: Problem, path: str | None) -> Problem:
 
 
 def cameras_edited(given: LensOptions, problem: Problem) -> CameraEdits | None:
-    """Return the problem with the cameras that were asked for; None where nothing was.
+    """Return the problem with the requested changes of cameras; None without any.
 
     Raises:
-        InputError: this cannot be done; the message names the flag, or the camera.
+        InputError: a change is impossible; the message names the flag or the camera.
     """
     if not given.changed():
         return None
@@ -53,7 +53,7 @@ def cameras_edited(given: LensOptions, problem: Problem) -> CameraEdits | None:
 
 
 def loops_closed(given: LoopOptions, problem: Problem) -> LoopClosing | None:
-    """Return the problem with its loops closed; None where no loops were given.
+    """Return the problem with closed loops; None if no loops were given.
 
     Raises:
         InputError: as :func:`bundle.close_loops`.
@@ -69,10 +69,10 @@ def loops_closed(given: LoopOptions, problem: Problem) -> LoopClosing | None:
 
 
 def rules_of(given: RuleOptions) -> Constraints | tuple[()]:
-    """Return the rules of the file, then those of the command line.
+    """Return the rules of the file, followed by those of the command line.
 
     Raises:
-        InputError: one is no rule; the message names the file and line, or which --set it is.
+        InputError: a rule is invalid; the message names file and line, or the number of --set.
         OSError: the file cannot be read.
     """
     if given.rules is None and given.constraints is None:
@@ -91,6 +91,6 @@ def rules_of(given: RuleOptions) -> Constraints | tuple[()]:
 
 
 def rules_as_options(given: RuleOptions) -> dict[str, Any]:
-    """Return the rules for a report, as they were given."""
+    """Return the rules as given, for a report."""
     named = {"set": given.rules, "constraints": given.constraints}
     return {name: value for name, value in named.items() if value is not None}

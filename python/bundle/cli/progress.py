@@ -19,15 +19,15 @@ __all__ = ["Progress"]
 _HEAD = (
     f"{'iteration':>9}  {'cost':>12}  {'change':>9}  {'gradient':>9}  {'radius':>9}  {'elapsed':>9}"
 )
-# Where the line cannot be updated.
+# Interval between lines if the output cannot update a line.
 _SECONDS_BETWEEN_LINES = 10.0
 
 
 class Progress:
-    """Shows what a command is at.
+    """Progress display of a command.
 
-    Used as a context; `stage` tells what comes next, `iteration` takes Ceres' IterationSummary. An
-    error in writing (a closed pipe) ends the progress, never the work.
+    It is used as a context manager. `stage` announces the next stage; `iteration` takes Ceres'
+    IterationSummary. A write error (a closed pipe) ends the display, not the command.
     """
 
     def __init__(self, *, quiet: bool) -> None:
@@ -67,7 +67,7 @@ class Progress:
 
     @property
     def is_live(self) -> bool:
-        """True if the progress line updates in place, so that short stages are shown as well."""
+        """True if the line updates in place; short stages are then displayed as well."""
         return self._live is not None
 
     def stage(self, name: str) -> None:
@@ -77,11 +77,11 @@ class Progress:
         self._print(f"{name} ...")
 
     def share(self, done: float) -> None:
-        """Show how much of a stage is done, 0 to 1; in lines of a file now and then only."""
+        """Display the finished share of a stage, 0 to 1; only now and then in a file."""
         self._show(f"{done:.0%}")
 
     def text(self, num_bytes: int) -> None:
-        """Show how much text has been read or written."""
+        """Display the number of bytes of text read or written."""
         self._show(f"{num_bytes / 1e9:.1f} GB")
 
     def _show(self, done: str) -> None:
@@ -92,7 +92,7 @@ class Progress:
             self._print(f"{self._stage} ... {done}, {self._elapsed()}")
 
     def iteration(self, values: Mapping[str, Any]) -> None:
-        """Show an iteration; `values` has the names of Ceres' IterationSummary."""
+        """Display an iteration; `values` has the names of Ceres' IterationSummary."""
         if self._latest is None:
             self._print(_HEAD)
         self._latest = dict(values)
@@ -111,7 +111,7 @@ class Progress:
             self._quiet = True
 
     def _line(self) -> Text:
-        """Return the updating line; at most 80 columns while an iteration is shown."""
+        """Return the updating line; at most 80 columns while it displays an iteration."""
         from rich.text import Text
 
         latest = self._latest

@@ -59,17 +59,17 @@ STAYED = "Refined again without positions, from where they had placed it."
 
 @dataclass(frozen=True, kw_only=True)
 class Opened:
-    """INPUT as it goes into the solve, with all that is known of it.
+    """INPUT as prepared for the solve, with everything that belongs to it.
 
     Attributes:
-        loaded: as it was read.
-        problem: with the cameras and rigs that were asked for.
-        edits: of its cameras; None: there are none.
-        options: of the solve, images by id.
+        loaded: problem as read from INPUT.
+        problem: problem with the requested cameras and rigs.
+        edits: changes of its cameras; None without any.
+        options: options of the solve, images by id.
         output: path and format of OUTPUT.
-        known: priors of positions and control points, if any.
-        place: content of the georeference.json beside INPUT, if any.
-        sliced: its refinement by processes that read a slice each; None: one process reads all.
+        known: priors of positions and control points, or None.
+        place: content of the georeference.json next to INPUT, or None.
+        sliced: refinement by processes that read one slice each; None: one process reads all.
         load_time: seconds.
     """
 
@@ -115,7 +115,7 @@ def run(arguments: argparse.Namespace) -> int:
     publish(report, asked.json)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE
-    if asked.json == "-":  # the report that people read was not printed
+    if asked.json == "-":  # standard output has only the JSON report
         complain(solved.outcome)
     return EXIT_NO_SOLUTION
 
@@ -161,7 +161,7 @@ def _open(asked: Refinement, progress: Progress) -> Opened:
 
 
 def _checked_output(asked: Refinement, problem: Problem, options: SolveOptions) -> dict[str, str]:
-    """Return path and format of OUTPUT, which can be written and may be replaced."""
+    """Return path and format of OUTPUT after checking that it can be written and replaced."""
     source, target = asked.source, asked.target
     output = {"path": target, "format": output_format(problem, target, asked.format, source)}
     fixed = options.fixed_camera_ids
@@ -179,7 +179,7 @@ def _close_loops(given: LoopOptions, opened: Opened, progress: Progress) -> Loop
 def _solve(
     asked: Refinement, opened: Opened, closed: LoopClosing | None, progress: Progress
 ) -> Result:
-    """Refine the problem under its priors, rules and loops, in rounds if these were asked for."""
+    """Refine the problem with its priors, rules and loops, in rounds if requested."""
     progress.stage("building the problem")
     flags = {**GEOREFERENCE_FLAGS, "priors": main_flag(asked.georeference)}
     known, checkpoints = opened.known, asked.checkpoints.asdict()
@@ -202,7 +202,7 @@ def _solve(
 def _write(
     opened: Opened, solved: Result, georeference: Georeference | None, progress: Progress
 ) -> tuple[dict[str, str] | None, tuple[str, ...]]:
-    """Write what is worth it; return where, and what the format does not keep."""
+    """Write a usable result; return its path and format, and the data that the format loses."""
     if not (solved.summary.is_solution_usable or solved.summary.interrupted):
         return None, ()
     target = opened.output["path"]
@@ -219,7 +219,7 @@ def _write(
 
 
 def _measure(opened: Opened, solved: Result, progress: Progress) -> float:
-    """Measure reprojection errors before and after; return the seconds that took."""
+    """Compute reprojection errors before and after; return the elapsed seconds."""
     progress.stage("measuring reprojection errors")
     begun = perf_counter()
     if opened.sliced is not None:
@@ -238,7 +238,7 @@ def _write_page(
     georeference: Georeference | None,
     progress: Progress,
 ) -> None:
-    """Write the report page, whose figures most runs do without."""
+    """Write the report page; most runs do not need its imports."""
     from bundle.reports.page.report_page import write_report
 
     progress.stage(f"writing {shown(page)}")
@@ -254,8 +254,8 @@ def _write_page(
 
 
 def _has_wrong_jacobians(asked: Refinement, opened: Opened, progress: Progress) -> bool:
-    """Check the Jacobians; if any is wrong, report that in place of the solve."""
-    from bundle.checking import gradient_report, jacobians  # for --check-gradients only
+    """Check the Jacobians; if any is wrong, report that instead of solving."""
+    from bundle.checking import gradient_report, jacobians  # only for --check-gradients
     from bundle.reports.terminal.check import checked
 
     progress.stage("checking the Jacobians")

@@ -1,6 +1,6 @@
-"""The request of `bundle refine` of a reconstruction: what the command line asks for, checked.
+"""Request of `bundle refine` for a reconstruction: the checked values of the command line.
 
-This is the only place that looks at the arguments; everything after it takes typed options.
+Only this file reads the arguments; all later steps use typed options.
 """
 
 from __future__ import annotations
@@ -33,27 +33,27 @@ _OF_PLAIN |= {"options", "fixed_images", "constraints"}  # constraints: parsed r
 
 @dataclass(frozen=True, kw_only=True)
 class Refinement:
-    """Everything that the command line asks for.
+    """All values of the command line.
 
     Attributes:
         source: path of INPUT.
         target: path of OUTPUT.
-        format: of OUTPUT; None: what its name says.
-        overwrite: whether a model of other images at OUTPUT is replaced.
-        rig_config: path of a file of rigs, if any.
-        page: path of the report page, if any.
-        json: path of the report for programs, if any.
-        check_gradients: whether the Jacobians are checked first.
-        options: of the solve, without images that are given by name.
-        fixed_images: ids of images that are held, or text with their names.
-        local: images to refine while the rest stays.
-        rounds: of adjusting and filtering.
-        georeference: positions and control points.
-        loops: to close before the solve.
+        format: format of OUTPUT; None: determined by its name.
+        overwrite: True if OUTPUT may replace a model of other images.
+        rig_config: path of a rig configuration, or None.
+        page: path of the report page, or None.
+        json: path of the JSON report, or None.
+        check_gradients: True to check the Jacobians first.
+        options: options of the solve, without images given by name.
+        fixed_images: ids of constant images, or text with their names.
+        local: images to refine while all others are constant.
+        rounds: rounds of adjusting and filtering.
+        georeference: options of positions and control points.
+        loops: loops to close before the solve.
         lenses: cameras of the output.
-        rules: as given.
-        constraints: the rules, parsed.
-        checkpoints: files of a run that may be killed.
+        rules: rules as given.
+        constraints: the parsed rules.
+        checkpoints: checkpoint files, for a run that may be killed.
     """
 
     source: str
@@ -77,7 +77,7 @@ class Refinement:
 
     @staticmethod
     def of(arguments: argparse.Namespace) -> Refinement:
-        """Return what was asked for, checked in the order of the help.
+        """Return the request, checked in the order of the help.
 
         Raises:
             InputError: a value is wrong, or an option has no effect; the message names the flag.
@@ -122,19 +122,19 @@ class Refinement:
 
     @property
     def is_plain(self) -> bool:
-        """True for a single solve of the whole unchanged INPUT, and nothing more."""
+        """True for a single solve of the complete, unchanged INPUT without further steps."""
         values = (getattr(self, name) for name in set(self.__dataclass_fields__) - _OF_PLAIN)
         return not any(v.changed() if hasattr(v, "changed") else v for v in values)
 
     def options_beside(self) -> dict[str, Any]:
-        """Return, for the report, the options that were given beside those of the solve."""
+        """Return, for the report, the given options in addition to those of the solve."""
         rounds = self.rounds.asdict() if self.rounds.num_rounds else {}
         local = {} if self.local.only_images is None else self.local.asdict()
         return {**rounds, **local, **self.checkpoints.changed(), **rules_as_options(self.rules)}
 
 
 def _checkpoints_given(arguments: argparse.Namespace) -> CheckpointOptions:
-    """Return the files of a run that may be killed, and note where a run starts over."""
+    """Return the checkpoint files, and print a note if a run starts over."""
     given = options_given(arguments, CheckpointOptions)
     if given.resume is not None and not Path(given.resume).exists():
         complain(f"note: {shown(given.resume)} does not exist; the run starts with the input")

@@ -31,10 +31,10 @@ __all__ = ["run"]
 
 
 def placed(source: str) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
-    """Return the content of the georeference.json that `bundle refine` left there, if it did.
+    """Return the content of the georeference.json that `bundle refine` wrote, if it exists.
 
     Returns:
-        None without one; and a sentence where the file holds something else.
+        The content, or None without a file; and a sentence if the file has other content.
     """
     is_folder = Path(source).is_dir()
     path = path_beside(Path(source), is_folder=is_folder)
@@ -51,7 +51,7 @@ def placed(source: str) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the page on INPUT."""
+    """Write the report page of INPUT."""
     started = perf_counter()
     source, page = arguments.input, arguments.output
     if page == "-":

@@ -47,7 +47,7 @@ def add_common(parser: argparse.ArgumentParser) -> None:
 def add_input(
     parser: argparse.ArgumentParser, name: str = "input", nargs: str | None = None
 ) -> None:
-    """Add INPUT."""
+    """Add the argument INPUT."""
     parser.add_argument(
         name,
         metavar="INPUT",
@@ -66,13 +66,13 @@ def add_output(
     replaces: tuple[str, ...] = ("input",),
     **settings: Any,
 ) -> None:
-    """Add OUTPUT under the given names, --format and --overwrite.
+    """Add OUTPUT under the given names, and the flags --format and --overwrite.
 
     Args:
-        parser: of the command.
-        *names: of the argument.
+        parser: parser of the command.
+        *names: names of the argument.
         replaces: destinations of the arguments that may name the same model.
-        **settings: of ``add_argument``.
+        **settings: arguments of ``add_argument``.
     """
     parser.add_argument(
         *names,
@@ -91,14 +91,14 @@ def add_output(
 
 
 def add_format(parser: argparse.ArgumentParser) -> None:
-    """Add --format."""
+    """Add the flag --format."""
     parser.add_argument(
         "--format", choices=FORMATS, help="format of OUTPUT (default: what its name says)"
     )
 
 
 def add_rig_config(parser: argparse.ArgumentParser) -> None:
-    """Add --rig-config."""
+    """Add the flag --rig-config."""
     parser.add_argument(
         "--rig-config",
         metavar="FILE",
@@ -110,7 +110,7 @@ def add_rig_config(parser: argparse.ArgumentParser) -> None:
 
 
 def add_rules(parser: argparse.ArgumentParser) -> None:
-    """Add --set and --constraints."""
+    """Add the flags --set and --constraints."""
     add_options(
         parser,
         "RuleOptions",
@@ -126,11 +126,11 @@ def add_georeference(
     meaning: str = MOVED,
     images_are_for: str = "--gps exif and --html",
 ) -> None:
-    """Add positions of images, control points and their loss.
+    """Add flags for positions of images, control points and their loss.
 
     Args:
-        parser: of the command.
-        meaning: what the command does with the positions.
+        parser: parser of the command.
+        meaning: purpose of the positions in this command.
         images_are_for: uses of the folder of images.
     """
     images = f"folder of the images, for {images_are_for}"

@@ -1,4 +1,4 @@
-"""The choice between processes that read a slice of INPUT each and one that reads it all."""
+"""Decision between processes that each read a slice of INPUT and one process that reads it all."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ COMPRESSED = (".gz", ".bz2")
 def sliced_input(
     source: str, target: str, format: str | None, options: SolveOptions
 ) -> SlicedRefinement | None:
-    """Return the refinement of INPUT in slices; None where one process has to read it all.
+    """Return the refinement of INPUT in slices; None if one process must read it all.
 
-    That is one process, COLMAP models as text, an output in another format than the input or
-    compressed, and options whose solve is not divided.
+    It is None for a single process, for COLMAP text models, for an output that is compressed or has
+    another format than the input, and for options that do not support a distributed solve.
 
     Raises:
-        InputError: there are no observations, or INPUT is not what its format says.
+        InputError: INPUT has no observations, or is not in its declared format.
         OSError: a file cannot be read.
     """
     crew = current()
@@ -48,20 +48,20 @@ def sliced_input(
     is_compressed = target_format == "bal" and Path(target).suffix.lower() in COMPRESSED
     if target_format != source_format or is_compressed:
         return None
-    from bundle.solving.slices.sliced_refinement import SlicedRefinement  # by mpirun only
+    from bundle.solving.slices.sliced_refinement import SlicedRefinement  # only under mpirun
 
     return SlicedRefinement(crew, path)
 
 
 @dataclasses.dataclass(frozen=True)
 class _Found:
-    """The parts of a problem that ``output_format`` reads."""
+    """Attributes of a problem that ``output_format`` reads."""
 
     format: str
 
 
 def _format(source: Path) -> str | None:
-    """Return "bal" or "colmap" of what can be read in slices, None of all else."""
+    """Return "bal" or "colmap" for inputs that can be read in slices, otherwise None."""
     if source.is_file():
         return "bal"
     is_binary = source.is_dir() and not missing_model_files(source) and not is_text_model(source)

@@ -1,4 +1,4 @@
-"""Standard output and standard error, whatever the shell has made of them."""
+"""Standard output and standard error in any state that a shell leaves them in."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ __all__ = ["complain", "open_missing_streams", "print_out", "release_broken_stre
 
 
 def open_missing_streams() -> None:
-    """Put /dev/null where a standard stream is closed, and let any file name be printed.
+    """Open /dev/null in place of closed standard streams, and permit any file name in output.
 
-    Else the next file that is opened, such as an output, would get the number of the closed stream,
-    and whatever a library says on standard error would end up in it.
+    Otherwise the next opened file, such as an output, would get the descriptor of the closed
+    stream. Messages of libraries to standard error would then end up in that file.
     """
     for descriptor in (0, 1, 2):
         try:
             os.fstat(descriptor)
         except OSError:
             with contextlib.suppress(OSError):
-                os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this one
+                os.open(os.devnull, os.O_RDWR)  # gets the lowest free number, that of this stream
     for descriptor, name in ((1, "stdout"), (2, "stderr")):
         if getattr(sys, name) is None:
             stream = open(descriptor, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
@@ -32,10 +32,10 @@ def open_missing_streams() -> None:
 
 
 def print_out(text: str) -> None:
-    """Print as long as somebody reads: `| head` is no failure of the work that was done.
+    """Print text; a closed pipe such as `| head` is not an error.
 
     Raises:
-        OSError: the text did not arrive for another reason, such as a full disk.
+        OSError: printing failed for another reason, such as a full disk.
     """
     try:
         sys.stdout.write(text)
@@ -47,16 +47,16 @@ def print_out(text: str) -> None:
 
 
 def complain(text: str) -> None:
-    """Print a line on standard error; a closed stream is no error."""
+    """Print a line to standard error; a closed stream is not an error."""
     with contextlib.suppress(OSError):
         print(text, file=sys.stderr, flush=True)
 
 
 def release_broken_streams() -> OSError | None:
-    """Flush both streams; return what standard output did not take, if somebody was reading.
+    """Flush both streams; return the error of standard output unless its reader is gone.
 
-    A stream that fails is pointed at /dev/null: the interpreter flushes once more at its exit and
-    would turn that into a complaint and an exit code of its own.
+    A failed stream is redirected to /dev/null. Otherwise the interpreter would flush it again at
+    exit, print an error and change the exit code.
     """
     lost = None
     for stream in (sys.stdout, sys.stderr):

@@ -1,15 +1,14 @@
-"""Ctrl-C at the program's start and at its end.
+"""Handling of Ctrl-C at the start and at the end of the program.
 
-While modules are imported an exception would have to pass through other people's code, some of
-which turns it into one of its own. Nothing has been read or written yet, so the process may simply
-end.
+During imports, an exception would pass through code of other packages, which may convert it into
+another exception. At that time nothing has been read or written, so the process simply exits.
 
-At the end, while the last line is printed and the interpreter is taken down, nobody is left who
-could catch an exception. Python looks for signals at calls and loops only: ``is_over = True`` as
-the first statement after the work, which contains no call, leaves no moment between.
+At the end, while the last line is printed and the interpreter exits, no code can catch an
+exception. Python checks for signals only at calls and loops. The first statement after the work is
+``is_over = True``, which contains no call, so no signal can arrive before it.
 
-The garbage collector runs less often as well: by default it runs whenever there are some hundred
-or thousand new objects, and imports make many that stay.
+The garbage collector also runs less often. By default it runs after some hundred or thousand new
+objects, and imports create many permanent objects.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import signal
 import sys
 import threading
 
-TYPE_CHECKING = False  # as of typing, whose import takes longer than all that is here
+TYPE_CHECKING = False  # replaces typing's, whose import takes longer than the rest of this file
 if TYPE_CHECKING:
     from types import FrameType
 
@@ -31,40 +30,40 @@ EXIT_INTERRUPTED = 130
 OBJECTS_BETWEEN_COLLECTIONS = 100_000
 
 is_over = False
-"""True once the work is done or given up; SIGINT is then ignored."""
+"""True once the work has ended or was abandoned; SIGINT is then ignored."""
 
 
 def begin() -> None:
-    """Let SIGINT end the process with one line, unless it is ignored; collect garbage rarely.
+    """Make SIGINT end the process with one line, unless it is ignored; reduce garbage collection.
 
-    Under mpirun its signals wait for the thread that looks at them.
+    Under mpirun, signals wait for the thread that handles them.
     """
     gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
     if os.environ.get("OMPI_COMM_WORLD_SIZE", "1") != "1":
-        # One thread will wait for them (bundle.solving.ranks.end_by_mpirun). Those that libraries
-        # start as
-        # they are imported would take them, and die.
+        # One thread will wait for the signals (bundle.solving.ranks.end_by_mpirun). Without a
+        # block, threads that libraries start during imports would receive them and end the
+        # process.
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGCONT, signal.SIGTERM])
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end)
 
 
 def done() -> None:
-    """Let SIGINT raise KeyboardInterrupt again, until ``is_over``."""
+    """Make SIGINT raise KeyboardInterrupt again until ``is_over``."""
     if signal.getsignal(signal.SIGINT) is _end:
         signal.signal(signal.SIGINT, _interrupt)
 
 
 def ignore_interrupts() -> None:
-    """Ignore SIGINT until the process has ended, by an exit code also where one has come.
+    """Ignore SIGINT until the process exits, and exit by code even if a SIGINT has arrived.
 
-    ``is_over`` has to be set before.
+    ``is_over`` must be set before.
     """
     if threading.current_thread() is threading.main_thread():
         sys.unraisablehook = _complain_of_others
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # A KeyboardInterrupt that was caught, but had come while a string was executed (as dataclasses
-    # do), makes Python end by SIGINT after all; the next such execution forgets it.
+    # If a KeyboardInterrupt arrives while a string is executed (as in dataclasses), Python exits by
+    # SIGINT even if the exception was caught. The next execution of a string resets this.
     exec("")
 
 
@@ -74,7 +73,7 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
 
 
 def _complain_of_others(unraisable: sys.UnraisableHookArgs) -> None:
-    """Say nothing of a signal that came just before it was ignored; Python knows no better."""
+    """Hide the message about a signal that arrived just before signals were ignored."""
     error = unraisable.exc_value
     if not (isinstance(error, OSError) and "race condition" in str(error)):
         sys.__unraisablehook__(unraisable)

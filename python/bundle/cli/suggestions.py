@@ -1,4 +1,4 @@
-"""Messages on unknown commands, flags and values, with suggestions."""
+"""Error messages about unknown commands, flags and values, with suggestions."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ __all__ = ["unknown_command", "unknown_flag", "unknown_value"]
 
 
 def unknown_command(found: str, commands: Iterable[str]) -> str:
-    """Return what is wrong with a command that does not exist."""
+    """Return the message about an unknown command."""
     names = list(commands)
     listed = ", ".join(names)
     return f"expected a command, one of {listed}, found {found!r}{nearest(found, names)}"
 
 
 def unknown_value(found: str, values: Iterable[str]) -> str:
-    """Return what is wrong with a value that is none of the choices."""
+    """Return the message about an invalid value of a choice."""
     names = list(values)
     listed = ", ".join(names)
     return f"invalid choice: expected one of {listed}, found {found!r}{nearest(found, names)}"
 
 
 def unknown_flag(found: str, command: str, flags: Mapping[str, Iterable[str]]) -> str:
-    """Return what is wrong with a flag, and which flag of which command was probably meant.
+    """Return the message about an unknown flag, with the flag that was probably meant.
 
     Args:
-        found: the flag as typed, perhaps with its value: "--solvr=auto".
-        command: the command it was given to; "" where none was.
-        flags: the flags of each command.
+        found: flag as typed, possibly with its value: "--solvr=auto".
+        command: command of the flag; "" without a command.
+        flags: flags of each command.
     """
     name, _, _ = found.partition("=")
     meant = nearest(name, _long(flags.get(command, ())))

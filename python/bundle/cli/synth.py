@@ -28,7 +28,7 @@ __all__ = ["run"]
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Make a scene; write its start to OUTPUT and the truth beside it."""
+    """Generate a scene; write its start to OUTPUT, and the ground truth next to it."""
     refuse_flags_of_flights(arguments)
     options = options_given(arguments, SceneOptions)
     path = arguments.output
