@@ -1,4 +1,4 @@
-"""The numbers behind the figures of a report page, which ``bundle.pictures`` draws too."""
+"""Data of the figures of report pages; ``bundle.pictures`` draws the same data."""
 
 from bundle.figures.certainty import Certainty, certainty
 from bundle.figures.drawing import Figure, LineFigure

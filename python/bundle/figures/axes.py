@@ -1,4 +1,4 @@
-"""Axes of figures: the range of numbers, and the ticks at which numbers are written."""
+"""Axes of figures: ranges and ticks."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ __all__ = ["SHAPE", "Axis", "linear", "logarithmic", "round_down", "short", "squ
 
 MOST_TICKS = 6
 LARGEST = 308
-"""The largest power of ten of a double."""
+"""Exponent of the largest power of ten that a double can hold."""
 
 SHAPE = 410 / 266
-"""Width of the area of a chart by its height: (480 - 58 - 12) / (320 - 10 - 44) on a page."""
+"""Ratio of width to height of a chart: (480 - 58 - 12) / (320 - 10 - 44) on a page."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis from ``low`` to ``high`` with its ticks; positions go from 0 to 1."""
+    """Axis from ``low`` to ``high`` with its ticks; positions go from 0 to 1."""
 
     low: float
     high: float
@@ -27,21 +27,21 @@ class Axis:
     label: str = ""
 
     def __call__(self, value: float) -> float:
-        """Return the position of a value, 0 at ``low`` and 1 at ``high``, never outside."""
+        """Return the position of a value, 0 at ``low`` and 1 at ``high``, limited to 0 to 1."""
         if self.is_logarithmic:
             value, low, high = (math.log(max(x, 1e-300)) for x in (value, self.low, self.high))
-        else:  # halves, since the difference of large numbers overflows
+        else:  # halve both: the difference of large numbers would overflow
             value, low, high = value / 2, self.low / 2, self.high / 2
         return min(max((value - low) / (high - low), 0.0), 1.0)
 
 
 def linear(values: Iterable[float], label: str = "", *, low: float | None = 0.0) -> Axis:
-    """Return an axis over the finite values, with round ticks; ``low`` None: from the least on."""
+    """Return an axis over the finite values with round ticks; ``low`` None: from the smallest."""
     finite = [value for value in values if math.isfinite(value)]
     start = min(finite, default=0.0) if low is None else low
     end = max([*finite, start])
     rough = end / (MOST_TICKS - 1) - start / (MOST_TICKS - 1)
-    if rough <= max(1e-300, 1e-14 * abs(start)):  # equal, but for rounding
+    if rough <= max(1e-300, 1e-14 * abs(start)):  # equal up to rounding errors
         end = start + max(1.0, 1e-9 * abs(start))
         rough = end / (MOST_TICKS - 1) - start / (MOST_TICKS - 1)
     power = 10.0 ** math.floor(math.log10(rough))
@@ -51,7 +51,7 @@ def linear(values: Iterable[float], label: str = "", *, low: float | None = 0.0)
 
 
 def logarithmic(values: Iterable[float], label: str = "") -> Axis:
-    """Return an axis over the positive finite values, its ends at powers of ten."""
+    """Return an axis over the positive finite values, with powers of ten at its ends."""
     finite = [value for value in values if math.isfinite(value) and value > 0]
     first = math.floor(math.log10(min(finite, default=1.0)) + 1e-9)
     first = min(max(first, -LARGEST + 1), LARGEST - 1)
@@ -63,7 +63,7 @@ def logarithmic(values: Iterable[float], label: str = "") -> Axis:
 
 
 def square(center: tuple[float, float], reach: float, labels: tuple[str, str]) -> tuple[Axis, Axis]:
-    """Return axes of equal scale on a chart, ``reach`` up and down from the centre."""
+    """Return axes of equal scale on a chart; y extends by ``reach`` on both sides of the centre."""
     halves = (reach * SHAPE, reach)
     x, y = (
         linear([middle - half, middle + half], label, low=None)
@@ -76,8 +76,8 @@ def round_down(value: float, slack: float = 1e-12) -> float:
     """Return the largest 1, 2 or 5 times a power of ten up to a value; 1 if it is not positive.
 
     Args:
-        value: to be rounded.
-        slack: share by which the result may be larger.
+        value: value to round down.
+        slack: share by which the result may exceed the value.
     """
     if not math.isfinite(value) or value <= 0:
         return 1.0
@@ -86,7 +86,7 @@ def round_down(value: float, slack: float = 1e-12) -> float:
 
 
 def short(value: float) -> str:
-    """Return a number in few characters: 0.01, 250, 12k, 3M, 1e-7."""
+    """Return a short text for a number: 0.01, 250, 12k, 3M, 1e-7."""
     size = abs(value)
     if size == 0 or 1e-3 <= size < 1e4:
         return f"{value:.4g}"

@@ -1,4 +1,4 @@
-"""Certainty of a reconstruction, as its report shows it.
+"""Certainty of a reconstruction, as the report shows it.
 
 A pose is R, t with x = R X + t; its covariance counts in w and s of R' = Exp(w) R, t' = t + s. The
 centre of the camera is c = -R^T t, hence to first order dc = R^T (w x t) - R^T s, and its
@@ -30,18 +30,18 @@ class Certainty:
     """Covariances by index in the problem.
 
     Attributes:
-        sigma0: of an observation of unit weight [pixels].
+        sigma0: sigma of an observation of unit weight [pixels].
         dof: degrees of freedom.
-        gauge: in which covariances of poses and points hold.
-        scale: "sigma0" where they are scaled by sigma0, "unit" where not.
-        notes: sentences about what to know of them.
-        num_null_points: points without parallax, left out along the direction that nothing sees.
+        gauge: gauge of the covariances of poses and points.
+        scale: "sigma0" if covariances are multiplied by sigma0^2, otherwise "unit".
+        notes: sentences with remarks on the covariances.
+        num_null_points: points without parallax, left out along their undetermined direction.
         images: (n,) indices.
         centers: (n, 3, 3) covariances of camera centres [length unit squared].
         angles: (n,) standard deviation of the rotation about its worst axis [degrees].
         points: (m,) indices.
         point_covariance: (m, 3, 3) [length unit squared].
-        cameras: (k, k) covariance of the parameters, nan where held, by index of the camera.
+        cameras: (k, k) covariance of the parameters by camera index, NaN for constant parameters.
     """
 
     sigma0: float
@@ -58,14 +58,14 @@ class Certainty:
     cameras: dict[int, Array]
 
     def correlations(self, camera: int) -> tuple[Ids, Array]:
-        """Return the refined parameters of a camera by index, and their correlation matrix."""
+        """Return the indices of a camera's refined parameters, and their correlation matrix."""
         covariance = self.cameras[camera]
         free = np.flatnonzero(np.diag(covariance) > 0)
         sigma = np.sqrt(np.diag(covariance)[free])
         return free, covariance[np.ix_(free, free)] / np.outer(sigma, sigma)
 
     def sigmas(self, camera: int) -> Array:
-        """Return standard deviations of the parameters of a camera, nan where held."""
+        """Return standard deviations of the parameters of a camera, NaN for constant ones."""
         variance = np.diag(self.cameras[camera]).copy()
         variance[~(variance > 0)] = np.nan
         sigma: Array = np.sqrt(variance)
@@ -103,7 +103,7 @@ def certainty(problem: Problem, given: Covariance) -> Certainty:
 
 
 def largest_eigenvalues(covariance: Array) -> Array:
-    """Return the largest eigenvalue of each matrix; nan where one is not finite."""
+    """Return the largest eigenvalue of each matrix; NaN for matrices that are not finite."""
     known = np.isfinite(covariance).all(axis=(1, 2))
     values = np.full(len(covariance), np.nan)
     if known.any():

@@ -1,4 +1,4 @@
-"""Figures of costs: of an iteration, of methods compared, predicted and measured."""
+"""Figures of costs: by iteration, of compared methods, predicted and measured."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ __all__ = [
 ]
 
 WIDE = 30.0
-"""Ratio of costs from which on they are drawn on a logarithmic axis."""
+"""Ratio of costs above which the axis is logarithmic."""
 
 
 def iteration_figure(cost: Array) -> Figure:
-    """Return the cost by iteration; above the last one where it hardly falls."""
+    """Return the cost by iteration; if it hardly falls, the difference to the final cost."""
     count = float(len(cost))
     last = cost[np.isfinite(cost)][-1:]
     positive = cost[np.isfinite(cost) & (cost > 0)]
     if len(positive) and positive.max() > WIDE * positive.min():
         values, y = cost, logarithmic(positive.tolist(), "cost, log scale")
-    else:  # on an axis of whole decades a small decrease is not seen
+    else:  # on an axis of complete decades, a small decrease would be invisible
         label = "cost above the last one, % of the first"
         values = 100.0 * (cost - last) / cost[0] if cost[0] else 0.0 * cost
         y = linear(values.tolist(), label, low=min(0.0, float(np.nanmin(values))))
@@ -50,12 +50,12 @@ def iteration_figure(cost: Array) -> Figure:
 
 
 def time_figure(comparison: Comparison, problem: int, *, outcomes: bool = False) -> Figure:
-    """Return the distance of each run's cost to the best against time, both logarithmic.
+    """Return the distance of each run's cost to the best cost against time, both logarithmic.
 
     Args:
-        comparison: of the runs.
+        comparison: comparison with the runs.
         problem: index of the problem.
-        outcomes: labels also name the outcome of runs without a usable solution.
+        outcomes: True to add the outcome to labels of runs without a usable solution.
     """
     names, looks = labels(comparison.methods), styles(comparison.methods)
     marks = []
@@ -114,13 +114,13 @@ def profile_figure(comparison: Comparison, gap: float) -> Figure:
 def column_figure(profiles: Mapping[str, Sequence[float] | Array]) -> Figure:
     """Return nonzeros below the diagonal of L by column, for each method.
 
-    Profiles may have any number of bins; each is drawn over the whole width of L.
+    Profiles may have any number of bins; each profile extends over the full width of L.
     """
     marks = []
     for index, (name, profile) in enumerate(profiles.items()):
         counts = np.asarray(profile, float)
         place = np.linspace(0.0, 1.0, len(counts) + 1)
-        # An order that shares its colour with another is dashed.
+        # Dash an order that has the colour of another order.
         marks.append(Steps(name, place, counts, index % 10, index // 10))
     return Figure(
         name="column_counts",
@@ -139,7 +139,7 @@ def bar_figure(
     impossible: Collection[str] = (),
     most: int | None = None,
 ) -> Figure:
-    """Return a bar for each value; see :class:`Bars`."""
+    """Return one bar per value; see :class:`Bars`."""
     bars = Bars(values, show, impossible, most=most)
     return Figure(name=name, title=title, marks=(bars,))
 

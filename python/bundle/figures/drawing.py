@@ -1,8 +1,8 @@
-"""Figures as data: axes and marks, which a page and Matplotlib draw alike.
+"""Figures as data: axes and marks, for pages and for Matplotlib.
 
-Each renderer knows each mark once: :mod:`bundle.reports.page.svg` for pages,
-:mod:`bundle.figures.matplotlib.draw` for Matplotlib. A new figure is a function that returns a
-:class:`Figure`.
+Each renderer implements each mark once: :mod:`bundle.reports.page.svg` for pages,
+:mod:`bundle.figures.matplotlib.draw` for Matplotlib. To add a figure, write a function that returns
+a :class:`Figure`.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ __all__ = ["NO_AXIS", "Figure", "LineFigure", "over_image"]
 Array = NDArray[np.float64]
 
 NO_AXIS = Axis(0.0, 1.0, ())
-"""The axes of figures of bars."""
+"""Axes of bar charts, which have no ranges."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Figure:
-    """A figure over one pair of axes.
+    """Figure with one pair of axes.
 
     Attributes:
-        name: by which programs and readers of screens tell figures apart.
-        title: above the figure.
+        name: name that identifies the figure for programs and screen readers.
+        title: text above the figure.
         x, y: axes, with labels and units.
-        marks: in the order of the legend.
-        note: below the figure; "": nothing.
-        is_image: over an image: y goes down, both axes have the same scale.
-        is_plan: both axes have the same scale.
+        marks: marks in the order of the legend.
+        note: text below the figure; "": none.
+        is_image: True for a figure over an image: y points down, both axes have the same scale.
+        is_plan: True if both axes have the same scale.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Figure:
 
     @property
     def legend(self) -> list[Line | Steps]:
-        """Marks with a label."""
+        """Return the marks that have a label."""
         return [mark for mark in self.marks if isinstance(mark, Line | Steps) and mark.label]
 
 
@@ -59,10 +59,10 @@ def over_image(box: Array, name: str, title: str, *marks: Mark, note: str = "") 
 
     Args:
         box: (4,) left, top, right, bottom [pixels].
-        name: of the figure.
-        title: of the figure.
-        *marks: in pixels.
-        note: below it.
+        name: name of the figure.
+        title: title of the figure.
+        *marks: marks in pixels.
+        note: text below the figure.
     """
     left, top, right, bottom = box.tolist()
     x, y = Axis(left, right, (), label="x [px]"), Axis(top, bottom, (), label="y [px]")
@@ -71,16 +71,16 @@ def over_image(box: Array, name: str, title: str, *marks: Mark, note: str = "") 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LineFigure:
-    """A figure of lines over one pair of axes.
+    """Figure of lines with one pair of axes.
 
     Attributes:
-        name: one word, by which programs tell figures apart.
-        title: of the figure.
-        x_label, y_label: of the axes, with units.
-        lines: in the order of the legend.
-        is_logarithmic: the y axis is; values of 0 and below have no place on it.
-        is_plan: both axes have the same scale.
-        note: a sentence below the figure, or nothing.
+        name: one word that identifies the figure for programs.
+        title: title of the figure.
+        x_label, y_label: labels of the axes, with units.
+        lines: lines in the order of the legend.
+        is_logarithmic: True for a logarithmic y axis, which excludes values of 0 and below.
+        is_plan: True if both axes have the same scale.
+        note: sentence below the figure, or "".
     """
 
     name: str
@@ -93,7 +93,7 @@ class LineFigure:
     note: str = ""
 
     def asdict(self) -> dict[str, Any]:
-        """Return the numbers for JSON."""
+        """Return the data of the figure for JSON."""
         return {
             "name": self.name,
             "lines": [
@@ -108,7 +108,7 @@ class LineFigure:
         }
 
     def figure(self) -> Figure:
-        """Return the figure with axes over all lines and bands; limits are grey, each dashed."""
+        """Return the figure with axes over all lines and bands; limits are grey with own dashes."""
         limits = [line for line in self.lines if line.is_limit]
         marks = tuple(
             replace(line, colour=GREY, dash=1 + limits.index(line))
@@ -135,7 +135,7 @@ class LineFigure:
 
 
 def _plan(x: Array, y: Array, labels: tuple[str, str]) -> tuple[Axis, Axis]:
-    """Return axes on which a metre is as long across as up."""
+    """Return axes with the same scale in both directions."""
     ends = [(values.min() / 2, values.max() / 2) for values in (x, y)]  # sums could overflow
     middle = [low + high for low, high in ends]
     half = [high - low for low, high in ends]
@@ -144,6 +144,6 @@ def _plan(x: Array, y: Array, labels: tuple[str, str]) -> tuple[Axis, Axis]:
 
 
 def _finite(parts: Iterable[Array]) -> Array:
-    """Return the finite values of all."""
+    """Return the finite values of all arrays."""
     values: Array = np.concatenate([np.zeros(0), *parts])
     return values[np.isfinite(values)]

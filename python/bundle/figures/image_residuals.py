@@ -1,4 +1,4 @@
-"""Residuals of single images, to be drawn on their photographs."""
+"""Residuals of single images, for drawing on their photographs."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class ImageResiduals:
 
     Attributes:
         error: RMSE, largest residual, name and id.
-        camera_id: of its camera.
-        size: (2,) width and height [pixels]; 0 where unknown.
-        xy: (n, 2) measured positions [pixels] of the largest residuals, 400 at most.
-        residual: (n, 2) theirs.
+        camera_id: id of its camera.
+        size: (2,) width and height [pixels]; 0 if unknown.
+        xy: (n, 2) measured positions [pixels] of the largest residuals, at most 400.
+        residual: (n, 2) residuals at these positions [pixels].
     """
 
     error: ImageError
@@ -40,9 +40,9 @@ class ImageResiduals:
 def worst_residuals(
     problem: Problem, found: Residuals, most: int = MOST_IMAGES
 ) -> list[ImageResiduals]:
-    """Return the residuals of the images of largest RMSE, the worst first."""
+    """Return the residuals of the images with the largest RMSE, the largest first."""
     lengths = np.where(found.counted, found.lengths, np.nan)
-    behind = np.zeros(len(lengths), bool)  # what does not count has no length
+    behind = np.zeros(len(lengths), bool)  # observations that do not count have length NaN
     return image_residuals(
         problem, found, worst_of_errors(problem, lengths, behind, "algebraic", most=most)
     )

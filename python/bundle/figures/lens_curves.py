@@ -1,13 +1,13 @@
-"""Distortion of lenses along the radius, and the radius up to which it was observed.
+"""Distortion of lenses along the radius, and the observed radius.
 
-A ray at the angle theta to the axis, in the direction phi around it, would fall without distortion
-on i = (fx s cos phi, fy s sin phi) from the principal point, with s = tan theta for perspective
-models and s = theta for fisheyes. The lens puts it on d. The distortion is (d - i) . i / |i|, its
-mean over phi; it is drawn against the mean of |d|, where the image shows it. Terms that are not
-symmetric about the axis cancel in the mean.
+Let a ray have the angle theta to the axis and the direction phi around it. Without distortion its
+image would be at i = (fx s cos phi, fy s sin phi) from the principal point, with s = tan theta for
+perspective models and s = theta for fisheyes. The lens images it at d. The distortion is (d - i) .
+i / |i|, averaged over phi. It is drawn against the mean of |d|, the radius in the image. Terms
+without symmetry about the axis cancel in the mean.
 
-With the covariance C of the parameters p the standard deviation of the curve is sqrt(g^T C g),
-g its derivative by p, by central differences.
+With the covariance C of the parameters p, the standard deviation of the curve is sqrt(g^T C g),
+where g is the derivative of the curve by p, from central differences.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ class LensCurve:
     """Distortion of one camera.
 
     Attributes:
-        camera_id: of the camera.
-        model: its camera model.
+        camera_id: id of the camera.
+        model: camera model.
         radius: (n,) distance from the principal point in the image [pixels], ascending.
-        distortion: (n,) outwards [pixels].
+        distortion: (n,) distortion, positive outwards [pixels].
         sigma: (n,) standard deviation [pixels]; empty without a covariance.
-        observed_radius: largest distance of an observation from the principal point [pixels]; nan
+        observed_radius: largest distance of an observation from the principal point [pixels]; NaN
             without observations.
-        corner_radius: that of the farthest corner of the image; nan where its size is unknown.
-        fold_radius: where the image stops growing with the angle, if that is inside the image; nan
-            otherwise.
+        corner_radius: distance of the farthest image corner; NaN if the image size is unknown.
+        fold_radius: radius at which the image stops growing with the angle, if it is inside the
+            image; otherwise NaN.
     """
 
     camera_id: int
@@ -74,9 +74,9 @@ def lens_curve(
     """Return the curve of a camera; None for a model without focal length.
 
     Args:
-        problem: whose camera it is.
-        camera: its index.
-        covariance: (k, k) of its parameters in COLMAP's order; nan where one is held.
+        problem: problem with the camera.
+        camera: index of the camera.
+        covariance: (k, k) of its parameters in COLMAP's order; NaN for constant parameters.
     """
     model = problem.camera_models[camera]
     center = principal_point(problem, camera)
@@ -93,7 +93,7 @@ def lens_curve(
     reach = corner if np.isfinite(corner) else 1.05 * observed
     widest = WIDEST_PERSPECTIVE if model in PERSPECTIVE else WIDEST_FISHEYE
     angles = np.deg2rad(np.linspace(0.0, widest, STEPS + 1)[1:])
-    # Finer where the image is: angles up to the first whose undistorted radius is twice the reach.
+    # Sample finer within the image: up to the first angle with twice the undistorted radius.
     fx, fy, *_ = focal_and_center(model, params)
     ideal = max(fx, fy) * (np.tan(angles) if model in PERSPECTIVE else angles)
     if np.isfinite(reach) and (ideal > 2 * reach).any():
@@ -121,7 +121,7 @@ def lens_curve(
 def _curve(
     model: str, params: NDArray[np.float64], angles: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return mean radius in the image and mean distortion of each angle."""
+    """Return the mean radius in the image and the mean distortion at each angle."""
     around = np.arange(AROUND) * (2 * np.pi / AROUND)
     angle, phi = (grid.ravel() for grid in np.meshgrid(angles, around, indexing="ij"))
     unit = np.column_stack([np.cos(phi), np.sin(phi)])
@@ -144,7 +144,7 @@ def _sigma(
     angles: NDArray[np.float64],
     covariance: NDArray[np.float64] | None,
 ) -> NDArray[np.float64]:
-    """Return standard deviations, 0 on the axis first; nothing without a covariance."""
+    """Return standard deviations with a leading 0 for the axis; empty without a covariance."""
     if covariance is None:
         return np.zeros(0)
     known = np.where(np.isfinite(covariance), covariance, 0.0)[: len(params), : len(params)]

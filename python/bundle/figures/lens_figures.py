@@ -17,20 +17,20 @@ from bundle.figures.projection_uncertainty import ProjectionUncertainty, contour
 __all__ = ["distance_figure", "lens_figure", "sigma_figure", "top_sigma"]
 
 NONE = 1e-6
-"""Distortion in pixels that is rounding."""
+"""Limit in pixels below which distortion is a rounding error."""
 
 WIDE = 20.0
-"""Ratio of sigmas from which on they are drawn on a logarithmic axis."""
+"""Ratio of sigmas above which the axis is logarithmic."""
 
 
 def lens_figure(curves: Mapping[str, LensCurve], title: str = "", note: str = "") -> Figure:
-    """Return distortion against the distance from the principal point.
+    """Return the figure of distortion against the distance from the principal point.
 
     Args:
-        curves: by label; "before" is grey and dashed, others have their bands, and places at
-            the observation and the corner of the image that are farthest out.
-        title: of the figure.
-        note: below it.
+        curves: curves by label. "before" is grey and dashed. The others have sigma bands, and
+            marks at the farthest observation and at the farthest image corner.
+        title: title of the figure.
+        note: text below the figure.
     """
     lines, places = [], []
     now = [label for label in curves if label != "before"]
@@ -66,12 +66,12 @@ def lens_figure(curves: Mapping[str, LensCurve], title: str = "", note: str = ""
 def sigma_figure(
     known: ProjectionUncertainty, distance: float = math.inf, words: str = ""
 ) -> Figure:
-    """Return the uncertainty over the image, with contours.
+    """Return the figure of the uncertainty over the image, with contours.
 
     Args:
-        known: of a camera.
-        distance: of the points [length unit].
-        words: on the distance, for the note.
+        known: uncertainty of a camera.
+        distance: distance of the points [length unit].
+        words: description of the distance, for the note.
     """
     sigma = known.sigma(distance)
     seen = sigma[np.isfinite(sigma)]
@@ -95,7 +95,7 @@ def sigma_figure(
 
 
 def distance_figure(known: ProjectionUncertainty) -> Figure:
-    """Return the uncertainty against the distance, the median distance marked."""
+    """Return the uncertainty against the distance, with a mark at the median distance."""
     x = known.distances
     curves = known.by_distance()
     heights = [y for values in curves.values() for y in values.tolist() if 0 < y < math.inf]
@@ -121,7 +121,7 @@ def distance_figure(known: ProjectionUncertainty) -> Figure:
 
 
 def top_sigma(known: ProjectionUncertainty) -> float:
-    """Return the sigma that is drawn full at any distance: the 98th percentile at two."""
+    """Return the top of the colour scale: the 98th percentile of sigma at two distances."""
     both: Array = np.stack([known.sigma(), known.sigma(known.distance)])
     return float(f"{np.quantile(both[np.isfinite(both)], 0.98):.6g}")
 
