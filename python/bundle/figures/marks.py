@@ -1,7 +1,7 @@
-"""Marks of figures: what stands on a pair of axes, as data.
+"""Marks of figures: shapes on a pair of axes, as data.
 
-Coordinates are those of the axes. Colours and dashes are numbers that count from 0 in the palette
-and the line styles of each renderer; both repeat.
+Coordinates are those of the axes. Colours and dashes are indices into the palette and the line
+styles of each renderer, from 0; indices beyond the end start again at 0.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ __all__ = [
 Array = NDArray[np.float64]
 
 GREY = 6
-"""Number of the grey in the palette."""
+"""Index of grey in the palette."""
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A line through points.
+    """Line through points.
 
     Attributes:
-        label: of the legend; "": none.
-        x, y: (n,) each; nan breaks the line.
-        sigma: (n,) standard deviations of y, drawn as a band to both sides; None: no band.
-        is_limit: a bound, such as a budget: grey and dashed, another one dotted.
-        is_dotted: values without a line between them.
-        colour: in the palette; None: its place among the lines of the figure.
+        label: label in the legend; "": none.
+        x, y: (n,) each; NaN interrupts the line.
+        sigma: (n,) standard deviations of y, drawn as a band on both sides; None: no band.
+        is_limit: True for a bound, such as a budget: grey and dashed, a second bound dotted.
+        is_dotted: True for values without a line between them.
+        colour: index in the palette; None: position among the lines of the figure.
         dash: line style.
-        error: (n,) standard errors of y, drawn as bars at each value; None: none.
+        error: (n,) standard errors of y, drawn as bars at each value; None: no bars.
     """
 
     label: str
@@ -62,13 +62,13 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Stairs.
+    """Step function.
 
     Attributes:
-        label: of the legend.
+        label: label in the legend.
         x: (n,) each value holds from its x to the next; or (n + 1,) edges of n bins.
         y: (n,) values.
-        colour: in the palette.
+        colour: index in the palette.
         dash: line style.
     """
 
@@ -81,7 +81,7 @@ class Steps:
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Vertical lines at named places on the x axis."""
+    """Vertical lines at named positions on the x axis."""
 
     at: Mapping[str, float]
     colour: int = GREY
@@ -89,14 +89,14 @@ class Places:
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """A bar for each name, on a logarithmic scale.
+    """One bar per name, on a logarithmic scale.
 
     Attributes:
-        values: by name; nan and 0 have no bar.
-        show: writes a value.
-        impossible: names of what cannot be, hatched.
-        is_ordered: the names are classes of a histogram.
-        most: bars beyond these may be folded away; None: none.
+        values: values by name; NaN and 0 have no bar.
+        show: function that formats a value.
+        impossible: names of hatched bars, whose values are impossible.
+        is_ordered: True if the names are classes of a histogram.
+        most: number of bars after which others may be folded away; None: no limit.
     """
 
     values: Mapping[str, float]
@@ -108,7 +108,7 @@ class Bars:
 
 @dataclass(frozen=True, eq=False)
 class StackedBars:
-    """A bar for each name, of parts that add up; the part "rest" is grey."""
+    """One stacked bar per name; the part named "rest" is grey."""
 
     rows: Mapping[str, Mapping[str, float]]
     unit: str
@@ -116,14 +116,14 @@ class StackedBars:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Equal cells over the axes, the fuller the larger the value.
+    """Grid of equal cells over the axes; larger values are more opaque.
 
     Attributes:
-        values: (rows, columns); nan: empty.
-        top: the value that is drawn full.
-        unit: of the values.
-        titles: of each cell, row by row; (): none.
-        levels: of contours on top.
+        values: (rows, columns); NaN: empty.
+        top: value of full opacity.
+        unit: unit of the values.
+        titles: title of each cell, row by row; (): none.
+        levels: levels of contours on top.
     """
 
     values: Array
@@ -135,16 +135,16 @@ class Cells:
 
 @dataclass(frozen=True, eq=False)
 class Vectors:
-    """Lines from points, as long as they are to be drawn.
+    """Lines from points, drawn at their given length.
 
     Attributes:
         at: (n, 2) starts.
         step: (n, 2) ends minus starts.
-        colour: in the palette, of those that are bold.
-        is_bold: (n,) the others are grey; None: all are.
-        cells: (n,) the cell of each, row by row; None: no cells.
+        colour: index in the palette, for bold lines.
+        is_bold: (n,) True for bold lines; the others are grey. None: all are bold.
+        cells: (n,) cell of each line, row by row; None: no cells.
         grid: rows and columns of the cells.
-        titles: of each cell of the grid, row by row.
+        titles: title of each cell of the grid, row by row.
     """
 
     at: Array
@@ -158,14 +158,14 @@ class Vectors:
 
 @dataclass(frozen=True, eq=False)
 class Dots:
-    """Points.
+    """Dots at points.
 
     Attributes:
         xy: (n, 2).
-        colours: (n,) in the palette; () for the first.
-        names: of each, shown where a pointer rests; ().
-        is_labelled: names also stand beside the points, where there is room.
-        directions: (n, 2) vectors whose directions give the colours; None: ``colours`` do.
+        colours: (n,) indices in the palette; () for the first colour.
+        names: names of the dots, shown under the mouse pointer; (): none.
+        is_labelled: True to write the names next to the dots where there is room.
+        directions: (n, 2) vectors whose directions select the colours; None: use ``colours``.
     """
 
     xy: Array
@@ -181,14 +181,14 @@ class Ellipses:
 
     Attributes:
         covariances: (n, 2, 2).
-        colour: in the palette.
+        colour: index in the palette.
     """
 
     covariances: Array
     colour: int = 0
 
     def outlines(self) -> list[Array]:
-        """Return (61, 2) points of each ellipse, closed."""
+        """Return the closed outline of each ellipse, (61, 2) points."""
         around = np.linspace(0, 2 * np.pi, 61)
         unit = np.stack([np.cos(around), np.sin(around)])
         values, vectors = np.linalg.eigh(self.covariances)
@@ -198,10 +198,10 @@ class Ellipses:
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """A picture over the whole axes.
+    """Picture over the full area of the axes.
 
     Attributes:
-        picture: a data: address for a page, what ``imshow`` takes for Matplotlib.
+        picture: a data URI for a page, or an argument of ``imshow`` for Matplotlib.
     """
 
     picture: object = field(repr=False)
@@ -210,8 +210,8 @@ class Photo:
 Mark = Line | Steps | Places | Bars | StackedBars | Cells | Vectors | Dots | Ellipses | Photo
 
 
-# Hues of equal lightness and chroma in CIE LCh(ab) (L = 62, C = 38), every 30 degrees from right,
-# clockwise as an image is seen; between them, linear in sRGB.
+# Hues of equal lightness and chroma in CIE LCh(ab) (L = 62, C = 38), every 30 degrees, clockwise in
+# the image, starting to the right. Between them, colours are interpolated linearly in sRGB.
 _HUES = np.array(
     [
         (212, 123, 151), (213, 126, 118), (198, 136, 92), (171, 148, 81), (136, 158, 90),
@@ -223,7 +223,7 @@ _HUES = np.array(
 
 
 def direction_colours(vectors: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Return (n, 3) colours red, green, blue of the directions of (n, 2) vectors, y down."""
+    """Return (n, 3) red, green, blue for the directions of (n, 2) vectors, y down."""
     turn = np.mod(np.arctan2(vectors[:, 1], vectors[:, 0]) / (2 * np.pi), 1.0) * len(_HUES)
     first = np.floor(turn).astype(int) % len(_HUES)
     share = (turn - np.floor(turn))[:, None]

@@ -1,7 +1,8 @@
-"""The telemetry of an odometry as figures: a value per keyframe over time, the path from above.
+"""Figures of an odometry's telemetry: values per keyframe over time, and the path from above.
 
-Times of the keyframes count from the first pose of the trajectory. A value that a keyframe does not
-have is nan: no prior before the first keyframe has left, no sigmas without ``covariance``.
+Times of the keyframes count from the first pose of the trajectory. Missing values are NaN: the
+prior is missing before the first keyframe is marginalised, sigmas are missing without
+``covariance``.
 """
 
 from __future__ import annotations
@@ -34,11 +35,11 @@ TIME = "s since the first pose"
 def odometry_figures(
     result: OdometryResult, truth: Trajectory | None = None
 ) -> tuple[LineFigure, ...]:
-    """Return the figures of an odometry, each by its ``name``.
+    """Return the figures of an odometry; each has a ``name``.
 
     Args:
-        result: of :func:`bundle.run_odometry`.
-        truth: to compare the trajectory with, aligned in yaw and position; None: none.
+        result: result of :func:`bundle.run_odometry`.
+        truth: true trajectory for comparison, aligned in yaw and position; None: no comparison.
 
     Raises:
         InputError: the truth has fewer than three poses in common with the trajectory.

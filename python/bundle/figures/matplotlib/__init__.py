@@ -1,6 +1,6 @@
-"""Pictures of problems, orderings and comparisons: functions of a Matplotlib axis.
+"""Pictures of problems, orderings and comparisons: functions that draw on Matplotlib axes.
 
-``figure()`` makes one, and what it returns saves PNG and SVG::
+``figure()`` creates a figure, which can be saved as PNG or SVG::
 
     made, axes = bundle.pictures.figure()
     bundle.pictures.draw_covisibility(axes[0, 0], problem)

@@ -1,4 +1,4 @@
-"""Predicted and measured cost of solves: functions of a Matplotlib axis."""
+"""Predicted and measured cost of solves: functions that draw on a Matplotlib axis."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def draw_flops(ax: Axes, flops: Mapping[str, float], *, impossible: Collection[s
     """Draw the predicted flops of a step as bars on a log scale.
 
     Args:
-        ax: where.
-        flops: of each method, by its name; NaN and 0 have no bar.
-        impossible: names of methods that do not fit in memory: they are hatched.
+        ax: axis to draw on.
+        flops: flops of each method by name; NaN and 0 have no bar.
+        impossible: names of methods that do not fit in memory; their bars are hatched.
     """
     check_type("flops", flops, Mapping)
     figure = bar_figure("flops", "predicted flops", flops, "{:.2g}".format, impossible)
@@ -46,16 +46,16 @@ def draw_flops(ax: Axes, flops: Mapping[str, float], *, impossible: Collection[s
 
 
 def draw_column_counts(ax: Axes, counts: Mapping[str, ArrayLike]) -> None:
-    """Draw nonzeros below the diagonal of L, by column, for each method.
+    """Draw nonzeros below the diagonal of L by column, for each method.
 
-    Profiles may have any number of bins; each is drawn over the whole width of L.
+    Profiles may have any number of bins; each profile extends over the full width of L.
     """
     check_type("counts", counts, Mapping)
     draw(ax, column_figure({name: np.asarray(given, float) for name, given in counts.items()}))
 
 
 def draw_cost_against_time(ax: Axes, comparison: Comparison, problem: int = 0) -> None:
-    """Draw the distance of each run's cost to the best against time, both logarithmic."""
+    """Draw the distance of each run's cost to the best cost against time, both logarithmic."""
     check_type("comparison", comparison, Comparison)
     draw(ax, time_figure(comparison, problem), comparison.problems[problem].name)
 
@@ -70,8 +70,8 @@ def draw_breakdown(ax: Axes, comparison: Comparison, problem: int = 0) -> None:
 def draw_performance_profile(ax: Axes, comparison: Comparison, gap: float = 1e-3) -> None:
     """Draw the share of problems that each method solves within a factor of the fastest.
 
-    A problem is solved when the cost is within ``gap`` of the best. Nothing is drawn where the
-    comparison has no profiles for the gap, which takes several problems.
+    A problem is solved when the cost is within ``gap`` of the best. Without profiles for the gap,
+    nothing is drawn; profiles require several problems.
     """
     check_type("comparison", comparison, Comparison)
     draw(ax, profile_figure(comparison, gap), f"performance profile, to {gap:g}")

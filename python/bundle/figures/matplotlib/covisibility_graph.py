@@ -1,4 +1,4 @@
-"""The co-visibility graph: images where they stand, joined by the points they share."""
+"""Co-visibility graph: images at their positions, joined by shared points."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ if TYPE_CHECKING:
 __all__ = ["CovisibilityGraph", "covisibility_graph", "draw_covisibility"]
 
 STRONGEST_OF_EACH = 3
-# Height of a graph by its width, below which it is stretched.
+# Ratio of height to width below which a graph is stretched.
 NARROWEST = 0.15
 
 
 @dataclass(frozen=True, eq=False)
 class CovisibilityGraph:
-    """Images as points of the plane, and the edges worth drawing, the weakest first.
+    """Images as points of the plane, and the edges to draw, the weakest first.
 
     Attributes:
-        positions: (num_images, 2) camera centres on the plane that they spread over most, the
+        positions: (num_images, 2) camera centres in their plane of largest spread, in the
             reconstruction's length unit; y up.
         edges: (num_edges, 2) pairs of images with common points.
-        weights: (num_edges,) points that they share.
-        num_pairs: all pairs with common points, drawn or not.
+        weights: (num_edges,) number of their common points.
+        num_pairs: number of all pairs with common points, drawn or not.
     """
 
     positions: NDArray[np.float64]
@@ -42,10 +42,10 @@ class CovisibilityGraph:
 
 
 def covisibility_graph(problem: Problem, max_edges: int = 4000) -> CovisibilityGraph:
-    """Return the graph of a problem, thinned to the edges that carry most.
+    """Return the graph of a problem, reduced to its most important edges.
 
-    Where there are more pairs than ``max_edges``, the three strongest edges of each image stay, and
-    of the others the strongest as far as they fit.
+    If there are more than ``max_edges`` pairs, the three strongest edges of each image are kept,
+    and the strongest of the others up to the limit.
     """
     check_type("problem", problem, Problem)
     max_edges = number("max_edges", max_edges, whole=True, minimum=0)
@@ -60,10 +60,10 @@ def covisibility_graph(problem: Problem, max_edges: int = 4000) -> CovisibilityG
 
 
 def draw_covisibility(ax: Axes, problem: Problem, max_edges: int = 4000) -> None:
-    """Draw the co-visibility graph from where the images were taken.
+    """Draw the co-visibility graph with the images at their camera centres.
 
-    The darker an edge, the more points its images share. Cameras far outside, such as those of
-    broken poses, are drawn at the border.
+    Darker edges have more shared points. Cameras far outside, such as those of broken poses, are
+    drawn at the border.
     """
     from matplotlib.collections import LineCollection
 
@@ -88,7 +88,7 @@ def draw_covisibility(ax: Axes, problem: Problem, max_edges: int = 4000) -> None
 
 
 def within_view(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return positions with those far outside the middle 90 % moved to the border."""
+    """Return positions; those far outside the middle 90 % are moved to the border."""
     if len(positions) == 0:
         return positions
     low, high = np.percentile(positions, [5, 95], axis=0)
@@ -98,7 +98,7 @@ def within_view(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _plane(centres: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return centres on the plane of their two principal axes, found without the outermost."""
+    """Return centres in the plane of their two principal axes, computed without outermost ones."""
     if len(centres) == 0:
         return np.zeros((0, 2))
     offset = centres - np.median(centres, axis=0)
@@ -113,7 +113,7 @@ def _plane(centres: NDArray[np.float64]) -> NDArray[np.float64]:
 def _rank(
     low: NDArray[np.int64], high: NDArray[np.int64], count: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Return for each edge its place among those of its images, the better of the two; from 0."""
+    """Return the rank of each edge among the edges of its images, the better of two, from 0."""
     ends, edge = np.concatenate([low, high]), np.tile(np.arange(len(count)), 2)
     by_image = np.lexsort((-count[edge], ends))
     ends, edge = ends[by_image], edge[by_image]

@@ -1,10 +1,10 @@
-"""Patterns of any size as small images: how many nonzeros fall on each pixel.
+"""Patterns of any size as small images: number of nonzeros per pixel.
 
-A pixel of a matrix with 30,000 rows drawn 400 pixels wide covers 75 x 75 cells, and drawing one
-nonzero as one dot would paint it black whether it holds one nonzero or all 5,625. Here nonzeros
-are counted per pixel, blocks that straddle pixels by the share that each pixel has of them, and the
-grey is logarithmic in the count: a lone nonzero stays visible, and a full pixel is told from one
-that is a tenth full.
+If a matrix with 30,000 rows is drawn 400 pixels wide, a pixel covers 75 x 75 cells. Drawing each
+nonzero as a dot would make the pixel black for one nonzero as well as for all 5,625. Therefore
+nonzeros are counted per pixel; a block over several pixels counts by the share of each pixel. The
+grey level is logarithmic in the count: a single nonzero stays visible, and a full pixel differs
+from one that is 10 % full.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from bundle.figures.matplotlib.matrix_pattern import MatrixPattern, factor_colum
 
 __all__ = ["FILL_COLOUR", "Density", "factor_density", "matrix_density"]
 
-# Darkness of a pixel with a single nonzero among many cells; a full one has 1.
+# Darkness of a pixel with a single nonzero among many cells; a full pixel has 1.
 FAINTEST = 0.28
 FILL_COLOUR = (217, 72, 15)
-# Counts are sums of fractions; less than this is none.
+# Counts are sums of fractions; smaller counts are treated as zero.
 ROUNDING = 1e-6
 
 
@@ -32,9 +32,9 @@ class Density:
     """Nonzeros per pixel of a square matrix.
 
     Attributes:
-        entries: (pixels, pixels) nonzeros of the matrix on each pixel; fractions where a block
-            straddles pixels.
-        fill: (pixels, pixels) nonzeros that only the factor has.
+        entries: (pixels, pixels) nonzeros of the matrix on each pixel; fractional if a block
+            covers several pixels.
+        fill: (pixels, pixels) fill-in: nonzeros of the factor that are zero in the matrix.
         num_unknowns: scalar rows of the matrix.
     """
 
@@ -44,11 +44,11 @@ class Density:
 
     @property
     def num_nonzeros(self) -> int:
-        """Nonzeros drawn: both triangles and the diagonal of a matrix, all of L for a factor."""
+        """Number of nonzeros: both triangles and the diagonal of a matrix, or all of L."""
         return round(float(self.entries.sum() + self.fill.sum()))
 
     def tone(self) -> NDArray[np.float64]:
-        """Return the darkness of each pixel from 0 (no nonzero) to 1 (no zero)."""
+        """Return the darkness of each pixel from 0 (all zeros) to 1 (all nonzeros)."""
         count = self.entries + self.fill
         cells = (self.num_unknowns / max(len(count), 1)) ** 2
         if cells <= 1.0:
@@ -57,7 +57,7 @@ class Density:
         return np.clip(np.where(count < 1.0, FAINTEST * count, grown), 0.0, 1.0)
 
     def rgba(self) -> NDArray[np.uint8]:
-        """Return (pixels, pixels, 4): the tone as alpha of black, of orange where it is fill."""
+        """Return (pixels, pixels, 4): black, or orange for fill-in, with the tone as alpha."""
         total = self.entries + self.fill
         share = np.divide(self.fill, total, out=np.zeros_like(total), where=total > 0)
         image = np.empty((*total.shape, 4), np.uint8)
@@ -69,7 +69,7 @@ class Density:
 def matrix_density(
     pattern: MatrixPattern, order: ArrayLike | None = None, pixels: int = 400
 ) -> Density:
-    """Return the density of a symmetric matrix, both triangles, its blocks in the order given."""
+    """Return the density of a symmetric matrix, both triangles, with blocks in the given order."""
     grid = _Grid(pattern.permuted(order), pixels)
     lower = grid.lower_triangle()
     entries = np.maximum(lower + lower.T - grid.diagonal_blocks(), 0.0)
@@ -79,9 +79,9 @@ def matrix_density(
 def factor_density(
     pattern: MatrixPattern, order: ArrayLike | None = None, pixels: int = 400
 ) -> Density:
-    """Return the density of the Cholesky factor of a matrix with its blocks in the order given.
+    """Return the density of the Cholesky factor of a matrix with blocks in the given order.
 
-    Diagonal blocks count with their lower triangle. Time grows with the nonzero blocks of L.
+    Diagonal blocks count with their lower triangle. Time is linear in the nonzero blocks of L.
     """
     ordered = pattern.permuted(order)
     grid = _Grid(ordered, pixels)
@@ -95,7 +95,7 @@ def factor_density(
 
 
 class _Grid:
-    """Pixels over a lower triangle of blocks: counts how many cells of a block each one has."""
+    """Grid of pixels over a lower triangle of blocks; it counts the cells of blocks per pixel."""
 
     def __init__(self, pattern: MatrixPattern, pixels: int) -> None:
         self.pattern = pattern
@@ -106,17 +106,17 @@ class _Grid:
         self.borders = np.linspace(0.0, self.num_unknowns, self.pixels + 1)
 
     def lower_triangle(self) -> NDArray[np.float64]:
-        """Return the cells of all blocks, diagonal blocks whole."""
+        """Return the number of cells of all blocks per pixel, with full diagonal blocks."""
         return self._blocks(self.pattern.rows, self.pattern.column_begin)
 
     def diagonal_blocks(self) -> NDArray[np.float64]:
-        """Return the cells of the diagonal blocks."""
+        """Return the number of cells of the diagonal blocks per pixel."""
         return self._blocks(
             np.arange(self.pattern.num_blocks), np.arange(self.pattern.num_blocks + 1)
         )
 
     def above_diagonal(self) -> NDArray[np.float64]:
-        """Return the cells of the diagonal blocks above the diagonal."""
+        """Return the number of cells per pixel above the diagonal, within diagonal blocks."""
         rows, columns = [], []
         for size in np.unique(self.pattern.sizes):
             row, column = np.triu_indices(size, 1)
@@ -130,7 +130,7 @@ class _Grid:
         )
 
     def columns(self, columns: Iterable[NDArray[Any]]) -> NDArray[np.float64]:
-        """Return the cells of block columns, each given by its block rows, one at a time."""
+        """Return the number of cells per pixel of block columns, given by their block rows."""
         image = np.zeros((self.pixels, self.pixels))
         for column, rows in enumerate(columns):
             across = self._covered(np.array([column]))
@@ -141,14 +141,14 @@ class _Grid:
         return image
 
     def _covered(self, blocks: NDArray[Any]) -> NDArray[np.float64]:
-        """Return how many unknowns of ascending blocks each pixel covers."""
+        """Return the number of unknowns of ascending blocks on each pixel."""
         ends = np.stack([self.begin[blocks], self.begin[blocks + 1]], axis=1).ravel()
         sizes = np.zeros(len(ends))
         sizes[1::2] = self.pattern.sizes[blocks]
         return np.diff(np.interp(self.borders, ends, np.cumsum(sizes)))
 
     def _blocks(self, rows: NDArray[Any], begin: NDArray[Any]) -> NDArray[np.float64]:
-        """Return the cells of blocks by columns, all at once if none is wider than a pixel."""
+        """Return the cells of blocks by columns, vectorised if no block is wider than a pixel."""
         sizes = self.pattern.sizes
         if len(sizes) == 0 or sizes.max() > self.width:
             return self.columns(rows[begin[j] : begin[j + 1]] for j in range(len(sizes)))
@@ -159,7 +159,7 @@ class _Grid:
         )
 
     def _halves(self, first: NDArray[Any], size: Any) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-        """Return (pixel, unknowns on it) of intervals: the pixel they begin on and the next."""
+        """Return (pixel, unknowns on it) of intervals, for their first pixel and the next one."""
         pixel = np.minimum((first / self.width).astype(np.int64), self.pixels - 1)
         here = np.minimum(size, (pixel + 1) * self.width - first)
         return [(pixel, here), (np.minimum(pixel + 1, self.pixels - 1), size - here)]

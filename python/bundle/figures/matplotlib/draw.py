@@ -1,4 +1,4 @@
-"""Figures as marks on a Matplotlib axis, with the ranges, colours and legends of a page."""
+"""Drawing of figures on a Matplotlib axis, with the ranges, colours and legends of a page."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ if TYPE_CHECKING:
 
 __all__ = ["COLOURS", "DASHES", "draw", "figure", "legend_below", "show_title"]
 
-# Okabe and Ito's colours, which the colour-blind tell apart too, then three greys of other hues, as
-# dark as a page has them on white.
+# Okabe and Ito's colours, which colour-blind readers can distinguish, then three tinted greys, as
+# dark as on a page with a white background.
 COLOURS = (
     "#0072b2", "#d55e00", "#008a64", "#b5568d", "#b87f00", "#3a9bd0", "#5b5b5b", "#7a5aa6",
     "#8a5a20", "#2f7f77",
 )  # fmt: skip
 DASHES = ("-", "--", ":", "-.")
-# Characters of a title, of labels of which two stand side by side, and of a line of a label on an
-# axis narrower than 4 inches, by the inch.
+# Characters per inch: of a title, of labels in two columns, and of a label line on an axis narrower
+# than 4 inches.
 TITLE, OF_TWO, OF_A_LINE = 11.0, 5.5, 7.0
-WIDE = 4.0  # inches from which labels have one line
-# Points that ticks and label take below an axis.
+WIDE = 4.0  # inches: on wider axes, labels have one line
+# Space in points below an axis for ticks and label.
 LABELS_BELOW = 38
 
 
@@ -51,8 +51,8 @@ def figure(
 ) -> tuple[MatplotlibFigure, Any]:
     """Return a figure and its (num_rows, num_columns) axes, each ``width`` by ``height`` inches.
 
-    The figure belongs to no window and no global state; ``figure.savefig("a.svg")`` writes it, as
-    PNG or SVG by the name.
+    The figure belongs to no window and no global state. ``figure.savefig("a.svg")`` writes PNG or
+    SVG, depending on the suffix.
 
     Raises:
         InputError: Matplotlib is not installed.
@@ -78,9 +78,9 @@ def draw(ax: Axes, figure: Figure, title: str | None = None) -> None:
     """Draw a figure.
 
     Args:
-        ax: where.
-        figure: to draw.
-        title: in place of the figure's own; of a long one the end is shown.
+        ax: axis to draw on.
+        figure: figure to draw.
+        title: title instead of the figure's own; a long title is cut at its beginning.
     """
     if not any(isinstance(mark, Bars | StackedBars) for mark in figure.marks):
         _set_axes(ax, figure)
@@ -146,7 +146,7 @@ def _places(ax: Axes, mark: Places) -> None:
 
 
 def _bars(ax: Axes, mark: Bars) -> None:
-    """Draw classes of a histogram upright, other names at the left of bars on a log scale."""
+    """Draw classes of a histogram as vertical bars, other names as horizontal bars in log scale."""
     if mark.is_ordered:
         ax.bar(np.arange(len(mark.values)), [*mark.values.values()], color=_paint(0))
         ax.set_xticks(np.arange(len(mark.values)), [*mark.values], rotation=90, fontsize=7)
@@ -169,7 +169,7 @@ def _bars(ax: Axes, mark: Bars) -> None:
             text, (lowest if np.isnan(value) else value, middle), (3, 0),
             textcoords="offset points", va="center", fontsize=8,
         )  # fmt: skip
-    ax.set_xlim(lowest, highest * (highest / lowest) ** 0.6)  # room for the words
+    ax.set_xlim(lowest, highest * (highest / lowest) ** 0.6)  # room for text
     _name_rows(ax, [*mark.values])
 
 
@@ -226,7 +226,7 @@ def _dots(ax: Axes, mark: Dots) -> None:
         return
     kinds = np.array(mark.colours or (0,) * len(mark.xy), int)
     for place, kind in enumerate(dict.fromkeys(kinds.tolist())):
-        chosen = mark.xy[kinds == kind] if place else mark.xy  # other colours come on top
+        chosen = mark.xy[kinds == kind] if place else mark.xy  # draw other colours on top
         ax.plot(*chosen.T, "o", markersize=4, color=_paint(kind))
     for name, at in zip(mark.names if mark.is_labelled else (), mark.xy.tolist(), strict=False):
         ax.annotate(name, at, (4, 4), textcoords="offset points", fontsize=7, parse_math=False)
@@ -249,7 +249,7 @@ _KINDS: dict[type, Callable[..., None]] = {
 
 
 def legend_below(ax: Axes) -> None:
-    """Put the legend where no curve is: under the axis and its label."""
+    """Put the legend below the axis and its label, where it hides no curve."""
     from matplotlib.transforms import offset_copy  # not installed with bundle
 
     handles, names = ax.get_legend_handles_labels()
@@ -272,7 +272,7 @@ def legend_below(ax: Axes) -> None:
 
 
 def show_title(ax: Axes, name: str) -> None:
-    """Show a title. A long one is cut at its beginning: names of files differ at the end."""
+    """Draw a title. Long titles are cut at the beginning, because file names differ at the end."""
     longest = max(round(TITLE * _inches(ax)), 10)
     shown = name if len(name) <= longest else "..." + name[3 - longest :]
     ax.set_title(shown, fontsize=9, parse_math=False)
@@ -283,12 +283,12 @@ def _paint(colour: int) -> str:
 
 
 def _inches(ax: Axes) -> float:
-    """Return the width of an axis with all that is written around it."""
+    """Return the width of an axis in inches, including the labels around it."""
     spec = ax.get_subplotspec()
     columns = 1 if spec is None else spec.get_gridspec().ncols
     return float(ax.get_figure(root=True).get_figwidth()) / columns  # type: ignore[union-attr]
 
 
 def _wrapped(name: str, width: int = 22) -> str:
-    """Return a name in short lines."""
+    """Return a name wrapped into short lines."""
     return textwrap.fill(name, width, break_long_words=False, break_on_hyphens=False)

@@ -1,4 +1,4 @@
-"""Nonzero pattern of a symmetric matrix of blocks, under any order of its blocks."""
+"""Nonzero pattern of a symmetric block matrix, under any block order."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ __all__ = ["MatrixPattern", "factor_columns"]
 
 @dataclass(frozen=True, eq=False)
 class MatrixPattern:
-    """The lower triangle of a symmetric pattern by block columns, as the core hands it out.
+    """Lower triangle of a symmetric pattern by block columns, in the core's format.
 
     Attributes:
         sizes: (num_blocks,) scalar unknowns of each block.
-        column_begin: (num_blocks + 1,) where each block column begins in ``rows``.
+        column_begin: (num_blocks + 1,) first entry of each block column in ``rows``.
         rows: block rows of each column, ascending, the diagonal first.
 
     Raises:
-        InputError: the arrays do not describe such a triangle.
+        InputError: the arrays do not describe a lower triangle.
     """
 
     sizes: NDArray[np.int64]
@@ -48,7 +48,7 @@ class MatrixPattern:
 
     @classmethod
     def from_edges(cls, num_blocks: int, edges: ArrayLike, sizes: Sequence[int] | int = 1) -> Self:
-        """Return the pattern of a graph: its edges and the diagonal; edges may repeat."""
+        """Return the pattern of a graph: its edges and the diagonal; repeated edges are allowed."""
         num_blocks = number("num_blocks", num_blocks, whole=True, minimum=0)
         pairs = as_integers("edges", edges)
         if pairs.size and (pairs.ndim != 2 or pairs.shape[1] != 2):
@@ -89,7 +89,7 @@ class MatrixPattern:
         return int((each * np.where(self.rows == self.columns, 1, 2)).sum())
 
     def permuted(self, order: ArrayLike | None) -> MatrixPattern:
-        """Return the pattern with block ``order[k]`` in place k."""
+        """Return the pattern with block ``order[k]`` at position k."""
         if order is None:
             return self
         wanted = as_integers("order", order)
@@ -108,7 +108,7 @@ class MatrixPattern:
 
     @classmethod
     def of(cls, triple: Any) -> MatrixPattern:
-        """Return a pattern from (sizes, column_begin, rows), itself where it is one already."""
+        """Return a pattern from (sizes, column_begin, rows); a pattern is returned unchanged."""
         if isinstance(triple, MatrixPattern):
             return triple
         if not isinstance(triple, tuple | list) or len(triple) != 3:
@@ -129,10 +129,10 @@ def _row(name: str, values: Any) -> NDArray[np.int64]:
 def factor_columns(pattern: MatrixPattern) -> Iterator[NDArray[np.int32]]:
     """Yield the block rows of each column of L, ascending, the diagonal first.
 
-    Column j of L holds what column j of the matrix holds below the diagonal, and what the columns
-    hold whose first entry below their diagonal is j: its children in the elimination tree (Davis,
-    Direct Methods for Sparse Linear Systems, 4.1). A column is dropped as soon as its parent has
-    used it, so that L never stands in memory as a whole.
+    Below the diagonal, column j of L has the rows of column j of the matrix and those of its
+    children in the elimination tree. The children are the columns whose first entry below the
+    diagonal is j (Davis, Direct Methods for Sparse Linear Systems, 4.1). A column is discarded once
+    its parent has used it, so L is never in memory as a whole.
     """
     begin, rows = pattern.column_begin, pattern.rows.astype(np.int32)
     waiting: dict[int, list[NDArray[np.int32]]] = {}

@@ -1,4 +1,4 @@
-"""The matrices of a problem and the orders of their blocks, ready to be drawn."""
+"""Matrices of a problem and their block orders, for drawing."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from bundle.solving.layout import resolve_defaults
 __all__ = ["ORDERINGS", "information_pattern", "order_blocks", "reduced_pattern"]
 
 ORDERINGS = ("natural", "amd", "colamd", "metis", "nesdis")
-"""Orders of the blocks of S, all by CHOLMOD but the first."""
+"""Orders of the blocks of S; all but the first are CHOLMOD's."""
 
 
 def reduced_pattern(problem: Problem, options: SolveOptions | None = None) -> MatrixPattern:
-    """Return where the reduced camera system S is not zero: two images meet if they share points.
+    """Return the pattern of the reduced camera system S; images with shared points are coupled.
 
     Raises:
-        InputError: the options make no sense for the problem.
+        InputError: the options are invalid for the problem.
     """
     given = _given(problem, options)
     return MatrixPattern.of(_core.reduced_pattern(problem, given))
 
 
 def information_pattern(problem: Problem, options: SolveOptions | None = None) -> MatrixPattern:
-    """Return where the information matrix is not zero: an arrowhead, points first, then cameras.
+    """Return the pattern of the information matrix, an arrowhead: first points, then cameras.
 
     Raises:
-        InputError: the options make no sense for the problem.
+        InputError: the options are invalid for the problem.
     """
     given = _given(problem, options)
     return MatrixPattern.of(_core.full_pattern(problem, given))
 
 
 def order_blocks(pattern: MatrixPattern, ordering: str) -> NDArray[np.int32]:
-    """Return the blocks of a pattern in the order that a method eliminates them.
+    """Return the blocks of a pattern in the elimination order of a method.
 
     Raises:
-        InputError: there is no method of that name.
+        InputError: the method does not exist.
     """
     check_type("pattern", pattern, MatrixPattern)
     return _core.order_blocks(

@@ -1,4 +1,4 @@
-"""Figures of the page of ``bundle report`` and of an odometry: functions of a Matplotlib axis."""
+"""Figures of ``bundle report`` and odometry pages: functions that draw on a Matplotlib axis."""
 
 from __future__ import annotations
 
@@ -52,23 +52,23 @@ CELLS = {"count": "count", "rms": "magnitude", "significance": "significance"}
 
 
 def draw_lines(ax: Axes, figure: LineFigure) -> None:
-    """Draw a figure of lines, as :func:`bundle.figures.odometry_figures` returns them.
+    """Draw a figure of lines from :func:`bundle.figures.odometry_figures`.
 
     Raises:
-        InputError: ``figure`` is none.
+        InputError: ``figure`` is not such a figure.
     """
     check_type("figure", figure, LineFigure)
     draw(ax, figure.figure())
 
 
 def draw_residual_histogram(ax: Axes, histogram: ResidualHistogram) -> None:
-    """Draw coordinates of residuals, each set under its label."""
+    """Draw the distribution of residual coordinates, with a label for each set."""
     check_type("histogram", histogram, ResidualHistogram)
     draw(ax, residual_figures.coordinate_figure(histogram))
 
 
 def draw_residual_lengths(ax: Axes, histogram: ResidualHistogram) -> None:
-    """Draw lengths of residuals on a logarithmic axis, each set under its label."""
+    """Draw the distribution of residual lengths on a logarithmic axis, with a label per set."""
     check_type("histogram", histogram, ResidualHistogram)
     draw(ax, residual_figures.length_figure(histogram))
 
@@ -77,9 +77,9 @@ def draw_residual_vectors(ax: Axes, field: ResidualField, factor: float | None =
     """Draw the mean residual of each cell, orange where it is significant.
 
     Args:
-        ax: where.
-        field: of a camera, from ``bundle.figures.residual_fields``.
-        factor: by which lines are longer than residuals; None chooses a round one.
+        ax: axis to draw on.
+        field: residual field of a camera, from ``bundle.figures.residual_fields``.
+        factor: ratio of drawn length to residual; None chooses a round factor.
     """
     check_type("field", field, ResidualField)
     factor = field.vector_factor if factor is None else number("factor", factor, above=0)
@@ -88,19 +88,19 @@ def draw_residual_vectors(ax: Axes, field: ResidualField, factor: float | None =
 
 
 def draw_residual_cells(ax: Axes, field: ResidualField, what: str = "significance") -> None:
-    """Draw a number of each cell: "count", "rms" [pixels] or "significance" [standard errors]."""
+    """Draw a value per cell: "count", "rms" [pixels] or "significance" [standard errors]."""
     check_type("field", field, ResidualField)
     draw(ax, residual_figures.cell_figure(field, CELLS[choice("what", what, tuple(CELLS))]))
 
 
 def draw_residual_directions(ax: Axes, field: ResidualField) -> None:
-    """Draw residuals as dots, coloured by direction: clusters of a colour are systematic."""
+    """Draw residuals as dots, coloured by direction: clusters of one colour are systematic."""
     check_type("field", field, ResidualField)
     draw(ax, residual_figures.direction_figure(field))
 
 
 def draw_radial_profile(ax: Axes, field: ResidualField) -> None:
-    """Draw mean residuals outwards and across against the distance from the principal point."""
+    """Draw mean radial and tangential residuals against the distance from the principal point."""
     check_type("field", field, ResidualField)
     draw(ax, residual_figures.profile_figure(field))
 
@@ -108,13 +108,13 @@ def draw_radial_profile(ax: Axes, field: ResidualField) -> None:
 def draw_image_residuals(
     ax: Axes, image: ImageResiduals, factor: float = 10.0, photograph: object = None
 ) -> None:
-    """Draw the residuals of an image, from the measurement on.
+    """Draw the residuals of an image, starting at the measurements.
 
     Args:
-        ax: where.
-        image: from ``bundle.figures.worst_residuals``.
-        factor: by which lines are longer than residuals.
-        photograph: what ``imshow`` takes, drawn below; None for none.
+        ax: axis to draw on.
+        image: residuals of an image, from ``bundle.figures.worst_residuals``.
+        factor: ratio of drawn length to residual.
+        photograph: background, any argument of ``imshow``; None without one.
     """
     check_type("image", image, ImageResiduals)
     factor = number("factor", factor, above=0)
@@ -124,13 +124,13 @@ def draw_image_residuals(
 
 
 def draw_track_lengths(ax: Axes, tracks: TrackStatistics) -> None:
-    """Draw the number of points by observations."""
+    """Draw the number of points against the number of their observations."""
     check_type("tracks", tracks, TrackStatistics)
     draw(ax, length_figure(tracks), "points by observations")
 
 
 def draw_triangulation_angles(ax: Axes, tracks: TrackStatistics) -> None:
-    """Draw the number of points by the largest angle of two of their rays."""
+    """Draw the number of points against the largest angle between two of their rays."""
     check_type("tracks", tracks, TrackStatistics)
     draw(ax, angle_figure(tracks), "points by largest angle of two rays")
 
@@ -139,8 +139,8 @@ def draw_lens_curves(ax: Axes, curves: Sequence[LensCurve]) -> None:
     """Draw distortion against the distance from the principal point, and the observed radius.
 
     Args:
-        ax: where.
-        curves: of cameras, from ``bundle.figures.lens_curve``; one with a sigma has a band.
+        ax: axis to draw on.
+        curves: curves of cameras, from ``bundle.figures.lens_curve``; with a sigma also a band.
     """
     for curve in curves:
         check_type("curves", curve, LensCurve)
@@ -154,9 +154,9 @@ def draw_projection_uncertainty(
     """Draw the uncertainty of a projection over the image, with contours.
 
     Args:
-        ax: where.
-        known: of a camera, from ``bundle.figures.projection_uncertainty``.
-        distance: of the points [length unit]; None: at infinity.
+        ax: axis to draw on.
+        known: uncertainty of a camera, from ``bundle.figures.projection_uncertainty``.
+        distance: distance of the points [length unit]; None: infinity.
     """
     check_type("known", known, ProjectionUncertainty)
     at = np.inf if distance is None else number("distance", distance, above=0)
@@ -165,13 +165,13 @@ def draw_projection_uncertainty(
 
 
 def draw_uncertainty_against_distance(ax: Axes, known: ProjectionUncertainty) -> None:
-    """Draw the uncertainty of a projection against the distance, the median distance dotted."""
+    """Draw the uncertainty of a projection against the distance; the median is a dotted line."""
     check_type("known", known, ProjectionUncertainty)
     draw(ax, lens_figures.distance_figure(known), f"camera {known.camera_id}")
 
 
 def draw_target_errors(ax: Axes, place: Placement) -> None:
-    """Draw horizontal errors of control and check points, and the ellipses of their survey."""
+    """Draw horizontal errors of control and check points, and the error ellipses of the survey."""
     check_type("place", place, Placement)
     figure = placement_figures.target_figure(place)
     if figure is not None:
@@ -179,7 +179,7 @@ def draw_target_errors(ax: Axes, place: Placement) -> None:
 
 
 def draw_position_errors(ax: Axes, place: Placement) -> None:
-    """Draw horizontal errors of measured positions, and the ellipse of their mean square."""
+    """Draw horizontal errors of measured positions, and the ellipse of their mean squares."""
     check_type("place", place, Placement)
     figure = placement_figures.position_figure(place)
     if figure is not None:
@@ -209,7 +209,7 @@ def draw_scene(ax: Axes, view: SceneView) -> None:
     """Draw points and camera centres on an axis with ``projection="3d"``, in the world's frame.
 
     Raises:
-        InputError: the axis is a flat one.
+        InputError: the axis is two-dimensional.
     """
     check_type("view", view, SceneView)
     if ax.name != "3d":

@@ -1,4 +1,4 @@
-"""Nonzero patterns of matrices, readable from 3 rows to a million."""
+"""Nonzero patterns of matrices of 3 to a million rows, in readable form."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ def spy(
     title: str = "",
     pixels: int = 400,
 ) -> None:
-    """Draw a symmetric matrix, both triangles; the darker a pixel, the fuller, on a log scale.
+    """Draw a symmetric matrix, both triangles; darkness is the share of nonzeros, on a log scale.
 
     Args:
-        ax: where.
-        pattern: of the matrix, or (sizes, column_begin, rows) of its lower block triangle.
-        order: the block in each place; the pattern's own without one.
-        title: above the picture.
-        pixels: of the picture's side, at most one per row of the matrix.
+        ax: axis to draw on.
+        pattern: pattern of the matrix, or (sizes, column_begin, rows) of its lower triangle.
+        order: block at each position; by default the order of the pattern.
+        title: title above the picture.
+        pixels: side length of the picture in pixels; at most one per row of the matrix is used.
 
     Raises:
-        InputError: pattern or order are none.
+        InputError: pattern or order are invalid.
     """
     density = matrix_density(MatrixPattern.of(pattern), order, pixels)
     _draw(ax, density, title)
@@ -52,7 +52,7 @@ def spy_factor(
     title: str = "",
     pixels: int = 400,
 ) -> None:
-    """Draw the Cholesky factor of a matrix, its lower triangle; fill is orange.
+    """Draw the Cholesky factor of a matrix, its lower triangle, with fill-in in orange.
 
     Arguments and errors are those of ``spy``.
     """
@@ -68,16 +68,16 @@ def draw_orderings(
     name: str = "S",
     pixels: int = 400,
 ) -> Figure:
-    """Return a figure with a matrix above its factor, a column for each order.
+    """Return a figure with a matrix above its factor, one column per order.
 
     Args:
-        pattern: of the matrix, or (sizes, column_begin, rows) of its lower block triangle.
-        orders: names of orderings, or the blocks of each in order under the name to show.
-        name: of the matrix.
-        pixels: of each picture's side.
+        pattern: pattern of the matrix, or (sizes, column_begin, rows) of its lower triangle.
+        orders: names of orderings, or permutations of the blocks by display name.
+        name: name of the matrix.
+        pixels: side length of each picture.
 
     Raises:
-        InputError: pattern or order are none, or Matplotlib is not installed.
+        InputError: pattern or order are invalid, or Matplotlib is not installed.
     """
     pattern = MatrixPattern.of(pattern)
     if not isinstance(orders, Mapping):
