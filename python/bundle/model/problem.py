@@ -249,7 +249,7 @@ class Problem(Displayed):
         cameras: ArrayLike | None = None,
         points: ArrayLike | None = None,
         observations: ArrayLike | None = None,
-    ) -> Selection:
+    ) -> Selection[Self]:
         """Return a sub-problem with some images, cameras, points and observations.
 
         The result can also put refined values back into this problem. An observation is selected if

@@ -12,16 +12,14 @@ left out, a selection has no source and its observations have no keypoint indice
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle.base.arrays import filled, freeze
 from bundle.errors import InputError, brief
-
-if TYPE_CHECKING:
-    from bundle.model.problem import Problem
+from bundle.model.problem_arrays import ProblemArrays
 
 __all__ = ["Selection", "select", "with_frames"]
 
@@ -29,8 +27,22 @@ _Indices = NDArray[np.int64]
 _Mask = NDArray[np.bool_]
 
 
+class _Problem(ProblemArrays, Protocol):
+    """A problem from which copies with other arrays are made."""
+
+    @property
+    def observation_sigma(self) -> NDArray[np.float64] | None: ...
+
+    def replace(self, **changes: Any) -> Self: ...
+
+    def _moved(self, **state: Any) -> Self: ...
+
+
+P = TypeVar("P", bound=_Problem)
+
+
 @dataclass(frozen=True)
-class Selection:
+class Selection(Generic[P]):
     """A sub-problem, and the rows of the original problem that it contains.
 
     Attributes:
@@ -43,7 +55,7 @@ class Selection:
         sensors: as ``images``, for sensors.
     """
 
-    problem: Problem
+    problem: P
     images: _Indices
     cameras: _Indices
     points: _Indices
@@ -51,7 +63,7 @@ class Selection:
     frames: _Indices
     sensors: _Indices
 
-    def restricted(self, observations: _Mask, points: _Mask) -> Selection:
+    def restricted(self, observations: _Mask, points: _Mask) -> Selection[P]:
         """Return a selection with those observations and points of this one that masks keep."""
         left = select(self.problem, points=points, observations=observations)
         return replace(
@@ -63,14 +75,14 @@ class Selection:
 
     def put_back(
         self,
-        whole: Problem,
-        refined: Problem,
+        whole: P,
+        refined: P,
         *,
         images: _Mask | None = None,
         frames: _Mask | None = None,
         cameras: _Mask | None = None,
         points: _Mask | None = None,
-    ) -> Problem:
+    ) -> P:
         """Return the original problem with refined values of the selection inserted.
 
         Args:
@@ -100,13 +112,13 @@ class Selection:
 
 
 def select(
-    whole: Problem,
+    whole: P,
     *,
     images: ArrayLike | None = None,
     cameras: ArrayLike | None = None,
     points: ArrayLike | None = None,
     observations: ArrayLike | None = None,
-) -> Selection:
+) -> Selection[P]:
     """Select rows of a problem; see :meth:`bundle.Problem.select`."""
     of_images = _mask("images", images, whole.num_images)
     of_cameras = _mask("cameras", cameras, whole.num_cameras)
@@ -176,7 +188,7 @@ def select(
     return Selection(whole._moved(**state) if state else whole, **chosen)
 
 
-def with_frames(problem: Problem, images: _Mask) -> _Mask:
+def with_frames(problem: ProblemArrays, images: _Mask) -> _Mask:
     """Return a mask of the given images and of all images that share a frame with one of them."""
     if not problem.num_frames:
         return images
@@ -213,7 +225,7 @@ def _rows(mask: _Mask | None, count: int) -> _Indices:
     return np.arange(count) if mask is None else np.flatnonzero(mask)
 
 
-def _rigs_of(whole: Problem, images: _Indices) -> tuple[_Indices, _Indices]:
+def _rigs_of(whole: P, images: _Indices) -> tuple[_Indices, _Indices]:
     """Return the frames of images, and all sensors of the rigs of these frames."""
     frames = whole.image_frame[images]
     of_images = np.unique(frames[frames >= 0]).astype(np.int64)

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 from bundle import _core
 from bundle.base.arguments import check_function
 from bundle.interface.solve_record import Progress
-from bundle.solving.prepare import Prepared
+from bundle.solving.prepare import Executor, Prepared
 from bundle.solving.ranks.launch import current
 from bundle.solving.result import Result
 
-__all__ = ["Executor", "ThisProcess", "solve_prepared"]
-
-
-class Executor(Protocol):
-    """A way to run the core's solver."""
-
-    def run(self, prepared: Prepared, progress: Progress | None) -> dict[str, Any]:
-        """Return the output of the core.
-
-        ``alone`` in it is the reason why only one of several processes ran the solver.
-        """
+__all__ = ["ThisProcess", "solve_prepared"]
 
 
 class ThisProcess:

@@ -12,11 +12,11 @@ import dataclasses
 from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
-from bundle.interface.solve_record import record_fields, with_warnings
+from bundle.interface.solve_record import Progress, record_fields, with_warnings
 from bundle.model.problem import Problem
 from bundle.solving.layout import Layout, lay_out
 from bundle.solving.placed_problem import PlacedProblem, place_at_priors
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from bundle.solving.rounds.rest_prior import RestPrior
     from bundle.solving.rounds.run_state import State
 
-__all__ = ["STATE", "Prepared", "prepare"]
+__all__ = ["STATE", "Executor", "Prepared", "prepare"]
 
 # Arrays of a problem that a solve returns; arrays of rigs only if the problem has rigs.
 STATE = ("cam_from_world", "camera_params", "points", "rig_from_world", "sensor_from_rig")
@@ -145,6 +145,16 @@ class Prepared:
             similarity=placed.similarity,
             control_points=placed.control_points(refined),
         )
+
+
+class Executor(Protocol):
+    """A way to run the core's solver."""
+
+    def run(self, prepared: Prepared, progress: Progress | None) -> dict[str, Any]:
+        """Return the output of the core.
+
+        ``alone`` in it is the reason why only one of several processes ran the solver.
+        """
 
 
 def prepare(request: SolveRequest) -> Prepared:

@@ -11,7 +11,8 @@ import numpy as np
 
 import bundle
 from bundle import InputError, _core
-from bundle.solving.ranks.divided_solve import Job, PartOfOutput, work_on
+from bundle.solving.ranks.crew import Job, PartOfOutput
+from bundle.solving.ranks.divided_solve import work_on
 from bundle.solving.ranks.launch import use
 
 

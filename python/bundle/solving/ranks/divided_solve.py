@@ -6,95 +6,30 @@ import resource
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bundle import _core
 from bundle.base.arrays import freeze
 from bundle.interface.process_record import ProcessPart, ProcessRecord, Traffic
 from bundle.model.problem import Problem
 from bundle.solving.constraints.restrictions import Restrictions
+from bundle.solving.prepare import Executor, Prepared
+from bundle.solving.ranks.crew import Crew, Job, PartOfOutput, Ranks
 from bundle.solving.ranks.one_process import reason_to_be_alone, warning
-from bundle.solving.ranks.partition import ProblemPart, divide, factors_of, part_of
+from bundle.solving.ranks.partition import divide, factors_of, part_of
 
 if TYPE_CHECKING:
     from bundle.interface.solve_record import Progress
-    from bundle.solving.executors import Executor
-    from bundle.solving.prepare import Prepared
 
 __all__ = [
     "AllProcesses",
-    "Crew",
-    "Job",
-    "PartOfOutput",
-    "Ranks",
     "heeding",
     "process_record",
     "solve_divided",
     "work_on",
 ]
-
-
-class Ranks(Protocol):
-    """Communication of one rank in ``_core.solve_part``, with counts of its messages."""
-
-    rank: int
-    num_ranks: int
-    traffic: dict[str, list[float]]
-
-
-class Crew(Protocol):
-    """The processes as rank 0 sees them.
-
-    Attributes:
-        num_ranks: number of processes.
-        is_solving: True while the others solve; they accept no other job until the end.
-        is_told_to_end: True after Ctrl-C; checked after each iteration.
-    """
-
-    num_ranks: int
-    is_solving: bool
-    is_told_to_end: bool
-
-    def ranks(self) -> Ranks:
-        """Return the communication of rank 0 in one solve."""
-
-    def send(self, job: Job, rank: int) -> None:
-        """Send a job to another rank."""
-
-    def receive(self, rank: int) -> PartOfOutput:
-        """Return the output of another rank."""
-
-
-@dataclass
-class Job:
-    """Input of one process.
-
-    Attributes:
-        part: the points of the process.
-        options: resolved options.
-        restrictions: bounds, and the constant and tied parameters; None without any.
-        factors: factors in the form of ``partition.factors_of``.
-        image_is_observed: (num_images,) True if the full problem has observations in the image.
-    """
-
-    part: ProblemPart
-    options: dict[str, Any]
-    restrictions: Restrictions | None
-    factors: Any
-    image_is_observed: NDArray[np.uint8]
-
-
-@dataclass
-class PartOfOutput:
-    """Output of one process: its points, the costs of its factors, and its record."""
-
-    points: NDArray[np.float64]
-    factor_costs_before: NDArray[np.float64]
-    factor_costs_after: NDArray[np.float64]
-    process: ProcessPart
 
 
 @dataclass(frozen=True)

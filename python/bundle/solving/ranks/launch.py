@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from bundle.solving.ranks.divided_solve import Crew
+    from bundle.solving.ranks.crew import Crew
 
 __all__ = [
     "current",

@@ -11,7 +11,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from bundle.solving.ranks.divided_solve import Job, PartOfOutput, Ranks, work_on
+from bundle.solving.ranks.crew import Job, PartOfOutput, Ranks
+from bundle.solving.ranks.divided_solve import work_on
 from bundle.solving.ranks.mpi_ranks import MpiRanks
 
 __all__ = ["MpiCrew", "serve"]

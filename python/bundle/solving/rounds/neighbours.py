@@ -39,7 +39,7 @@ class Neighbours:
         cameras = part.cameras & ~np.isin(whole.camera_ids, options.fixed_camera_ids)
         return Neighbours(free, frames, cameras)
 
-    def rows_in(self, selection: Selection) -> tuple[list[int], list[int], list[int]]:
+    def rows_in(self, selection: Selection[Problem]) -> tuple[list[int], list[int], list[int]]:
         """Return the row indices in a selection of the images, frames and cameras it contains."""
         masks = (self.images, selection.images), (self.frames, selection.frames)
         images, frames, cameras = (
@@ -61,7 +61,7 @@ class Neighbours:
         """Return the number of tangent coordinates of all variables."""
         return sum(size for _, size in self.variables(whole))
 
-    def coordinates(self, whole: Problem, selection: Selection) -> NDArray[np.int64]:
+    def coordinates(self, whole: Problem, selection: Selection[Problem]) -> NDArray[np.int64]:
         """Return the indices of the tangent coordinates of the variables in a selection."""
         images, frames, cameras = self.rows_in(selection)
         problem = selection.problem

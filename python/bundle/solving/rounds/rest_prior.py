@@ -178,7 +178,7 @@ def _refuse_too_much(size: int, num_neighbours: int) -> None:
         )
 
 
-def _rest_of(whole: Problem, part: LocalPart, options: SolveOptions) -> Selection | None:
+def _rest_of(whole: Problem, part: LocalPart, options: SolveOptions) -> Selection[Problem] | None:
     """Return the observations of the rest that have information; None without any."""
     touched = touched_ids(part.factors_of_rest)
     length = np.bincount(whole.observation_point, minlength=whole.num_points)
@@ -199,7 +199,7 @@ def _rest_of(whole: Problem, part: LocalPart, options: SolveOptions) -> Selectio
     return whole.select(images=images, cameras=cameras, points=points, observations=observations)
 
 
-def _options_of(selection: Selection, options: SolveOptions) -> SolveOptions:
+def _options_of(selection: Selection[Problem], options: SolveOptions) -> SolveOptions:
     """Return the options with the fixed ids that exist in a selection."""
     problem = selection.problem
     fixed = {}
@@ -214,7 +214,7 @@ def _options_of(selection: Selection, options: SolveOptions) -> SolveOptions:
 
 
 def _add_information(
-    rest: Selection,
+    rest: Selection[Problem],
     near: Neighbours,
     part: LocalPart,
     whole: Problem,

@@ -15,7 +15,8 @@ from bundle.base.arrays import freeze
 from bundle.io import colmap
 from bundle.model.worst_images import sums_of_images
 from bundle.solving.prepare import STATE
-from bundle.solving.ranks.divided_solve import Job, PartOfOutput, Ranks, work_on
+from bundle.solving.ranks.crew import Job, PartOfOutput, Ranks
+from bundle.solving.ranks.divided_solve import work_on
 from bundle.solving.ranks.partition import ProblemPart
 from bundle.solving.rounds.input_digest import sums_of_rows
 from bundle.solving.slices.divided_errors import divided_statistics

@@ -14,7 +14,7 @@ from bundle import _core
 from bundle.errors import InputError, shown
 from bundle.io import bal, colmap
 from bundle.model.problem import Problem
-from bundle.solving.ranks.divided_solve import Ranks
+from bundle.solving.ranks.crew import Ranks
 from bundle.solving.ranks.partition import ProblemPart, divide_tracks, shared_of
 
 __all__ = ["Meeting", "Slice", "Survey", "read_slice", "survey"]

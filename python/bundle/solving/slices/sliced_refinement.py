@@ -23,7 +23,8 @@ from bundle.model.problem import Problem
 from bundle.model.worst_images import worst_of_sums
 from bundle.solving.gauge_freedom import gauge_freedom
 from bundle.solving.prepare import Prepared, prepare
-from bundle.solving.ranks.divided_solve import Crew, heeding, process_record
+from bundle.solving.ranks.crew import Crew
+from bundle.solving.ranks.divided_solve import heeding, process_record
 from bundle.solving.request import RunPlan, SolveRequest
 from bundle.solving.result import Result
 from bundle.solving.rounds.segments import solve_in_segments
