@@ -18,14 +18,14 @@ __all__ = ["PlacedImage", "PlacedTarget", "Placement", "placement"]
 
 @dataclass(frozen=True, eq=False)
 class PlacedImage:
-    """The measured position of an image.
+    """Image with a measured position.
 
     Attributes:
-        name: of the image.
-        position: (3,) of the camera in the model, east, north, up [m]; nan where no image of the
-            model has the name.
-        residual: (3,) model minus measurement, east, north, up [m]; nan where unknown.
-        sigmas: length of the residual in standard deviations; nan where unknown.
+        name: name of the image.
+        position: (3,) position of the camera in the model, east, north, up [m]; NaN if the model
+            has no image of this name.
+        residual: (3,) model minus measurement, east, north, up [m]; NaN if unknown.
+        sigmas: length of the residual in standard deviations; NaN if unknown.
         used: whether it had an influence.
     """
 
@@ -38,15 +38,15 @@ class PlacedImage:
 
 @dataclass(frozen=True, eq=False)
 class PlacedTarget:
-    """A control or check point.
+    """Control or check point.
 
     Attributes:
-        name: of the target.
+        name: name of the target.
         role: "control", "check" or "unused".
-        num_images: that see it.
-        residual: (3,) model minus survey, east, north, up [m]; nan where unknown.
-        left_out: (3,) the same if the other points place the model.
-        sigma: (3,) of the survey [m]; nan for an unknown height.
+        num_images: number of images that observe it.
+        residual: (3,) model minus survey, east, north, up [m]; NaN if unknown.
+        left_out: (3,) the same if only the other points georeference the model.
+        sigma: (3,) standard deviation of the survey [m]; NaN for an unknown height.
         pixels: root mean square of its reprojection errors.
         suspect: whether a gross error is likely.
     """
@@ -63,11 +63,11 @@ class PlacedTarget:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The place of a model on the earth, and its errors at what was measured.
+    """Georeference of a model, and its errors at measured positions.
 
     Attributes:
-        reference_system: of the coordinates as they were read; None where they were Cartesian.
-        images: with a measured position.
+        reference_system: coordinate system of the input; None for Cartesian coordinates.
+        images: images with a measured position.
         targets: control and check points.
     """
 
@@ -76,13 +76,13 @@ class Placement:
     targets: tuple[PlacedTarget, ...]
 
     def rms(self, kind: str) -> NDArray[np.float64]:
-        """Return root mean squares east, north, up, horizontal and in all [m].
+        """Return root mean squares: east, north, up, horizontal and total [m].
 
         Args:
-            kind: "control", "check" or "gps", of which used positions count.
+            kind: "control", "check" or "gps"; "gps" includes only used positions.
 
         Returns:
-            (5,) nan where there is none.
+            (5,) NaN without such points.
         """
         if kind == "gps":
             rows = [image.residual for image in self.images if image.used]
@@ -101,11 +101,11 @@ class Placement:
 
 
 def placement(problem: Problem, record: Mapping[str, Any]) -> Placement:
-    """Return what a ``georeference.json`` holds.
+    """Return the content of a ``georeference.json``.
 
     Args:
-        problem: in the frame that the record describes.
-        record: the content of the file, or ``asdict()`` of a :class:`Georeference`.
+        problem: problem in the frame that the record describes.
+        record: content of the file, or ``asdict()`` of a :class:`Georeference`.
 
     Raises:
         InputError: the record has another form.

@@ -1,4 +1,4 @@
-"""Figures of placement: horizontal errors of control points and positions, and the plan."""
+"""Figures of georeferencing: horizontal errors of control points and positions, and the plan."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from bundle.figures.placement_errors import PlacedImage, PlacedTarget, Placement
 __all__ = ["plan_figure", "position_figure", "target_figure"]
 
 ROLES = {"control": 0, "check": 1}
-"""Colours of targets; others are grey."""
+"""Colour indices of targets by role; other targets are grey."""
 
 ERRORS = ("error east [m]", "error north [m]")
 FARTHEST = 1.2
-"""Length of a line of an image without influence, by the height of the plan, that is drawn."""
+"""Largest drawn error of an image without influence, relative to the height of the plan."""
 
 
 def target_figure(place: Placement) -> Figure | None:
-    """Return horizontal errors of control and check points; None where none is known."""
+    """Return horizontal errors of control and check points; None if none are known."""
     known = [target for target in place.targets if _is_known(target)]
     if not known:
         return None
@@ -51,7 +51,7 @@ def target_figure(place: Placement) -> Figure | None:
 
 
 def position_figure(place: Placement) -> Figure | None:
-    """Return horizontal errors of measured positions; None where none is known."""
+    """Return horizontal errors of measured positions; None if none are known."""
     known = [image for image in place.images if _is_known(image)]
     if not known:
         return None
@@ -70,7 +70,7 @@ def position_figure(place: Placement) -> Figure | None:
 
 
 def plan_figure(place: Placement) -> Figure | None:
-    """Return positions from above with their errors, longer by a round factor; None without any."""
+    """Return positions from above with enlarged errors; None without positions."""
     placed = [i for i in place.images if _is_known(i) and np.isfinite(i.position).all()]
     if not placed:
         return None

@@ -1,34 +1,34 @@
-"""Uncertainty of the projection of a calibrated camera: sigma of a pixel, worst direction.
+"""Uncertainty of the projection of a calibrated camera: sigma in pixels, worst direction.
 
-The covariance S of a camera's parameters alone says little about pixels: an error of the principal
-point looks like a small turn of the camera, and the solve turns every pose by as much. What users
-ask is where a point appears that stands still with respect to the camera's housing. This is mrcal's
-projection uncertainty (Kogan, mrcal 3.0, *Projection uncertainty: cross-reprojection*,
-mrcal.secretsauce.net/docs-3.0/uncertainty-cross-reprojection.html), with the images of one camera
-in place of mrcal's chessboard frames and the points of the model in place of the board:
+The covariance S of a camera's parameters alone says little about pixels. An error of the principal
+point looks like a small rotation of the camera, and the solve rotates every pose to compensate it.
+Users need another number: where a point appears that is fixed relative to the camera's housing. It
+is mrcal's projection uncertainty (Kogan, mrcal 3.0, *Projection uncertainty: cross-reprojection*,
+mrcal.secretsauce.net/docs-3.0/uncertainty-cross-reprojection.html). The images of one camera
+replace mrcal's chessboard frames, and the points of the model replace the board.
 
 An observation sees p = R X + t in the frame of the camera. One motion h = (w, s) of the housing,
-the same for all images of the camera, moves it to p + w x p + s. With the whitened derivatives of
-the residuals J_d by the parameters and J_h by h, parameters wrong by d and noise e of the
-measurements, h is fitted again:
+the same for all images of the camera, moves it to p + w x p + s. Let J_d and J_h be the whitened
+derivatives of the residuals by the parameters and by h. For parameter errors d and measurement
+noise e, h is estimated again:
 
     M = J_h^T J_h,     h = K d + M^+ J_h^T e,     K = -M^+ J_h^T J_d.
 
 The pixel of a ray u at the distance r moves by A d + B M^+ J_h^T e with B = [-G [u]x, G / r],
 A = D + B K, G and D the derivatives of the projection by the direction and the parameters. Columns
-of J_h are sums of those of free poses, so that errors d of the joint least squares and J_h^T e are
-not correlated, and
+of J_h are sums of those of free poses. Therefore errors d of the joint least squares and J_h^T e
+are not correlated, and
 
     Var = A S A^T + n^2 B M^+ B^T,
 
-n being the sigma of whitened residuals. That is exact where all poses of the camera are free; where
-they are held, or by priors or a rig, it is what remains without that knowledge. Only noise counts:
-a lens of another kind than the model is wrong by more. A and B are linear in 1 / r, hence
+with n the sigma of whitened residuals. This is exact if all poses of the camera are free. If poses
+are constant, or determined by priors or a rig, it is the uncertainty without that knowledge. Only
+noise is included: a wrong lens model causes larger errors. A and B are linear in 1 / r, hence
 
     Var = V_0 + V_1 / r + V_2 / r^2,
 
-and at infinity V_0. The number drawn is the root of the largest eigenvalue. It needs no gauge:
-parameters of cameras are the same in all.
+and V_0 at infinity. The drawn number is the root of the largest eigenvalue. It does not depend on
+the gauge, because camera parameters are the same in all gauges.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ Array = NDArray[np.float64]
 
 MOST_CELLS = 25
 AT_ONCE = 100_000
-"""Observations whose derivatives are held in memory."""
+"""Number of observations whose derivatives are in memory at the same time."""
 
 RANK = 1e-12
-"""Eigenvalues of the scaled M below this, relative to the largest, are none."""
+"""Relative limit below which eigenvalues of the scaled M count as zero."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,14 +63,14 @@ class ProjectionUncertainty:
     """Uncertainty of the projection of one camera, over the cells of its image.
 
     Attributes:
-        camera_id: of the camera.
-        model: its camera model.
+        camera_id: id of the camera.
+        model: camera model.
         box: (4,) left, top, right, bottom of the grid [pixels].
         count: (rows, columns) observations in each cell.
         distance: median distance of its observed points [length unit].
-        range: (2,) distances of which a curve shows most: well around those of its points.
+        range: (2,) useful range of distances for a curve: a wide range around those of its points.
         terms: (rows, columns, 3, 2, 2) V_0, V_1, V_2 at the middle of each cell [pixels squared,
-            distances in the length unit]; nan where no ray is imaged.
+            distances in the length unit]; NaN if no ray is imaged there.
     """
 
     camera_id: int
@@ -92,11 +92,11 @@ class ProjectionUncertainty:
 
     @property
     def distances(self) -> Array:
-        """Distances of a curve, evenly spaced in their logarithm."""
+        """Return distances for a curve, evenly spaced in their logarithm."""
         return np.geomspace(*self.range, 49)
 
     def by_distance(self) -> dict[str, Array]:
-        """Return sigma in the middle of the image, and its median and maximum over the image."""
+        """Return sigma in the middle of the image, its median and its maximum over the image."""
         rows, columns = self.count.shape
         every = np.stack([self.sigma(distance) for distance in self.distances.tolist()])
         flat = every.reshape(len(every), -1)
@@ -121,18 +121,18 @@ def projection_uncertainty(
     """Return the uncertainty of a projection; None without free parameters or rays.
 
     Args:
-        problem: whose camera it is.
-        camera: its index.
-        covariance: (k, k) of its parameters in COLMAP's order; nan where one is held.
+        problem: problem with the camera.
+        camera: index of the camera.
+        covariance: (k, k) of its parameters in COLMAP's order; NaN for constant parameters.
         found: residuals of the problem; computed if None.
-        sigma: of the residuals where the problem has no sigmas, of theirs otherwise: sigma0 where
-            the covariance is scaled by it.
-        loss: of the solve.
-        loss_scale: its scale.
+        sigma: sigma of the residuals if the problem has no sigmas, otherwise a factor of its
+            sigmas; sigma0 if the covariance is scaled by it.
+        loss: loss of the solve.
+        loss_scale: scale of the loss.
     """
     model = problem.camera_models[camera]
     if principal_point(problem, camera) is None:
-        return None  # a panorama: nothing to refine, and no ray of a pixel in this chart
+        return None  # panoramas: nothing to refine, and no pixel rays in this chart
     params = problem.camera_params[camera, : len(camera_models()[model])]
     known = covariance[: len(params), : len(params)]
     free = np.flatnonzero(np.diag(known) > 0)
@@ -168,7 +168,7 @@ def projection_uncertainty(
 
 
 def contour_levels(values: Array) -> list[float]:
-    """Return round levels between the least and the largest value: 1, 2, 5, or even steps."""
+    """Return round levels between the smallest and largest value: 1, 2, 5, or even steps."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
     if not 0 < low < high:
@@ -188,7 +188,7 @@ def contour_levels(values: Array) -> list[float]:
 def _weights(
     problem: Problem, found: Residuals, rows: NDArray[np.int64], loss: str, loss_scale: float
 ) -> Array:
-    """Return what divides each residual's variance: 1 / sigma^2, times rho' of the loss."""
+    """Return the weight of each residual: 1 / sigma^2, times rho' of the loss."""
     given = problem.observation_sigma
     inverse = np.ones(len(rows)) if given is None else given[rows] ** -2.0
     squared = (found.xy[rows] ** 2).sum(axis=1) * inverse
@@ -225,7 +225,7 @@ def _normal_equations(
 
 
 def _pseudo_inverse(matrix: Array) -> Array | None:
-    """Return the inverse of M; None where the observations leave a motion of the housing free."""
+    """Return the inverse of M; None if the observations leave a motion of the housing free."""
     scale = np.sqrt(np.diag(matrix))
     if not np.isfinite(matrix).all() or not (scale > 0).all():
         return None
@@ -245,12 +245,12 @@ def _terms(
     follow: Array,
     housing: Array,
 ) -> Array:
-    """Return (n, 3, 2, 2) V_0, V_1, V_2 of pixels; nan where no ray is imaged.
+    """Return (n, 3, 2, 2) V_0, V_1, V_2 of pixels; NaN if no ray is imaged there.
 
     Args:
-        model: of the camera.
-        params: of the camera.
-        free: columns of the parameters that are.
+        model: model of the camera.
+        params: parameters of the camera.
+        free: columns of the free parameters.
         xy: (n, 2) pixels.
         covariance: S of these columns.
         follow: K, (6, free).
@@ -275,7 +275,7 @@ def _terms(
 
 
 def _cells(box: Array) -> tuple[int, int]:
-    """Return columns and rows of about square cells, odd so that one is in the middle."""
+    """Return numbers of columns and rows of nearly square cells, odd for a cell in the middle."""
     width, height = box[2] - box[0], box[3] - box[1]
     side = max(width, height) / MOST_CELLS
     columns, rows = (2 * int(np.rint((extent / side - 1) / 2)) + 1 for extent in (width, height))

@@ -1,13 +1,13 @@
 """Systematic residuals of a camera: means over the cells of its image.
 
-A lens model that is wrong leaves residuals that point the same way wherever the same part of the
-image is used. In a cell with n residuals r_i the mean m has, if they are independent, the standard
-error s per coordinate with
+A wrong lens model causes residuals with the same direction in the same part of every image. In a
+cell with n independent residuals r_i, the mean m has the standard error s per coordinate with
+
 
     s^2 = sum |r_i - m|^2 / (2 (n - 1) n),
 
-both coordinates pooled. The significance is |m| / s. Where nothing is systematic it has about
-Rayleigh's distribution: 1 % of the cells exceed 3.03.
+with both coordinates pooled. The significance is |m| / s. Without systematic errors it has about a
+Rayleigh distribution: 1 % of the cells exceed 3.03.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ __all__ = [
 ]
 
 MOST_CAMERAS = 6
-"""Cameras with fields of their own."""
+"""Number of cameras with their own fields."""
 
 SIGNIFICANT = 3.03
-"""The significance that 1 % of the cells exceed where nothing is systematic."""
+"""Significance that 1 % of the cells exceed without systematic errors."""
 
 MOST_CELLS = 24
 PER_CELL = 12
@@ -50,15 +50,15 @@ MOST_DOTS = 12_000
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RadialProfile:
-    """Residuals along and across the direction from the principal point, by distance from it.
+    """Residuals in radial and tangential direction, by distance from the principal point.
 
     Attributes:
         radius: (rings,) middle of each ring [pixels].
         count: (rings,) observations.
-        radial: (rings,) mean residual outwards [pixels]; nan in an empty ring.
-        tangential: (rings,) mean residual across, clockwise as the image is seen [pixels].
-        radial_error: (rings,) standard error of ``radial``; nan for fewer than two observations.
-        tangential_error: (rings,) likewise.
+        radial: (rings,) mean residual outwards [pixels]; NaN in an empty ring.
+        tangential: (rings,) mean tangential residual, clockwise in the image [pixels].
+        radial_error: (rings,) standard error of ``radial``; NaN for fewer than two observations.
+        tangential_error: (rings,) standard error of ``tangential``, likewise.
     """
 
     radius: NDArray[np.float64]
@@ -74,19 +74,19 @@ class ResidualField:
     """Residuals over the image plane of one camera, or of several cameras pooled.
 
     Attributes:
-        camera_ids: of the cameras.
-        num_images: with one of these cameras.
+        camera_ids: ids of the cameras.
+        num_images: number of images of these cameras.
         box: (4,) left, top, right, bottom of the grid [pixels].
-        center: (2,) principal point; its mean over several cameras.
+        center: (2,) principal point, or its mean over several cameras.
         count: (rows, columns) observations in each cell.
-        mean: (rows, columns, 2) mean residual [pixels]; nan in an empty cell.
-        rms: (rows, columns) root mean square of |r| [pixels]; nan in an empty cell.
-        standard_error: (rows, columns) of each coordinate of the mean [pixels]; nan in a cell with
-            fewer than 5 observations.
+        mean: (rows, columns, 2) mean residual [pixels]; NaN in an empty cell.
+        rms: (rows, columns) root mean square of |r| [pixels]; NaN in an empty cell.
+        standard_error: (rows, columns) standard error of each coordinate of the mean [pixels]; NaN
+            in a cell with fewer than 5 observations.
         num_outside: observations outside the grid.
-        profile: by distance from the principal point.
-        dots: (n, 2) some observations, evenly taken, [pixels].
-        dot_residuals: (n, 2) theirs.
+        profile: residuals by distance from the principal point.
+        dots: (n, 2) positions of some observations, evenly sampled [pixels].
+        dot_residuals: (n, 2) residuals of these observations.
     """
 
     camera_ids: tuple[int, ...]
@@ -104,13 +104,13 @@ class ResidualField:
 
     @property
     def significance(self) -> NDArray[np.float64]:
-        """(rows, columns) length of the mean in standard errors; nan where there are too few."""
+        """(rows, columns) length of the mean in standard errors; NaN with too few observations."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.hypot(self.mean[..., 0], self.mean[..., 1]) / self.standard_error
 
     @property
     def num_observations(self) -> int:
-        """Observations in the grid."""
+        """Number of observations in the grid."""
         return int(self.count.sum())
 
     @property
@@ -122,7 +122,7 @@ class ResidualField:
 
     @property
     def vector_factor(self) -> float:
-        """Round factor by which mean vectors are drawn longer: the 95th percentile fills a cell."""
+        """Round factor for drawing mean vectors, so that the 95th percentile fills a cell."""
         lengths = np.hypot(self.mean[..., 0], self.mean[..., 1])[self.count > 0]
         typical = float(np.quantile(lengths, 0.95)) if len(lengths) else 0.0
         return round_down(min(self.cell_size) / typical, 1e-3) if typical > 0 else 1.0
@@ -139,15 +139,15 @@ class _Cells:
 def residual_fields(
     problem: Problem, found: Residuals, most: int = MOST_CAMERAS
 ) -> list[ResidualField]:
-    """Return the fields of the cameras with most observations.
+    """Return the fields of the cameras with the most observations.
 
-    Where more than ``most`` cameras are observed, the first field is that of all cameras with the
-    commonest model and image size, pooled, and ``most`` - 1 cameras follow.
+    If more than ``most`` cameras are observed, the first field pools all cameras with the most
+    frequent model and image size, and fields of ``most`` - 1 cameras follow.
 
     Args:
-        problem: whose cameras they are.
-        found: its residuals.
-        most: fields.
+        problem: problem with the cameras.
+        found: residuals of the problem.
+        most: largest number of fields.
     """
     number = observations_of_cameras(problem, found.counted)
     observed = by_observations(number)
@@ -165,20 +165,20 @@ def residual_fields(
 def observations_of_cameras(
     problem: Problem, counted: NDArray[np.bool_] | None = None
 ) -> NDArray[np.int64]:
-    """Return (num_cameras,) how many observations each camera has, or how many of those counted."""
+    """Return (num_cameras,) numbers of observations of each camera, or of counted ones only."""
     image = problem.observation_image if counted is None else problem.observation_image[counted]
     return np.bincount(problem.image_camera[image], minlength=problem.num_cameras)
 
 
 def by_observations(number: NDArray[np.int64]) -> list[int]:
-    """Return indices of the cameras that have some, most observations first."""
+    """Return indices of the cameras with observations, most observations first."""
     observed = np.flatnonzero(number)
     ordered: list[int] = observed[np.argsort(-number[observed], kind="stable")].tolist()
     return ordered
 
 
 def field_of(problem: Problem, found: Residuals, cameras: Sequence[int]) -> ResidualField:
-    """Return the field of some cameras, given by index, pooled."""
+    """Return the pooled field of some cameras, given by index."""
     members = np.isin(problem.image_camera, cameras)
     chosen = np.flatnonzero(found.counted & members[problem.observation_image])
     xy, residual = problem.observation_xy[chosen], found.xy[chosen]
@@ -209,14 +209,14 @@ def field_of(problem: Problem, found: Residuals, cameras: Sequence[int]) -> Resi
 
 
 def principal_point(problem: Problem, camera: int) -> NDArray[np.float64] | None:
-    """Return the principal point of a camera by its index; None for a model without one."""
+    """Return the principal point of a camera by its index; None for models without one."""
     model = problem.camera_models[camera]
     places = [i for i, kind in enumerate(param_kinds(model)) if kind == "principal_point"]
     return problem.camera_params[camera, places] if len(places) == 2 else None
 
 
 def image_box(xy: NDArray[np.float64], size: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the image; that of the observations where its size is unknown or not in use."""
+    """Return the box of the image, or of the observations if the size is unknown or unused."""
     inside = ((xy >= 0) & (xy <= size)).all(axis=1)
     if (size > 0).all() and 2 * inside.sum() >= len(xy):
         return np.array([0.0, 0.0, *size])
@@ -226,7 +226,7 @@ def image_box(xy: NDArray[np.float64], size: NDArray[np.int64]) -> NDArray[np.fl
 
 
 def _cells(box: NDArray[np.float64], count: int) -> tuple[int, int]:
-    """Return columns and rows of about square cells with 12 observations on the average."""
+    """Return columns and rows of nearly square cells with about 12 observations on average."""
     width, height = box[2:] - box[:2]
     cells = max(count / PER_CELL, 1.0)
     side = max(np.sqrt(width * height / cells), max(width, height) / MOST_CELLS)
@@ -273,7 +273,7 @@ def _profile(offset: NDArray[np.float64], residual: NDArray[np.float64]) -> Radi
             mean = np.bincount(ring, part, RINGS) / count
             spread = np.bincount(ring, (part - mean[ring]) ** 2, RINGS)
             means.append(mean)
-            errors.append(np.sqrt(spread / ((count - 1.0) * count)))  # 0 / 0 below two
+            errors.append(np.sqrt(spread / ((count - 1.0) * count)))  # 0 / 0 for count below 2
     return RadialProfile(
         radius=(edges[1:] + edges[:-1]) / 2,
         count=count,

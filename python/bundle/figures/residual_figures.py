@@ -1,4 +1,4 @@
-"""Figures of residuals: histograms, the image plane of a camera, single images."""
+"""Figures of residuals: histograms, image planes of cameras, single images."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ __all__ = [
 ]
 
 LONGEST = 0.08
-"""Length of the largest residual of an image as drawn, by the longer side of the image."""
+"""Drawn length of the largest residual, relative to the longer side of the image."""
 
 CELL_NUMBERS = {
     "significance": ("Significance of the mean", "standard errors"),
     "magnitude": ("Magnitude", "px RMSE"),
     "count": ("Count", "observations"),
 }
-"""Numbers of cells by name: title and unit."""
+"""Title and unit of each value of a cell, by name."""
 
 
 def coordinate_figure(histogram: ResidualHistogram) -> Figure:
-    """Return histograms of the coordinates, and the normal distribution of the last set."""
+    """Return histograms of the coordinates, and the normal distribution for the last set."""
     last = [*histogram.coordinates][-1]
     drawn = _histograms(histogram.edges, histogram.coordinates)
     x, y = _normal(histogram, last)
@@ -83,7 +83,7 @@ def _highest(counts: dict[str, np.ndarray]) -> float:
 
 
 def _normal(histogram: ResidualHistogram, label: str) -> tuple[Array, Array]:
-    """Return the normal distribution of the middle of a histogram, as counts per bin."""
+    """Return a normal distribution fitted to the middle of a histogram, as counts per bin."""
     sigma = max(histogram.sigma[label], 1e-300)
     edges = histogram.edges
     inside = float(histogram.coordinates[label].sum())
@@ -99,7 +99,7 @@ def _normal(histogram: ResidualHistogram, label: str) -> tuple[Array, Array]:
 
 
 def field_figures(field: ResidualField) -> tuple[Figure, ...]:
-    """Return the figures of a camera's image plane."""
+    """Return the figures over a camera's image plane."""
     return (
         vector_figure(field, field.vector_factor),
         direction_figure(field),
@@ -109,7 +109,7 @@ def field_figures(field: ResidualField) -> tuple[Figure, ...]:
 
 
 def vector_figure(field: ResidualField, factor: float) -> Figure:
-    """Return the mean residual of each cell, ``factor`` times as long, bold where significant."""
+    """Return the mean residual of each cell, enlarged by ``factor``, bold if significant."""
     rows, columns = field.count.shape
     cells = np.flatnonzero(field.count.ravel() > 0)
     row, column = np.divmod(cells, columns)
@@ -136,14 +136,14 @@ def vector_figure(field: ResidualField, factor: float) -> Figure:
 
 
 def direction_figure(field: ResidualField) -> Figure:
-    """Return residuals as dots, coloured by direction: clusters of a colour are systematic."""
+    """Return residuals as dots, coloured by direction: clusters of one colour are systematic."""
     dots = Dots(field.dots, directions=field.dot_residuals)
     note = f"{len(field.dots):,} residuals"
     return over_image(field.box, "directions of residuals", "Directions", dots, note=note)
 
 
 def cell_figure(field: ResidualField, name: str) -> Figure:
-    """Return a number of each cell, one of ``CELL_NUMBERS``."""
+    """Return the figure of a value per cell, one of ``CELL_NUMBERS``."""
     find: dict[str, Callable[[], Array]] = {
         "significance": lambda: field.significance,
         "magnitude": lambda: field.rms,
@@ -158,7 +158,7 @@ def cell_figure(field: ResidualField, name: str) -> Figure:
 
 
 def profile_figure(field: ResidualField) -> Figure:
-    """Return mean residuals outwards and across, by distance from the principal point."""
+    """Return mean radial and tangential residuals by distance from the principal point."""
     profile = field.profile
     parts = (
         ("outwards", profile.radial, profile.radial_error),
@@ -186,12 +186,12 @@ def profile_figure(field: ResidualField) -> Figure:
 def image_figure(
     image: ImageResiduals, factor: float | None = None, picture: object = None
 ) -> Figure:
-    """Return the residuals of an image, from the measurement on.
+    """Return the residuals of an image, starting at the measurements.
 
     Args:
-        image: whose residuals they are.
-        factor: by which lines are longer than residuals; None chooses a round one.
-        picture: the photograph below; None for none.
+        image: residuals of the image.
+        factor: ratio of drawn length to residual; None chooses a round factor.
+        picture: background photograph; None without one.
     """
     box = _frame(image)
     if factor is None:
@@ -208,12 +208,12 @@ def image_figure(
 
 
 def image_name(image: ImageResiduals) -> str:
-    """Return the name of an image, or its id."""
+    """Return the name of an image; without a name its id."""
     return shown(image.error.name) or f"image {image.error.image_id}"
 
 
 def _frame(image: ImageResiduals) -> Array:
-    """Return the box of an image; that of its observations where its size is unknown."""
+    """Return the box of an image, or of its observations if the size is unknown."""
     if min(image.size) > 0:
         return np.array([0.0, 0.0, *image.size])
     if len(image.xy) == 0:

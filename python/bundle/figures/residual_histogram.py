@@ -18,16 +18,16 @@ WIDEST = 4.0
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ResidualHistogram:
-    """Histograms of some residuals under labels such as "before" and "after".
+    """Histograms of sets of residuals with labels such as "before" and "after".
 
     Attributes:
-        edges: (bins + 1,) of coordinates [pixels], symmetric about 0.
+        edges: (bins + 1,) edges of coordinates [pixels], symmetric about 0.
         coordinates: (bins,) counts of x and y together, by label.
-        share_outside: of the coordinates beyond the edges, by label.
-        length_edges: (bins + 1,) of lengths [pixels], in equal ratios.
+        share_outside: share of the coordinates beyond the edges, by label.
+        length_edges: (bins + 1,) edges of lengths [pixels], with a constant ratio.
         lengths: (bins,) counts, by label; lengths below the first edge are in the first bin.
-        sigma: spread of the coordinates [pixels], 1.4826 median |r_x|, |r_y|, by label; that of a
-            normal distribution with as wide a middle.
+        sigma: robust spread of the coordinates by label [pixels], 1.4826 median |r_x|, |r_y|; for
+            normally distributed residuals it is their standard deviation.
     """
 
     edges: NDArray[np.float64]
@@ -39,10 +39,10 @@ class ResidualHistogram:
 
 
 def residual_histogram(sets: dict[str, Residuals]) -> ResidualHistogram | None:
-    """Return histograms of residuals that count; None where no observation counts.
+    """Return histograms of counted residuals; None if no observation counts.
 
-    The axis of coordinates holds 99 % of the last set, and as much of the others as four times
-    that takes.
+    The axis of coordinates covers 99 % of the last set. It covers up to 99 % of the others, but at
+    most four times the range of the last set.
     """
     values = {label: found.xy[found.counted] for label, found in sets.items()}
     if not values or not all(len(part) for part in values.values()):

@@ -1,6 +1,6 @@
 """Signed residuals of all observations: projection minus measurement, in pixels.
 
-``bundle.reprojection_errors`` has their lengths alone. Errors of a lens show in directions.
+``bundle.reprojection_errors`` has only their lengths. Lens errors show in the directions.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ class Residuals:
     """Residuals of the observations of a problem.
 
     Attributes:
-        xy: (num_observations, 2) projection minus measurement [pixels], x right, y down, the
-            shorter way around a seam; nan where the point has no projection.
-        counted: (num_observations,) whether the observation counts: it has a projection and, unless
-            cheirality is "algebraic", the camera sees the point.
+        xy: (num_observations, 2) projection minus measurement [pixels], x right, y down; across a
+            seam the shorter way; NaN if the point has no projection.
+        counted: (num_observations,) True for observations that count: the point has a projection
+            and, unless cheirality is "algebraic", is in front of the camera.
     """
 
     xy: NDArray[np.float64]
@@ -33,15 +33,15 @@ class Residuals:
 
     @property
     def lengths(self) -> NDArray[np.float64]:
-        """(num_observations,) lengths [pixels]; nan where there is no projection."""
+        """(num_observations,) lengths [pixels]; NaN without a projection."""
         return np.hypot(self.xy[:, 0], self.xy[:, 1])
 
 
 def residuals(problem: Problem, cheirality: str = "auto") -> Residuals:
-    """Return the residuals at a problem's own values.
+    """Return the residuals at the current values of a problem.
 
     Args:
-        problem: left untouched.
+        problem: the problem; not modified.
         cheirality: "algebraic", "zero" or "auto", as in :class:`SolveOptions`.
     """
     cheirality = resolve_cheirality(problem, cheirality)

@@ -1,9 +1,9 @@
-"""Points and cameras of the 3-D view of a reconstruction, in a frame that suits it.
+"""Points and cameras of the 3-D view of a reconstruction, in a normalised frame.
 
-The frame has its origin in the median of the points and as its unit the half width of the box of
-the middle 90 % of points and cameras. What is farther away than 50 units is not drawn: points near
-infinity would leave nothing else to see. Of more than 60,000 points every k-th is drawn, k the
-least that leaves no more.
+The origin of the frame is the median of the points. Its unit is half the width of the box around
+the middle 90 % of points and cameras. Anything farther away than 50 units is not drawn, because
+points near infinity would shrink the rest of the scene to a dot. Of more than 60,000 points every
+k-th is drawn, with the smallest k that leaves at most 60,000.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = ["SceneView", "scene_view"]
 MOST_POINTS = 60_000
 FARTHEST = 50.0
 USUAL = 0.5
-"""Half the field of view, as a tangent, of a camera whose own is unknown."""
+"""Tangent of half the field of view for cameras whose own is unknown."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,21 +31,21 @@ class SceneView:
     """Points and cameras in the frame of the view.
 
     Attributes:
-        origin: (3,) of the frame of the view, in the world.
-        unit: its unit, in the world's length unit.
-        points: (n, 3) drawn, in the frame of the view.
-        point_indices: (n,) theirs in the problem.
-        point_errors: (n,) root mean square of their residuals [pixels]; nan where none counts.
-        step: every how many-th point is drawn.
-        num_far: points and cameras not drawn since they are too far away.
-        centers: (m, 3) of the cameras drawn, in the frame of the view.
-        image_indices: (m,) theirs in the problem.
+        origin: (3,) origin of the view's frame, in the world.
+        unit: unit of the frame, in the world's length unit.
+        points: (n, 3) drawn points, in the frame of the view.
+        point_indices: (n,) indices of these points in the problem.
+        point_errors: (n,) root mean square of their residuals [pixels]; NaN without residuals.
+        step: k if every k-th point is drawn.
+        num_far: points and cameras that are too far away to be drawn.
+        centers: (m, 3) centres of the drawn cameras, in the frame of the view.
+        image_indices: (m,) indices of these images in the problem.
         axes: (m, 3, 3) right, down and forward of each camera, one row each.
-        half_fields: (m, 2) tangents of half the field of view, across and down.
-        middle: (3,) between points and cameras, in the frame of the view.
-        reach: distance from there within which most of them are.
-        up: (3,) of the scene, a unit vector.
-        forward: (3,) of the cameras on the average, across ``up``; a unit vector.
+        half_fields: (m, 2) tangents of half the field of view, horizontal and vertical.
+        middle: (3,) centre between points and cameras, in the frame of the view.
+        reach: distance from the centre within which most points and cameras are.
+        up: (3,) up direction of the scene, a unit vector.
+        forward: (3,) mean viewing direction of the cameras, perpendicular to ``up``; a unit vector.
     """
 
     origin: NDArray[np.float64]
@@ -66,12 +66,13 @@ class SceneView:
 
 
 def scene_view(problem: Problem, found: Residuals | None, *, z_is_up: bool = False) -> SceneView:
-    """Return what to draw.
+    """Return the points and cameras to draw.
 
     Args:
-        problem: whose points and cameras they are.
-        found: its residuals, for the errors of the points; None for none.
-        z_is_up: of the world, as in a georeferenced model; otherwise the top of the images is up.
+        problem: problem with the points and cameras.
+        found: residuals of the problem, for the errors of the points; None: no errors.
+        z_is_up: True if the world's z axis is up, as in georeferenced models; otherwise up is the
+            top of the images.
     """
     centers = problem.projection_centers
     everything = np.concatenate([problem.points, centers])
@@ -116,7 +117,7 @@ def _placed(
 
 
 def _extent(sets: list[NDArray[np.float64]]) -> tuple[NDArray[np.float64], float]:
-    """Return the middle of several sets of positions, and how far most of each are from there."""
+    """Return the centre of several sets of positions, and a radius that covers most of each."""
     filled = [positions for positions in sets if len(positions)]
     if not filled:
         return np.zeros(3), 1.0
@@ -135,7 +136,7 @@ def _errors(problem: Problem, found: Residuals | None) -> NDArray[np.float64]:
 
 
 def _half_fields(problem: Problem) -> NDArray[np.float64]:
-    """Return half the field of view of each camera: of a perspective lens without distortion."""
+    """Return half the field of view of each camera, as for a pinhole camera."""
     fields = np.full((problem.num_cameras, 2), USUAL)
     for index, model in enumerate(problem.camera_models):
         kinds = np.array(param_kinds(model))
@@ -149,10 +150,10 @@ def _half_fields(problem: Problem) -> NDArray[np.float64]:
 def _directions(
     axes: NDArray[np.float64], *, z_is_up: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return up and forward, both of length 1 and at right angles."""
+    """Return the unit vectors up and forward, perpendicular to each other."""
     mean = axes.mean(axis=0) if len(axes) else np.eye(3)
     up = np.array([0.0, 0.0, 1.0]) if z_is_up else -mean[1]
-    if np.linalg.norm(up) < 0.3:  # images turned all ways, as from the air
+    if np.linalg.norm(up) < 0.3:  # cameras in all orientations, as in aerial images
         up = -mean[2]
     if np.linalg.norm(up) < 0.3:
         up = np.array([0.0, 0.0, 1.0])

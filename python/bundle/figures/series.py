@@ -1,4 +1,4 @@
-"""Curves of a comparison as numbers, and the looks of its methods."""
+"""Curves of a comparison as numbers, and the drawing styles of its methods."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from bundle.planning.comparison.method import Method
 
 __all__ = ["Style", "cost_curve", "labels", "profile_curve", "styles"]
 
-# Costs of different solvers agree to about this, and differ by chance below it.
+# Costs of different solvers agree to about this; smaller differences are due to chance.
 SMALLEST_GAP = 1e-9
 
 
 @dataclass(frozen=True)
 class Style:
-    """The look of a method in every figure.
+    """Drawing style of a method in all figures.
 
     Attributes:
-        colour: from 0, the same for all backends and numbers of threads.
-        line: from 0, one a backend.
+        colour: index from 0, the same for all backends and thread counts.
+        line: index from 0, one per backend.
     """
 
     colour: int
@@ -30,7 +30,7 @@ class Style:
 
 
 def styles(methods: tuple[Method, ...]) -> dict[Method, Style]:
-    """Return a style for each method: its linear solver has the colour, its backend the line."""
+    """Return a style for each method: colour by linear solver, line by backend."""
     kinds: dict[tuple[str, ...], int] = {}
     lines: dict[tuple[str, int], int] = {}
     for method in sorted(methods, key=lambda method: -method.num_threads):
@@ -44,7 +44,7 @@ def styles(methods: tuple[Method, ...]) -> dict[Method, Style]:
 
 
 def labels(methods: tuple[Method, ...]) -> dict[Method, str]:
-    """Return the name of each method, with its threads where methods differ in them."""
+    """Return the name of each method, with its thread count if the methods differ in it."""
     several = len({method.num_threads for method in methods}) > 1
     return {
         method: f"{method.name}, {method.threads}" if several else method.name for method in methods
@@ -54,7 +54,7 @@ def labels(methods: tuple[Method, ...]) -> dict[Method, str]:
 def cost_curve(comparison: Comparison, run: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return (seconds, lowest cost so far / best of all - 1) of a run, empty without a trace.
 
-    Relative distances below 1e-9 are 1e-9. Where the best cost is 0 the second array is the cost.
+    Relative distances below 1e-9 become 1e-9. If the best cost is 0, the second array is the cost.
     """
     times, costs = comparison.runs[run].trace
     best = comparison.best_cost(comparison.runs[run].problem)
@@ -68,7 +68,7 @@ def cost_curve(comparison: Comparison, run: int) -> tuple[NDArray[np.float64], N
 def profile_curve(
     profile: PerformanceProfile, largest: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners (factor, share) of a profile's stairs from factor 1 to the largest."""
+    """Return the corners (factor, share) of a profile's steps from factor 1 to the largest."""
     factors = np.array([1.0, *(ratio for ratio in profile.ratios if 1.0 < ratio <= largest)])
     shares = np.array([profile.share(factor) for factor in factors])
     return np.append(factors, largest), np.append(shares, shares[-1])

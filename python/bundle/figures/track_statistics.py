@@ -1,4 +1,4 @@
-"""Observations per point and angles between rays, which determine points."""
+"""Observations per point and angles between rays; both determine the precision of points."""
 
 from __future__ import annotations
 
@@ -27,8 +27,10 @@ class TrackStatistics:
     Attributes:
         lengths: number of points with 0, 1, ... observations; the last entry also counts all longer
             tracks.
-        angle_limits: degrees, ascending.
-        angles: (len(angle_limits) + 1,) points by the largest angle of two of their rays: below the
+        angle_limits: limits of the angle classes in degrees, ascending.
+        angles: (len(angle_limits) + 1,) points by the largest angle between two of their rays:
+            below the first limit, between consecutive limits, and above the last one. Only points
+            with at least two observations count.
             first limit, between each two, from the last on. Only points with two observations.
     """
 
@@ -40,7 +42,7 @@ class TrackStatistics:
 def track_statistics(problem: Problem) -> TrackStatistics:
     """Return the statistics of all points.
 
-    The angle of two rays is at most 90 degrees, as ``bundle.filter_observations`` has it.
+    The angle of two rays is at most 90 degrees, as in ``bundle.filter_observations``.
     """
     length = np.bincount(problem.observation_point, minlength=problem.num_points)
     longest = min(int(length.max(initial=0)), LONGEST)
@@ -55,11 +57,11 @@ def track_statistics(problem: Problem) -> TrackStatistics:
 
 
 def length_figure(tracks: TrackStatistics, longest: int | None = None) -> Figure:
-    """Return the number of points by observations.
+    """Return the number of points against the number of their observations.
 
     Args:
         tracks: the distributions.
-        longest: length of the longest track; None: the last class may hold longer ones.
+        longest: length of the longest track; None: the last class may contain longer ones.
     """
     last = len(tracks.lengths) - 1
     names = [f"{length}" for length in range(last + 1)]
@@ -69,7 +71,7 @@ def length_figure(tracks: TrackStatistics, longest: int | None = None) -> Figure
 
 
 def angle_figure(tracks: TrackStatistics) -> Figure:
-    """Return the number of points by the largest angle of two of their rays."""
+    """Return the number of points against the largest angle between two of their rays."""
     limits = tracks.angle_limits
     names = [f"below {limits[0]:g}°"]
     names += [f"{low:g} to {high:g}°" for low, high in pairwise(limits)]

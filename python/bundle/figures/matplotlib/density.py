@@ -81,7 +81,7 @@ def factor_density(
 ) -> Density:
     """Return the density of the Cholesky factor of a matrix with blocks in the given order.
 
-    Diagonal blocks count with their lower triangle. Time is linear in the nonzero blocks of L.
+    Diagonal blocks count with their lower triangle. Time grows with the nonzero blocks of L.
     """
     ordered = pattern.permuted(order)
     grid = _Grid(ordered, pixels)
