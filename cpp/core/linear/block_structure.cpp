@@ -139,7 +139,7 @@ void AdviseHugePages(void* begin, size_t num_bytes) {
   const auto address = reinterpret_cast<uintptr_t>(begin);
   const uintptr_t first = (address + kHugePage - 1) / kHugePage * kHugePage;
   const uintptr_t last = (address + num_bytes) / kHugePage * kHugePage;
-  // Refusal changes nothing but the time.
+  // If the system refuses, only the time changes.
   if (last > first) madvise(reinterpret_cast<void*>(first), last - first, MADV_HUGEPAGE);
 }
 #else
@@ -156,7 +156,7 @@ void CopyBlock(const BlockStructure& structure, const std::vector<double>& value
   const int64_t stride = structure.panel_stride[j];
   for (int r = 0; r < rows; ++r) {
     for (int c = 0; c < columns; ++c) {
-      // Of diagonal blocks the lower triangle counts.
+      // Only the lower triangle of diagonal blocks is defined.
       const bool is_lower = row == column ? r >= c : is_stored;
       *out++ = is_lower ? from[c * stride + r] : from[r * stride + c];
     }

@@ -3,13 +3,13 @@
 /// The reduced camera system S x = b: the normal equations after the elimination of the points
 /// (schur/).
 ///
-/// S is symmetric positive definite with one block row and column a block of the parameter layout.
-/// Its lower triangle is stored by block columns. Each is a panel of column-major values as tall as
-/// the blocks in it, so that a dense S is the matrix LAPACK takes and a sparse one has the value
-/// array of a compressed-column matrix, and neither is copied before it is factorised. Diagonal
-/// blocks are stored whole; only their lower triangle is defined. A panel may have more rows than
-/// its blocks, and be stored among others, as the solver of a sparse S needs it
-/// (supernodal_cholesky.h).
+/// S is symmetric positive definite. It has one block row and one block column per block of the
+/// parameter layout. Its lower triangle is stored by block columns. Each block column is a panel of
+/// column-major values, as tall as its blocks. So a dense S is a matrix for LAPACK, and a sparse S
+/// has the value array of a compressed-column matrix. Neither is copied before the factorisation.
+/// Diagonal blocks have storage for both triangles; only their lower triangle is defined. A panel
+/// may have more rows than its blocks, and may be stored between others, as the solver of a sparse
+/// S requires (supernodal_cholesky.h).
 
 #include <algorithm>
 #include <cstddef>
@@ -19,14 +19,14 @@
 
 namespace bundle {
 
-/// Blocks of S that may be nonzero, and where they are stored.
+/// Blocks of S that may be nonzero, and their places in memory.
 struct BlockStructure {
   std::vector<int> offset;            ///< num_blocks + 1: first row and column of a block
   std::vector<int64_t> column_begin;  ///< num_blocks + 1: first entry of a block column
   std::vector<int> row_block;         ///< block row of each entry; ascending, the diagonal first
   std::vector<int> row_in_panel;      ///< first row of each entry's block within its panel
-  std::vector<int64_t> panel_begin;   ///< num_blocks: where a block column's values begin
-  std::vector<int> panel_stride;      ///< num_blocks: from one column of a panel to the next
+  std::vector<int64_t> panel_begin;   ///< num_blocks: begin of a block column's values
+  std::vector<int> panel_stride;      ///< num_blocks: distance of consecutive columns of a panel
   int64_t num_values = 0;
   bool dense = false;  ///< one n x n column-major matrix
 
@@ -34,8 +34,7 @@ struct BlockStructure {
   int num_columns() const { return offset.back(); }
   int block_size(int block) const { return offset[block + 1] - offset[block]; }
 
-  /// The entry of block (row, column) on or below the diagonal, which is one of those that may be
-  /// nonzero.
+  /// The entry of block (row, column), on or below the diagonal; it must be in the structure.
   int64_t Entry(int column, int row) const {
     const int64_t begin = column_begin[column];
     if (dense) return begin + (row - column);
@@ -44,7 +43,7 @@ struct BlockStructure {
     return std::lower_bound(first, last, row) - row_block.begin();
   }
 
-  /// The block that has row or column `j` of the matrix.
+  /// The block that contains row or column `j` of the matrix.
   int BlockOf(int j) const {
     return static_cast<int>(std::upper_bound(offset.begin(), offset.end(), j) - offset.begin()) - 1;
   }
@@ -65,62 +64,62 @@ struct BlockStructure {
   }
 };
 
-/// Begins of the diagonal blocks when they are stored one after the other, and the end.
+/// Begins of the diagonal blocks when they are stored one after the other, then the end.
 std::vector<int64_t> DiagonalBlockOffsets(const BlockStructure& structure);
 
-/// Every block nonzero. `block_sizes` in the order of the layout.
+/// Structure with all blocks nonzero. `block_sizes` in the order of the layout.
 BlockStructure DenseStructure(const std::vector<int>& block_sizes);
 
-/// `columns[j]`: the block rows i >= j of block column j, ascending, j itself first.
+/// `columns[j]`: the block rows i >= j of block column j, ascending, starting with j.
 BlockStructure SparseStructure(const std::vector<int>& block_sizes,
                                const std::vector<std::vector<int>>& columns);
 
-/// A graph's blocks, all of one size: those of the nodes and of the pairs that an edge joins.
-/// `pairs` two different nodes each, in any order; of several equal ones one counts.
+/// Structure of a graph with blocks of equal size: one per node, and one per pair of nodes that an
+/// edge joins. `pairs`: two different nodes each, in any order; duplicates count once.
 BlockStructure StructureOfPairs(int num_nodes, int block_size,
                                 const std::vector<std::pair<int, int>>& pairs);
 
-/// A sparse structure with the blocks in another order: order[k] becomes the k-th.
+/// Sparse structure with the blocks in another order: block order[k] becomes block k.
 BlockStructure Reorder(const BlockStructure& structure, const std::vector<int>& order);
 
-/// The same blocks in the same order without room for fill-in between them: a panel per block
-/// column, as tall as its blocks. For copies of S that are kept, summed or sent.
+/// Structure with the same blocks in the same order, without room for fill-in between them: a panel
+/// per block column, as tall as its blocks. For copies of S that are stored, summed or sent.
 BlockStructure CompactStructure(const BlockStructure& structure);
 
 /// Adds the values of all blocks of `from` to the same blocks of `to`, which may have further
 /// blocks. The sizes and the order of blocks are the same in both.
 ///
-/// Throws std::logic_error where `to` lacks a block.
+/// Throws std::logic_error if `to` lacks a block.
 void AddBlocks(const BlockStructure& from, const double* values, const BlockStructure& to,
                double* sums);
 
-/// Block (row, column) of a symmetric matrix of which the lower triangle is stored, row-major; only
-/// for blocks of the structure.
+/// Block (row, column) of a symmetric matrix whose lower triangle is stored; row-major. The block
+/// must be in the structure.
 void CopyBlock(const BlockStructure& structure, const std::vector<double>& values, int row,
                int column, double* out);
 
 struct BlockSystem {
-  std::vector<double> values;  ///< S, as the structure says; zero where it has no block
+  std::vector<double> values;  ///< S in the layout of the structure; zero outside of its blocks
   std::vector<double> rhs;     ///< b
-  /// The camera parameters' part of the normal equations before anything is eliminated, J_c^T J_c
-  /// plus damping: its block diagonal, each block square and column-major, one after the other.
-  /// Empty unless a preconditioner asks for it.
+  /// Block diagonal of the camera parameters' part of the normal equations before the elimination,
+  /// J_c^T J_c plus damping. Each block is square and column-major, one after the other. Empty
+  /// unless a preconditioner needs it.
   std::vector<double> camera_diagonal;
   /// For each column of S, the derivatives of its unknown by the seven similarities of the world
-  /// (model/gauge.h). Empty unless a preconditioner asks for it.
+  /// (model/gauge.h). Empty unless a preconditioner needs them.
   std::vector<double> gauge_directions;
 
-  /// Both are those of the model's parameters (asserted in schur/schur_setup.cpp).
+  /// Both constants equal those of the model's parameters (asserted in schur/schur_setup.cpp).
   static constexpr int kNumGaugeDirections = 7;
   static constexpr int kMaxBlockSize = 22;
 };
 
-/// Asks the system for large pages where nothing has been touched yet. No more than a hint.
+/// Asks the operating system for large pages in memory that is not touched yet. Only a hint.
 void AdviseHugePages(void* begin, size_t num_bytes);
 
-/// Reserves `size` values and asks the system for large pages before they are touched. Sums into a
-/// large S access it everywhere, and with pages of 4 kB nearly each of its columns is also a miss
-/// of the address translation. Without large pages, only a reserve.
+/// Reserves `size` values and asks the operating system for large pages before they are touched.
+/// Sums into a large S access all of it. With pages of 4 kB nearly each access to a column also
+/// misses the address translation cache. Without large pages, this is only a reserve.
 template <typename T>
 void ReserveHugePages(size_t size, std::vector<T>* values) {
   if (size <= values->capacity()) return;

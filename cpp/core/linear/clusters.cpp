@@ -1,11 +1,11 @@
 #include "core/linear/clusters.h"
 
-/// Clusters start as single blocks. The blocks that are coupled most are joined first, with the
-/// clusters they are in, unless these together are too large. The coupling of blocks i and j is
+/// Clusters start as single blocks. The most strongly coupled blocks are joined first, together
+/// with their clusters, unless the joint cluster is too large. The coupling of blocks i and j is
 ///
 ///   sum over the entries of S_ij of s_kl^2 / (s_kk s_ll),
 ///
-/// which no units change: the squared partial correlations of their unknowns.
+/// which is independent of units: the squared partial correlations of their unknowns.
 
 #include <algorithm>
 #include <cmath>
@@ -65,7 +65,7 @@ std::vector<Coupling> FindCouplings(const BlockStructure& structure,
   return couplings;
 }
 
-/// Disjoint sets, each with one of its members for a name (Tarjan, 1975; paths are halved).
+/// Disjoint sets, each named by one of its members (Tarjan, 1975; with path halving).
 class Sets {
  public:
   explicit Sets(int count) : parent_(count), size_(count, 1) {
@@ -115,18 +115,18 @@ std::vector<int> ClusterBlocks(const BlockStructure& structure, const std::vecto
 }
 
 /// The columns of a cluster are made orthonormal in the metric diag(S), which makes radians,
-/// lengths and pixels comparable and A = Q^T S Q well scaled. What depends on the columns before it
-/// (three intrinsics and seven similarities of a single image are more than its nine unknowns) is
-/// set to zero, and A gets a 1 on its diagonal there.
+/// lengths and pixels comparable and A = Q^T S Q well scaled. Columns that depend on earlier
+/// columns are set to zero, and A gets a 1 on its diagonal there. For instance, a single image has
+/// nine unknowns, but three intrinsics and seven similarities.
 
 namespace {
 
-/// The norm a direction must keep once the components along those before it are taken away.
+/// Least norm of a direction after its components along earlier directions are subtracted.
 constexpr double kIndependent = 1e-7;
 
 constexpr int kNumGaugeDirections = BlockSystem::kNumGaugeDirections;
 
-/// Gram and Schmidt's, in the order of the columns.
+/// Gram-Schmidt, in the order of the columns.
 void Orthonormalize(ClusterDirections* directions) {
   Eigen::MatrixXd& q = directions->q;
   directions->is_idle.resize(q.cols());

@@ -9,22 +9,23 @@
 
 namespace bundle {
 
-/// Groups of strongly coupled blocks, of at most `max_size` each: the cluster of every block, from
-/// 0 on. Blocks marked in `alone` are clusters of their own. `values` are those of S.
+/// Groups strongly coupled blocks into clusters of at most `max_size` blocks. Returns the cluster
+/// of every block, from 0 on. Blocks marked in `alone` are clusters of their own. `values` are the
+/// values of S.
 std::vector<int> ClusterBlocks(const BlockStructure& structure, const std::vector<double>& values,
                                const std::vector<char>& alone, int max_size);
 
 /// Columns of Q (coarse_space.cpp) on the rows of a cluster's blocks, one block after the other.
 struct ClusterDirections {
   Eigen::MatrixXd q;
-  std::vector<char> is_idle;  ///< per column: it depends on columns before it, and is zero
+  std::vector<char> is_idle;  ///< per column: it depends on earlier columns, and is zero
 };
 
-/// True if a similarity changes an unknown of a block. `moves`: per column of S.
+/// True if a similarity changes an unknown of a block. `moves`: one entry per column of S.
 bool MovesBlock(const BlockStructure& structure, const std::vector<char>& moves, int block);
 
-/// The gauge directions, if the cluster has blocks that they move, and the k-th intrinsics of all
-/// of its blocks, for each k: `num_columns` in all. `blocks`: those of the cluster.
+/// Returns the gauge directions, if they move blocks of the cluster, and for each k the k-th
+/// intrinsics of all of its blocks: `num_columns` in all. `blocks`: the cluster's blocks.
 ClusterDirections FindClusterDirections(const BlockStructure& structure, const BlockSystem& system,
                                         const std::vector<char>& moves,
                                         const std::vector<int>& blocks, int num_columns);

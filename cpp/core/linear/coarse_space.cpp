@@ -1,20 +1,20 @@
 #include "core/linear/coarse_space.h"
 
-/// Schur-Jacobi leaves the slow part of an error: clusters of images that sit well in themselves
-/// and are moved, turned or scaled against each other, or share a change of intrinsics that poses
-/// and points make up for. So each cluster has as its directions
+/// Schur-Jacobi leaves the slowly converging errors. In these, clusters of images that are
+/// consistent in themselves move, turn or scale against each other, or share a change of intrinsics
+/// that poses and points compensate. So each cluster has as its directions
 ///
 ///   - the seven similarities of the world, cut to the cluster's images (model/gauge.h),
 ///   - for k = 0, 1, ... the k-th intrinsics column of all of its blocks at once.
 ///
-/// Those of all clusters, the columns of Q, span every similarity of the whole, S's near null
-/// space, which is what lets conjugate gradients take the same number of iterations however many
-/// images there are (Nicolaides, Deflation of conjugate gradients, 1987; Konolige and Brown,
+/// The directions of all clusters, the columns of Q, span every similarity of the world, the near
+/// null space of S. With them, the number of iterations of conjugate gradients does not grow with
+/// the number of images (Nicolaides, Deflation of conjugate gradients, 1987; Konolige and Brown,
 /// Multigrid for bundle adjustment, 2020, smooth the same space).
 ///
-/// Each block of A is summed by one thread, in the order of S's blocks: the same bits for any
-/// number of threads. The cost is 4 m^2 d flops for each block of S, m its size and d directions,
-/// beside about 2 m^2 L of elimination for each point that L images see.
+/// Each block of A is summed by one thread, in the order of S's blocks, so that its bits are the
+/// same for any number of threads. The cost is 4 m^2 d flops for each block of S, with m its size
+/// and d directions. The elimination takes about 2 m^2 L for each point that L images see.
 
 #include <Eigen/Core>
 #include <algorithm>
@@ -31,13 +31,13 @@
 namespace bundle {
 namespace {
 
-/// With as many images a cluster, A has about a fifth of the columns of S, and its factorisation
-/// about a hundredth of the flops.
+/// With this number of images per cluster, A has about a fifth of the columns of S, and its
+/// factorisation takes about a hundredth of the flops.
 constexpr int kMaxClusterSize = 6;
 
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-/// X = Q_i^T S_ij Q_j. kSize and kDirections: those of both blocks, or Eigen::Dynamic.
+/// X = Q_i^T S_ij Q_j. kSize and kDirections: sizes of both blocks, or Eigen::Dynamic.
 template <int kSize, int kDirections>
 void ProjectBlock(const double* block, int stride, bool lower_only, const double* rows_q,
                   int row_size, int row_directions, const double* cols_q, int col_size,
@@ -85,7 +85,7 @@ CoarseSpace::CoarseSpace(const BlockStructure& structure, const BlockSystem& sys
   values_.resize(coarse_.num_values);
 }
 
-/// Gives the clusters the numbers of their elimination and lays out A.
+/// Numbers the clusters in the order of their elimination and lays out A.
 void CoarseSpace::NumberClusters(const std::vector<int>& cluster) {
   const int count = cluster.empty() ? 0 : 1 + *std::max_element(cluster.begin(), cluster.end());
   std::vector<int> size(count, 0);
@@ -128,7 +128,7 @@ void CoarseSpace::NumberClusters(const std::vector<int>& cluster) {
   }
 }
 
-/// Sorts the blocks of S by the block of A that they are part of.
+/// Sorts the blocks of S by the blocks of A to which they contribute.
 void CoarseSpace::CollectTerms() {
   const auto for_each = [&](const auto& visit) {
     for (int j = 0; j < fine_.num_blocks(); ++j) {

@@ -11,7 +11,7 @@
 
 namespace bundle {
 
-/// A few directions for each cluster of blocks, the columns of Q, and S on them: A = Q^T S Q.
+/// Some directions for each cluster of blocks, the columns of Q, and the coarse system A = Q^T S Q.
 class CoarseSpace {
  public:
   static constexpr int kNumGaugeDirections = BlockSystem::kNumGaugeDirections;
@@ -21,7 +21,7 @@ class CoarseSpace {
 
   int num_columns() const { return coarse_.num_columns(); }
 
-  /// Makes Q and A for a system, and the factor of A. False if A is not positive definite.
+  /// Computes Q, A and the factor of A for a system. False if A is not positive definite.
   bool Factorize(const BlockSystem& system);
 
   /// x = A^-1 x
@@ -34,12 +34,12 @@ class CoarseSpace {
  private:
   /// A block of S whose rows and columns belong to a block of A.
   struct Term {
-    int64_t value;  ///< where the block's first value is
-    int stride;     ///< from one of its columns to the next
-    int row_block;  ///< coarse block row; transposed if ...
+    int64_t value;  ///< index of the block's first value
+    int stride;     ///< distance of its consecutive columns
+    int row_block;  ///< coarse block row
     int col_block;
-    bool transposed;  ///< ... S stores the block the other way around
-    bool diagonal;    ///< only its lower triangle means anything
+    bool transposed;  ///< S stores the transpose of this block
+    bool diagonal;    ///< only its lower triangle is defined
   };
 
   void NumberClusters(const std::vector<int>& cluster);
@@ -50,17 +50,17 @@ class CoarseSpace {
 
   const BlockStructure& fine_;
   const int num_threads_;
-  std::vector<char> moves_;                ///< per column of S: 1 if a similarity changes it
-  std::vector<int> cluster_;               ///< cluster per block of S
+  std::vector<char> moves_;   ///< per column of S: 1 if a similarity changes its unknown
+  std::vector<int> cluster_;  ///< cluster per block of S
   std::vector<std::vector<int>> members_;  ///< the blocks of each cluster, ascending
-  BlockStructure coarse_;  ///< structure of A: a block per cluster, placed in its factor
+  BlockStructure coarse_;  ///< structure of A: one block per cluster, at its place in the factor
   std::unique_ptr<SupernodalCholesky> cholesky_;
   std::vector<int> coarse_column_;   ///< per coarse entry
   std::vector<int64_t> term_begin_;  ///< per coarse entry
   std::vector<Term> input_;
   std::vector<int64_t> direction_begin_;  ///< per block of S: its begin in directions_
-  std::vector<double> directions_;        ///< Q: a block's rows, one after the other
-  std::vector<char> is_idle_;             ///< per column of Q: it is zero
+  std::vector<double> directions_;        ///< Q: the rows of each block, one after the other
+  std::vector<char> is_idle_;             ///< per column of Q: 1 if it is zero
   std::vector<double> values_;            ///< values of A
 };
 

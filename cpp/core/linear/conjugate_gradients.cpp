@@ -1,28 +1,28 @@
 #include "core/linear/conjugate_gradients.h"
 
 /// Conjugate gradients as Ceres' ITERATIVE_SCHUR runs them inside Levenberg-Marquardt: from x = 0,
-/// at least 0 and at most 500 of them, until the quadratic model Q(x) = x^T S x - 2 b^T x gains
-/// little,
+/// with 0 to 500 iterations, until the quadratic model Q(x) = x^T S x - 2 b^T x gains little,
 ///
 ///   i (Q_i - Q_{i-1}) / Q_i < eta   (Nash and Sofer, 1990),
 ///
-/// with Q = -x^T (b + r) from the residual r = b - S x, which is computed afresh every 10th time.
+/// with Q = -x^T (b + r) from the residual r = b - S x, which is recomputed in every 10th
+/// iteration.
 ///
-/// Ceres iterates on the scaled unknowns y = C^-1 x, C = diag(scale): S' = C S C, b' = C b. With
-/// r' = C r, z' = C^-1 z and p' = C^-1 p every inner product is the same in both, r'^T z' = r^T z,
-/// p'^T S' p' = p^T S p and so is Q, provided that z = C M'^-1 C r. For M' = C M C, as M is cut out
-/// of S or U block by block, this is z = M^-1 r: the scaling drops out. It remains in the identity
-/// alone, M' = I, z = C^2 r. So nothing is scaled here.
+/// Ceres iterates on the scaled unknowns y = C^-1 x, C = diag(scale): S' = C S C, b' = C b. With r'
+/// = C r, z' = C^-1 z and p' = C^-1 p every inner product is the same in both: r'^T z' = r^T z,
+/// p'^T S' p' = p^T S p, and so is Q, provided that z = C M'^-1 C r. M is cut out of S or U block
+/// by block, hence M' = C M C and z = M^-1 r: the scaling cancels. It remains only in the identity,
+/// M' = I, z = C^2 r. So no vector is scaled here.
 ///
-/// A residual that is exactly 0 ends them too. In Ceres it makes the next step 0 / 0 and fails,
-/// which rounding saves it from as a rule; with one block and its exact inverse it is no exception
-/// here.
+/// A residual that is exactly 0 also ends the iterations. In Ceres, the next step would be 0 / 0
+/// and fail; rounding usually prevents this. Here, a single block with its exact inverse often
+/// gives a residual of 0.
 ///
-/// OpenBLAS, which factorises for preconditioners, gets one thread. Its rounding depends on the
+/// OpenBLAS, which factorises for preconditioners, uses one thread. Its rounding depends on the
 /// number of threads, which may depend on the launcher, and conjugate gradients would amplify the
 /// differences.
 ///
-/// S is explicit. Its products are nearly all of the time, one an iteration and one more every
+/// S is explicit. Its products take nearly all of the time: one per iteration and one more every
 /// 10th; 6 with the power series.
 
 #include <algorithm>
@@ -113,8 +113,9 @@ class IterativeSolver final : public LinearSolver {
       if (IsZero(r_)) return {Status::kSuccess, i, "Convergence. |r| = 0."};
       preconditioner_->Multiply(r_.data(), z_.data());
       const double rho = Dot(r_, z_);
-      // An exact solution, as where S has a single block, which is its own preconditioner. Ceres
-      // would fail here, but its products with S round too much to come by.
+      // An exact solution, for instance if S has a single block, which is its own preconditioner.
+      // Ceres would fail here, but the rounding of its products with S nearly always avoids this
+      // case.
       if (i > 1 && rho == 0) return {Status::kSuccess, i, "Convergence. r'z = 0."};
       const double beta = i == 1 ? 0 : rho / last_rho;
       if (!IsUsable(rho) || (i > 1 && !IsUsable(beta))) return Broken(i, "r'z", rho);
@@ -124,7 +125,7 @@ class IterativeSolver final : public LinearSolver {
       product_.Multiply(system_->values, p_.data(), q_.data());
       const double curvature = Dot(p_, q_);
       if (curvature <= 0 || std::isinf(curvature)) {
-        // Ceres keeps what it has and lets the trust region judge it.
+        // Ceres keeps the current solution; the trust region accepts or rejects it.
         return {Status::kSuccess, i,
                 "The reduced camera system is indefinite: p'Sp = " + std::to_string(curvature)};
       }
@@ -144,7 +145,7 @@ class IterativeSolver final : public LinearSolver {
     }
   }
 
-  /// x += alpha p, and the residual that belongs to it.
+  /// x += alpha p, and the corresponding residual.
   void Advance(const std::vector<double>& b, double alpha, int iteration) {
     for (size_t k = 0; k < x_.size(); ++k) x_[k] += alpha * p_[k];
     if (iteration % kResidualResetPeriod == 0) {

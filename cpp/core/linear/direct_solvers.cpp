@@ -113,7 +113,7 @@ class DenseSolver final : public LinearSolver {
   double* values_ = nullptr;  ///< S, then L
   const int num_columns_;
   int blas_threads_ = 1;
-  std::unique_ptr<ThreadPool> pool_;  ///< for the tiled factorisation; nullptr: OpenBLAS' own
+  std::unique_ptr<ThreadPool> pool_;  ///< for the tiled factorisation; nullptr: OpenBLAS' threads
 };
 
 }  // namespace
@@ -127,15 +127,16 @@ std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, i
   return std::make_unique<DenseSolver>(structure, num_threads, same_bits);
 }
 
-/// S = L L^T, supernodal: columns of L with the same rows below make one dense panel, so nearly all
-/// flops are BLAS 3 (supernodal_cholesky.cpp).
+/// S = L L^T, supernodal: columns of L with the same rows below form one dense panel, so that
+/// nearly all flops are BLAS 3 (supernodal_cholesky.cpp).
 ///
-/// S comes in the order of its elimination (supernodes.cpp), assembled in the panels of L. So
-/// nothing is copied, and all there is to keep are 8 bytes an entry of L.
+/// S is assembled in the panels of L, in the order of its elimination (supernodes.cpp). So no value
+/// is copied, and the memory is 8 bytes per entry of L.
 
 namespace {
 
-/// OpenBLAS' threads pay where the panels are wide; the entries of the average column tell.
+/// OpenBLAS' threads are faster if the panels are wide; the average number of entries per column
+/// decides.
 int BlasThreadsFor(const FillOrdering& ordering, int num_threads) {
   const bool wide = ordering.flops >= kColumnsWorthBlasThreads * ordering.entries;
   return wide ? EffectiveNumThreads(num_threads) : 1;

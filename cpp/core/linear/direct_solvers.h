@@ -10,20 +10,19 @@
 
 namespace bundle {
 
-/// LAPACK's Cholesky factorisation; takes a dense structure.
-/// `same_bits`: for any number of threads (tiled_cholesky.h).
+/// LAPACK's Cholesky factorisation; requires a dense structure.
+/// `same_bits`: the bits do not depend on the number of threads (tiled_cholesky.h).
 std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, int num_threads,
                                               bool same_bits = false);
 
 /// Supernodal Cholesky factorisation, analysed once. `structure` is sparse, with blocks in the
-/// order of the elimination, as in `ordering`. Afterwards it has the places of the values in the
+/// order of the elimination, as in `ordering`. On return it has the places of the values in the
 /// factor.
 std::unique_ptr<LinearSolver> MakeSparseSolver(const FillOrdering& ordering, int num_threads,
                                                BlockStructure* structure);
 
-/// Placeholder on other ranks than rank 0, which receive the steps of rank 0
-/// (schur/schur_problem.cpp). It solves nothing. The arguments are properties of the solver of rank
-/// 0.
+/// Placeholder on all ranks but rank 0. They receive the steps of rank 0 (schur/schur_problem.cpp),
+/// and this class solves no system. The arguments are properties of the solver of rank 0.
 std::unique_ptr<LinearSolver> MakeRemoteSolver(bool needs_camera_diagonal, bool is_iterative);
 
 }  // namespace bundle

@@ -1,6 +1,6 @@
 #include "core/linear/edge_system.h"
 
-/// The blocks go where the supernodal factorisation wants them, in AMD's order.
+/// Blocks are stored where the supernodal factorisation needs them, in AMD's order.
 
 #include <algorithm>
 #include <utility>

@@ -14,12 +14,13 @@ struct EdgeSystem {
   int64_t num_nodes = 0;
   int64_t num_edges = 0;
   const int32_t* edges = nullptr;    ///< num_edges x 2: two different nodes, in any order
-  const double* diagonal = nullptr;  ///< num_nodes blocks, of which the lower triangle is read
-  const double* between = nullptr;   ///< num_edges blocks H(first, second); those of a pair add up
-  const double* rhs = nullptr;       ///< num_nodes x block_size
+  const double* diagonal = nullptr;  ///< num_nodes blocks; only the lower triangle is read
+  const double* between =
+      nullptr;  ///< num_edges blocks H(first, second); blocks of the same pair add up
+  const double* rhs = nullptr;  ///< num_nodes x block_size
 };
 
-/// Returns x, num_nodes x block_size; empty where H is not positive definite.
+/// Returns x, num_nodes x block_size; empty if H is not positive definite.
 ///
 /// Throws std::bad_alloc, and Interrupted.
 std::vector<double> SolveEdgeSystem(const EdgeSystem& system);

@@ -11,14 +11,15 @@ namespace bundle {
 
 /// Order of the elimination of the blocks of S, and the cost of its Cholesky factor.
 struct FillOrdering {
-  std::string name;        ///< "natural", "amd" or "metis"
-  std::vector<int> order;  ///< order[k]: the block eliminated as the k-th; an etree's postorder
-  double entries = 0;      ///< nnz(L)
-  double flops = 0;        ///< multiplications and additions; n^3 / 3 where S fills up
-  double elimination_flops = 0;  ///< FactorCounts::flops, which reports speak of
+  std::string name;  ///< "natural", "amd" or "metis"
+  std::vector<int>
+      order;  ///< order[k]: the block eliminated as number k; a postorder of the elimination tree
+  double entries = 0;  ///< nnz(L)
+  double flops = 0;    ///< multiplications and additions; n^3 / 3 if S fills in completely
+  double elimination_flops = 0;  ///< FactorCounts::flops, for reports
 };
 
-/// The cheapest of the natural order, AMD's and METIS'.
+/// The cheapest of three orderings: natural, AMD and METIS.
 FillOrdering FindFillOrdering(const BlockStructure& structure);
 
 /// Ordering by one method: "natural", "amd", "metis" or another of symbolic/orderings.h.

@@ -22,11 +22,11 @@ struct FactorStatistics {
   std::string ordering;  ///< "natural", "amd" or "metis"; empty without a factorisation
   double entries = 0;    ///< nnz(L) without the zeros that supernodes add
   double flops = 0;      ///< FactorCounts::flops
-  double predicted = 0;  ///< entries, by the ordering
-  double stored = 0;     ///< entries with the zeros, diagonal blocks by their lower triangle
+  double predicted = 0;  ///< predicted `entries` of the chosen ordering
+  double stored = 0;  ///< entries including these zeros; only the lower triangle of diagonal blocks
 };
 
-/// Solves the reduced camera systems of one structure, one after the other: Factorize once a
+/// Solves reduced camera systems of one structure, one after the other. Call Factorize once per
 /// system, then Solve with any number of right-hand sides, any number of times.
 class LinearSolver {
  public:
@@ -54,7 +54,7 @@ class LinearSolver {
     return DoSolve(rhs, num_rhs, eta, x);
   }
 
-  /// Factorizes and solves for the system's own right-hand side, as a step does.
+  /// Factorizes, and solves for the right-hand side of the system, for a step.
   LinearSolution Solve(BlockSystem* system, const std::vector<double>& scale, double eta,
                        double* x) {
     LinearSolution factorized = Factorize(system, scale);
@@ -62,7 +62,7 @@ class LinearSolver {
     return Solve(system->rhs.data(), 1, eta, x);
   }
 
-  /// Replaces the factor by the blocks of S^-1 at the blocks of S, diagonal blocks by their lower
+  /// Replaces the factor by the blocks of S^-1 at the blocks of S; diagonal blocks by their lower
   /// triangle. Solve is not allowed afterwards.
   ///
   /// Throws std::logic_error without a successful Factorize, and for iterative solvers.
@@ -72,15 +72,15 @@ class LinearSolver {
     return DoInvertBlocks();
   }
 
-  /// Forgets all that depends on values of earlier systems (clusters of blocks, for instance), so
-  /// that it solves as a new solver would. Keeps what follows from the structure.
+  /// Removes all data that depend on values of earlier systems (clusters of blocks, for instance),
+  /// so that it solves like a new solver. Keeps data that follow from the structure.
   virtual void ForgetValues() {}
 
-  /// True if it reads BlockSystem::camera_diagonal.
+  /// True if the solver reads BlockSystem::camera_diagonal.
   virtual bool NeedsCameraDiagonal() const { return false; }
   /// True for conjugate gradients, which can amplify rounding errors of S.
   virtual bool IsIterative() const { return false; }
-  /// True if it reads BlockSystem::gauge_directions.
+  /// True if the solver reads BlockSystem::gauge_directions.
   virtual bool NeedsGaugeDirections() const { return false; }
 
   virtual FactorStatistics factor_statistics() const { return {}; }

@@ -1,18 +1,19 @@
 #include "core/linear/preconditioners.h"
 
-/// Ceres' preconditioners for ITERATIVE_SCHUR, with U the camera parameters' part of the normal
-/// equations (block diagonal, as no observation sees two cameras' blocks, or cut to that where one
-/// has a block of intrinsics beside that of its pose) and S = U - W V^-1 W^T:
+/// Ceres' preconditioners for ITERATIVE_SCHUR. U is the camera parameters' part of the normal
+/// equations. It is block diagonal, because no observation sees two cameras' blocks; if a camera
+/// has a block of intrinsics separate from that of its pose, the blocks between them are left out.
+/// With S = U - W V^-1 W^T:
 ///
 ///   identity                      M = I for the scaled unknowns x / scale, hence M^-1 = scale^2
 ///   jacobi                        M = U
 ///   schur_jacobi                  M = the block diagonal of S
 ///   schur_power_series_expansion  M^-1 = sum_{i=0..5} (U^-1 (U - S))^i U^-1
 ///
-/// and one that Ceres does not have, two_level. The series is the Neumann series of
-/// S^-1 = (I - U^-1 (U - S))^-1 U^-1. Its terms follow from each other, t_{i+1} = U^-1 (U - S) t_i
-/// = t_i - U^-1 S t_i, at one product with S each. Ceres stops it by number alone inside conjugate
-/// gradients, so that M stays the same from one to the next.
+/// and the preconditioner two_level, which Ceres does not have. The series is the Neumann series of
+/// S^-1 = (I - U^-1 (U - S))^-1 U^-1. Each term follows from the previous one, t_{i+1} = U^-1 (U -
+/// S) t_i = t_i - U^-1 S t_i, at one product with S. Inside conjugate gradients, Ceres stops the
+/// series only by the number of terms, so that M is the same in every iteration.
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
@@ -187,21 +188,21 @@ void BlockDiagonalInverse::Multiply(const double* x, double* y) const {
 ///
 ///   M^-1 = D^-1 + Q A^-1 Q^T,      D the block diagonal of S,   A = Q^T S Q
 ///
-/// D^-1 corrects errors that are local to an image, the second term errors that clusters of images
-/// have in common (coarse_space.cpp). A is factorised once a step. An iteration costs what
-/// Schur-Jacobi costs and two triangular solves with the factor of A.
+/// D^-1 corrects errors that are local to an image. The second term corrects errors that clusters
+/// of images have in common (coarse_space.cpp). A is factorised once per step. An iteration costs
+/// as much as with Schur-Jacobi, plus two triangular solves with the factor of A.
 ///
-/// At the last steps before convergence, 1000 images along a street took 60 iterations where
-/// Schur-Jacobi stops at the limit of 500, 1000 of a photo collection 23 instead of 490; 5000 along
-/// a street took 65.
+/// At the last steps before convergence, 1000 images along a street took 60 iterations, while
+/// Schur-Jacobi stops at the limit of 500. 1000 images of a photo collection took 23 instead of
+/// 490. 5000 images along a street took 65.
 ///
-/// Where A is not positive definite, which rounding may make it, Schur-Jacobi is left.
+/// If A is not positive definite because of rounding, only Schur-Jacobi is applied.
 
 namespace {
 
-/// Factor on Ceres' eta. The stopping rule looks at the gain of an iteration, which is small in
-/// early iterations here. On 1000 images along a street, eta itself took 20 steps of 20 iterations,
-/// this factor 13 steps of 40.
+/// Factor on Ceres' eta. The stopping rule uses the gain of an iteration, which is small in early
+/// iterations here. On 1000 images along a street, eta itself took 20 steps of 20 iterations, this
+/// factor 13 steps of 40.
 constexpr double kForcingFactor = 0.2;
 
 class TwoLevel final : public Preconditioner {

@@ -10,7 +10,7 @@
 
 namespace bundle {
 
-/// z = M^-1 r, with M near S and easier to invert.
+/// z = M^-1 r, where M approximates S and is easier to invert.
 class Preconditioner {
  public:
   virtual ~Preconditioner() = default;

@@ -1,7 +1,7 @@
 /// Part of SupernodalCholesky (supernodal_cholesky.h).
 ///
-/// The entries of S^-1 where its Cholesky factor has any: Takahashi's recursion (K. Takahashi, J.
-/// Fagan, M.-S. Chin: Formation of a sparse bus impedance matrix and its application to short
+/// Entries of S^-1 in the pattern of its Cholesky factor, by Takahashi's recursion (K. Takahashi,
+/// J. Fagan, M.-S. Chin: Formation of a sparse bus impedance matrix and its application to short
 /// circuit study, 1973; A. M. Erisman, W. F. Tinney: On computing certain elements of the inverse
 /// of a sparse matrix, 1975), panel by panel.
 ///
@@ -10,15 +10,15 @@
 ///
 ///   G = L_RJ L_JJ^-1,     Z_RJ = -Z_RR G,     Z_JJ = (L_JJ L_JJ^T)^-1 + G^T Z_RR G.
 ///
-/// The rows R of a panel are a clique of the filled graph, so that Z_RR is within the pattern of L:
-/// in later panels, which are done when one goes from the last panel to the first. Z_RR is never
-/// gathered as a whole, but panel by panel: with K the rows of R that are columns of one later
-/// panel, and M those below K,
+/// The rows R of a panel are a clique of the filled graph. So Z_RR is within the pattern of L, in
+/// later panels. These are complete, because panels are processed from the last to the first. Z_RR
+/// is never gathered as one matrix, but panel by panel: with K the rows of R that are columns of
+/// one later panel, and M the rows below K,
 ///
 ///   (Z_RR G)_K += Z_KK G_K + Z_MK^T G_M,       (Z_RR G)_M += Z_MK G_K.
 ///
-/// In place, at three times the flops of the factorisation (J. N. Rust, E. Ng, and others measure
-/// the same); beside it a panel's G and product, and one strip of Z_RR.
+/// It works in place, at three times the flops of the factorisation (J. N. Rust, E. Ng, and others
+/// measure the same). Additional memory: G and its product for one panel, and one strip of Z_RR.
 
 #include <algorithm>
 #include <cstdint>
@@ -63,7 +63,7 @@ void SupernodalCholesky::InvertPanel(int panel, double* values) {
     CopyStrip(values, by, first, last, end, rows, &strip);
     const double* const gk = &g[top];
     double* const to = &product[top];
-    // All rows of the strip by the columns K; those below K by their transposes.
+    // All rows of the strip by the columns K; rows below K by their transposes.
     dgemm_(&kPlain, &kPlain, &rows, &width, &columns, &kOne, strip.data(), &rows, gk, &below, &kOne,
            to, &below);
     const int rest = rows - columns;
@@ -90,8 +90,8 @@ void SupernodalCholesky::InvertPanel(int panel, double* values) {
   }
 }
 
-/// Z of the block rows [first, end) of a panel by its block rows [first, last), which are columns
-/// of panel `by`: rows x columns, column-major.
+/// Block rows [first, end) of a panel of Z by its block rows [first, last), which are columns of
+/// panel `by`: rows x columns, column-major.
 void SupernodalCholesky::CopyStrip(const double* values, int by, int64_t first, int64_t last,
                                    int64_t end, int rows, std::vector<double>* strip) {
   LocateRows(by);

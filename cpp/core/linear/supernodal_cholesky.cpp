@@ -1,18 +1,18 @@
 #include "core/linear/supernodal_cholesky.h"
 
 /// Left-looking: a panel first receives the updates of earlier panels to its columns. Then its
-/// diagonal block is factorised, D = L_D L_D^T, and its rows below become B L_D^-T. The update of a
-/// panel with rows in columns of panel s is the product of its rows from there on with those rows,
-/// a matrix product, which is then scattered to the rows' places in s. Each panel waits in one
-/// queue: that of the next panel in which it has rows (Ng and Peyton, Block sparse Cholesky
-/// algorithms on advanced uniprocessor computers, 1993; so does CHOLMOD).
+/// diagonal block is factorised, D = L_D L_D^T, and its rows below become B L_D^-T. To update panel
+/// s, an earlier panel multiplies its rows from the columns of s on by its rows in the columns of
+/// s. This matrix product is then scattered to its places in s. Each panel waits in one queue: that
+/// of the next panel in which it has rows (Ng and Peyton, Block sparse Cholesky algorithms on
+/// advanced uniprocessor computers, 1993; CHOLMOD does the same).
 ///
-/// What differs from CHOLMOD, and why this is not CHOLMOD's: S is put together where L will be.
-/// CHOLMOD takes it as another array, with a row index for each value, and copies. Rows come as
-/// blocks and as ranges of rows here, which are added contiguously, and where all rows of a product
-/// are one range, it is added where it belongs by BLAS itself.
+/// The differences from CHOLMOD, and the reason not to use CHOLMOD: here, S is assembled at the
+/// place of L. CHOLMOD reads S from another array, with a row index for each value, and copies it.
+/// Here, rows are given as blocks and as ranges of rows, which are added contiguously. If all rows
+/// of a product are one range, BLAS itself adds it at its place.
 ///
-/// A product takes some columns at a time, so that it is in the cache when it is added.
+/// A product takes some columns at a time, so that it is still in the cache when it is added.
 
 #include <algorithm>
 #include <utility>
@@ -79,7 +79,7 @@ void SupernodalCholesky::LocateRows(int panel) {
   }
 }
 
-/// Lets the panel wait for the one that has `first_row` among its columns.
+/// Adds the panel to the queue of the panel that has `first_row` among its columns.
 void SupernodalCholesky::QueueUpdate(int panel, int64_t first_row) {
   next_row_[panel] = first_row;
   if (first_row == supernodes_.rows_begin[panel + 1]) return;
@@ -204,7 +204,7 @@ void SupernodalCholesky::SolveMany(const double* values, double* x, int num_rhs)
   const int n = offset_.back();
   product_.resize(std::max(product_.size(), static_cast<size_t>(n) * num_rhs));
   double* const below = product_.data();
-  // The rows of X that panel s has below its own columns, one under the other.
+  // Gathers the rows of X that panel s has below its own columns.
   const auto for_rows = [&](int s, int rows, const auto& visit) {
     for (int k = 0; k < num_rhs; ++k) {
       double* at = below + static_cast<int64_t>(k) * rows;

@@ -13,21 +13,22 @@ class SupernodalCholesky {
   /// `offset` as in BlockStructure.
   SupernodalCholesky(std::vector<int> offset, Supernodes supernodes);
 
-  /// `values` is S as PlaceInFactor says, zero wherever S has no block, and becomes L. Returns 0,
-  /// or the order of a leading minor that is not positive definite; `values` are then undefined.
+  /// `values` is S in the layout of PlaceInFactor, zero outside of its blocks, and becomes L.
+  /// Returns 0, or the order of a leading minor that is not positive definite; `values` are then
+  /// undefined.
   int Factorize(double* values);
 
   /// X = S^-1 X with the values of Factorize; num_columns x num_rhs, column-major. A single
-  /// right-hand side is solved by vector operations, several by matrix products, whose rounding
+  /// right-hand side is solved by vector operations, several by matrix products; their rounding
   /// differs.
   void Solve(const double* values, double* x, int num_rhs = 1);
 
   /// Replaces the values of the factor by those of S^-1 at the same places (selected_inverse.cpp).
-  /// Diagonal blocks of panels become whole.
+  /// Both triangles of the panels' diagonal blocks are filled.
   void Invert(double* values);
 
  private:
-  /// Rows that follow each other both in a panel and in one that it updates.
+  /// Rows that are consecutive in a panel and in the panel that it updates.
   struct RowRange {
     int source, target, length;
   };
@@ -52,7 +53,8 @@ class SupernodalCholesky {
   std::vector<int> position_;      ///< per block row: its position in the panel that is updated
   std::vector<int> first_update_;  ///< per panel: the first panel waiting to update it; -1: none
   std::vector<int> next_update_;   ///< per panel: the next panel in its queue; -1: none
-  std::vector<int64_t> next_row_;  ///< per panel: its first row that no panel has received yet
+  std::vector<int64_t>
+      next_row_;  ///< per panel: its first row that is not yet added to another panel
   std::vector<RowRange> row_ranges_;
   std::vector<double> product_;
 };

@@ -1,17 +1,17 @@
 #include "core/linear/supernodes.h"
 
-/// Column j of L has below its diagonal block the rows of S's column j and those of the columns
-/// whose first row below the diagonal is j, its children. As those include all rows that a child
-/// has above its parent's diagonal, consecutive columns that are child and parent can share a
-/// panel, with the rows of the last one. That adds zeros to the earlier columns, which are stored
-/// and multiplied.
+/// Below its diagonal block, column j of L has the rows of S's column j and those of its children.
+/// The children are the columns whose first row below the diagonal is j. Column j includes all rows
+/// that a child has below j. So consecutive columns that are child and parent can share a panel,
+/// with the rows of the last column. That adds explicit zeros to the earlier columns, which are
+/// stored and multiplied.
 ///
-/// BLAS 3 is fast on wide panels, so that some zeros pay. Their number is limited as in CHOLMOD
-/// (Chen, Davis, Hager, Rajamanickam: Algorithm 887, 2008), but lower, to save memory: a panel
-/// includes the column before it if its zeros are then fewer than 20 % up to 48 columns, 5 % up to
-/// 192 and 1 % beyond. Unlike CHOLMOD's, a panel has a largest width: it also stores the upper
-/// triangle of its diagonal blocks. At the root of a tree, where thousands of columns have the same
-/// rows, that would be half of its memory.
+/// BLAS 3 is fast on wide panels, so that some zeros pay off. Their number is limited as in CHOLMOD
+/// (Chen, Davis, Hager, Rajamanickam: Algorithm 887, 2008), but lower, to save memory. A panel
+/// includes the column before it if its share of zeros is then less than 20 % up to 48 columns, 5 %
+/// up to 192 and 1 % beyond. Unlike in CHOLMOD, the width of a panel is limited, because it also
+/// stores the upper triangle of its diagonal blocks. At the root of a tree, where thousands of
+/// columns have the same rows, that would be half of its memory.
 
 #include <algorithm>
 #include <cstddef>
@@ -45,7 +45,7 @@ std::vector<std::vector<int>> RowsOfFactor(const BlockStructure& structure) {
   return rows;
 }
 
-/// A panel in the making.
+/// A panel under construction.
 struct Panel {
   int first_block, last_block;
   double columns;  ///< scalar
@@ -53,14 +53,14 @@ struct Panel {
   double zeros;
 };
 
-/// The panel that `left` and the following `right` would form.
+/// The panel that `left` and the following panel `right` would form.
 Panel Merged(const Panel& left, const Panel& right) {
   Panel both{left.first_block, right.last_block, left.columns + right.columns, right.below, 0};
   both.zeros = left.zeros + right.zeros + left.columns * (right.columns + right.below - left.below);
   return both;
 }
 
-/// Entries of the lower triangle and below it, with zeros.
+/// Entries of the lower triangle and of the rows below, including zeros.
 double Entries(const Panel& panel) {
   return panel.columns * (panel.columns + 1) / 2 + panel.columns * panel.below;
 }
@@ -71,8 +71,8 @@ bool IsWorthIt(const Panel& panel) {
   return panel.zeros <= share * Entries(panel);
 }
 
-/// Goes from the last column to the first. Joins a column to the following panel if that pays and
-/// the panel holds its parent.
+/// Processes columns from the last to the first. Joins a column to the following panel if the zeros
+/// are few enough and its parent is in this panel.
 std::vector<Panel> FindPanels(const BlockStructure& structure,
                               const std::vector<std::vector<int>>& rows) {
   std::vector<Panel> reversed;
@@ -121,7 +121,7 @@ Supernodes FindSupernodes(const BlockStructure& structure) {
 BlockStructure PlaceInFactor(const BlockStructure& structure, const Supernodes& supernodes) {
   BlockStructure result = structure;
   result.num_values = supernodes.values_begin.back();
-  std::vector<int> position(structure.num_blocks());  // of a block row in the panel
+  std::vector<int> position(structure.num_blocks());  // of each block row in the panel
   for (int s = 0; s < supernodes.num_panels(); ++s) {
     const int first = supernodes.first_block[s], last = supernodes.first_block[s + 1];
     const int left = structure.offset[first];

@@ -4,15 +4,15 @@
 ///
 ///   y_j += D_j x_j + P_j^T x_below,   y_below += P_j x_j,
 ///
-/// with P_j the panel of block column j below its diagonal block. Both products take each value of
-/// P_j once from memory, 4 flops for 8 bytes, so memory is what this waits for. The rows of the
+/// with P_j the panel of block column j below its diagonal block. Both products read each value of
+/// P_j once from memory, 4 flops for 8 bytes, so memory bandwidth limits the speed. The rows of the
 /// panel are gathered and scattered a block at a time, 2 m accesses to cache for m^2 values from
-/// memory. Rows go some at a time, so as to leave x and y in L1 while three columns of values
-/// stream by.
+/// memory. Some rows are processed at a time, so that x and y stay in L1 while three columns of
+/// values stream by.
 ///
-/// Block columns are cut into ranges of equally many values. A range adds into a vector of its own,
-/// as long as the rows that it reaches; these vectors are then added in order. The ranges are the
-/// same for any number of threads, and so is every bit of y.
+/// Block columns are divided into ranges of equally many values. A range adds into its own vector,
+/// as long as the rows that it reaches. These vectors are then added in order. The ranges, and
+/// therefore all bits of y, are the same for any number of threads.
 
 #include <algorithm>
 #include <cstddef>
@@ -61,7 +61,7 @@ void MultiplyColumns(const double* values, int64_t stride, int rows, const doubl
   }
 }
 
-/// y += D x of a diagonal block of which only the lower triangle means anything.
+/// y += D x for a diagonal block whose lower triangle is defined.
 void MultiplyDiagonalBlock(const double* values, int64_t stride, int size, const double* x,
                            double* y) {
   for (int c = 0; c < size; ++c) {
@@ -78,7 +78,7 @@ int64_t CountRanges(const BlockStructure& structure) {
   return std::clamp<int64_t>(structure.num_values / kMinRangeValues, 1, kMaxRanges);
 }
 
-/// No more than there are ranges.
+/// At most as many threads as ranges.
 int CountThreads(const BlockStructure& structure, int num_threads) {
   return static_cast<int>(
       std::min<int64_t>(EffectiveNumThreads(num_threads), CountRanges(structure)));
@@ -151,11 +151,11 @@ void SymmetricProduct::MultiplyPanel(const double* values, int block, const doub
   const double* panel = values + s.panel_begin[block];
   const double* x_j = x + s.offset[block];
   double* y_j = &range->sum[s.offset[block] - range->begin_row];
-  // In the panel of a factor, other columns' rows are above.
+  // In the panel of a factor, the rows of other columns are above.
   const int top = s.row_in_panel[s.column_begin[block]];
   MultiplyDiagonalBlock(panel + top, stride, size, x_j, y_j);
 
-  // Gathered from the diagonal block's end on.
+  // Gathered from the end of the diagonal block on.
   const int64_t first = s.column_begin[block] + 1;
   const int64_t last = s.column_begin[block + 1];
   for (int64_t e = first; e < last; ++e) {

@@ -9,13 +9,13 @@
 
 namespace bundle {
 
-/// Products with S, from its lower triangle.
+/// Products with S, computed from its lower triangle.
 class SymmetricProduct {
  public:
   /// Keeps a reference to the structure.
   SymmetricProduct(const BlockStructure& structure, int num_threads);
 
-  /// y = S x; the same for any number of threads.
+  /// y = S x; the bits do not depend on the number of threads.
   void Multiply(const std::vector<double>& values, const double* x, double* y);
 
  private:
@@ -25,8 +25,8 @@ class SymmetricProduct {
     int end_block = 0;
     int begin_row = 0;
     int end_row = 0;
-    std::vector<double> sum;      ///< their share of y, from begin_row on
-    std::vector<double> panel_x;  ///< x and y of the rows of one panel, side by side
+    std::vector<double> sum;      ///< the range's contribution to y, from begin_row on
+    std::vector<double> panel_x;  ///< x and y for the rows of one panel, contiguous
     std::vector<double> panel_y;
   };
 

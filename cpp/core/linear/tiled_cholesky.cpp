@@ -40,7 +40,7 @@ int FactorizeTiled(double* a, int n, ThreadPool* pool) {
       dtrsm_(&kRight, &kLower, &kTransposed, &kNot, &height, &width, &kOne, tile(k, k), &n,
              tile(i, k), &n);
     });
-    // Column by column of the square below; above its diagonal is nothing to do.
+    // Column by column of the remaining square. Tiles above its diagonal are skipped.
     ForTiles(int64_t{below} * below, pool, [&](int64_t number) {
       const int i = k + 1 + static_cast<int>(number % below), height = size(i);
       const int j = k + 1 + static_cast<int>(number / below), columns = size(j);

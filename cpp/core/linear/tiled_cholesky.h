@@ -4,22 +4,22 @@
 
 namespace bundle {
 
-/// A = L L^T in place, of the lower triangle of an n x n column-major matrix, on all threads.
+/// A = L L^T in place, from the lower triangle of an n x n column-major matrix, on all threads.
 ///
-/// OpenBLAS' own threads divide a factorisation by their number, and its last digits depend on it.
-/// So A is cut into tiles here, whatever the threads. Tile column after tile column, right-looking,
-/// with a triangular solve or a matrix product per tile, each by one thread:
+/// OpenBLAS divides a factorisation by the number of its threads, and the last digits depend on it.
+/// Here, A is divided into tiles that do not depend on the threads. Tile columns are processed in
+/// order, right-looking. Each tile takes a triangular solve or a matrix product by one thread:
 ///
 ///   A_kk = L_kk L_kk^T,    L_ik = A_ik L_kk^-T,    A_ij -= L_ik L_jk^T    for i >= j > k.
 ///
-/// Tiles of one kind are independent and dealt out as threads become free; each is the same sum in
-/// the same order, so that no bit depends on how many there are. (A. Buttari, J. Langou, J. Kurzak,
-/// J. Dongarra: A class of parallel tiled linear algebra algorithms for multicore architectures,
-/// Parallel Computing 35, 2009, without its graph of tasks.) It takes a tenth longer than OpenBLAS
-/// with two threads, for 9,000 columns.
+/// Tiles of one kind are independent and assigned to threads dynamically. Each is the same sum in
+/// the same order, so that no bit depends on the number of threads. (A. Buttari, J. Langou, J.
+/// Kurzak, J. Dongarra: A class of parallel tiled linear algebra algorithms for multicore
+/// architectures, Parallel Computing 35, 2009, without its graph of tasks.) With two threads and
+/// 9,000 columns, it takes a tenth longer than OpenBLAS.
 ///
-/// Returns 0, or the order of a leading minor that is not positive definite; A then means nothing.
-/// OpenBLAS has to have one thread meanwhile.
+/// Returns 0, or the order of a leading minor that is not positive definite; A is then undefined.
+/// OpenBLAS must use one thread during the call.
 int FactorizeTiled(double* a, int n, ThreadPool* pool);
 
 }  // namespace bundle

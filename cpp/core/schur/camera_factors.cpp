@@ -17,7 +17,8 @@ constexpr int kPriorSums = 12;
 /// Number of columns from which J^T J is computed by the BLAS.
 constexpr int kColumnsWorthBlas = 64;
 
-/// J^T J of a row-major J; on one thread, so that no bit depends on their number.
+/// J^T J of a row-major J. Uses one thread, so that its bits do not depend on the number of
+/// threads.
 void SquareOf(const double* jacobian, int rows, int columns, std::vector<double>* square) {
   square->resize(static_cast<size_t>(columns) * columns);
   const double one = 1, zero = 0;
@@ -48,7 +49,7 @@ CameraFactors::CameraFactors(const AdjustmentProblem& problem, const ParameterLa
 
 void CameraFactors::AddAll(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const EliminationPlan& plan) {
-  std::vector<int> place;  // in the plan, of each point of the problem
+  std::vector<int> place;  // place in the plan of each point of the problem
   for (const auto& factor : problem.factors->factors) {
     if (!IsFirst(problem.division.communicator) && !TouchesPoint(*factor, problem)) continue;
     ChartedFactor charted(*factor, problem, layout);
@@ -178,7 +179,7 @@ void CameraFactors::AddTo(CameraSums* sums) const {
       const int size = begin[a + 1] - begin[a];
       for (size_t b = a; b < blocks.size(); ++b, ++pair) {
         for (int i = 0; i < size; ++i) {
-          const int first = a == b ? i : 0;  // of a diagonal block the lower triangle
+          const int first = a == b ? i : 0;  // diagonal blocks: the lower triangle only
           for (int j = first; j < begin[b + 1] - begin[b]; ++j) {
             const double sum = product(begin[a] + i, begin[b] + j);
             values[structure_.ValueIndex(blocks[a], of.entry[pair], j, i)] += sum;

@@ -4,19 +4,19 @@
 ///
 /// The passes sum by image: blocks S_ab, and vectors g, by the columns of its observations'
 /// Jacobians A_a, its *local columns*. Most unknowns are such columns, and their sums only have to
-/// be picked. Where a step u of some unknowns moves the local columns by M_a u, their Jacobian is
-/// A_a M_a, and so
+/// be selected. If a step u of some unknowns moves the local columns by M_a u, their Jacobian is
+/// A_a M_a. So
 ///
 ///   S_ab goes to M_a^T S_ab M_b,    g_a to M_a^T g_a,    ||J e_j||^2 is (M_a^T A_a^T A_a M_a)_jj,
 ///
-/// where the last needs the image's A^T A in full. All this is done once per block of a chunk, not
-/// once per pair of observations.
+/// where the last needs all entries of the image's A^T A. This is computed once per block of a
+/// chunk, not once per pair of observations.
 ///
-/// A sensor on a rig moves its image as the frame would by K (factors/rig_pose.h), 6 x 6 and
-/// different at every state. A map that stays the same, such as that of one focal length into fx
-/// and fy, or of a rotation about a fixed centre into all of a pose, is another way to fill an
-/// ImageBlock in (assembler.cpp, AddBlock), beside the layout of its block and the same map for
-/// steps (state_records.cpp, CameraStep), factors (model/problem_factors.h) and Ceres
+/// A sensor on a rig moves its image by K times the move of the frame (factors/rig_pose.h); K is 6
+/// x 6 and different at every state. Constant maps are, for instance, from one focal length to fx
+/// and fy, or from a rotation about a fixed centre to a pose. To add such a map, fill in an
+/// ImageBlock (assembler.cpp, AddBlock) and lay out its block. Implement the same map for steps
+/// (state_records.cpp, CameraStep), for factors (model/problem_factors.h) and for Ceres
 /// (ceres/reprojection_cost.h).
 
 #include <cstdint>
@@ -25,18 +25,18 @@
 
 namespace bundle {
 
-/// Local columns of an image that one block of the layout moves, and how.
+/// Local columns of an image that one block of the layout moves, and their map.
 struct ImageBlock {
   int block = -1;
-  int size = 0;               ///< unknowns of the block
-  bool is_shared = false;     ///< with images of other poses
+  int size = 0;               ///< number of unknowns of the block
+  bool is_shared = false;     ///< images of other poses share the block
   bool is_contiguous = true;  ///< local[k] = local[0] + k
-  int num_local = 0;          ///< as many as unknowns, where there is no map
+  int num_local = 0;          ///< number of local columns; equals `size` without a map
   int8_t local[kPoseSize + kMaxCameraParams] = {};
-  /// M without the rows that are zero, num_local x size; nullptr: unknown k is local column k.
+  /// M without its zero rows, num_local x size; nullptr: unknown k is local column k.
   const double* map = nullptr;
 
-  /// Identity map: the unknowns are the local columns.
+  /// Map of a block whose unknowns equal its local columns.
   ImageBlock WithoutMap() const {
     ImageBlock plain = *this;
     plain.map = nullptr;
@@ -47,12 +47,12 @@ struct ImageBlock {
   }
 };
 
-/// Numbers of two images' columns in whole quads, at most, and so of two blocks' unknowns.
+/// Maximum columns of two images in whole quads, and therefore of two blocks' unknowns.
 inline constexpr int kMaxMapped =
     (kPoseSize + kMaxCameraParams + 3) / 4 * 4 * (kPoseSize + kMaxCameraParams);
 
-/// to = sum of factor[index[k] * stride] times row k of a matrix with `size` columns, which kSize
-/// is where it is not 0.
+/// to = sum of factor[index[k] * stride] times row k of a matrix with `size` columns. If kSize is
+/// not 0, it equals `size`.
 template <int kSize>
 inline void CombineRows(const double* factor, const int8_t* index, int stride, int count,
                         const double* rows, int size, double* to) {
@@ -75,8 +75,8 @@ inline void CombineRows(const double* factor, const int8_t* index, int stride, i
   }
 }
 
-/// out = M_a^T B M_b, a.size x b.size, of a block B with rows of a's local columns and a row's
-/// `width`.
+/// out = M_a^T B M_b, a.size x b.size, of a block B whose rows are a's local columns, each `width`
+/// long.
 inline void MapBlock(const ImageBlock& a, const ImageBlock& b, const double* block, int width,
                      double* out) {
   double right[kMaxMapped];  // B M_b
@@ -99,8 +99,7 @@ inline void MapBlock(const ImageBlock& a, const ImageBlock& b, const double* blo
   }
 }
 
-/// A symmetric block in full, of which only the upper triangle means anything; `size` local
-/// columns.
+/// Fills both triangles of a symmetric block whose upper triangle is defined; `size` local columns.
 inline void FillLower(const double* upper, int size, int width, double* full) {
   for (int i = 0; i < size; ++i) {
     for (int j = i; j < size; ++j) full[i * width + j] = full[j * width + i] = upper[i * width + j];

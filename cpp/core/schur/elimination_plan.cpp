@@ -14,25 +14,26 @@ namespace bundle {
 
 namespace {
 
-// In units of work: an observation counts one, a pair half. The larger a chunk, the more often a
-// block is added to before it goes to S; the more chunks, the more evenly they spread over threads.
-// A small problem is cut into eight or so, a large one into as many as 64 threads could take.
+// Limits in units of work: an observation counts one, a pair half. Larger chunks sum up a block
+// longer before it is added to S; more chunks balance the load of threads better. A small problem
+// is cut into about eight chunks. A large one is cut into enough chunks for 64 threads.
 constexpr int64_t kSmallestChunk = 128;
 constexpr int64_t kLargestOfSmallProblem = 8192;
 constexpr int64_t kLargestChunk = 65536;
 constexpr int64_t kChunksOfSmallProblem = 8;
 constexpr int64_t kChunksOfLargeProblem = 64;
-// Where blocks hardly repeat, as in photo collections, larger buffers pay beyond any cache: 1000
-// images with a million observations took 12.3 s of processor time with 4 MiB, 10.0 with 16 and
-// 8.9 with 32 (kMaxBufferBytes).
-// Of a chunk: as many numbers as 16 bits hold besides kDiagonal. A point with half as many is
-// spread over chunks of its own; any other fits a chunk that is not yet half full.
+// Where blocks hardly repeat, as in photo collections, buffers larger than the cache still pay:
+// 1000 images with a million observations took 12.3 s of processor time with 4 MiB, 10.0 s with 16
+// MiB and 8.9 s with 32 MiB (kMaxBufferBytes).
+// Limit of the 16-bit numbers in a chunk; kDiagonal is reserved. A point that needs more than half
+// of them is spread over chunks of its own. Any other point fits into a chunk that is less than
+// half full.
 constexpr int kMaxBlocks = 0xffff;
 
 /// Cuts the points of a plan into chunks.
 class Planner {
  public:
-  /// `ranks`: whose plans are parts of one.
+  /// `ranks`: the ranks whose plans together cover the problem.
   Planner(ImageOrder images, EliminationPlan plan, Communicator* communicator, int num_threads)
       : images_(std::move(images)),
         plan_(std::move(plan)),
@@ -67,7 +68,7 @@ class Planner {
     image_slot_.assign(images_.rank.size(), -1);
     for (size_t s = 0; s + 1 < plan_.section_begin.size(); ++s) {
       const int begin = plan_.section_begin[s], end = plan_.section_begin[s + 1];
-      // Chunks of a section are as large as each other, about.
+      // The chunks of a section have about equal sizes.
       const int64_t work = WorkOf(begin, end), count = (work + largest - 1) / largest;
       const int64_t wanted = (work + count - 1) / std::max<int64_t>(count, 1);
       for (int p = begin; p < end;) {
@@ -117,8 +118,8 @@ class Planner {
     return chunk;
   }
 
-  /// Adds a chunk of points from `begin` on and returns where it ended: at `end`, at enough work,
-  /// or where its blocks fill the buffer.
+  /// Adds a chunk of the points from `begin` on and returns its end. The chunk ends at `end`, when
+  /// it has enough work, or when its blocks fill the buffer.
   int AddChunk(int begin, int end, int64_t wanted, int64_t most_blocks) {
     Chunk chunk = StartChunk(begin);
     int64_t work = 0;
@@ -135,7 +136,7 @@ class Planner {
     return p;
   }
 
-  /// One point in several chunks, each of as many rows as the buffer has room for and 16 bits have
+  /// Spreads one point over several chunks. Each has as many rows as fit the buffer and the 16-bit
   /// numbers.
   int AddRows(int point, int64_t most_blocks) {
     const int refined = num_refined_[point];
@@ -153,12 +154,12 @@ class Planner {
       } while (row < refined && has_room());
       chunk.last_row = row;
       EndChunk(point + 1, &chunk);
-      SortChunk(&plan_.chunks.back());  // the next one writes the numbers of the same observations
+      SortChunk(&plan_.chunks.back());  // the next chunk numbers the same observations
     }
     return point + 1;
   }
 
-  /// Images by the slot of their first appearance for now; SortChunk replaces it.
+  /// Images by the slot of their first appearance; SortChunk replaces these slots later.
   void AddImages(int point, Chunk* chunk) {
     for (int64_t k = plan_.first[point]; k < plan_.first[point + 1]; ++k) {
       int& slot = image_slot_[plan_.image[k]];
@@ -170,8 +171,8 @@ class Planner {
     }
   }
 
-  /// The pairs of refined observation `row` with those behind it, by a number that SortChunk
-  /// replaces.
+  /// Adds the pairs of refined observation `row` with later observations, by numbers that SortChunk
+  /// replaces later.
   void AddRow(int point, int row, Chunk* chunk) {
     const int64_t first = plan_.first[point];
     const uint16_t a = plan_.image_in_chunk[first + row];
@@ -198,7 +199,7 @@ class Planner {
   }
 
   void SortChunks() {
-    // Below, starting a thread takes longer than sorting.
+    // With less work, starting a thread takes longer than sorting.
     constexpr int64_t kObservationsWorthAThread = 20000;
     ParallelFor(
         static_cast<int64_t>(plan_.chunks.size()),
@@ -211,13 +212,13 @@ class Planner {
         /*min_range=*/8);
   }
 
-  /// Sorts images and pairs, so that a chunk is added to S forwards.
+  /// Sorts images and pairs, so that adding a chunk accesses S in ascending order.
   void SortChunk(Chunk* chunk) {
     const std::vector<uint16_t> rank = SortImages(chunk);
     for (int64_t k = plan_.first[chunk->first_point]; k < plan_.first[chunk->last_point]; ++k) {
       plan_.image_in_chunk[k] = rank[plan_.image_in_chunk[k]];
     }
-    std::vector<uint64_t> order;  // image, image, number before
+    std::vector<uint64_t> order;  // image, image, old number
     order.reserve(chunk->pairs.size());
     for (const Chunk::Pair& pair : chunk->pairs) {
       const uint64_t first = rank[pair.first], second = rank[pair.second];
@@ -233,7 +234,7 @@ class Planner {
     NumberPairs(*chunk, block);
   }
 
-  /// Returns where each went.
+  /// Returns the new position of each.
   std::vector<uint16_t> SortImages(Chunk* chunk) const {
     const std::vector<int> before = chunk->images;
     const auto precedes = [&](int a, int b) { return images_.rank[a] < images_.rank[b]; };
@@ -273,7 +274,8 @@ class Planner {
     plan_.image_owner = images_.owner;
   }
 
-  static constexpr uint16_t kDiagonal = 0xffff;  ///< an image that sees a point twice
+  static constexpr uint16_t kDiagonal =
+      0xffff;  ///< pair of an image with itself, where it sees a point twice
 
   const ImageOrder images_;
   EliminationPlan plan_;
@@ -281,7 +283,7 @@ class Planner {
   const int num_threads_;
   std::vector<int>
       num_refined_;  ///< observations per point with something to refine; 0 for fixed points
-  std::vector<int> image_slot_;  ///< in the chunk in the making; -1: not in it
+  std::vector<int> image_slot_;  ///< slot in the current chunk; -1: not in it
   PairNumbers pair_numbers_;     ///< numbers for the current chunk
 };
 
@@ -290,7 +292,7 @@ EliminationPlan Plan(const AdjustmentProblem& problem, const ParameterLayout& la
   ImageOrder images = OrderImages(problem, layout);
   EliminationPlan sorted =
       SortPoints(problem, layout, images, active, in_sections, num_threads, keep_order);
-  // Not all ranks have points with nothing to refine.
+  // Some ranks may have no points without free parameters.
   Communicator* const communicator = active ? problem.division.communicator : nullptr;
   return Planner(std::move(images), std::move(sorted), communicator, num_threads).Plan(block_bytes);
 }

@@ -10,12 +10,12 @@
 
 namespace bundle {
 
-/// Numbers the different pairs of 16-bit numbers in the order of their first appearance: a hash
-/// table in one array, which grows with the pairs and is kept from one chunk to the next.
+/// Assigns numbers to the distinct pairs of 16-bit numbers in the order of their first appearance.
+/// It is a hash table in one array, which grows with the pairs and is reused for the next chunk.
 class PairNumbers {
  public:
-  /// The number of a pair; where it is new, `next`, which is the count of those before. The members
-  /// of a pair are below 0xffff.
+  /// The number of a pair. A new pair gets `next`, the count of earlier pairs. The members of a
+  /// pair are below 0xffff.
   uint16_t Find(uint16_t a, uint16_t b, size_t next) {
     if (2 * next >= slots_.size()) Grow();
     Slot& slot = SlotOf(static_cast<uint32_t>(a) << 16 | b);
@@ -35,7 +35,7 @@ class PairNumbers {
     uint16_t number = 0;
   };
 
-  /// Place of a pair, or the place where it belongs.
+  /// Slot of a pair, or the empty slot where it would be inserted.
   Slot& SlotOf(uint32_t pair) {
     constexpr uint32_t kGoldenRatio = 0x9e3779b9;
     size_t at = pair * kGoldenRatio >> shift_;
@@ -58,39 +58,38 @@ class PairNumbers {
 
 /// Plan of the elimination of the points: their order, and their division into chunks.
 ///
-/// One point adds to S the products of its observations' Jacobians, a block for every pair of
-/// images that see it. Adding each block directly to S costs more than computing it, because of
-/// cache misses. So points are sorted by the images that see them, which puts points with the same
-/// images next to each other, and taken in chunks. A chunk knows the image pairs that occur in it
-/// and sums their blocks in a buffer, of which its points use one part after the other; one
-/// addition a block and chunk then goes to S. If sums must have the same bits on any number of
-/// ranks, points are sorted within their sections, and chunks end with sections
+/// A point adds to S the products of its observations' Jacobians, a block for every pair of images
+/// that see it. Adding each block directly to S costs more than computing it, because of cache
+/// misses. So points are sorted by the images that see them, which makes points with the same
+/// images neighbours, and divided into chunks. A chunk lists its image pairs and sums their blocks
+/// in a buffer. Then each block is added once per chunk to S. If sums must have the same bits on
+/// any number of ranks, points are sorted within their sections, and chunks end with sections
 /// (sums/point_sections.h).
 ///
-/// A chunk is a pure function of the state. It maps its points to its part of S, of the right-hand
-/// side and of the cost. The chunks are summed up in their order, whichever thread computed them;
-/// results therefore do not depend on the number of threads.
+/// A chunk is a pure function of the state. It maps its points to its contribution to S, to the
+/// right-hand side and to the cost. Chunks are added in their order, independent of the thread that
+/// computed them. So results do not depend on the number of threads.
 ///
-/// Memory: 20 bytes an observation (image and measurement, copied into this order, so that every
-/// pass reads forwards), 8 more where observations have sigmas, 2 bytes for its place in the chunk
-/// and 2 bytes for every pair of observations of a point.
+/// Memory per observation: 20 bytes for image and measurement, copied into this order so that every
+/// pass reads forwards; 8 more with sigmas; 2 bytes for its place in the chunk. Also 2 bytes for
+/// every pair of observations of a point.
 
-/// Points [first_point, last_point) of the plan. A point that so many images see that its blocks
-/// alone are too many is spread over several chunks, each of which adds the rows of some images.
+/// Points [first_point, last_point) of the plan. A point whose blocks alone do not fit a chunk is
+/// spread over several chunks. Each of these adds the rows of some of its images.
 struct Chunk {
   int first_point = 0;
   int last_point = 0;
-  /// For a chunk of one point: the rows of its observations that are added. All rows if last_row is
-  /// 0.
+  /// For a chunk of one point: the rows of its observations that the chunk adds. All rows if
+  /// last_row is 0.
   int first_row = 0;
   int last_row = 0;
   int64_t first_pair = 0;  ///< in EliminationPlan::pair_block
   /// The images that occur, in the order of their blocks in the layout; block i of the chunk is the
   /// diagonal one of images[i].
   std::vector<int> images;
-  /// Per image: the last chunk before this one with an image of the same owner; -1: none.
+  /// Per image: the last earlier chunk with an image of the same owner; -1: no such chunk.
   std::vector<int> previous_chunk;
-  /// Blocks images.size() and up: pairs of indices into `images`, the first the smaller.
+  /// Blocks from number images.size() on: pairs of indices into `images`, the smaller first.
   struct Pair {
     uint16_t first, second;  ///< ascending by first, then second
   };
@@ -100,59 +99,59 @@ struct Chunk {
 };
 
 struct EliminationPlan {
-  std::vector<int> point;      ///< index in the problem; free points, then fixed ones
+  std::vector<int> point;      ///< index in the problem; free points, then constant ones
   int num_free_points = 0;     ///< free points in `point`
   std::vector<int64_t> first;  ///< first observation of each point, and the end
-  /// Image per observation. Within a point in the order of the images' blocks in the layout, then
-  /// images with nothing to refine.
+  /// Image per observation. The images of a point are in the order of their blocks in the layout,
+  /// then images without free parameters.
   std::vector<int32_t> image;
-  std::vector<double> xy;             ///< two of each observation
-  std::vector<double> inverse_sigma;  ///< one of each observation; empty where the problem has none
-  std::vector<int32_t> observation;   ///< index of each in the problem; empty unless asked for
+  std::vector<double> xy;             ///< two numbers per observation
+  std::vector<double> inverse_sigma;  ///< one per observation; empty if the problem has no sigmas
+  std::vector<int32_t>
+      observation;  ///< index of each observation in the problem; empty unless requested
   std::vector<uint16_t> image_in_chunk;  ///< per observation: index into Chunk::images
-  /// Block of the chunk per pair of observations i < j of a free point, i slowest, whose images
-  /// have something to refine.
+  /// Block of the chunk for each pair of observations i < j of a free point, i slowest, if both
+  /// images have free parameters.
   std::vector<uint16_t> pair_block;
   std::vector<Chunk> chunks;
   std::vector<int> image_owner;  ///< ImageOrder::owner
-  /// First point of each section (point_sections.h), of free points, then of fixed ones, and the
-  /// end, without those that have no points. All points are one where sections are not used.
+  /// First point of each section (point_sections.h), of free points, then of constant ones, and the
+  /// end. Sections without points are left out. Without sections, all points are in one.
   std::vector<int> section_begin;
 
   int num_points() const { return static_cast<int>(point.size()); }
   int64_t num_observations() const { return static_cast<int64_t>(image.size()); }
 };
 
-/// The most observations of a point. Its images and one row of its pairs have to have numbers of 16
-/// bits, which would allow three times as many; but time and memory grow with its pairs: with
-/// 10,000 observations, 50 million, 100 MB and a second or two a step.
+/// The maximum number of observations of a point. Numbers of 16 bits for its images and for one row
+/// of its pairs would allow three times as many. But time and memory grow with its pairs: 10,000
+/// observations have 50 million pairs, 100 MB and a second or two per step.
 inline constexpr int64_t kMaxTrackLength = 10000;
 
-/// Bytes that the blocks of a chunk take, about, where they are many.
+/// Approximate bytes of the blocks of a chunk, in large problems.
 inline constexpr int64_t kMaxBufferBytes = 1 << 25;
 
-/// The observations with something to refine. `block_bytes`: of one block's buffer.
-/// `keep_order`: fills EliminationPlan::observation, for TakeMeasurements. All ranks have to call
-/// it if one does.
+/// Plan of the observations of images or points with free parameters. `block_bytes`: size of one
+/// block's buffer. `keep_order`: fills EliminationPlan::observation, for TakeMeasurements. Either
+/// all ranks call this or none.
 EliminationPlan PlanPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            int block_bytes, int num_threads = 1, bool keep_order = false,
                            bool in_sections = false);
 
-/// The other observations, whose cost does not change.
+/// Plan of the other observations, whose cost is constant.
 EliminationPlan PlanFixedPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                 int num_threads = 1, bool keep_order = false);
 
-/// Copies the measurements of the problem anew, after they changed, into a plan that kept its
-/// order.
+/// Copies the changed measurements of the problem into a plan that kept its order.
 void TakeMeasurements(const AdjustmentProblem& problem, EliminationPlan* plan);
 
-/// Sizes that determine the cost of the passes over the points, found without a pass.
+/// Sizes that determine the cost of the passes over the points, computed without a pass.
 
 struct PlanSize {
   int64_t num_points = 0;
   int64_t num_free_points = 0;
   int64_t num_observations = 0;
-  /// Pairs of observations of a free point, both of images with something to refine.
+  /// Pairs of observations of a free point, if both images have free parameters.
   int64_t num_pairs = 0;
   /// Sums over the chunks: pairs of images that are added to S, and images with their diagonal
   /// blocks.

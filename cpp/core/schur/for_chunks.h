@@ -17,7 +17,7 @@ void SchurProblem::ForChunks(const Visit& visit, const Done& done) {
         visit(c, thread);
       }
       done(thread);
-    } catch (const OrderedSums::Abandoned&) {  // the other thread's exception counts
+    } catch (const OrderedSums::Abandoned&) {  // the exception of the other thread is rethrown
     } catch (...) {
       next.store(count);
       sums_.Abandon();

@@ -1,7 +1,7 @@
 #pragma once
 
 /// Observations of a plan that hold a residual at a state (factors/reprojection.h). Memory: 24
-/// bytes for each of them, nothing for those that count.
+/// bytes for each of them, no memory for observations that count.
 
 #include <algorithm>
 #include <cstddef>
@@ -18,7 +18,7 @@ struct HeldResidual {
   double residual[2];
 };
 
-/// Receiver of the observations of a chunk that hold a residual; none if `add` is nullptr.
+/// Receiver of the observations of a chunk that hold a residual; disabled if `add` is nullptr.
 struct HeldSink {
   void (*add)(void* list, const HeldResidual& held) = nullptr;
   void* list = nullptr;
@@ -28,17 +28,17 @@ class HeldResiduals {
  public:
   explicit HeldResiduals(size_t num_chunks) : of_chunk_(num_chunks) {}
 
-  /// Clears the residuals of a chunk and collects those that a pass over it finds. Chunks are
+  /// Clears the residuals of a chunk and returns the sink for a pass over it. Chunks are
   /// independent.
   HeldSink Collect(size_t chunk);
 
   /// Merges the lists of all chunks, after a pass.
   void Merge();
 
-  /// Forgets all.
+  /// Removes all.
   void Clear();
 
-  /// Forgets those of which `counts` is true. Returns their number.
+  /// Removes the observations for which `counts` is true. Returns their number.
   template <typename Predicate>
   int64_t Release(const Predicate& counts) {
     const auto end = std::remove_if(all_.begin(), all_.end(), counts);

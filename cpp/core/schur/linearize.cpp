@@ -2,9 +2,10 @@
 ///
 /// Linearisation: a pass over the points, sums over ranks, damping.
 ///
-/// Conjugate gradients amplify rounding errors, so their sums are made on a grid
-/// (schur/assembly/sum_grid.h). Other sums are double-doubles (sums/double_double.h). Sums over
-/// factors beside the observations are plain doubles and are added last.
+/// Conjugate gradients amplify rounding errors. For them, sums are made on a grid
+/// (schur/assembly/sum_grid.h). All other sums over points are double-doubles
+/// (sums/double_double.h). Sums over factors other than observations are plain doubles and are
+/// added last.
 
 #include <cmath>
 #include <cstddef>
@@ -19,8 +20,8 @@
 namespace bundle {
 namespace {
 
-/// Holds all points of a plan constant while it lives. A pass then costs half, because no pair of
-/// images adds anything, and still gives the squared norms.
+/// Holds all points of a plan constant during its lifetime. A pass then costs half, because no pair
+/// of images contributes, and still returns the squared norms.
 class HeldPoints {
  public:
   explicit HeldPoints(EliminationPlan* plan) : plan_(plan), num_free_(plan->num_free_points) {
@@ -92,7 +93,7 @@ SchurProblem::PointSums SchurProblem::SumUp(double damping, bool first, double f
   }
   observed_norms_ = cameras.squared_norms;
   SumSystems(communicator_, structure_, assembler_, &cameras);
-  factors_.AddTo(&cameras);  // on no grid, therefore last
+  factors_.AddTo(&cameras);  // not on the grid, therefore added last
   if (has_camera_factors_) BroadcastCameraVectors(communicator_, &cameras);
   return sums;
 }
@@ -112,7 +113,8 @@ SchurProblem::PointSums SchurProblem::SumChunks(double damping, bool first, doub
         sums_.End(thread);
       },
       [&](int thread) { sums_.Flush(thread); });
-  ThrowIfInterrupted();  // only this thread is told, and the others may have taken every chunk
+  ThrowIfInterrupted();  // only this thread sees the interrupt; the others may have taken all
+                         // chunks
   DoubleDouble cost, gradient_squared;
   cost.Add(factors_cost);
   PointSums total;

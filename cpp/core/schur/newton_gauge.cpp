@@ -13,7 +13,7 @@ namespace {
 
 constexpr double kSingular = 1e-14;  // of N^T D^2 N in units of its diagonal
 
-/// True if something on this rank may say where the world is.
+/// True if a factor on this rank may fix the position or orientation of the world.
 bool MayHoldWorld(const AdjustmentProblem& problem, const ParameterLayout& layout,
                   const EliminationPlan& plan) {
   if (MayFixGauge(problem) || plan.num_points() > plan.num_free_points) return true;

@@ -2,27 +2,27 @@
 
 /// The gauge of a Newton direction.
 ///
-/// If nothing holds the world, its similarities change no residual: J N = 0, where the columns of N
-/// are the derivatives of all free parameters by the similarities. Of the Newton direction q, (J^T
-/// J + damping D^2) q = -J^T r, the product with N^T leaves
+/// If no factor fixes the world, its similarities change no residual: J N = 0, where the columns of
+/// N are the derivatives of all free parameters by the similarities. Multiplying the equation of
+/// the Newton direction q, (J^T J + damping D^2) q = -J^T r, by N^T leaves
 ///
 ///   damping N^T D^2 q = -(J N)^T r = 0.
 ///
-/// So q is orthogonal to N in the inner product of D^2. But S is rounded, and solving divides
-/// rounding errors along N by the damping: with the 1e-8 of doglegs, half of the digits of q depend
-/// on the order in which S was summed up. The model does not depend on that part, but costs at x +
-/// q do, because they are curved along N. It is removed:
+/// So q is orthogonal to N in the inner product of D^2. But S is rounded, and the solution divides
+/// rounding errors along N by the damping. With the 1e-8 of doglegs, half of the digits of q depend
+/// on the order of summation of S. The quadratic model does not depend on the component along N.
+/// Costs at x + q do, because they are curved along N. That component is removed:
 ///
 ///   q - N k,    (N^T D^2 N) k = N^T D^2 q,    <q,q> - k^T N^T D^2 q,
 ///
-/// and the other products of a dogleg do not change, since <p,N> = r^T J N = 0. Of the cameras, N
-/// is model/gauge.h's; a point X about their centre c has
+/// and the other products of a dogleg do not change, since <p,N> = r^T J N = 0. The rows of N for
+/// cameras are those of model/gauge.h. For a point X about their centre c,
 ///
 ///   N_X = [I, -[X - c]_x, X - c],
 ///
-/// a row of which has four numbers that are not zero: sums over points are of 4 x 4 blocks.
+/// a row of which has four nonzero numbers, so that sums over points consist of 4 x 4 blocks.
 ///
-/// A world of rigs with sensors at different places has a scale, and therefore six columns.
+/// A world of rigs with sensors at different places has a fixed scale, and N has six columns.
 
 #include <Eigen/Core>
 #include <cstddef>
@@ -51,7 +51,7 @@ class NewtonGauge {
     void Add(const Sums& other);
   };
 
-  /// Columns of N: 7, 6 with rigs, 0 where anything may hold the world, on any rank.
+  /// Number of columns of N: 7, 6 with rigs, 0 if a factor on any rank may fix the world.
   static int Degrees(const AdjustmentProblem& problem, const ParameterLayout& layout,
                      const EliminationPlan& plan);
 
@@ -60,13 +60,13 @@ class NewtonGauge {
               const CameraStates& cameras, const std::vector<double>& points);
 
   Row OfUnknown(size_t unknown) const;
-  /// Adds points first to last, the last excluded; both arrays have 3 numbers of every point.
+  /// Adds points [first, last). Both arrays have 3 numbers for every point.
   void AddPoints(int first, int last, const std::vector<double>& d_squared,
                  const std::vector<double>& q, Sums* sums) const;
   /// N_X k of a point.
   Eigen::Vector3d MoveOfPoint(int point, const Row& k) const;
 
-  /// k, by the sums over all unknowns and points; zero along what N^T D^2 N is singular to.
+  /// k, from the sums over all unknowns and points; zero along null directions of N^T D^2 N.
   Row Solve(const Sums& sums) const;
 
  private:

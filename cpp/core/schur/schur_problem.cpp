@@ -18,8 +18,9 @@
 namespace bundle {
 namespace {
 
-// Of the cost: thousands of times what the order changes in its sum, which is a few units in the
-// last place, so that one quality in some ten thousand is where rounding decides on its last digit.
+// Uncertainty relative to the cost. It is thousands of times the change of the sum when its order
+// changes, which is a few units in the last place. So rounding decides on the last digit of about
+// one quality in ten thousand.
 constexpr double kCostUncertainty = 0x1p-38;
 
 double Dot(const std::vector<double>& a, const std::vector<double>& b) {

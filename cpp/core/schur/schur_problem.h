@@ -27,11 +27,11 @@
 
 namespace bundle {
 
-/// Bundle adjustment with the points eliminated: a LeastSquares made of passes over the points.
+/// Bundle adjustment with eliminated points: a LeastSquares implemented by passes over the points.
 class SchurProblem final : public LeastSquares {
  public:
-  /// Keeps references to the problem, the layout and the solver. `structure` is that of the solver.
-  /// `is_reused`: Reset will be called.
+  /// Keeps references to the problem, the layout and the solver. `structure` is the solver's
+  /// structure. `is_reused`: Reset will be called.
   SchurProblem(const AdjustmentProblem& problem, const ParameterLayout& layout,
                const SolveOptions& options, BlockStructure structure, LinearSolver* solver,
                bool is_reused = false);
@@ -55,14 +55,14 @@ class SchurProblem final : public LeastSquares {
   Candidate EvaluateAlongStep(double a) override;
   double SlopeAtCandidate() override;
 
-  /// Observations that reach the solver, on this rank: those with something to refine.
+  /// Number of observations in the solve, on this rank: those with free parameters.
   int64_t num_active_observations() const { return plan_.num_observations(); }
-  /// Cost of the others, and of factors with nothing to refine; not part of Linearization::cost.
+  /// Cost of all other observations, and of factors without free parameters. It is not included in
+  /// Linearization::cost.
   double fixed_cost() const { return fixed_cost_; }
-  /// Factors beside the observations.
+  /// Factors other than the observations.
   const CameraFactors& factors() const { return factors_; }
-  /// The name of the instruction set that its kernels were compiled for: "baseline", "avx2+fma",
-  /// "avx512".
+  /// Name of the instruction set of the kernels: "baseline", "avx2+fma" or "avx512".
   const char* instruction_set() const { return kernels_.name; }
 
   /// Observations of this rank that do not count at the state but hold a residual
@@ -70,23 +70,24 @@ class SchurProblem final : public LeastSquares {
   int64_t num_held() const { return static_cast<int64_t>(x_->held.all().size()); }
   /// Cost of the factors of all ranks.
   double held_cost() const { return x_held_cost_; }
-  /// Makes those count that are in front of their cameras at the state, for a minimisation that
-  /// starts there. Returns true if there are any, on any rank.
+  /// Lets observations count that are in front of their cameras at the state, for a minimisation
+  /// that starts there. Returns true if any rank has such observations.
   bool ReleaseHeld();
 
-  /// S and its right-hand side, as the last linearisation left them.
+  /// S and its right-hand side at the last linearisation.
   BlockSystem& system() { return sums_.sums().system; }
-  /// Per column at the last linearisation: 1 if its number is held on a bound. Empty without
+  /// Per column at the last linearisation: 1 if its number is on an active bound. Empty without
   /// bounds.
   const std::vector<uint8_t>& active_columns() const { return active_; }
 
-  /// For other passes over the points, of the state and factors of the last linearisation.
+  /// Inputs for other passes over the points, at the state and with the factors of the last
+  /// linearisation.
   const SchurSetup& setup() const { return setup_; }
   const EliminationInput& input() const { return input_; }
   StateRecords records() const { return x_->records(); }
   const std::vector<HeldResidual>& held() const { return x_->held.all(); }
 
-  /// Frees the memory of steps, mainly S, after the last step.
+  /// Frees the memory needed for steps, mainly S. Call after the last step.
   void FreeSteps();
 
   /// Camera parameters and points (as in ProblemView) at the state.
@@ -96,31 +97,32 @@ class SchurProblem final : public LeastSquares {
  private:
   EliminationInput WithPriors(EliminationInput input) const;
   void MeasureStart(const SolveOptions& options);
-  /// Calls visit(chunk index, thread) for all chunks, on all threads, lower indices first, and
-  /// done(thread) on each thread after its last. Where one throws, the others end at their next
-  /// chunk.
+  /// Calls visit(chunk index, thread) for all chunks on all threads, lower indices first, and
+  /// done(thread) on each thread after its last chunk. If a call throws, the other threads end at
+  /// their next chunk.
   template <typename Visit, typename Done>
   void ForChunks(const Visit& visit, const Done& done);
   template <typename Visit>
   void ForChunks(const Visit& visit);
   double* Memory(int thread) { return memory_[thread].data(); }
-  /// CandidateSum over chunks.
+  /// CandidateSum over all chunks.
   struct CandidateTotal {
     DoubleDouble model_cost_change, cost, step_squared, state_squared;
   };
   static CandidateTotal Total(const std::vector<CandidateSum>& parts);
-  /// The cost, and the sizes of the points' gradient.
+  /// The cost, and the norms of the points' gradient.
   struct PointSums {
     double cost = 0, gradient_squared = 0, gradient_max = 0;
   };
-  /// All sums at x, with the factors': gradient and squared norms on all ranks, S on rank 0.
+  /// All sums at x, including those of factors: gradient and squared norms on all ranks, S on rank
+  /// 0.
   PointSums SumUp(double damping, bool first, double factors_cost);
-  /// A pass over the chunks; costs and points' gradients are those of all ranks.
+  /// Makes a pass over the chunks. Costs and points' gradients are summed over all ranks.
   PointSums SumChunks(double damping, bool first, double factors_cost);
   /// Scales and damps the columns of the camera parameters.
   void DampCameras(double damping, bool first);
   const std::vector<double>& gradient() { return sums_.sums().gradient; }
-  /// Takes the columns of numbers on active bounds out of the normal equations.
+  /// Removes the columns of numbers on active bounds from the normal equations.
   void HoldActive();
   /// Removes rounding errors along free similarities from q (newton_gauge.h). Returns the decrease
   /// of <q,q>.
@@ -128,14 +130,14 @@ class SchurProblem final : public LeastSquares {
   void MoveCameras(const std::vector<double>& step);
   /// Step of one camera parameter, projected onto its bounds.
   double ProjectedStep(size_t j, double step) const;
-  /// Moves the candidate's points, number i by point_step(i), and evaluates its cost.
+  /// Moves point number i of the candidate by point_step(i), for all i, and evaluates its cost.
   template <typename PointStep>
   CandidateTotal MovePoints(const PointStep& point_step);
   template <typename PointStep>
   void MovePoints(const Chunk& chunk, const PointStep& point_step, CandidateSum* sum);
   /// d^T J^T r along the last step, at a state.
   double SlopeAt(const State& state);
-  /// `sum`: of this rank.
+  /// `sum`: the sum of this rank.
   Candidate Finish(const std::vector<double>& step, CandidateTotal sum);
 
   SchurSetup setup_;
@@ -158,9 +160,9 @@ class SchurProblem final : public LeastSquares {
   CameraStep other_step_;
   std::vector<double> squared_scale_;  ///< per column of each point
   OrderedSums sums_;
-  std::unique_ptr<SumGrid> grid_;       ///< nullptr: the sums need none
-  std::vector<double> observed_norms_;  ///< ||J e_j||^2 where the grid was used last
-  bool has_camera_factors_ = false;     ///< on any rank
+  std::unique_ptr<SumGrid> grid_;       ///< nullptr: the sums need no grid
+  std::vector<double> observed_norms_;  ///< ||J e_j||^2 at the last use of the grid
+  bool has_camera_factors_ = false;     ///< true if any rank has them
   double x_cost_ = 0, candidate_cost_ = 0;
   std::vector<double> kind_costs_, candidate_kind_costs_;  ///< cost per kind of factors
   double x_held_cost_ = 0, candidate_held_cost_ = 0;
@@ -169,7 +171,7 @@ class SchurProblem final : public LeastSquares {
   std::vector<double> newton_;     ///< camera parameters of the Newton direction
   std::vector<double> gradient_direction_;
   std::vector<double> points_p_, points_q_;
-  std::vector<double> points_d_squared_;  ///< D^2 of the points; empty where the world is held
+  std::vector<double> points_d_squared_;  ///< D^2 of the points; empty if the world is fixed
   int gauge_degrees_ = -1;  ///< degrees of freedom of the gauge, for doglegs; -1: not known yet
   std::vector<double> line_, points_line_;  ///< the last step, not projected
   DoglegProducts products_;

@@ -16,12 +16,12 @@ const double* SigmasOf(const EliminationPlan& plan) {
   return plan.inverse_sigma.empty() ? nullptr : plan.inverse_sigma.data();
 }
 
-// Conjugate gradients on fewer columns end before they make much of rounding, and keep the digits
-// that a grid costs.
+// With fewer columns, conjugate gradients end before they amplify rounding errors much. Without a
+// grid, they keep the digits that a grid costs.
 constexpr int kColumnsWorthAGrid = 100;
 
-// Blocks of a block column of S, on average. Streets and orbits have 20 to 30, photo collections 80
-// and more.
+// Average number of blocks in a block column of S. Streets and orbits have 20 to 30, photo
+// collections 80 and more.
 constexpr int64_t kMostBlocksForSections = 48;
 
 }  // namespace

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Setup of the passes over the points: all that they read beside the states of a solve.
+/// Setup of the passes over the points: all their input except the states of a solve.
 
 #include <cstdint>
 #include <memory>
@@ -19,18 +19,19 @@ namespace bundle {
 
 /// Effect of the order of summation on a sum over points.
 enum class SumOrder {
-  kGrid,      ///< no bit (sum_grid.h)
-  kSections,  ///< no bit between divisions by sections (point_sections.h, double_double.h)
-  kChunks,    ///< the last digits, between plans of other chunks
+  kGrid,      ///< no effect (sum_grid.h)
+  kSections,  ///< no effect if divisions follow sections (point_sections.h, double_double.h)
+  kChunks,    ///< the last digits differ between plans with different chunks
 };
 
-/// For S with so many block columns and blocks; `has_maps`: Assembler::has_maps.
+/// Returns the effect for S with these numbers of block columns and blocks; `has_maps`:
+/// Assembler::has_maps.
 SumOrder ChooseSumOrder(LinearSolverType solver, int num_columns, int64_t num_block_columns,
                         int64_t num_blocks, bool has_maps);
 
-/// Input of the passes over the points beside states: columns of each image, the order of the
+/// Input of the passes over the points except states: columns of each image, order of the
 /// elimination, places of the sums in S, and kernels. Except for the measurements, it follows from
-/// the structure of the problem: which image sees which point, and what is refined.
+/// the structure of the problem: the images that see each point, and the refined parameters.
 struct SchurSetup {
   /// Keeps references to the problem and the layout. `is_reused`: Reset will be called.
   SchurSetup(const AdjustmentProblem& problem, const ParameterLayout& layout,
@@ -38,10 +39,10 @@ struct SchurSetup {
   SchurSetup(const SchurSetup&) = delete;
   SchurSetup& operator=(const SchurSetup&) = delete;
 
-  /// Takes the problem's measurements and the options' loss anew, after these changed.
+  /// Reads the changed measurements of the problem and the changed loss of the options.
   void Reset(const SolveOptions& options);
 
-  /// Cost of the observations with nothing to refine, by the same kernels.
+  /// Cost of the observations without free parameters, by the same kernels.
   DoubleDouble FixedCost(const SolveOptions& options);
 
   const AdjustmentProblem& problem;
@@ -64,7 +65,7 @@ struct SchurSetup {
   EliminationInput MakeInput(const SolveOptions& options, const EliminationPlan& points) const;
 
   const bool is_reused_;
-  std::unique_ptr<FixedObservations> fixed_;  ///< where they will be needed again
+  std::unique_ptr<FixedObservations> fixed_;  ///< only if they will be needed again
 };
 
 }  // namespace bundle

@@ -1,13 +1,13 @@
 #include "core/schur/sort_points.h"
 
 /// Problems often list their observations point by point, as BAL does, but the order in which
-/// points are sorted leads anywhere. Each point is therefore read once on the way to its key and
-/// once on the way to its place, both times in the order of the problem. In between, the keys are
-/// dealt out by the first image that sees the point, or by its section where the points have some
-/// (point_sections.h), and sorted within these buckets.
+/// points are sorted reads memory at random. Each point is therefore read once for its key and once
+/// for its final place, both times in the order of the problem. In between, the keys are
+/// distributed over buckets and sorted within these. The bucket of a point is its section if
+/// sections are used (point_sections.h), or else the first image that sees the point.
 ///
-/// An observation is one number while it is sorted, its image's rank above its own index, so that
-/// nothing is looked up to compare two.
+/// During sorting, an observation is one number: the rank of its image in the upper bits, its own
+/// index in the lower bits. Comparing two of them then needs no lookup.
 
 #include <algorithm>
 #include <cstdint>
@@ -76,7 +76,7 @@ class PointSorter {
   static int RankOf(uint64_t ranked) { return static_cast<int>(ranked >> kIndexBits); }
   static int64_t IndexOf(uint64_t ranked) { return static_cast<int64_t>(ranked & kIndex); }
 
-  /// by_point_: the wanted observations of each point, found by counting.
+  /// by_point_: the selected observations of each point, by a counting sort.
   void GroupObservations() {
     if (problem_.num_observations > static_cast<int64_t>(kIndex)) {
       throw InputError("observation_xy: expected at most " + std::to_string(kIndex) + ", found " +
@@ -94,7 +94,7 @@ class PointSorter {
     }
   }
 
-  /// Sorted by rank, those of one image in the order of the problem.
+  /// Sorts by rank; observations of one image keep the order of the problem.
   void SortObservations() {
     keys_.resize(problem_.num_points);
     ParallelFor(problem_.num_points, num_threads_, [this](int64_t begin, int64_t end) {
@@ -105,8 +105,8 @@ class PointSorter {
     });
   }
 
-  /// Sorting key of a point: its bucket, which is that of its section or its first image, and its
-  /// first images.
+  /// Sorting key of a point: its bucket (that of its section or its first image) and its first
+  /// images.
   struct Key {
     uint64_t first_and_second;
     uint64_t third_and_fourth;
@@ -122,7 +122,7 @@ class PointSorter {
       return at < begin_[point + 1] ? static_cast<uint64_t>(RankOf(by_point_[at])) + 1 : 0;
     };
     const bool is_seen = rank(0) > 0, is_free = layout_.point_is_free(point);
-    // A point that only factors know comes before those that images see.
+    // A point that only factors depend on comes before those that images see.
     const bool is_unseen = !is_seen && is_free && active_ && problem_.factors != nullptr;
     int bucket = -1;
     if (is_seen || is_unseen) {
@@ -133,7 +133,7 @@ class PointSorter {
     return {rank(0) << 32 | rank(1), rank(2) << 32 | rank(3), bucket, point};
   }
 
-  /// Into buckets, those of the fixed points behind the others.
+  /// Distributes into buckets; those of fixed points come last.
   void DealOutPoints() {
     const size_t num_buckets = 2 * static_cast<size_t>(num_buckets_);
     bucket_begin_.assign(num_buckets + 1, 0);
@@ -235,11 +235,11 @@ class PointSorter {
   const bool active_;
   const int num_threads_;
   const bool keep_order_;
-  std::vector<uint16_t> sections_;  ///< where the problem has none
+  std::vector<uint16_t> sections_;  ///< used if the problem has no sections
   const uint16_t* section_ =
       nullptr;           ///< section per point of the problem; nullptr: sections are not used
-  int num_buckets_ = 0;  ///< buckets of free points, and of fixed points
-  std::vector<int64_t> begin_;  ///< per point of the problem: its begin in by_point_; and the end
+  int num_buckets_ = 0;  ///< numbers of buckets of free points, and of fixed points
+  std::vector<int64_t> begin_;  ///< per point of the problem: its begin in by_point_; then the end
   std::vector<uint64_t> by_point_;
   std::vector<Key> keys_;  ///< keys of the points of the problem, then of those in the plan
   std::vector<int64_t> bucket_begin_;       ///< in keys_, then in plan_.point
@@ -253,7 +253,8 @@ class PointSorter {
 ImageOrder OrderImages(const AdjustmentProblem& problem, const ParameterLayout& layout) {
   ImageOrder order;
   std::vector<int> block(problem.num_images);
-  std::vector<int> first_of_block(layout.blocks().size(), -1);  // image whose pose is in it
+  std::vector<int> first_of_block(layout.blocks().size(),
+                                  -1);  // first image whose pose is in each block
   for (int i = 0; i < problem.num_images; ++i) {
     const ParameterLayout::ImageBlocks& blocks = layout.blocks_of(i);
     const auto first = std::find_if(blocks.begin(), blocks.end(), [](int b) { return b >= 0; });

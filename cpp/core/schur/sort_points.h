@@ -13,19 +13,20 @@ namespace bundle {
 
 struct ImageOrder {
   std::vector<uint8_t> refined;  ///< per image: 1 if it has something to refine
-  /// Place of each image: refined ones in the order of their blocks, which S likes best, then the
-  /// others.
+  /// Place of each image: refined images in the order of their blocks, the best order for access to
+  /// S, then all other images.
   std::vector<int> rank;
-  /// Per image: the first of the images whose poses are in the same block, which are neighbours in
-  /// the order. The image itself, except for images of a rig.
+  /// Per image: the first image whose pose is in the same block; such images are neighbours in the
+  /// order. For images without a rig, this is the image itself.
   std::vector<int> owner;
 };
 
 ImageOrder OrderImages(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
-/// Makes a plan without chunks and references to them: the points with observations that have
-/// something to refine, if `active`, or else with others, by sections if `in_sections`, and sorted
-/// lexicographically by the ranks of the images in these observations.
+/// Makes a plan without chunks, and references to its observations. If `active`, it has the points
+/// with observations that have free parameters, or else the points with other observations. Points
+/// are sorted by sections if `in_sections`, then lexicographically by the ranks of the images in
+/// these observations.
 EliminationPlan SortPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const ImageOrder& images, bool active, bool in_sections, int num_threads,
                            bool keep_order);

@@ -33,7 +33,7 @@ ModelGroups GroupImages(const AdjustmentProblem& problem, const ParameterLayout&
     const int camera = problem.image_camera[i];
     const CameraModel* const model = problem.camera_models[camera];
     uint32_t columns = layout.RefinedColumns(problem, i);
-    // What a sensor does is made of all that a frame does (column_map.h).
+    // An image's record needs the steps of its frame and of its sensor (column_map.h).
     if (layout.blocks_of(i)[ParameterLayout::kSensorBlock] >= 0)
       columns |= FreeParameters::kWholePose;
     result.image_refined.push_back(columns != 0 ? 1 : 0);
@@ -70,12 +70,12 @@ ModelGroups GroupImages(const AdjustmentProblem& problem, const ParameterLayout&
 
 namespace {
 
-/// Room for every model's parameters, in whole quads.
+/// Space for the parameters of every model, in whole quads.
 int RoundedParams(const AdjustmentProblem& problem) {
   return std::max(4, (std::min(problem.camera_params_stride, kMaxCameraParams) + 3) / 4 * 4);
 }
 
-constexpr int kTranslationJacobian = 12;  // its room in a record, in whole quads
+constexpr int kTranslationJacobian = 12;  // its size in a record, in whole quads
 
 int RecordStride(const AdjustmentProblem& problem) {
   return StateRecords::kParams + RoundedParams(problem) +
@@ -135,7 +135,7 @@ void State::Update() {
     std::copy_n(pose.translation, 3, record + StateRecords::kTranslation);
     std::copy_n(pose.left_jacobian, 9, record + StateRecords::kLeftJacobian);
     if (problem_.num_frames > 0) PutFrameChart(cameras_.rig(i), record);
-    if (problem_.camera_models[camera] == nullptr) continue;  // no image with observations has it
+    if (problem_.camera_models[camera] == nullptr) continue;  // camera without observations
     std::copy_n(cameras_.params(camera), problem_.camera_models[camera]->num_params,
                 record + StateRecords::kParams);
   }

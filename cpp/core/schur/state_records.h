@@ -25,42 +25,43 @@ struct ModelGroups {
   /// Columns of a record.
   int num_columns() const { return (num_rows + 3) / 4 * 4; }
   bool mixed() const;
-  /// Doubles of the block of two images, on average.
+  /// Average doubles of the block of two images.
   int block_size() const;
 };
 
-/// A group for each camera model in use. Images of models that we do not know are in the first; no
+/// Makes a group for each camera model in use. Images of unknown models are in the first group; no
 /// observation is in them.
 ModelGroups GroupImages(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
 /// The states and steps of a solve in the form that the passes read (kernels.h).
 
-/// One state: the camera parameters as a vector of the layout, expanded, and the points of the
-/// plan.
+/// One state: the camera parameters as a vector of the layout, their expanded form, and the points
+/// of the plan.
 class State {
  public:
   State(const AdjustmentProblem& problem, const ParameterLayout& layout,
         const EliminationPlan& plan);
 
-  /// Goes to the problem's own values, after these changed.
+  /// Resets to the problem's own values, after these changed.
   void Reset(const ParameterLayout& layout, const EliminationPlan& plan);
   /// Expands `camera_state`, after it changed.
   void Update();
-  /// Moves the anchors of images that have gone too far from them (factors/reprojection.h). The
-  /// state stays the same.
+  /// Moves the anchors of images that have moved too far from them (factors/reprojection.h). The
+  /// state does not change.
   void MoveAnchors();
   /// Call before the Update of a candidate: its step starts from `state`.
   void ShareAnchors(const State& state) { cameras_.SetAnchors(state.cameras_.anchors()); }
   StateRecords records() const;
-  /// Records of a candidate after `before`, for a pass over one chunk that fills `held`.
+  /// Records of a candidate whose step starts from `before`, for a pass over one chunk that fills
+  /// `held`.
   StateRecords CandidateRecords(const StateRecords& before, int chunk);
   const CameraStates& cameras() const { return cameras_; }
-  /// All points of the problem, in its order.
+  /// Returns all points of the problem, in its order.
   std::vector<double> AllPoints(const EliminationPlan& plan) const;
   DoubleDouble FreePointsSquared(const EliminationPlan& plan) const;
 
   std::vector<double> camera_state;
-  std::vector<double> points;  ///< three a point of the plan
+  std::vector<double> points;  ///< three numbers per point of the plan
   HeldResiduals held;
 
  private:
@@ -72,7 +73,7 @@ class State {
   int stride_;
 };
 
-/// Images' records of a step of the camera parameters, at a state.
+/// Records of the images for a step of the camera parameters, at a state.
 class CameraStep {
  public:
   CameraStep(const AdjustmentProblem& problem, const ParameterLayout& layout);
@@ -88,7 +89,7 @@ class CameraStep {
 
   const AdjustmentProblem& problem_;
   const ParameterLayout& layout_;
-  std::vector<double> poses_;  ///< zero where a pose is not free
+  std::vector<double> poses_;  ///< zero for constant poses
   std::vector<double> camera_params_;
   std::vector<double> images_;
   int stride_;

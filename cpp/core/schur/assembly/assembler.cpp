@@ -7,16 +7,16 @@
 namespace bundle {
 namespace {
 
-constexpr size_t kPairsAhead = 6;  // as many misses as a core has on their way at once, about
+constexpr size_t kPairsAhead = 6;  // about the number of cache misses that a core handles at once
 
-/// Width of the rows of an image's Jacobian, and of the blocks whose second image it is.
+/// Width of the rows of an image's Jacobian, and of the blocks that have it as second image.
 int WidthOf(const EliminationInput& input, int image) {
   return input.mixed ? 4 * input.image_quads[image] : input.num_columns;
 }
 
 bool IsSensor(int place) { return place == ParameterLayout::kSensorBlock; }
 
-/// The free columns of K (factors/rig_pose.h), which moves all of a pose.
+/// The free columns of K (factors/rig_pose.h), which moves the six numbers of a pose.
 void FillSensorMap(const CameraBlock& block, const double whole[kPoseSize * kPoseSize],
                    ColumnMap* map) {
   map->num_columns = kPoseSize;
@@ -44,7 +44,7 @@ Assembler::Assembler(const AdjustmentProblem& problem, const ParameterLayout& la
       AddBlock(i, place, group);
     }
   }
-  // The values stay where they are from now on.
+  // The addresses of the values do not change from here on.
   for (const MapOf& map : maps_) images_[map.image].of[map.k].map = &map_values_[map.first];
   const auto is_of_sensor = [](const MapOf& map) { return IsSensor(map.place); };
   if (!std::all_of(maps_.begin(), maps_.end(), is_of_sensor)) return;
@@ -63,7 +63,7 @@ void Assembler::SetMaps(const CameraStates& cameras) {
     } else if (of.place == ParameterLayout::kPoseBlock) {
       layout_.FillMap(problem_, of.image, of.place, cameras.pose(of.image), &map);
     } else {
-      continue;  // it stays the same
+      continue;  // this map is constant
     }
     std::copy_n(map.values, map.num_columns * block.size, &map_values_[of.first]);
   }
@@ -108,7 +108,7 @@ void Assembler::Target::Add(int64_t i, double value) const {
   }
 }
 
-/// Usually all that images of the model refine is refined, and side by side.
+/// Usually, an image refines all columns that its model refines, and they are contiguous.
 void Assembler::AddColumn(const ImageBlock& rows, const double* from, const Target& column) {
   if (!rows.is_contiguous) {
     for (int j = 0; j < rows.size; ++j) column.Add(j, from[rows.local[j]]);
@@ -194,8 +194,8 @@ void Assembler::AddSharedBlocks(const EliminationInput& input, const Chunk& chun
   }
 }
 
-/// Asks for the columns of the block that most of a pair goes to; S does not fit a cache, and the
-/// columns of a block are far apart.
+/// Prefetches the columns of the block to which most of a pair is added. S does not fit the cache,
+/// and the columns of a block are far apart.
 void Assembler::PrefetchPair(int first, int second, CameraSums* sums) const {
   if (images_[first].count == 0 || images_[second].count == 0) return;
   const ImageBlock &a = images_[first].of[0], &b = images_[second].of[0];
@@ -244,7 +244,7 @@ void Assembler::AddVectors(const EliminationInput& input, int image, const doubl
   }
 }
 
-/// Only the upper triangle of `block` means anything.
+/// Only the upper triangle of `block` is defined.
 void Assembler::AddDiagonal(const EliminationInput& input, int image, const double* block,
                             Part part, CameraSums* sums) const {
   const ImageBlocks& blocks = images_[image];
@@ -339,7 +339,7 @@ void Assembler::AddPairOf(const ImageBlock& a, const ImageBlock& b, const double
         Block(sums, b.block, entry, i, j).Add(0, value);
         continue;
       }
-      // Into a diagonal block, with its transpose.
+      // Added to a diagonal block, together with its transpose.
       if (i >= j) Block(sums, a.block, entry, i, j).Add(0, value);
       if (j >= i) Block(sums, a.block, entry, j, i).Add(0, value);
     }

@@ -23,7 +23,7 @@ OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& st
       waiting_(num_threads),
       last_added_(num_images) {
   sums_.has_error_terms = keeps_error_terms;
-  // All memory now, so that no pass ends half way.
+  // Allocates all memory here, so that no pass can fail half way.
   size_t images = 0, pairs = 0, blocks = 0, mixed_doubles = 0;
   std::vector<int64_t> block_begin;
   for (const Chunk& chunk : input.plan->chunks) {
@@ -102,7 +102,7 @@ void OrderedSums::Clear(ThreadPool* pool) {
   for (std::atomic<int>& last : last_added_) last.store(-1, std::memory_order_relaxed);
   num_added_.store(0, std::memory_order_relaxed);
   abandoned_.store(false, std::memory_order_relaxed);
-  for (Waiting& waiting : waiting_) waiting.count = 0;  // what an abandoned pass left
+  for (Waiting& waiting : waiting_) waiting.count = 0;  // chunks left by an abandoned pass
 }
 
 void OrderedSums::FreeSystem() {
@@ -188,7 +188,7 @@ void OrderedSums::AddOldest(Waiting* waiting) {
     const int owner = owner_of[chunk.images[i]];
     WaitFor(last_added_[owner], chunk.previous_chunk[i]);
     assembler_.AddImage(input_, chunk, buffer.sum, i, pairs, &sums_);
-    // Images of one owner are next to each other and keep their turn together.
+    // Images of one owner are consecutive and are added in the same turn.
     const bool is_last = i + 1 == chunk.images.size() || owner_of[chunk.images[i + 1]] != owner;
     if (is_last) last_added_[owner].store(c, std::memory_order_release);
   }

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Sums over chunks, in the order of the chunks whatever the threads.
+/// Sums over chunks, in the order of the chunks for any number of threads.
 
 #include <algorithm>
 #include <atomic>
@@ -17,43 +17,43 @@ namespace bundle {
 
 class SumGrid;  // sum_grid.h
 
-/// Sums over chunks that several threads compute, in the order of the chunks, so that no bit of a
-/// sum depends on the speed of threads.
+/// Sums over chunks that several threads compute. Chunks are added in their order, so that no bit
+/// of a sum depends on the speed of threads.
 ///
-/// Threads wait for each other only at the same queue (Assembler). A thread that is early keeps its
-/// chunk and computes the next one.
+/// Threads wait for each other only at the same queue (Assembler). A thread that finishes early
+/// keeps its chunk and computes the next one.
 class OrderedSums {
  public:
-  /// Keeps references to all but the last. `keeps_error_terms`: the sums are double-doubles until
-  /// Round.
+  /// Keeps references to all arguments but the last. `keeps_error_terms`: the sums are
+  /// double-doubles until Round.
   OrderedSums(const EliminationInput& input, const BlockStructure& structure,
               const Assembler& assembler, int num_images, int num_threads,
               bool wants_camera_diagonal, bool keeps_error_terms);
 
-  /// Makes sums on a grid, if one is chosen, from the next Clear on; nullptr: without a grid.
+  /// Makes sums on a grid, if one is chosen, from the next Clear on. nullptr: without a grid.
   void UseGrid(const SumGrid* grid) { grid_ = grid; }
 
   /// Starts anew, at zero.
   void Clear(ThreadPool* pool);
 
-  /// Buffer in which a thread sums up a chunk until it calls End. It holds zeros, or the start
-  /// values of sums on the grid.
+  /// Buffer in which a thread sums up a chunk until it calls End. It starts at zero, or at the
+  /// start values of sums on the grid.
   ChunkSum& Begin(int chunk, int thread);
   void End(int thread);
 
-  /// Adds the chunks that a thread still keeps, after its last chunk.
+  /// Adds the chunks that a thread still keeps. Call after its last chunk.
   void Flush(int thread);
 
-  /// Thrown by the methods above if they would wait for a chunk that was abandoned.
+  /// Exception of the methods above if they would wait for an abandoned chunk.
   struct Abandoned {};
 
-  /// Abandons a chunk, because its thread will not end it. The other threads do not wait for it.
-  /// Until Clear.
+  /// Abandons a chunk that its thread will not end. The other threads do not wait for it until the
+  /// next Clear.
   void Abandon() { abandoned_.store(true, std::memory_order_release); }
 
   CameraSums& sums() { return sums_; }
 
-  /// Frees S, until Clear.
+  /// Frees S until the next Clear.
   void FreeSystem();
 
  private:
@@ -64,12 +64,12 @@ class OrderedSums {
     int chunk = -1;
   };
 
-  /// A thread's chunks that wait for earlier chunks: a short queue. The buffer that was freed last
-  /// is used next, because it is still in the cache; most problems use no other.
+  /// Chunks of a thread that wait for earlier chunks: a short queue. The buffer that was freed last
+  /// is used next, because it is still in the cache. Most problems use only this one.
   struct Waiting {
     static constexpr int kBuffers = 3;
     Buffer buffers[kBuffers];
-    int order[kBuffers] = {0, 1, 2};  ///< those in the queue, oldest first, then the free ones
+    int order[kBuffers] = {0, 1, 2};  ///< buffers in the queue, oldest first, then free buffers
     int count = 0;
 
     std::vector<int> second_begin, seconds;  ///< GroupBySecond
@@ -84,11 +84,11 @@ class OrderedSums {
     }
   };
 
-  /// Begins of a chunk's blocks, and their number of doubles, for mixed widths.
+  /// Begins of a chunk's blocks, and their total number of doubles, for mixed widths.
   int64_t PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block_begin) const;
 
-  /// The pairs of a chunk by their second image: those of image i are
-  /// seconds[second_begin[i]] to seconds[second_begin[i + 1]], ascending.
+  /// The pairs of a chunk by their second image. Those of image i are seconds[second_begin[i]] to
+  /// seconds[second_begin[i + 1]], ascending.
   static void GroupBySecond(const Chunk& chunk, Waiting* waiting);
 
   void MakeSystem();
@@ -103,10 +103,10 @@ class OrderedSums {
   const bool chunks_have_camera_diagonal_;
   const SumGrid* grid_ = nullptr;
   CameraSums sums_;
-  bool is_new_ = false;                       ///< S, and zero therefore
+  bool is_new_ = false;                       ///< S was just allocated and is already zero
   std::vector<Waiting> waiting_;              ///< per thread
-  std::vector<std::atomic<int>> last_added_;  ///< chunk, of each image
-  std::atomic<int> num_added_{0};             ///< chunks
+  std::vector<std::atomic<int>> last_added_;  ///< last added chunk of each image
+  std::atomic<int> num_added_{0};             ///< number of added chunks
   std::atomic<bool> abandoned_{false};
 };
 

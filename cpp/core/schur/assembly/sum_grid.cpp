@@ -5,11 +5,13 @@
 namespace bundle {
 namespace {
 
-// s_a is between kRoom and 2 kRoom times ||J e_a||. Not a power of two: norms that are one, of
-// columns whose entries are 1 for instance, must not be where rounding decides on the exponent.
+// s_a is between kRoom and 2 kRoom times ||J e_a||. kRoom is not a power of two: a norm of exactly
+// 1 (columns whose entries are all 1, for instance) must not be at a boundary where rounding
+// decides on the exponent.
 constexpr double kRoom = 2.7;
 
-// Beyond, products of two leave the range of doubles. Columns so extreme have no grid.
+// Products of two larger norms would leave the range of doubles. Columns with larger norms use no
+// grid.
 constexpr double kLargest = 1e120, kSmallest = 1e-120;
 
 double PowerOfTwoAbove(double norm) {

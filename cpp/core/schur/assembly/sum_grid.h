@@ -9,15 +9,15 @@
 /// is added. Sums of multiples are exact, and therefore the same in any order, for any division
 /// among chunks, threads and ranks.
 ///
-/// Rounding costs nothing: doubles in [2^e, 2^(e+1)) have the spacing h = 2^(e-52), so a sum that
-/// starts at 3/2 2^e instead of 0 and stays within a quarter of 2^(e+1) of it rounds each term to
-/// the grid. (J. Demmel, H. D. Nguyen: Fast Reproducible Floating-Point Summation, ARITH 2013.) A
-/// term half way between two multiples is rounded to the even one, which may depend on the order.
-/// Products of Jacobians have too many digits for that to happen.
+/// Rounding costs no extra operation. Doubles in [2^e, 2^(e+1)) have the spacing h = 2^(e-52). A
+/// sum that starts at 3/2 2^e instead of 0, and stays within a quarter of 2^(e+1) of it, rounds
+/// each term to the grid. (J. Demmel, H. D. Nguyen: Fast Reproducible Floating-Point Summation,
+/// ARITH 2013.) A term half way between two multiples is rounded to the even one, which may depend
+/// on the order. Products of Jacobians have too many digits for that to happen.
 ///
-/// The bound that this needs is Cauchy's and Schwarz's. What a point adds to entry (a, b) of S is
-/// u_a^T P u_b, with u_a the rows of the Jacobian's column a that see the point and P a matrix
-/// between 0 and the identity (kernels/eliminate_point.h). Over any of the points,
+/// The required bound is Cauchy-Schwarz. A point adds u_a^T P u_b to entry (a, b) of S. Here u_a
+/// are the rows of the Jacobian's column a that see the point, and P is a matrix between 0 and the
+/// identity (kernels/eliminate_point.h). Over any subset of the points,
 ///
 ///   |sum u_a^T P u_b| <= sqrt(sum |u_a|^2) sqrt(sum |u_b|^2) <= ||J e_a|| ||J e_b|| <= s_a s_b,
 ///
@@ -25,12 +25,12 @@
 /// residuals' norm ||r|| <= t. A grid is therefore given by s and t: entry (a, b) starts at
 /// 3 s_a s_b and has the spacing 2^-51 s_a s_b.
 ///
-/// s and t must be known before the sums are made. They are those of the previous linearisation,
-/// with room to grow. If a column outgrows its room, the pass is repeated. The norms depend on
-/// rounding errors, but only their exponents are used for s and t, so that these are the same for
-/// any order, too. The room costs digits: the error of an entry is 2^-52 s_a s_b per term, five
-/// bits more than without a grid. Conjugate gradients do not need these digits, because they stop
-/// at a tenth of the residual.
+/// s and t must be known before the sums are made. They come from the previous linearisation, with
+/// a margin to grow. If a column exceeds its margin, the pass is repeated. The norms depend on
+/// rounding errors, but s and t use only their exponents and are therefore the same for any order.
+/// The margin costs digits: the error of an entry is 2^-52 s_a s_b per term, five bits more than
+/// without a grid. Conjugate gradients do not need these digits, because they stop at a tenth of
+/// the residual.
 
 #include <cstddef>
 #include <cstdint>
@@ -45,25 +45,25 @@ namespace bundle {
 
 class SumGrid {
  public:
-  /// Keeps a reference to the input. The assembler has no maps, because these would round the sums
-  /// of a chunk again.
+  /// Keeps a reference to the input. The assembler must have no maps, because maps would round the
+  /// sums of a chunk again.
   SumGrid(const EliminationInput& input, const Assembler& assembler,
           const BlockStructure& structure, int num_images);
 
-  /// The grid for columns of about these squared norms and residuals of this cost.
+  /// The grid for columns with about these squared norms and residuals of this cost.
   void Choose(const std::vector<double>& squared_norms, double cost);
 
-  /// True if columns of these squared norms and residuals of this cost fit. Also true for infinite
-  /// numbers and NaN, which fit no grid.
+  /// True if columns with these squared norms and residuals of this cost fit the grid. Also true
+  /// for infinite numbers and NaN, which fit no grid.
   bool Fits(const std::vector<double>& squared_norms, double cost) const;
 
-  /// Forgets the grid: there is none until Choose.
+  /// Removes the grid until the next Choose.
   void Forget() { is_chosen_ = false; }
   bool is_chosen() const { return is_chosen_; }
 
   /// Adds the start values of the sums of a chunk.
   void Start(const Chunk& chunk, ChunkSum* sum) const { Add(chunk, 1, sum); }
-  /// Subtracts the start values; the rest are multiples of the spacings.
+  /// Subtracts the start values; the differences are multiples of the spacings.
   void Finish(const Chunk& chunk, ChunkSum* sum) const { Add(chunk, -1, sum); }
 
  private:

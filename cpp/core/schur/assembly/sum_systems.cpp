@@ -1,8 +1,8 @@
 #include "core/schur/assembly/sum_systems.h"
 
 /// S is a sum over points (kernels/eliminate_point.h), and therefore the sum of the S of all ranks.
-/// The blocks are sent without the room for fill between them, a portion of block columns at a
-/// time: a copy of the whole S would double its memory.
+/// Blocks are sent without the room for fill-in between them. A portion of block columns is sent at
+/// a time, because a copy of S would double its memory.
 
 #include <algorithm>
 #include <cmath>
@@ -51,7 +51,7 @@ void SumSystems(Communicator* communicator, const BlockStructure& structure,
       portion.insert(portion.end(), column, column + height);
     });
     if (portion.size() < kPortion && j + 1 < structure.num_blocks()) continue;
-    // Error terms have the order of the portion.
+    // Error terms are stored in the order of the portion.
     SumToFirst(communicator, &portion,
                sums->has_error_terms ? &sums->error_terms.values[assembler.error_terms_begin(first)]
                                      : nullptr);

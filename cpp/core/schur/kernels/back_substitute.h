@@ -2,21 +2,22 @@
 
 /// Back-substitution, and the evaluation of a step. Included by kernels.cpp only.
 ///
-/// Given the step d of the cameras, u_i = A_i d (eliminate_point.h) needs no A_i but a directional
-/// derivative, and
+/// Given the step d of the cameras, u_i = A_i d (eliminate_point.h) is a directional derivative
+/// that needs no A_i, and
 ///
 ///   dX = -V'^-1 (g + sum of B_i^T u_i).
 ///
-/// Keeping V'^-1, g and B_i from the elimination would cost 64 bytes an observation, and more to
-/// write and read than the recomputation costs, which on the way also evaluates the candidate.
+/// Storing V'^-1, g and B_i from the elimination would cost 64 bytes per observation. Writing and
+/// reading them would take longer than computing them again, and this computation also evaluates
+/// the candidate.
 
 #include "core/schur/kernels/point_block.h"
 #include "core/schur/kernels/strip.h"
 
 namespace bundle::BUNDLE_ISA {
 
-/// Records of a strip: [a_0 r_0 | a_1 r_1 | u_0 u_1 v_0 v_1] an observation, u = A d for one
-/// direction d of the cameras, v for another where there is one.
+/// Records of a strip: [a_0 r_0 | a_1 r_1 | u_0 u_1 v_0 v_1] per observation. u = A d for one
+/// direction d of the cameras, v for a second direction if there are two.
 inline constexpr int kStepRecord = 12;
 
 inline void LinearizeAlong(const EliminationInput& input, const StateRecords& x, const Strip& strip,
@@ -43,7 +44,8 @@ inline void LinearizeAlong(const EliminationInput& input, const StateRecords& x,
   ScatterRecords(last, out, 8);
 }
 
-/// dX = -V'^-1 (g + sum of B^T u), u being entries `entry` and `entry` + 1 of the point's records.
+/// dX = -V'^-1 (g + sum of B^T u); u is stored in entries `entry` and `entry` + 1 of the point's
+/// records.
 inline void BackSubstitute(const PointBlock& block, const double* records, int64_t count, int entry,
                            double* step) {
   Quad sum = {block.Gradient(0), block.Gradient(1), block.Gradient(2), 0};
@@ -63,7 +65,7 @@ inline double CandidateCost(const EliminationInput& input, const StateRecords& x
   return 0.5 * cost;
 }
 
-/// p^T J^T J q and p^T J^T r, of the factors of a point.
+/// p^T J^T J q and p^T J^T r of the factors of a point.
 inline double PriorProduct(const double* prior, const double* p, const double* q) {
   return p[0] * Dot3(prior, q) + p[1] * Dot3(prior + 4, q) + p[2] * Dot3(prior + 8, q);
 }
@@ -173,7 +175,7 @@ inline double Cost(const EliminationInput& input, const StateRecords& x, const C
   return cost;
 }
 
-/// d^T J^T r at x, for a step of the cameras and one of the points, 3 each.
+/// d^T J^T r at x, for a step of the cameras and a step of the points (3 numbers each).
 inline double Slope(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
                     const StepRecords& step, const double* points_step, double* memory) {
   const int64_t* const begin = input.plan->first.data();

@@ -9,26 +9,27 @@
 ///   S_ij += A_i^T (delta_ij I - B_i V'^-1 B_j^T) A_j = A_i^T (delta_ij I - Y_i Y_j^T) A_j,
 ///   b_i  -= A_i^T (r_i - B_i V'^-1 g)                = A_i^T (r_i - Y_i h).
 ///
-/// Ceres' eliminator forms W_i = A_i^T B_i (d x 3) and the products W_i V'^-1 W_j^T, of rank 3. The
-/// 2x2 matrix in the middle makes them products of rank 2, unites A_i^T A_i with the diagonal ones,
-/// and subtracts pixels from pixels before anything grows: for d = 9
+/// Ceres' eliminator forms W_i = A_i^T B_i (d x 3) and the products W_i V'^-1 W_j^T, of rank 3.
+/// With the 2x2 matrix in the middle, the products have rank 2 and the diagonal ones include A_i^T
+/// A_i. Also, the subtraction is between numbers of the size of pixels, before they are multiplied.
+/// For d = 9
 ///
 ///   an observation    its projection and derivatives, about 400 flops, kLanes at a time;
 ///                     S_ii: 45 x 4 flops,
 ///   a pair            Y_i Y_j^T: 20, times A_i: 54, S_ij: 81 x 4 flops.
 ///
-/// The records of a strip, 2 d + 8 doubles an observation, live in the first-level cache.
+/// The records of a strip, 2 d + 8 doubles per observation, stay in the first-level cache.
 
 #include "core/schur/kernels/point_block.h"
 
 namespace bundle::BUNDLE_ISA {
 
 inline constexpr int kMaxColumns = (kPoseSize + kMaxCameraParams + 3) / 4 * 4;
-/// Doubles of a record ahead of the two rows of the camera parameters: (a, r) of each row.
+/// Number of doubles in a record before the two rows of the camera parameters: (a, r) of each row.
 inline constexpr int kRecordHead = 8;
 
-/// Records of a strip: [a_0 r_0 | a_1 r_1 | row 0 | row 1] an observation, the rows as wide as
-/// those of the image's group, each record as long as the widest.
+/// Records of a strip: [a_0 r_0 | a_1 r_1 | row 0 | row 1] per observation. The rows are as wide as
+/// those of the image's group. All records have the length of the widest.
 class StripRecords {
  public:
   StripRecords(const EliminationInput& input, double* memory)
@@ -43,7 +44,7 @@ class StripRecords {
   double* data_;
 };
 
-/// Each head (a, r) of a point's records becomes (y, r).
+/// Replaces the head (a, r) of each record of a point by (y, r).
 inline void WhitenRows(const StripRecords& records, int64_t slot, int count,
                        const PointBlock* block) {
   for (int i = 0; i < count; ++i) {
@@ -57,7 +58,7 @@ inline void WhitenRows(const StripRecords& records, int64_t slot, int count,
   }
 }
 
-/// Number of refined images among a point's observations [begin, end), which come first.
+/// Number of refined images among a point's observations [begin, end); these come first.
 inline int CountRefined(const EliminationInput& input, int64_t begin, int64_t end) {
   while (end > begin && input.image_refined[input.plan->image.data()[end - 1]] == 0) --end;
   return static_cast<int>(end - begin);
@@ -76,13 +77,13 @@ void SubtractRowsOf(const double* t_0, const double* t_1, int num_rows, const do
   }
 }
 
-/// Indexed by the quads of the rows less one.
+/// Functions by the number of quads of the rows minus one.
 inline constexpr SubtractRows kSubtractRows[] = {&SubtractRowsOf<1>, &SubtractRowsOf<2>,
                                                  &SubtractRowsOf<3>, &SubtractRowsOf<4>,
                                                  &SubtractRowsOf<5>, &SubtractRowsOf<6>};
 
-/// Adds the contributions of points, once their blocks are factorised. `kQuads`: of every image's
-/// rows; where widths are mixed, of the first image's of each block.
+/// Adds the contributions of points whose blocks are factorised. `kQuads`: quads in the rows of
+/// every image; with mixed widths, of the first image of each block.
 template <int kQuads, bool kMixed = false>
 class Elimination {
  public:
@@ -93,9 +94,9 @@ class Elimination {
         num_columns_(kMixed ? input.num_columns : kColumns),
         block_size_(static_cast<int64_t>(input.num_rows) * num_columns_) {}
 
-  /// The point's observations are [begin, end) of the plan and have records from `slot` on; rows
-  /// [first_row, last_row) of its refined ones are wanted, all if last_row is 0. `block` is nullptr
-  /// for a fixed point. Returns where the pairs of the next point begin.
+  /// The point's observations are [begin, end) of the plan and have records from `slot` on. Adds
+  /// rows [first_row, last_row) of its refined observations, all if last_row is 0. `block` is
+  /// nullptr for a constant point. Returns the begin of the next point's pairs.
   const uint16_t* Add(int64_t slot, int64_t begin, int64_t end, int first_row, int last_row,
                       const PointBlock* block, const uint16_t* pair_block) {
     WhitenRows(records_, slot, static_cast<int>(end - begin), block);
@@ -104,9 +105,9 @@ class Elimination {
                           pair_block);
   }
 
-  /// Adds rows [first_row, last_row) of a point whose records are white and whose first `refined`
-  /// observations are refined. `kPairsDiffer`: the width of the second image of a pair may be
-  /// another.
+  /// Adds rows [first_row, last_row) of a point whose records are whitened and whose first
+  /// `refined` observations are refined. `kPairsDiffer`: the second image of a pair may have
+  /// another width.
   template <bool kPairsDiffer>
   const uint16_t* AddRows(int64_t slot, int64_t begin, int refined, int first_row, int last_row,
                           const PointBlock* block, const uint16_t* pair_block) {
@@ -173,12 +174,12 @@ class Elimination {
     const bool same_image = image_[i] == image_[j];
     Subtract(rows, middle, other, num_rows, same_image, target);
     if (!same_image) return;
-    // An image that sees the point twice: its diagonal block has the pair in both orders.
+    // An image that sees the point twice: the pair is added to its diagonal block in both orders.
     const double transposed[4] = {middle[0], middle[2], middle[1], middle[3]};
     Subtract(other, transposed, rows, num_rows, true, target);
   }
 
-  /// The pair's second image has rows of another number of quads.
+  /// Adds a pair whose second image has rows with another number of quads.
   void AddPairOfWidths(int64_t slot, int i, int j, int num_rows, int quads, uint16_t block) {
     double middle[4], t[2 * kColumns];
     MiddleOf(slot, i, j, middle);
@@ -194,7 +195,7 @@ class Elimination {
     middle[2] = Dot3(y_1, z_0), middle[3] = Dot3(y_1, z_1);
   }
 
-  /// target -= left^T middle right, for the two rows of each.
+  /// target -= left^T middle right, where left and right have two rows each.
   void Subtract(const double* left, const double middle[4], const double* right, int num_rows,
                 bool upper, double* target) const {
     double t[2 * kColumns];
@@ -208,7 +209,7 @@ class Elimination {
   }
 
   const EliminationInput& input_;
-  // Copies, as every store to a block could change what a reference leads to.
+  // Copies, because a store to a block could change the target of a reference.
   const StripRecords records_;
   const ChunkSum sum_;
   const int num_columns_;  ///< columns of the widest record
@@ -216,7 +217,8 @@ class Elimination {
   const uint16_t* image_ = nullptr;
 };
 
-/// Variant for mixed widths. Few points have a rare width; all others use the code for one width.
+/// Variant for mixed widths. Few points have a rare width; all other points use the code for one
+/// width.
 class MixedElimination {
  public:
   MixedElimination(const EliminationInput& input, const StripRecords& records, ChunkSum* sum)
@@ -247,7 +249,7 @@ class MixedElimination {
   using AddFunction = const uint16_t* (MixedElimination::*)(int64_t, int64_t, int, int, int,
                                                             const PointBlock*, const uint16_t*);
 
-  /// Flattened, as compilers give up inlining by the number of widths.
+  /// Forced to flatten: with so many widths, compilers would stop inlining.
   template <int kQuads, bool kPairsDiffer>
   __attribute__((flatten)) const uint16_t* AddRows(int64_t slot, int64_t begin, int refined,
                                                    int first_row, int last_row,

@@ -9,9 +9,9 @@
 ///   strip.h             the walk through a chunk, and residuals several at a time
 ///   project_lanes.h     camera models and losses,   pack.h   registers
 ///
-/// Nothing of the size of the Jacobian is kept. Each observation is read once a pass: 20 bytes of
-/// image and measurement, 2 of its place in the chunk, 2 a pair; a point is 24 bytes of coordinates
-/// and 24 of scaling.
+/// No array of the size of the Jacobian is stored. A pass reads each observation once: 20 bytes of
+/// image and measurement, 2 bytes for its place in the chunk and 2 bytes per pair. A point takes 24
+/// bytes of coordinates and 24 bytes of scaling.
 
 #include "core/schur/kernels/back_substitute.h"
 #include "core/schur/kernels/eliminate_chunk.h"

@@ -22,7 +22,7 @@ struct ModelGroup {
   int num_quads = 1;  ///< quads in a row of its Jacobian records: num_columns, rounded up
 };
 
-/// Input of the passes that none of them changes.
+/// Input of the passes; no pass changes it.
 struct EliminationInput {
   const EliminationPlan* plan = nullptr;
   const ModelGroup* groups = nullptr;
@@ -31,22 +31,24 @@ struct EliminationInput {
   const uint8_t* image_columns = nullptr;  ///< per image: num_columns of its group
   const uint8_t* image_quads = nullptr;    ///< per image: num_quads of its group
   const uint8_t* image_refined = nullptr;
-  int num_rows = 0;     ///< the largest group's columns
+  int num_rows = 0;     ///< number of columns of the largest group
   int num_columns = 0;  ///< columns of the widest Jacobian record: num_rows in whole quads
-  bool mixed = false;   ///< the groups' widths differ: each block is as large as its images' groups
+  bool mixed =
+      false;  ///< the widths of groups differ: each block is as large as the groups of its images
   Cheirality cheirality = Cheirality::kAuto;
   LossType loss = LossType::kTrivial;
   double loss_scale = 1;
   const double* inverse_sigma = nullptr;  ///< per observation of the plan; nullptr: 1 each
   int64_t longest_track = 0;
-  /// Per point of the plan: its place in `prior_sums`, or -1. nullptr: no factor is of a point.
+  /// Per point of the plan: its place in `prior_sums`, or -1. nullptr: no factor depends on a
+  /// point.
   const int32_t* point_prior = nullptr;
-  /// Per place: contributions of factors to the point's block, 12 numbers: rows of J^T J, each
-  /// followed by its entry of J^T r, from the last linearisation.
+  /// Per place: contributions of factors to the point's block at the last linearisation. 12
+  /// numbers: rows of J^T J, each followed by its entry of J^T r.
   const double* prior_sums = nullptr;
 
-  /// Per image: 1 if the pose's rows of its ChunkSum::camera_diagonal are wanted. nullptr: all rows
-  /// of all images are wanted.
+  /// Per image: 1 if the pose's rows of its ChunkSum::camera_diagonal are needed. nullptr: all rows
+  /// of all images are needed.
   const uint8_t* image_is_mapped = nullptr;
 
   const double* PriorOf(int point) const {
@@ -55,44 +57,44 @@ struct EliminationInput {
   }
 };
 
-/// One state as the passes read it: a record an image (rotation 9, translation 3, left Jacobian 9,
-/// parameters from 24 on), and the points in the order of the plan.
+/// One state in the form that the passes read: a record per image (rotation 9, translation 3, left
+/// Jacobian 9, parameters from 24 on), and the points in the order of the plan.
 struct StateRecords {
   static constexpr int kTranslation = 9, kLeftJacobian = 12, kParams = 24;
-  /// Place in a record of the derivative of the translation by that of the chart (9 numbers); 0: it
-  /// is the identity. For an image of a rig, this and the left Jacobian are by the chart of its
-  /// frame.
+  /// Offset in a record of the derivative of the translation by the translation of the chart (9
+  /// numbers); 0: it is the identity. For an image of a rig, this derivative and the left Jacobian
+  /// refer to the chart of its frame.
   int translation_jacobian = 0;
   const double* images = nullptr;
   int stride = 0;  ///< stride of `images`; a multiple of 4
   const double* points = nullptr;
   const StateRecords* before = nullptr;  ///< for a candidate: the state that the step starts from
-  /// Observations that hold a residual at this state, of a candidate at the state before;
-  /// ascending.
+  /// Observations that hold a residual at this state, ascending. For a candidate: at the state
+  /// before.
   const HeldResidual* held = nullptr;
   int64_t num_held = 0;
   HeldSink sink;  ///< for observations that hold a residual at a candidate, or at the start
 };
 
-/// Contribution of a chunk to the normal equations, by its images and blocks.
+/// Contribution of a chunk to the normal equations, by the chunk's images and blocks.
 struct ChunkSum {
-  /// num_blocks x num_rows x num_columns, rows of the first image. Where widths are mixed, block b
-  /// begins at block_begin[b] and is as large as its images: rows of the group of the first, width
-  /// of that of the second.
+  /// num_blocks x num_rows x num_columns; the rows are those of the first image. With mixed widths,
+  /// block b begins at block_begin[b]. It has the rows of the group of its first image and the
+  /// width of the group of its second image.
   double* blocks = nullptr;
   const int64_t* block_begin = nullptr;
   static constexpr int kVectors = 3;
-  /// Room for num_images x kVectors x num_columns: J_c^T r, reduced right side, ||J e_j||^2, each
-  /// as wide as the image's group. So are the rows of camera_diagonal.
+  /// Buffer of num_images x kVectors x num_columns: J_c^T r, reduced right-hand side, ||J e_j||^2,
+  /// each as wide as the image's group. The rows of camera_diagonal have this width, too.
   double* vectors = nullptr;
-  double* camera_diagonal = nullptr;  ///< num_images x num_rows x num_columns; nullptr: not wanted
+  double* camera_diagonal = nullptr;  ///< num_images x num_rows x num_columns; nullptr: not needed
   double cost = 0;
   double gradient_squared = 0;  ///< squared norm over the points
   double gradient_max = 0;      ///< maximum norm over the points
 };
 
-/// A step of the camera parameters, as the passes read it, a record per image: J_l dw (3), dt (3)
-/// of cam_from_world, 2 unused, dparams from 8 on.
+/// A step of the camera parameters in the form that the passes read. A record per image: J_l dw
+/// (3), dt (3) of cam_from_world, 2 unused, dparams from 8 on.
 struct StepRecords {
   static constexpr int kTranslation = 3, kParams = 8;
   const double* images = nullptr;
@@ -106,30 +108,31 @@ struct CandidateSum {
   double state_squared = 0;  ///< squared norm over the candidate's points
 };
 
-/// The products of the two directions over the points and all residuals.
+/// Products of the two directions, over the points and over all residuals.
 struct ProductSum {
   double d_pp = 0, d_pq = 0, d_qq = 0, j_pp = 0, j_pq = 0, j_qq = 0;
 };
 
-/// Numbers of the seven similarities of the world and padding (model/gauge.h).
+/// The seven similarities of the world, and padding (model/gauge.h).
 inline constexpr int kMoves = 8;
 
-/// Derivatives of images and points by the similarities about a centre, with translations as long
-/// as the scene: N of covariance/gauge_sums.h.
+/// Derivatives of images and points by the similarities about a centre: N of
+/// covariance/gauge_sums.h. Translations are in units of the size of the scene.
 struct WorldMoves {
-  /// N by the columns of a record, num_columns x kMoves an image; nullptr: none is wanted.
+  /// N by the columns of a record, num_columns x kMoves per image; nullptr: not needed.
   const double* images = nullptr;
-  /// Per image: 1 if all of it moves along, so that none of its observations of free points
+  /// Per image: 1 if all of it moves along with the world, so that no observation of a free point
   /// changes.
   const uint8_t* moves_along = nullptr;
   double center[3] = {};
   double size = 1;
-  /// T: the combinations N T that inner constraints take out of points, 7 x kMoves; nullptr: none.
+  /// T: the combinations N T that inner constraints remove from points, 7 x kMoves; nullptr: no
+  /// constraints.
   const double* combinations = nullptr;
 };
 
-/// Pivots of a point's V above this share of their diagonal entries, and entries above this share
-/// of the largest, are clearly regular: far above what makes a null direction.
+/// Least share of a pivot of a point's V in its diagonal entry, and of an entry in the largest one,
+/// for a clearly regular V. It is far above the share of a null direction.
 inline constexpr double kClearPivot = 1e-6;
 
 /// Sums over the free points of chunks whose V is clearly regular.
@@ -137,27 +140,27 @@ struct PointSurvey {
   double squares = 0;   ///< sum of squared residuals
   double decrease = 0;  ///< sum 1/2 g^T V^-1 g
   int64_t num_observations = 0;
-  /// If similarities are wanted: squares of the parts of the rows of J N, by images and by points;
-  /// sum N_p^T V^-1 N_p and sum N_p^T N_p, both 7 x kMoves; J_c^T J_p V^-1 N_p of each image, as
-  /// WorldMoves::images.
+  /// If similarities are needed: squares of the two parts of the rows of J N, by images and by
+  /// points; sum N_p^T V^-1 N_p and sum N_p^T N_p, both 7 x kMoves; J_c^T J_p V^-1 N_p of each
+  /// image, laid out as WorldMoves::images.
   double parts[kMoves] = {};
   double weighted[7 * kMoves] = {};
   double own[7 * kMoves] = {};
   double* eliminated = nullptr;
-  /// Called for the rows of observations of images that do not move along, and for points of the
+  /// Callbacks for the rows of observations of images that do not move along, and for points of the
   /// plan that are not clearly regular or are spread over several chunks.
   void* list = nullptr;
   void (*add_row)(void* list, const double* by_images, const double* by_point) = nullptr;
   void (*add_unclear)(void* list, int point) = nullptr;
 };
 
-/// Each pass but `cost` works in `memory`, which holds as many doubles as `memory_doubles` says.
+/// Each pass except `cost` works in `memory`, a buffer of `memory_doubles` doubles.
 struct Kernels {
   const char* name;
 
   int64_t (*memory_doubles)(const EliminationInput& input);
 
-  /// Linearises and eliminates. `squared_scale` (3 a point) is filled if `first`, else read.
+  /// Linearises and eliminates. `squared_scale` (3 per point) is written if `first`, else read.
   void (*eliminate)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
                     double damping, bool first, double* squared_scale, double* memory,
                     ChunkSum* sum);
@@ -169,8 +172,8 @@ struct Kernels {
                                const StepRecords& step, const StateRecords& candidate,
                                double* candidate_points, double* memory, CandidateSum* sum);
 
-  /// Both directions of the points (3 a point each), out of those of the cameras, and products.
-  /// `d_squared`: D^2 of the free points' columns; nullptr: not wanted.
+  /// Computes both directions of the points (3 numbers per point each) from those of the cameras,
+  /// and products. `d_squared`: D^2 of the free points' columns; nullptr: not needed.
   void (*products)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
                    double damping, const double* squared_scale, const StepRecords& p,
                    const StepRecords& q, double* points_p, double* points_q, double* d_squared,
@@ -179,17 +182,18 @@ struct Kernels {
   /// The cost of the chunk at a state.
   double (*cost)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk);
 
-  /// d^T J^T r over the chunk at a state, for a step d of the cameras and the points (3 each).
+  /// d^T J^T r over the chunk at a state, for a step d of the cameras and of the points (3 numbers
+  /// each).
   double (*slope)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
                   const StepRecords& step, const double* points_step, double* memory);
 
-  /// Adds to the sums, and lists (survey_points.h).
+  /// Adds to the sums and to the lists (survey_points.h).
   void (*survey_points)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
                         const WorldMoves& moves, double* memory, PointSurvey* survey);
 
-  /// Covariances of a chunk's free points (point_covariances.h), 3 x 3 each, by the blocks of the
-  /// camera parameters' covariance, laid out as ChunkSum::blocks, whole. None of points that are
-  /// spread over several chunks.
+  /// Covariances of a chunk's free points (point_covariances.h), 3 x 3 each, from the blocks of the
+  /// camera parameters' covariance. These are laid out as ChunkSum::blocks, diagonal blocks with
+  /// both triangles. Leaves out points that are spread over several chunks.
   void (*point_covariances)(const EliminationInput& input, const StateRecords& x,
                             const Chunk& chunk, const WorldMoves& moves, const double* blocks,
                             const int64_t* block_begin, double* memory, double* covariances);

@@ -3,10 +3,10 @@
 /// Several numbers in one register, and the 4 x 4 transpositions that bring records of numbers into
 /// that form and back.
 ///
-/// Included by kernels.cpp only, once for each instruction set and each time in a namespace of
-/// its own, BUNDLE_ISA: two copies of an inline function compiled for different instruction sets
-/// must never share a name, since the linker keeps but one of them. For the same reason nothing
-/// here or in whatever else these kernels call is an inline function of the standard library.
+/// Included by kernels.cpp only, once for each instruction set and each time in a separate
+/// namespace, BUNDLE_ISA. Two copies of an inline function compiled for different instruction sets
+/// must never share a name, because the linker keeps only one of them. For the same reason, no code
+/// here, and no code that these kernels call, uses an inline function of the standard library.
 
 #include <cstdint>
 
@@ -45,7 +45,7 @@ struct Pack {
   friend Pack operator/(const Pack& a, const Pack& b) { return Pack(a.v / b.v); }
 };
 
-/// A yes or no of each lane.
+/// A boolean for each lane.
 struct Mask {
   Pack::Bits bits;
 
@@ -73,7 +73,7 @@ inline Pack Sqrt(const Pack& x) {
 
 inline Pack Max(const Pack& a, const Pack& b) { return Select(a >= b, a, b); }
 
-// Clang has but the one, GCC before version 12 but the other; the entries are counted through both.
+// Clang has only the first, GCC before version 12 only the second; both give the number of entries.
 #ifdef __has_builtin
 #if __has_builtin(__builtin_shufflevector)
 #define BUNDLE_SHUFFLE(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)

@@ -3,8 +3,8 @@
 /// The 3x3 block of a point, factorised for several points at once. Included by kernels.cpp only.
 ///
 /// With V = sum of J_p^T J_p over the point's observations, g = sum of J_p^T r and the damping
-/// (least_squares.h) V' = V + damping D^2 = L L^T. What the passes need is L^-1, lower triangular,
-/// its columns c0, c1, c2, and h = L^-1 g: then
+/// (least_squares.h), V' = V + damping D^2 = L L^T. The passes need the lower triangular L^-1 with
+/// its columns c0, c1, c2, and h = L^-1 g. Then
 ///
 ///   V'^-1 = L^-T L^-1,    y = L^-1 a for a row a^T of J_p,    V'^-1 g = L^-T h.
 
@@ -14,7 +14,7 @@
 
 namespace bundle::BUNDLE_ISA {
 
-/// Sums of one point, and the factor made from them.
+/// Sums of one point, and the factor computed from them.
 struct PointBlock {
   /// Rows i of V, then entry i of g.
   Quad sum[3];
@@ -45,7 +45,8 @@ inline void SolveTransposed(const PointBlock& block, const Quad& y, double* out)
   }
 }
 
-/// Computes the factors from the sums of `count` points. With `first` their squared_scale as well.
+/// Computes the factors from the sums of `count` points. If `first`, also computes their
+/// squared_scale.
 inline void Factorize(PointBlock* blocks, int count, double damping, bool first) {
   for (int begin = 0; begin < count; begin += kLanes) {
     double* records[kLanes];
@@ -90,9 +91,9 @@ inline void Factorize(PointBlock* blocks, int count, double damping, bool first)
   }
 }
 
-/// Sums up the blocks of a strip's points, from what factors say of them on, and factorises them.
-/// `rows` points at (a_0, r_0, a_1, r_1) of the strip's first observation; the next one's are
-/// `stride` doubles on.
+/// Sums up the blocks of a strip's points, starting from the contributions of factors, and
+/// factorises them. `rows` points at (a_0, r_0, a_1, r_1) of the strip's first observation.
+/// Consecutive observations are `stride` doubles apart.
 inline void FormPointBlocks(const EliminationInput& input, const Strip& strip, const double* rows,
                             int stride, double damping, bool first, const double* squared_scale,
                             PointBlock* blocks) {
@@ -116,10 +117,10 @@ inline void FormPointBlocks(const EliminationInput& input, const Strip& strip, c
 
 /// Sums of products of two rows, the arithmetic of the elimination. Included by kernels.cpp only.
 ///
-/// Everything comes in two rows, those of x and of y of an observation, each padded with zeros to
-/// whole quads, of which there are kQuads.
+/// Each operand has two rows, those of x and of y of an observation. Each row is padded with zeros
+/// to kQuads quads.
 
-/// The two rows of a record in registers, to be multiplied from the left.
+/// The two rows of a record in registers, as right factors of products.
 template <int kQuads>
 struct RightFactor {
   Quad row_0[kQuads], row_1[kQuads];
@@ -148,7 +149,7 @@ struct RightFactor {
     }
   }
 
-  /// Same from the diagonal on, rounded down to whole quads.
+  /// Same as above, from the diagonal on, rounded down to whole quads.
   template <int kFirst = 0>
   void SubtractUpper(const double* t, int num_rows, double* block) const {
     if constexpr (kFirst < kQuads) {

@@ -7,9 +7,9 @@
 ///
 ///   V^-1 + V^-1 (sum_ij W_i^T C_ij W_j) V^-1 = L^-T (I + sum_ij Z_i^T C_ij Z_j) L^-1.
 ///
-/// C_ij are the blocks of image pairs that the elimination sums up for the chunk, by the same
-/// numbers. For each j, the rows Z_i^T C_ij are summed over i <= j, the diagonal block by half,
-/// then multiplied by Z_j; the sum and its transpose are the whole.
+/// C_ij are the blocks of image pairs that the elimination sums up for the chunk, with the same
+/// block numbers. For each j, the rows Z_i^T C_ij are summed over i <= j, with half of the diagonal
+/// block, and multiplied by Z_j. This sum plus its transpose is the sum over all ij.
 
 #include <type_traits>
 
@@ -20,7 +20,7 @@
 
 namespace bundle::BUNDLE_ISA {
 
-/// Widest vector type into which a row of kQuads quads divides.
+/// Widest vector type that divides a row of kQuads quads.
 template <int kQuads>
 struct WideRow {
   static constexpr bool kIsWide = kLanes == 8 && kQuads % 2 == 0;
@@ -81,12 +81,12 @@ struct ThreeRows {
 struct PointPairs {
   const EliminationInput& input;
   const double* blocks;        ///< blocks of the chunk, as in Kernels::point_covariances
-  const int64_t* block_begin;  ///< where widths are mixed
+  const int64_t* block_begin;  ///< used with mixed widths
   const int32_t* image;
   const uint16_t* image_in_chunk;
   const uint16_t* pair_block;  ///< block of the point's first pair
   int refined;
-  const double* z;  ///< three rows an observation, of input.num_columns doubles
+  const double* z;  ///< three rows per observation, each of input.num_columns doubles
 
   const double* Block(int64_t b) const {
     return blocks + (input.mixed ? block_begin[b]
@@ -95,7 +95,7 @@ struct PointPairs {
   int NumRows(int i) const { return input.mixed ? input.image_columns[image[i]] : input.num_rows; }
   const double* Z(int i) const { return z + 3 * static_cast<int64_t>(i) * input.num_columns; }
 
-  /// Adds sum_i<=j Z_i^T C_ij Z_j, the last of them by half.
+  /// Adds sum_i<=j Z_i^T C_ij Z_j, with half of the term i = j.
   template <int kQuads>
   void AddColumn(int j, Quad (*sum)[3]) const {
     const int stride = input.num_columns;
@@ -142,7 +142,7 @@ inline void Unwhiten(const PointBlock& block, const double (*x)[3], double* out)
   }
 }
 
-/// Takes N_p N_p^T V^-1 and its transpose off (covariance/free_gauge.h).
+/// Subtracts N_p N_p^T V^-1 and its transpose (covariance/free_gauge.h).
 inline void TakeMovesOut(const WorldMoves& moves, const double* point, const double* inverse,
                          double* covariance) {
   MoveRow n[3], free[3];

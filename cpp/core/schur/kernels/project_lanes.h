@@ -26,7 +26,7 @@ struct LossLanes {
 
 inline LossLanes EvaluateLoss(LossType type, double scale, const Pack& s) {
   const Pack b = scale * scale;
-  constexpr double kTiny = 2.2250738585072014e-308;  // as in Ceres: rho' never quite vanishes
+  constexpr double kTiny = 2.2250738585072014e-308;  // as in Ceres: rho' never becomes zero
   switch (type) {
     case LossType::kTrivial:
       break;
@@ -63,12 +63,12 @@ inline LossLanes EvaluateLoss(LossType type, double scale, const Pack& s) {
 /// Camera models, several observations at once. Included by kernels.cpp only.
 ///
 /// A perspective lens with a polynomial distortion has the same few operations for every point and
-/// goes through registers, by the formulae of its header. Other models branch by point or call the
-/// mathematical library: they are taken lane by lane through their CameraModel.
+/// is computed in registers, by the formulae of its header. Other models branch by point or call
+/// the mathematical library, and are computed lane by lane through their CameraModel.
 
-/// Residual (2) and, unless nullptr, its derivatives by the point in the camera (2x3) and the
-/// parameters (2 x number of them), of lanes [0, num_lanes); others may be skipped, but are
-/// numbers. Says which lanes count; outputs of the others are zero.
+/// Computes the residuals (2) of lanes [0, num_lanes), and unless nullptr their derivatives by the
+/// point in the camera (2x3) and by the parameters (2 x their number). Later lanes may be skipped,
+/// but hold numbers. Returns the lanes that count; outputs of all others are zero.
 using ProjectLanes = void (*)(const CameraModel& model, const Pack* params, const Pack* point,
                               const Pack* measurement, Cheirality cheirality, Pack* residual,
                               Pack* d_point, Pack* d_params, Mask* counts, int num_lanes);
@@ -174,7 +174,7 @@ struct ProjectTable<std::tuple<Models...>> {
   static constexpr ProjectLanes kOf[] = {ChooseProjectLanes<Models>()...};
 };
 
-/// One per model in CameraModels.
+/// One function per model in CameraModels.
 inline constexpr const ProjectLanes* kProjectLanes = ProjectTable<CameraModels>::kOf;
 
 }  // namespace bundle::BUNDLE_ISA

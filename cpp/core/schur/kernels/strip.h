@@ -2,9 +2,10 @@
 
 /// A strip: as many consecutive points as fit the first-level cache. Included by kernels.cpp only.
 ///
-/// The passes go through a chunk strip by strip. Within one, work that is the same for every
-/// observation runs kLanes observations at a time, all of one camera model, each lane reading the
-/// records of its image, point and measurement; work within a point then reads what that left, a
+/// The passes process a chunk strip by strip. Work that is the same for every observation processes
+/// kLanes observations at a time, all of one camera model. Each lane reads the records of its
+/// image, point and measurement, and writes a record per observation. Work within a point then
+/// reads these records in order.
 /// record an observation, in order.
 
 #include "core/factors/reprojection.h"
@@ -14,9 +15,9 @@
 namespace bundle::BUNDLE_ISA {
 
 inline constexpr int kStripPoints = 32;
-inline constexpr int kStripObservations = 64;  // reached by its last point
-/// Variant for mixed widths. The last lanes of each group in a strip are not full; most records are
-/// narrow and leave room.
+inline constexpr int kStripObservations = 64;  // or more, up to the end of its last point
+/// Variant for mixed widths. The last lanes of each group in a strip are not full. Most records are
+/// narrow and leave room for these lanes.
 inline constexpr int kMixedStripObservations = 128;
 
 /// Points [first, last) of the plan with observations [begin, end).
@@ -36,7 +37,7 @@ struct Strip {
   int num_points() const { return last - first; }
 };
 
-/// Some observations of one group, one per lane; lanes from `count` on repeat the last.
+/// Some observations of one group, one per lane. Lanes from `count` on repeat the last observation.
 struct Lanes {
   const ModelGroup* group;
   int64_t observation[kLanes];
@@ -70,7 +71,7 @@ inline void VisitLanes(const EliminationInput& input, const Strip& strip, const 
     for (int p = strip.first; p < strip.last; ++p) {
       for (int64_t i = first[p]; i < first[p + 1]; ++i) {
         lanes.Add(i, p);
-        // Groups alternate as they like: taking back is faster than a branch.
+        // Groups alternate irregularly: undoing an addition is faster than a branch.
         if (input.num_groups > 1) lanes.count -= input.image_group[image[i]] != g ? 1 : 0;
         if (lanes.count < kLanes) continue;
         visit(lanes);
@@ -85,17 +86,17 @@ inline void VisitLanes(const EliminationInput& input, const Strip& strip, const 
   }
 }
 
-/// State as the lanes read it.
+/// State in the form that the lanes read.
 struct LaneState {
   Pack pose[24];  ///< rotation, translation, left Jacobian and padding, as in StateRecords
   Pack params[kMaxCameraParams];
-  Pack translation_jacobian[12];  ///< and padding; where there is one
+  Pack translation_jacobian[12];  ///< and padding; only if StateRecords has it
   bool has_translation_jacobian;
   Pack point[3];
   Pack rotated[3];       ///< R X
   Pack camera_point[3];  ///< R X + t
 
-  /// Without the Jacobians of the chart unless `for_derivatives`.
+  /// Leaves out the Jacobians of the chart unless `for_derivatives`.
   LaneState(const EliminationInput& input, const StateRecords& x, const Lanes& lanes,
             bool for_derivatives)
       : has_translation_jacobian(for_derivatives && x.translation_jacobian > 0) {
@@ -137,15 +138,16 @@ inline bool FindHeld(const StateRecords& x, int64_t observation, HeldResidual* h
   return true;
 }
 
-/// Residuals of observations in lanes, divided by their sigmas, and how they change, corrected for
-/// the loss.
+/// Residuals of observations in lanes, divided by their sigmas, and their derivatives, both
+/// corrected for the loss.
 struct LaneResiduals {
   Pack r[2];
   Pack rho;
   Pack d_camera_point[2 * 3];
   Pack d_params[2 * kMaxCameraParams];
 
-  /// Inlined, as Hold's use of it would keep compilers from it, which took 3 % of a step.
+  /// Forced inline: compilers would not inline it because Hold uses it too, which took 3 % of a
+  /// step.
   __attribute__((always_inline)) LaneResiduals(const EliminationInput& input, const StateRecords& x,
                                                const LaneState& state, const Lanes& lanes,
                                                bool derive) {
@@ -169,7 +171,7 @@ struct LaneResiduals {
     for (int i = 0; i < 2 * lanes.group->num_params; ++i) d_params[i] *= loss.weight;
   }
 
-  /// Out of line, so that problems without sigmas keep the code that they had.
+  /// Not inlined, so that the code for problems without sigmas does not change.
   __attribute__((noinline)) void DivideBySigmas(const EliminationInput& input, const Lanes& lanes,
                                                 bool derive) {
     Pack weight;
@@ -182,8 +184,8 @@ struct LaneResiduals {
     for (int i = 0; i < 2 * lanes.group->num_params; ++i) d_params[i] *= weight;
   }
 
-  /// Makes residuals and derivatives of lanes zero that hold a residual (factors/reprojection.h),
-  /// whose cost is no part of a pass. Out of line, as it is hardly ever called.
+  /// Sets residuals and derivatives to zero in lanes that hold a residual (factors/reprojection.h).
+  /// Their cost is not included in a pass. Not inlined, because calls are rare.
   __attribute__((noinline, cold)) void Hold(const EliminationInput& input, const StateRecords& x,
                                             const Lanes& lanes, const Mask& counts, bool derive) {
     const bool is_candidate = x.before != nullptr;

@@ -1,13 +1,13 @@
 #pragma once
 
-/// Survey of the points for covariances, before anything is solved: points that their observations
-/// determine clearly, sums of squares, and sums for the similarities of the world
+/// Pass over the points before the solution of a covariance. It finds the points that their
+/// observations determine clearly, sums of squares, and sums for the similarities of the world
 /// (covariance/gauge_sums.h). Included by kernels.cpp only.
 ///
-/// With V = L L^T and V^-1 N_p = L^-T (L^-1 N_p) of a point, an observation with rows A and B adds
-/// A^T (B V^-1 N_p) to what is eliminated of its image's N. Its row of J N is A N_i + B N_p. Where
-/// all of an image moves along, that is zero but for rounding, and A N_i = -B N_p: only the squares
-/// of these parts are wanted, by which zero is measured.
+/// For a point with V = L L^T and V^-1 N_p = L^-T (L^-1 N_p), an observation with rows A and B adds
+/// A^T (B V^-1 N_p) to the eliminated part of its image's N. Its row of J N is A N_i + B N_p. If
+/// all of an image moves along, this row is zero up to rounding, and A N_i = -B N_p. Then only the
+/// squares of these two parts are needed, as the scale of rounding errors.
 
 #include "core/schur/kernels/eliminate_chunk.h"
 #include "core/schur/kernels/point_block.h"
@@ -15,7 +15,7 @@
 
 namespace bundle::BUNDLE_ISA {
 
-/// A row of N, kMoves numbers.
+/// A row of N: kMoves numbers.
 struct MoveRow {
   Quad half[2];
 
@@ -54,7 +54,7 @@ inline void AddSquares(const MoveRow* rows, double* to) {
   }
 }
 
-/// True if V, of which `sum` has the rows, is clearly regular.
+/// True if V, whose rows are in `sum`, is clearly regular.
 inline bool IsClear(const Quad* sum) {
   const double a = sum[0][0], b = sum[1][1], c = sum[2][2];
   if (!(a > 0)) return false;
@@ -68,7 +68,7 @@ inline bool IsClear(const Quad* sum) {
   return smallest > kClearPivot * largest;
 }
 
-/// Contribution of a point and its observations, with records from `slot` on, to the sums for N.
+/// Adds a point and its observations, with records from `slot` on, to the sums for N.
 inline void SurveyMoves(const EliminationInput& input, const WorldMoves& moves,
                         const StripRecords& records, int64_t slot, int64_t begin, int64_t end,
                         const double* point, const PointBlock& block, PointSurvey* survey) {
