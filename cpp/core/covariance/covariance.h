@@ -3,24 +3,26 @@
 /// Marginal covariances of poses, intrinsics and points at a solution.
 ///
 /// With the normal equations of reduced_system.h, C = S^-1 is the covariance of the unknowns of the
-/// camera parameters, all others marginalised, and of a point
+/// camera parameters, with all other unknowns marginalised. The covariance of a point is
 ///
 ///   C_p = V^-1 + V^-1 W^T C W V^-1,
 ///
-/// which needs the blocks of C for pairs that share the point. These are blocks of S, hence among
-/// those that the selected inverse has (linear/selected_inverse.cpp): two or three factorisations
-/// for all of them. With the cameras held the covariance would be V^-1 alone, the conditional one.
+/// which needs the blocks of C for pairs of blocks that share the point. These are blocks of S, and
+/// therefore included in the selected inverse (linear/selected_inverse.cpp). All of them together
+/// take two or three factorisations. With constant cameras, the covariance would be only V^-1, the
+/// conditional one.
 ///
-/// From unknowns u of its blocks to (w, t) and parameters of an image goes M (observation_rows.h):
-/// its joint covariance is M C_uu M^T, also for rigs and ties. At the problem's own values, w is
-/// the left perturbation in radians, R to Exp(w) R. Constant parameters have covariance zero.
+/// The map M (observation_rows.h) transforms unknowns u of an image's blocks to its (w, t) and
+/// parameters. Their joint covariance is M C_uu M^T, also for rigs and ties. At the problem's own
+/// values, w is the left perturbation in radians, R to Exp(w) R. Constant parameters have
+/// covariance zero.
 ///
 /// A relative pose, T_ba = T_b T_a^-1, moves with the poses a and b, by the same perturbations, as
 ///
 ///   w_ba = w_b - R_ba w_a,      t_ba' = t_b' - R_ba t_a' + [R_ba t_a]x w_ba.
 ///
-/// All covariances are for residuals with a sigma of one pixel, or with their own sigmas. The
-/// output has sum r^T W r over all measurements, for those who want to scale them.
+/// All covariances assume residuals with a sigma of one pixel, or with their own sigmas. The output
+/// includes sum r^T W r over all measurements, for scaling them.
 
 #include <cstdint>
 #include <utility>
@@ -33,10 +35,10 @@
 namespace bundle {
 
 struct CovarianceOptions {
-  bool inner = true;      ///< inner constraints; else as SolveOptions::gauge says
+  bool inner = true;      ///< inner constraints; false: the gauge of SolveOptions::gauge
   bool sandwich = false;  ///< sandwich.h
   bool of_points = true;
-  std::vector<std::pair<int, int>> relative;  ///< images (a, b): of cam_b_from_cam_a
+  std::vector<std::pair<int, int>> relative;  ///< image pairs (a, b), for cam_b_from_cam_a
 };
 
 /// Row-major; `stride` is that of the problem's camera_params.
@@ -44,25 +46,26 @@ struct CovarianceOutput {
   std::vector<double> poses;     ///< num_images x 6 x 6
   std::vector<double> frames;    ///< num_frames x 6 x 6
   std::vector<double> sensors;   ///< num_sensors x 6 x 6
-  std::vector<double> cameras;   ///< num_cameras x stride x stride; NaN where a parameter is held
-  std::vector<double> points;    ///< num_points x 3 x 3; NaN where nothing says where it is
+  std::vector<double> cameras;   ///< num_cameras x stride x stride; NaN for constant parameters
+  std::vector<double> points;    ///< num_points x 3 x 3; NaN for undetermined points
   std::vector<double> relative;  ///< pairs x 6 x 6
   std::vector<int> null_points;  ///< points without parallax, ascending
   double weighted_squares =
-      0;                       ///< sum of squared residuals, divided by sigma, weighted by the loss
-  int64_t num_residuals = 0;   ///< counted ones, of observations and factors
-  int64_t num_parameters = 0;  ///< free ones that something determines, gauge not deducted
+      0;                      ///< sum of squared residuals, divided by sigma, weighted by the loss
+  int64_t num_residuals = 0;  ///< number of residuals that count, of observations and factors
+  int64_t num_parameters =
+      0;  ///< number of free, determined parameters; the gauge is not subtracted
   /// Decrease of the cost by one more step, as predicted by the model; 0 at a minimum.
   double predicted_decrease = 0;
-  int gauge_degrees = 0;  ///< parameters that only the inner constraints determine
+  int gauge_degrees = 0;  ///< number of parameters that only the inner constraints determine
   std::vector<Warning> warnings;
 };
 
-/// Evaluates everything at the problem's own values, which should be a minimum under these options.
-/// The problem is valid; camera models are known.
+/// Evaluates all outputs at the problem's own values, which should be a minimum under these
+/// options. The problem must be valid, with known camera models.
 ///
 /// Throws InputError as ReducedSystem does, and if the normal equations are singular beyond the
-/// gauge, or with a gauge that does not hold it.
+/// gauge, or if the selected gauge leaves motions free.
 CovarianceOutput ComputeCovariance(const AdjustmentProblem& problem, const SolveOptions& options,
                                    const CovarianceOptions& wanted);
 

@@ -3,7 +3,7 @@
 /// The factor of a covariance's S, the sandwich, and covariances of relative poses.
 ///
 /// Small systems are factorised in long doubles. The joint covariance of two images is in general
-/// no block of S^-1 that the factor gives, so that columns of S^-1 are solved for.
+/// not a block of the selected inverse, so that columns of S^-1 are solved for.
 
 #include <Eigen/Core>
 #include <cstddef>
@@ -19,8 +19,8 @@
 
 namespace bundle {
 
-/// S with the terms that hold its gauge, in long doubles: from rows, or as it was summed up, for a
-/// dense system that needs it; else empty.
+/// S with the terms that fix its gauge, in long doubles. It is computed from rows, or copied from
+/// the sums, if a dense system needs it; otherwise empty.
 LongMatrix CovarianceComputation::SumHeld(bool by_rows) const {
   if (by_rows) {
     LongMatrix held = SumSystemOfRows(system_);
@@ -55,7 +55,7 @@ void CovarianceComputation::Factorize(bool by_rows) {
       lower_ = std::move(*lower);
       const Eigen::MatrixXd rounded = lower_.cast<double>();
       system_.TakeFactor(rounded.data());
-    } else {  // a pivot of rounding, which is judged below
+    } else {  // a pivot at rounding level, which is judged below
       lower_ = Eigen::Map<const Eigen::MatrixXd>(system_.values().data(), n, n)
                    .triangularView<Eigen::Lower>()
                    .toDenseMatrix()
@@ -86,7 +86,7 @@ CovarianceComputation::Matrix CovarianceComputation::ColumnsOfImage(int image) {
   x.setZero();
   Check(system_.Solve(rhs.data(), 6, x.data()));
   if (wanted_.sandwich) {
-    FullVectors with_points;  // M H^-1, whose points follow from the cameras
+    FullVectors with_points;  // M H^-1, whose rows for points follow from the cameras
     with_points.num_columns = 6;
     with_points.cameras.assign(rhs.data(), rhs.data() + rhs.size());
     with_points.points.assign(18 * size_t(view().num_points), 0.0);
@@ -104,7 +104,7 @@ CovarianceComputation::Matrix CovarianceComputation::ColumnsOfImage(int image) {
   Matrix columns = x;
   const InnerConstraints* const inner = wanted_.sandwich ? nullptr : constraints_.get();
   if (inner != nullptr && n > 0) {
-    // The transformation of the columns' own unknowns, by the image's maps.
+    // Transforms the unknowns of these columns by the image's maps.
     const int d = inner->degrees();
     std::vector<double> na(size_t(n) * d), ya(na);
     inner->RowsOfUnknowns(0, n, na.data(), ya.data());

@@ -79,7 +79,7 @@ class CovarianceComputation {
   const ParameterLayout& layout() const { return system_.layout(); }
   const AdjustmentProblem& view() const { return centered_.view(); }
 
-  /// Three points that the gauge holds hold the shape of their triangle as well (gauge.cpp).
+  /// Three points that fix the gauge also fix the shape of their triangle (gauge.cpp).
   void WarnOfTriangle() {
     if (SelectFreeParameters(view(), options_).point == layout().free().point) return;
     Warn(WarningKind::kGaugeNotHeld,
@@ -107,7 +107,7 @@ class CovarianceComputation {
   }
 
   /// Throws if a factorisation failed. The unknowns of S are in the order of its elimination, so
-  /// that the failed minor gives the unknown.
+  /// that the failed minor identifies the unknown.
   void Check(const LinearSolution& solution) const {
     if (solution.status == LinearStatus::kSuccess) return;
     if (solution.failed_minor > 0) NotDetermined(solution.failed_minor - 1, "a pivot of 0 or less");
@@ -116,8 +116,9 @@ class CovarianceComputation {
     throw InputError("problem: expected normal equations of full rank but for the gauge: " + why);
   }
 
-  /// Holding a dense S along the gauge (FreeGauge::Hold) spreads an undetermined direction over all
-  /// unknowns. The unknown at which it shows then says nothing and is not named.
+  /// If a dense S is constrained along the gauge (FreeGauge::Hold), an undetermined direction
+  /// spreads over all unknowns. Then the unknown with the failed pivot is not meaningful and is not
+  /// named.
   [[noreturn]] void NotDetermined(int unknown, const std::string& found) const {
     std::string at;
     if (!system_.structure().dense || output_.gauge_degrees == 0) {
@@ -128,7 +129,7 @@ class CovarianceComputation {
         ": something is not determined by what is observed; bundle diagnose says what");
   }
 
-  /// The factorisation of S detects degrees of freedom that the gauges of a solve leave.
+  /// The factorisation of S detects degrees of freedom that the gauges of a solve leave free.
   void HoldGauge() {
     if (!wanted_.inner && options_.gauge != Gauge::kNone) return;
     gauge_ = std::make_unique<FreeGauge>(system_);
@@ -142,7 +143,7 @@ class CovarianceComputation {
     }
   }
 
-  /// Y, the covariance times the gauge's directions.
+  /// Y, the covariance times the gauge directions.
   void FindDirections() {
     if (output_.gauge_degrees == 0) return;
     Eigen::MatrixXd y(gauge_->reduced().rows(), gauge_->degrees());
@@ -150,8 +151,8 @@ class CovarianceComputation {
     constraints_ = std::make_unique<InnerConstraints>(*gauge_, std::move(y));
   }
 
-  /// Covariance of blocks (a, b) of the layout under the constraints; zero where it is not known.
-  /// Unknowns on a bound have no covariance.
+  /// Covariance of blocks (a, b) of the layout under the constraints; zero if the block is not
+  /// computed. Unknowns on a bound have no covariance.
   Matrix BlockOf(int a, int b) const {
     Matrix block = Matrix::Zero(layout().blocks()[a].size, layout().blocks()[b].size);
     if (!system_.HasBlock(a, b)) return block;
@@ -159,7 +160,7 @@ class CovarianceComputation {
     return block;
   }
 
-  /// M of one of an image's maps, all local columns x unknowns.
+  /// M of one of an image's maps, with all local columns as rows: local columns x unknowns.
   static Matrix WholeMap(const LocalMap& map) {
     Matrix whole = Matrix::Zero(kLocal, map.size);
     for (size_t i = 0; i < map.columns.size(); ++i) {
@@ -190,8 +191,8 @@ class CovarianceComputation {
     return joint;
   }
 
-  /// Transforms the covariance of a pose about the centre of the scene to the problem's origin: t =
-  /// t' - R c.
+  /// Transforms the covariance of a pose about the centre of the scene to that about the problem's
+  /// origin: t = t' - R c.
   Matrix6 MovedBack(int pose, const Matrix6& covariance) const {
     if (!centered_.is_moved()) return covariance;
     const PoseState& state = system_.states().pose(pose);
@@ -206,7 +207,7 @@ class CovarianceComputation {
     Eigen::Map<Matrix6>(to->data() + 36 * index) = 0.5 * (covariance + covariance.transpose());
   }
 
-  /// Poses of images, and cameras by the first image of each that is observed.
+  /// Computes poses of images, and cameras from the first observed image of each.
   void FindImages() {
     constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
     const int num_cameras = view().num_cameras, stride = view().camera_params_stride;
@@ -269,7 +270,7 @@ class CovarianceComputation {
   }
 
   /// Threshold for L_jj^2 / S_jj, and for S_jj^-1 over a variance. If S is singular, rounding
-  /// leaves a pivot below it, or variances above it. Regular blocks stay below 1e10.
+  /// leaves a pivot below it, or variances above it. The ratios of regular blocks stay below 1e10.
   static constexpr double kSingular = 1e-13;
   static constexpr int kLocal = kPoseSize + kMaxCameraParams;
 
@@ -296,11 +297,12 @@ class CovarianceComputation {
   ReducedSystem system_;
   const bool is_small_;
   std::unique_ptr<FreeGauge> gauge_;
-  std::unique_ptr<InnerConstraints> constraints_;  ///< where the gauge has degrees
-  std::unique_ptr<ScatterGauge> scatter_gauge_;    ///< likewise, of the sandwich of a large system
-  LongMatrix lower_;                               ///< L of S, of a small system
-  std::unique_ptr<LongScatter> long_scatter_;      ///< scatter of a small system
-  std::vector<double> scatter_;                    ///< D, and in the end D'; of the sandwich
+  std::unique_ptr<InnerConstraints> constraints_;  ///< used if the gauge has degrees of freedom
+  std::unique_ptr<ScatterGauge>
+      scatter_gauge_;  ///< also for this case, in the sandwich of a large system
+  LongMatrix lower_;   ///< L of S, of a small system
+  std::unique_ptr<LongScatter> long_scatter_;  ///< scatter of a small system
+  std::vector<double> scatter_;                ///< D, and finally D'; for the sandwich
   CovarianceOutput output_;
 };
 

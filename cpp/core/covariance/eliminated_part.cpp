@@ -22,7 +22,7 @@ constexpr double kWeakPivot = 1e-9;
 constexpr double kDamping = 1e-12;
 constexpr double kMaxDamping = 1e-6;
 constexpr int kMaxRepetitions = 20;
-/// Below so many unknowns a dense factorisation is the faster one.
+/// With fewer unknowns, a dense factorisation is faster.
 constexpr int kDenseBelow = 300;
 
 constexpr LinearStatus kSuccess = LinearStatus::kSuccess;

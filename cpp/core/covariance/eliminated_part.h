@@ -1,7 +1,7 @@
 #pragma once
 
-/// The part S_aa of a reduced camera system that is eliminated, factorised once; where it is
-/// singular, solved by a damped factor and refinement (rest_information.h).
+/// The eliminated part S_aa of a reduced camera system, factorised once. If it is singular, systems
+/// are solved by a damped factor and iterative refinement (rest_information.h).
 
 #include <memory>
 #include <string>
@@ -13,21 +13,22 @@
 
 namespace bundle {
 
-/// Throws InputError if so many numbers do not fit into the memory.
+/// Throws InputError if the memory cannot hold so many numbers.
 void RefuseBeyondMemory(double numbers, const std::string& what);
 
 class EliminatedPart {
  public:
-  /// Keeps references to `whole` and to `diagonal`, of its J^T J.
+  /// Keeps references to `whole` and to `diagonal`, the diagonal of J^T J.
   EliminatedPart(const ReducedSystem& whole, const std::vector<double>& diagonal);
 
-  /// Takes the unknowns with `is_kept` zero; `place` becomes the place of each in this part, or -1.
+  /// Uses the unknowns with `is_kept` zero. `place` becomes the index of each unknown in this part,
+  /// or -1.
   void Take(const std::vector<uint8_t>& is_kept, std::vector<int>* place);
 
   int size() const { return num_unknowns_; }
   bool is_regular() const { return is_regular_; }
 
-  /// Throws InputError if not even a damped matrix has a factor.
+  /// Throws InputError if even a damped matrix cannot be factorised.
   void Factorize();
 
   /// X = S_aa^- B, size() x num_columns.
@@ -38,7 +39,7 @@ class EliminatedPart {
   void Fill(const std::vector<double>& added, std::vector<double>* values) const;
   double SmallestPivot() const;
   void SolveOnce(const std::vector<double>& b, int num_columns, std::vector<double>* x);
-  /// rest = B - S_aa X; returns its largest norm of a column beside that of B, scaled.
+  /// Computes B - S_aa X. Returns the largest ratio of a column's norm to that of B, scaled.
   double Residual(const std::vector<double>& b, int num_columns, const std::vector<double>& x,
                   std::vector<double>* product, std::vector<double>* rest);
 
@@ -47,14 +48,14 @@ class EliminatedPart {
   const int threads_;
   int num_unknowns_ = 0;
   bool is_regular_ = true;
-  std::vector<int> place_;  ///< per unknown of the whole: its place in this part; -1: it is kept
-  std::vector<int> block_;  ///< per block of the whole: its place in structure_; -1: it is kept
+  std::vector<int> place_;  ///< per unknown of S: its index in this part; -1: it is kept
+  std::vector<int> block_;  ///< per block of S: its index in structure_; -1: it is kept
   std::vector<double> own_diagonal_;
   BlockStructure structure_;
   std::unique_ptr<LinearSolver> solver_;
   std::unique_ptr<SymmetricProduct> product_;
   BlockSystem system_;
-  std::vector<double> values_;  ///< S_aa, where the factor is another matrix's
+  std::vector<double> values_;  ///< S_aa, if the factor is that of a damped matrix
 };
 
 }  // namespace bundle

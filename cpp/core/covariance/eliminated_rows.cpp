@@ -12,7 +12,7 @@ namespace {
 
 using Eigen::MatrixXd;
 
-/// A curvature along the residual that is zero but for rounding.
+/// Limit below which a curvature along the residual is zero up to rounding.
 constexpr double kRounding = 1e-12;
 
 }  // namespace

@@ -1,14 +1,16 @@
 #pragma once
 
-/// A point eliminated from its rows, where the normal equations would lose digits.
+/// Elimination of a point from its rows, for systems in which the normal equations would lose
+/// digits.
 ///
-/// A sum J^T J in floating point is off by up to eps |J|^T |J|, and its inverse by eps times the
-/// square of J's condition. Of a point's rows (J_p J_c) let
+/// The error of a floating-point sum J^T J is up to eps |J|^T |J|; that of its inverse is eps times
+/// the square of J's condition. For a point's rows (J_p J_c), let
 ///
-///   J_p Z = Q [R; 0],      Z an orthonormal basis of what is known of the point (3 x rank),
+/// J_p Z = Q [R; 0],      Z an orthonormal basis of the determined directions of the point (3 x
+/// rank),
 ///
-/// by Householder's reflections. The last rows of Q^T J_c =: T are those of the camera parameters
-/// alone, and the first give the rest:
+/// by Householder reflections. The last rows of Q^T J_c =: T depend on the camera parameters alone.
+/// The first rows give the elimination:
 ///
 ///   S = sum_p T_p^T T_p,      V_p^-1 = Z R^-1 R^-T Z^T,      Y_p^T = Z R^-1 (Q^T J_c)_1,
 ///
@@ -25,18 +27,18 @@
 
 namespace bundle {
 
-/// I + gamma r r^T; false where an observation counts negatively along its residual.
+/// I + gamma r r^T; false if an observation has negative curvature along its residual.
 bool RootOfCurvature(const ObservationRows& rows, Eigen::Matrix2d* root);
-/// Root of the curvature; to first order the identity.
+/// Square root of the curvature; to first order the identity.
 Eigen::Matrix2d RootOrIdentity(const ObservationRows& rows, bool second_order);
 
-/// Rows of block b of an observation, 2 x its size.
+/// Rows of an observation by block b, 2 x its size.
 using TwoRows = Eigen::Matrix<double, 2, Eigen::Dynamic, Eigen::RowMajor>;
 Eigen::Map<const TwoRows> RowsByBlock(const ObservationRows& rows, int b);
 
-/// Rows of a point that was just assembled: left(observation) (k x 2) times the two of each, then
-/// `priors`, of its own factors, three columns each. Three columns of the point, then those of
-/// PointBlocks::blocks.
+/// Rows of the point assembled last: left(observation) (k x 2) times the two rows of each
+/// observation, then `priors`, the rows of its own factors, three columns each. The columns are
+/// three of the point, then those of PointBlocks::blocks.
 template <typename Left>
 Eigen::MatrixXd AllRows(const PointBlocks& blocks, const PointAssembler& assembler,
                         const std::vector<double>& priors, const Left& left) {

@@ -11,11 +11,11 @@ namespace bundle {
 namespace {
 
 /// Threshold for a singular value of J N relative to the parts of its rows. Rounding errors are
-/// 1e-16 times a factor of scenes far from their centre; a prior with a sigma of a hundred times
+/// 1e-16 times a factor for scenes far from their centre. A prior with a sigma of a hundred times
 /// the scene gives about 1e-8.
 constexpr double kNull = 1e-11;
 
-/// J N of the whole problem.
+/// Adds J N of the rows without free points, to complete that of the problem.
 GaugeTriangle SumUp(const ReducedSystem& system, const GaugeSums& sums) {
   GaugeTriangle total = sums.triangle();
   const SimilarityMoves& moves = sums.moves();
@@ -37,10 +37,11 @@ GaugeTriangle SumUp(const ReducedSystem& system, const GaugeSums& sums) {
   return total;
 }
 
-/// The combinations of the seven that nothing sees, 7 x degrees.
+/// The combinations of the seven similarities that change no residual, 7 x degrees.
 Eigen::MatrixXd FindFree(GaugeTriangle rows) {
   const SimilaritySquare triangle = rows.Triangle();
-  // A similarity that moves nothing that is seen is none: a scale without points, for instance.
+  // A similarity that moves no observed parameter is not counted: for instance, a scale without
+  // points.
   std::vector<int> kept;
   for (int m = 0; m < kSimilarities; ++m) {
     if (rows.parts()[m] > 0) kept.push_back(m);
@@ -63,7 +64,7 @@ Eigen::MatrixXd FindFree(GaugeTriangle rows) {
   return free;
 }
 
-/// `degrees` unknowns by which the directions differ most, in their own sigmas.
+/// Returns `degrees` unknowns in which the directions differ most, in units of their sigmas.
 std::vector<int> ChooseHeld(const Eigen::MatrixXd& n, const std::vector<double>& diagonal) {
   const auto size = static_cast<Eigen::Index>(diagonal.size());
   Eigen::MatrixXd rows = n;
@@ -79,7 +80,7 @@ std::vector<int> ChooseHeld(const Eigen::MatrixXd& n, const std::vector<double>&
   return held;
 }
 
-/// The sums for the gauge of a system that has none yet.
+/// Computes the sums for the gauge of a system without them.
 GaugeSums SumPoints(const ReducedSystem& system) {
   GaugeSums sums(system.problem(), system.layout(), system.states(), system.num_threads());
   system.ForPoints([&](int point, const PointBlocks& blocks, const PointAssembler& rows,
@@ -221,7 +222,8 @@ void TransformBlocks(const Eigen::MatrixXd& n, const Eigen::MatrixXd& y, const E
                      const BlockStructure& s, std::vector<double>* values) {
   using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   const Eigen::Index d = n.cols();
-  // The change is left right^T: [N | -Y] of the row's block times [N k - Y | N] of the column's.
+  // The change is left right^T: [N | -Y] of the row's block times [N k - Y | N] of the column's
+  // block.
   Eigen::MatrixXd left(n.rows(), 2 * d);
   left << n, -y;
   Rows right(n.rows(), 2 * d);

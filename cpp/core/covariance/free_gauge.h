@@ -1,25 +1,26 @@
 #pragma once
 
 /// Gauge: the similarities of the world that a problem leaves free, and the S-transformation, which
-/// makes a covariance independent of how they were held.
+/// makes a covariance independent of the gauge constraints.
 ///
 /// Let the columns of N be the derivatives of all free parameters by the similarities
 /// (gauge_sums.h). A combination N q is free if no residual changes: J N q = 0. J N is summed up
-/// row by row, before anything is eliminated. The singular values of its triangle are compared with
-/// the parts of the rows, by cameras and by points, so that cancellation is recognised as zero up
-/// to rounding. Fixed parts, rigs, priors and control points are so taken into account. Degrees of
-/// freedom of several pieces of a world, or of points without parallax, are not counted here.
+/// row by row, before the elimination. The singular values of its triangle are compared with the
+/// two parts of the rows, by cameras and by points. So a cancellation up to rounding is recognised
+/// as zero. This takes constant parameters, rigs, priors and control points into account. Degrees
+/// of freedom of several components of a world, or of points without parallax, are not counted
+/// here.
 ///
 /// H is then singular. The inner constraints (E. M. Mikhail, F. Ackermann; B. Triggs et al.: Bundle
-/// Adjustment - A Modern Synthesis, 2000, section 9) ask for its pseudo-inverse, the covariance of
-/// least trace. Let d unknowns be held, by a term B B^T in H, with B^T N regular. Then G = (H + B
-/// B^T)^-1 is a generalised inverse, H G H = H, and with N orthonormal,
+/// Adjustment - A Modern Synthesis, 2000, section 9) define the covariance of least trace, the
+/// pseudo-inverse of H. Constrain d unknowns by a term B B^T in H, with B^T N regular. Then G = (H
+/// + B B^T)^-1 is a generalised inverse, H G H = H. With N orthonormal,
 ///
 ///   H^+ = P G P,    P = I - N N^T        (W. Baarda's S-transformation),
 ///   (H^+)_ij = G_ij - N_i Y_j^T - Y_i N_j^T + N_i (N^T Y) N_j^T,    Y = G N,
 ///
-/// which needs blocks of G where blocks of H^+ are wanted, and one solve with d right-hand sides.
-/// With the points eliminated (reduced_system.h), C = G_cc, and over the points
+/// which needs the same blocks of G as of H^+, and one solve with d right-hand sides. With the
+/// points eliminated (reduced_system.h), C = G_cc. With the sums over the points
 ///
 ///   K = N_c - sum Y_p N_p,      A = sum N_p^T V_p^-1 N_p,
 ///
@@ -29,15 +30,15 @@
 ///
 ///   (H^+)_pp = V_p^-1 + Y_p^T C' Y_p - N_p N_p^T V_p^-1 - V_p^-1 N_p N_p^T.
 ///
-/// A point without parallax is anywhere on its ray, 1e7 scenes away perhaps, where a turn of the
-/// world moves it by as much: with it in the trace, the world would be held by the directions of
-/// such points alone. They are left out: with E the identity without their rows,
+/// A point without parallax may be anywhere on its ray, perhaps 1e7 scenes away. A rotation of the
+/// world moves it by as much. With such points in the trace, their directions alone would determine
+/// the gauge. They are left out: with E the identity without their rows,
 ///
 ///   P = I - N (E N)^T,    (E N)^T N = I,
 ///
-/// and all of the above holds for the other points with E N instead of N in sums: in N^T N, K, A
-/// and, for the sandwich, in the contributions of points. This is the covariance with the least
-/// trace over all but these points.
+/// and all of the above holds for the other points, with E N instead of N in sums: in N^T N, K, A
+/// and, for the sandwich, in the contributions of points. This covariance has the least trace over
+/// all parameters except these points.
 
 #include <Eigen/Core>
 #include <vector>
@@ -49,39 +50,40 @@ namespace bundle {
 
 class FreeGauge {
  public:
-  /// Finds the free similarities. The system is not factorised yet. Makes a pass over the points if
-  /// the system has no sums for the gauge.
+  /// Finds the free similarities. The system must not be factorised yet. Makes a pass over the
+  /// points if the system has no sums for the gauge.
   explicit FreeGauge(const ReducedSystem& system);
 
   /// Degrees of freedom d, at most seven.
   int degrees() const { return static_cast<int>(cameras_.cols()); }
-  /// Adds B B^T to S: of a sparse S at as many entries of the diagonal; of a dense one, where that
-  /// costs nothing, with B along N in units of the unknowns' sigmas, which rounds least.
+  /// Adds B B^T to S. If S is sparse, at d diagonal entries. If S is dense, where fill-in has no
+  /// cost, with B along N in units of the unknowns' sigmas, which gives the smallest rounding
+  /// errors.
   void Hold(ReducedSystem* system) const;
   /// B of a dense S, unknowns x d.
   Eigen::MatrixXd HeldDirections() const;
-  /// N_c, the rows of the unknowns of N, which is orthonormal as a whole: unknowns x d.
+  /// N_c, the rows of N for the unknowns, unknowns x d; all of N is orthonormal.
   const Eigen::MatrixXd& cameras() const { return cameras_; }
   /// K, unknowns x d.
   const Eigen::MatrixXd& reduced() const { return reduced_; }
   /// A, d x d.
   const Eigen::MatrixXd& of_points() const { return of_points_; }
   const SimilarityMoves& moves() const { return moves_; }
-  /// Combinations of the seven similarities that make N, 7 x kMoves, padded with zeros.
+  /// Combinations of the seven similarities that form N, 7 x kMoves, padded with zeros.
   const double* combinations() const { return padded_.data(); }
-  /// N_p of a point, 3 x d; of one without parallax zero, (E N)_p.
+  /// (E N)_p of a point, 3 x d; zero for a point without parallax.
   using PointRows = Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::ColMajor, 3, kSimilarities>;
   PointRows OfPoint(int point) const;
-  /// P x, of each column.
+  /// P x, for each column.
   void Project(FullVectors* x) const;
-  /// P^T x, of each column.
+  /// P^T x, for each column.
   void ProjectTransposed(FullVectors* x) const;
 
  private:
-  const NullPoint* FindNullPoint(int point) const;  ///< nullptr: it has parallax
-  /// N_p of a point, also along its undetermined directions: 3 x d.
+  const NullPoint* FindNullPoint(int point) const;  ///< nullptr: the point has parallax
+  /// N_p of a point, including its undetermined directions: 3 x d.
   PointRows OfAnyPoint(int point) const;
-  /// x - L R^T x, by the parts of L and R at points; those of cameras are N_c.
+  /// x - L R^T x. `L` and `R` give the rows of L and R for points; their rows for cameras are N_c.
   template <typename Left, typename Right>
   void Remove(const Left& left, const Right& right, FullVectors* x) const;
   void Take(const GaugeSums& sums);
@@ -104,12 +106,13 @@ class InnerConstraints {
   InnerConstraints(const FreeGauge& gauge, Eigen::MatrixXd y);
 
   int degrees() const { return gauge_.degrees(); }
-  /// Rows of N and Y: of unknowns [first, first + count), row-major (count x degrees).
+  /// Rows of N and Y for unknowns [first, first + count), row-major (count x degrees).
   void RowsOfUnknowns(int first, int count, double* n, double* y) const;
-  /// block (rows x columns, row-major) of G to that of H^+, by rows of N and Y, row-major.
+  /// Transforms a block (rows x columns, row-major) of G to that of H^+, using rows of N and Y,
+  /// row-major.
   void Transform(int rows, const double* n_rows, const double* y_rows, int columns,
                  const double* n_columns, const double* y_columns, double* block) const;
-  /// Turns all blocks of C into those of H^+.
+  /// Transforms all blocks of C to those of H^+.
   void TransformBlocks(const BlockStructure& structure, std::vector<double>* values) const {
     bundle::TransformBlocks(gauge_.cameras(), y_, k_, structure, values);
   }

@@ -55,7 +55,7 @@ SimilarityMoves::SimilarityMoves(const AdjustmentProblem& problem, const Paramet
     double rows[kPoseSize * kSimilarities] = {};
     if (pose < problem.num_images + problem.num_frames) {
       Eigen::Map<PoseRows>(rows, kPoseSize, kSimilarities) = OfPose(state);
-    } else {  // a sensor's place on its rig scales with the world
+    } else {  // the position of a sensor on its rig scales with the world
       for (int i = 0; i < 3; ++i) rows[(3 + i) * kSimilarities + 6] = state.translation[i];
     }
     for (int k = 0; k < block.size && block.columns[k] < kPoseSize; ++k) {
@@ -123,7 +123,7 @@ void GaugeSums::AddPoint(int point, const PointBlocks& blocks, const PointAssemb
       sums.triangle.Add(ByCameras(of, row), j[0] * n.row(0) + j[1] * n.row(1) + j[2] * n.row(2));
     }
   }
-  if (blocks.num_null > 0) return;  // no part of the constraints
+  if (blocks.num_null > 0) return;  // not included in the constraints
   const Rows3 weighted = Eigen::Map<const Matrix3>(blocks.inverse) * n;
   sums.weighted += n.transpose() * weighted;
   sums.squares += n.transpose() * n;

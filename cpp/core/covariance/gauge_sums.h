@@ -1,17 +1,17 @@
 #pragma once
 
 /// Sums over the points for the free similarities of the world (free_gauge.h): products of J and of
-/// the reduced system with all seven, made in the first pass over the points.
+/// the reduced system with all seven similarities, computed in the first pass over the points.
 ///
 /// Let the columns of N be the derivatives of all free parameters by the similarities, about the
-/// centre of the scene. Summed up are J N, as the triangle of its QR factorisation, beside the
-/// parts of its rows, and, with Y_p = W_p V_p^-1 (point_blocks.h),
+/// centre of the scene. The sums are J N, as the triangle of its QR factorisation, the squares of
+/// the two parts of its rows, and, with Y_p = W_p V_p^-1 (point_blocks.h),
 ///
 ///   sum Y_p N_p,     sum N_p^T V_p^-1 N_p,     sum N_p^T N_p,
 ///
-/// these three without the points that have no parallax (free_gauge.h).
+/// where the last three leave out points without parallax (free_gauge.h).
 ///
-/// Combinations N T of the seven have the same sums, times T.
+/// For combinations N T of the seven similarities, multiply the same sums by T.
 
 #include <Eigen/Core>
 #include <vector>
@@ -30,12 +30,12 @@ inline constexpr int kSimilarities = kNumGaugeDirections;
 using SimilarityRow = Eigen::Matrix<double, 1, kSimilarities>;
 using SimilaritySquare = Eigen::Matrix<double, kSimilarities, kSimilarities>;
 
-/// J N as the triangle of its QR factorisation, and the squares of its rows' parts, by cameras and
-/// by points. N^T J^T J N alone would lose half of the digits.
+/// J N as the triangle of its QR factorisation, and the squares of the two parts of its rows, by
+/// cameras and by points. N^T J^T J N alone would lose half of the digits.
 class GaugeTriangle {
  public:
   void Add(const SimilarityRow& by_cameras, const SimilarityRow& by_points);
-  /// Rows that are zero, by the squares of their parts.
+  /// Adds rows that are zero, given the squares of their parts.
   void AddZeros(const SimilarityRow& parts) { parts_ += parts; }
   void Add(const GaugeTriangle& other);
   SimilaritySquare Triangle();
@@ -61,11 +61,11 @@ class SimilarityMoves {
   SimilarityRow OfUnknown(int unknown) const {
     return Eigen::Map<const SimilarityRow>(&cameras_[size_t(unknown) * kSimilarities]);
   }
-  /// Derivatives of the whole pose of an image, free or not: kPoseSize rows.
+  /// Derivatives of all numbers of an image's pose, free or constant: kPoseSize rows.
   Eigen::Matrix<double, kPoseSize, kSimilarities> OfPose(const PoseState& pose) const;
   const double* center() const { return center_; }
   double size() const { return size_; }
-  /// Three rows, one a coordinate of the point.
+  /// Three rows, one per coordinate of the point.
   Eigen::Matrix<double, 3, kSimilarities> OfPoint(int point) const;
 
  private:
@@ -78,24 +78,24 @@ class SimilarityMoves {
 
 class GaugeSums {
  public:
-  /// Keeps references to problem and layout.
+  /// Keeps references to the problem and the layout.
   GaugeSums(const AdjustmentProblem& problem, const ParameterLayout& layout,
             const CameraStates& states, int num_threads);
 
-  /// Adds a free point, on one of the threads; of one without parallax its rows of J N alone.
+  /// Adds a free point, on one of the threads. For a point without parallax, only its rows of J N.
   void AddPoint(int point, const PointBlocks& blocks, const PointAssembler& rows, int thread);
-  /// Adds the sums of a pass over many points, except its rows of J N, for which AddRow is called,
-  /// and its eliminated part of the images.
+  /// Adds the sums of a pass over many points, and the eliminated part of its images. Its rows of J
+  /// N are not included; AddRow is called for these.
   void Add(const PointSurvey& survey, int thread);
-  /// A row of J N, kMoves numbers each.
+  /// Adds a row of J N, with kMoves numbers per part.
   void AddRow(const double* by_images, const double* by_point, int thread);
-  /// Adds a part of sum Y_p N_p: kMoves numbers, of one unknown.
+  /// Adds a contribution to sum Y_p N_p: kMoves numbers, for one unknown.
   void AddEliminated(int unknown, const double* row, int thread);
   /// Adds up the sums of the threads. Call last.
   void Finish();
 
   const SimilarityMoves& moves() const { return moves_; }
-  /// The rows of J N of an observation whose point is held.
+  /// The rows of J N of an observation whose point is constant.
   void AddObservation(const ObservationRows& rows, GaugeTriangle* triangle) const;
 
   const GaugeTriangle& triangle() const { return total_.triangle; }

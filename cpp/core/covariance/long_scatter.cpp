@@ -9,8 +9,8 @@
 namespace bundle {
 namespace {
 
-/// Orthonormal basis of the columns, to the digits of long doubles: by the Cholesky factor of their
-/// squares, refined by Newton's iteration.
+/// Orthonormal basis of the columns, to the precision of long doubles: by the Cholesky factor of
+/// their Gram matrix, refined by Newton's iteration.
 LongMatrix LongOrthonormal(const Eigen::MatrixXd& columns) {
   const Eigen::MatrixXd squares = MultiplyTransposed(columns, columns);
   const LongMatrix root = InverseOfCholesky(squares).cast<long double>();
@@ -23,7 +23,7 @@ LongMatrix LongOrthonormal(const Eigen::MatrixXd& columns) {
   return basis;
 }
 
-/// Rows of a matrix by the unknowns of a point's blocks.
+/// The rows of a matrix for the unknowns of a point's blocks.
 LongMatrix Rows(const LongMatrix& of, const std::vector<int>& unknowns) {
   LongMatrix rows(static_cast<Eigen::Index>(unknowns.size()), of.cols());
   for (Eigen::Index i = 0; i < rows.rows(); ++i) rows.row(i) = of.row(unknowns[i]);
@@ -34,7 +34,7 @@ LongMatrix Symmetric(const LongMatrix& whole) { return 0.5L * (whole + whole.tra
 
 using Columns3 = Eigen::Matrix<long double, Eigen::Dynamic, 3>;
 
-/// These rows and columns of a symmetric matrix times `right`.
+/// Product of these rows and columns of a symmetric matrix with `right`.
 Columns3 BlockTimes(const LongMatrix& whole, const std::vector<int>& unknowns,
                     const LongMatrix& right) {
   Columns3 product(right.rows(), 3);

@@ -29,7 +29,7 @@ void AppendUnknowns(const ParameterLayout& layout, int block, std::vector<int>* 
   }
 }
 
-/// Rows of an observation of a point that is not free, `left` times these.
+/// Rows of an observation of a constant point, multiplied by `left`.
 void AddObservation(const ParameterLayout& layout, const ObservationRows& of, const MatrixXd& left,
                     LongMatrix* sum) {
   std::vector<int> unknowns;
@@ -41,7 +41,7 @@ void AddObservation(const ParameterLayout& layout, const ObservationRows& of, co
   AddSquares(unknowns, rows, sum);
 }
 
-/// Factors of points are among the rows of these.
+/// The rows of a point include its own factors.
 void AddFactors(const ReducedSystem& system, LongMatrix* sum) {
   using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   system.ForFactors([&](const ReducedSystem::FactorRows& rows) {
@@ -52,7 +52,8 @@ void AddFactors(const ReducedSystem& system, LongMatrix* sum) {
   });
 }
 
-/// Mirrors the lower triangle; nothing depends on what is held, which has `own` on the diagonal.
+/// Mirrors the lower triangle. Rows of unknowns held on bounds become zero, with `own` on the
+/// diagonal.
 void Finish(const ReducedSystem& system, long double own, LongMatrix* sum) {
   const Eigen::Index n = sum->rows();
   for (Eigen::Index j = 0; j < n; ++j) {

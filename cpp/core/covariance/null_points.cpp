@@ -18,7 +18,7 @@
 namespace bundle {
 namespace {
 
-/// The share of a direction that is not held by anything else: residual 0, of one point.
+/// Row of a null direction that no other factor holds: residual 0, one point.
 class HeldDirections final : public Factor {
  public:
   /// `root`: 3 x 3, J^T J the information of the directions.
@@ -93,7 +93,7 @@ void ReducedSystem::FindNullPoints() {
               null.point = point;
               null.num_null = blocks.num_null;
               std::copy_n(blocks.null_projector, 9, null.projector);
-              // A column of the projector, the longest: for one direction, a multiple of it.
+              // The longest column of the projector; with one direction, a multiple of it.
               int longest = 0;
               for (int k = 1; k < 3; ++k) {
                 if (blocks.null_projector[4 * k] > blocks.null_projector[4 * longest]) longest = k;

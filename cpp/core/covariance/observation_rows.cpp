@@ -13,7 +13,7 @@ namespace {
 
 constexpr int kMaxLocal = kPoseSize + kMaxCameraParams;
 
-/// A block whose unknowns are local columns themselves.
+/// A block whose unknowns equal local columns.
 LocalMap PlainMap(int index, const CameraBlock& block) {
   LocalMap map{index, block.size, {}, {}};
   map.columns.assign(block.columns, block.columns + block.size);
@@ -31,7 +31,7 @@ LocalMap MapOfLayout(const AdjustmentProblem& problem, const ParameterLayout& la
   return map;
 }
 
-/// A block of the pose of a frame or a sensor, of which `whole` moves the image.
+/// A block of the pose of a frame or a sensor; `whole` maps it to the pose of the image.
 LocalMap MapOfRig(int index, const CameraBlock& block, const double whole[kPoseSize * kPoseSize]) {
   LocalMap map{index, block.size, {}, {}};
   for (int i = 0; i < kPoseSize; ++i) {
@@ -55,7 +55,7 @@ void HoldUnknowns(const std::vector<uint8_t>& held, int offset, LocalMap* map) {
   }
 }
 
-/// Rows by (w, t) and by the model's parameters, which follow each other.
+/// Rows by (w, t), followed by those by the model's parameters.
 template <typename Model>
 bool EvaluateLocal(const PoseState& pose, const double* params, const double* point,
                    const double* xy, Cheirality cheirality, double* residual, double* local,

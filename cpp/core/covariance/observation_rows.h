@@ -9,8 +9,8 @@
 ///
 /// so that J~^T J~ is its block of the Gauss-Newton matrix of the solvers (factors/loss.h). The
 /// second derivative of the loss adds beta g g^T with g = J~^T r~ and beta = 2 rho'' / rho'^2. Rows
-/// by the local columns of its image, (w, t) and intrinsics, go to the blocks of the layout by the
-/// maps of schur/column_map.h and factors/rig_pose.h.
+/// by the local columns of an image, (w, t) and intrinsics, are mapped to the blocks of the layout
+/// by schur/column_map.h and factors/rig_pose.h.
 
 #include <cstdint>
 #include <vector>
@@ -24,21 +24,21 @@
 namespace bundle {
 
 /// Map M from the unknowns of one block to the local columns of an image. A row a by local columns
-/// is the row a M by unknowns.
+/// becomes the row a M by unknowns.
 struct LocalMap {
   int block = -1;
-  int size = 0;                 ///< unknowns of the block
-  std::vector<int8_t> columns;  ///< local columns that move
+  int size = 0;                 ///< number of unknowns of the block
+  std::vector<int8_t> columns;  ///< local columns that the unknowns move
   std::vector<double> values;   ///< M, columns x size, row-major; empty: unknown k is columns[k]
 };
 
-/// The maps of all blocks that an image's observations depend on, at the problem's own values.
-/// Unknowns in `held` (one entry an unknown; empty: none) move nothing.
+/// The maps of all blocks on which an image's observations depend, at the problem's own values.
+/// Maps of the unknowns marked in `held` are zero (one entry per unknown; empty: none marked).
 std::vector<LocalMap> FindLocalMaps(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                     const CameraStates& states, int image,
                                     const std::vector<uint8_t>& held);
 
-/// Whitened and weighted, row-major.
+/// Whitened by the sigma and weighted by the loss, row-major.
 struct ObservationRows {
   static constexpr int kMaxBlocks = 4;
   double residual[2];
@@ -52,16 +52,16 @@ struct ObservationRows {
 
 class ObservationEvaluator {
  public:
-  /// Keeps references to the problem and the layout. The loss and the cheirality are the options'.
+  /// Keeps references to the problem and the layout. Loss and cheirality are those of the options.
   ObservationEvaluator(const AdjustmentProblem& problem, const ParameterLayout& layout,
                        const SolveOptions& options);
 
-  /// False where the observation does not count (factors/reprojection.h).
+  /// False if the observation does not count (factors/reprojection.h).
   bool Evaluate(int64_t observation, ObservationRows* rows) const;
 
   const CameraStates& states() const { return states_; }
   const std::vector<LocalMap>& maps(int image) const { return maps_[image]; }
-  /// Holds the marked unknowns from now on.
+  /// Holds the marked unknowns constant from now on.
   void Hold(const std::vector<uint8_t>& held);
 
  private:

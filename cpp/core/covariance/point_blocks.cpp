@@ -25,7 +25,7 @@ bool InvertRegular(PointBlocks* blocks) {
   const double e = v[7] - l20 * v[3], l21 = e / d1;
   const double d2 = v[8] - l20 * v[6] - l21 * e;
   if (!(d2 > kClearPivot * v[8])) return false;
-  // Columns may be of any size beside each other.
+  // Scaled first, because columns may have very different sizes.
   const double largest = std::max({v[0], v[4], v[8]});
   if (!(std::min({v[0], v[4], v[8]}) > kClearPivot * largest)) return false;
   const double m10 = -l10, m20 = l10 * l21 - l20, m21 = -l21;  // L^-1, a unit triangle
@@ -42,7 +42,7 @@ bool InvertRegular(PointBlocks* blocks) {
   return true;
 }
 
-/// The pseudo-inverse of V, and what is null.
+/// The pseudo-inverse of V, and its null directions.
 void Invert(PointBlocks* blocks) {
   Eigen::Map<Matrix3> inverse(blocks->inverse), null(blocks->null_projector);
   null.setZero();

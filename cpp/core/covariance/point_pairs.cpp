@@ -4,8 +4,9 @@
 
 namespace bundle {
 
-/// A third of the time of all covariances goes into the function below: it is compiled for two
-/// generations of processors, of which the loader takes one. Sanitizers run before loaders do.
+/// The function below takes a third of the time of all covariances. It is compiled for two
+/// generations of processors, and the loader chooses one. Sanitizers cannot be used with this
+/// choice, because they start before the loader resolves it.
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && \
     !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
 #define BUNDLE_FOR_TWO_PROCESSORS __attribute__((target_clones("avx2", "default")))
@@ -27,7 +28,7 @@ void AddPairs(const ReducedSystem& system, const std::vector<double>& values,
       const Four* const zi = z.row(blocks.begin[a]);
       const double* block = values.data() + s.ValueIndex(j, s.Entry(j, i), 0, 0);
       for (int c = 0; c < columns; ++c, block += s.panel_stride[j]) {
-        // Of a diagonal block, the column from the diagonal down, and the same as a row.
+        // For a diagonal block, the column from the diagonal down, and the same values as a row.
         Four by_x = {}, by_z = {};
         int r = 0;
         if (i == j) {

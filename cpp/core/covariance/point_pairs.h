@@ -10,10 +10,10 @@
 
 namespace bundle {
 
-/// Four numbers that a processor adds at once, at any address.
+/// Four numbers that the processor adds at once; without alignment.
 using Four = double __attribute__((vector_size(32), aligned(8)));
 
-/// W or Y of a point, four numbers a row, the last zero.
+/// W or Y of a point, four numbers per row, the last one zero.
 struct PaddedRows {
   std::vector<double> values;
 

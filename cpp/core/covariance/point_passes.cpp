@@ -11,7 +11,7 @@
 namespace bundle {
 namespace {
 
-/// Lists that a pass fills.
+/// The lists filled by a pass.
 struct SurveyLists {
   GaugeSums* gauge;
   int thread;
@@ -29,7 +29,7 @@ struct SurveyLists {
   }
 };
 
-/// Makes room for so many doubles on a cache line's boundary, which what reads whole lines likes.
+/// Reserves this many doubles, aligned to a cache line, for fast reads of full lines.
 double* Aligned(int64_t count, std::vector<double>* room) {
   constexpr size_t kLine = 64;
   room->resize(static_cast<size_t>(count) + kLine / sizeof(double));
@@ -67,7 +67,7 @@ int PointPasses::Width(int image) const {
   return input.mixed ? 4 * input.image_quads[image] : input.num_columns;
 }
 
-/// N by the columns of the records, and which images move along as a whole.
+/// N by the columns of the records, and the images that move along completely.
 void PointPasses::FillMoves(const GaugeSums& gauge, std::vector<double>* images,
                             std::vector<uint8_t>* moves_along) const {
   const SchurSetup& setup = schur_.setup();
@@ -115,8 +115,8 @@ PointPasses::Found PointPasses::Survey(GaugeSums* gauge) const {
   }
   std::vector<PointSurvey> sums(num_threads_);
   std::vector<SurveyLists> lists(num_threads_);
-  // Each thread has chunks of its own, about as many observations, so that sums do not depend on
-  // which is faster.
+  // Each thread has its own chunks, with about as many observations as the others, so that sums do
+  // not depend on the speed of threads.
   const auto first_of = [&](int64_t thread) {
     const int64_t wanted = plan.num_observations() / num_threads_ * thread;
     const auto at =
@@ -157,7 +157,7 @@ PointPasses::Found PointPasses::Survey(GaugeSums* gauge) const {
       found.num_residuals -= 2;
     }
   }
-  // Free points without observations are in no chunk.
+  // Adds free points without observations, which are in no chunk.
   std::vector<uint8_t> is_planned(setup.problem.num_points);
   for (int p = 0; p < plan.num_free_points; ++p) is_planned[plan.point[p]] = 1;
   const auto num_unclear = static_cast<std::ptrdiff_t>(found.unclear.size());
@@ -204,7 +204,7 @@ void PointPasses::AddPlain(const BlockStructure& structure, const std::vector<do
     }
     return;
   }
-  // Stored by the other's rows: a row of what is wanted is a column there.
+  // Stored transposed: a row of the requested block is a column there.
   const int64_t entry = structure.Entry(rows.block, columns.block);
   const double* from = values.data() + structure.ValueIndex(rows.block, entry, 0, 0);
   for (int r = 0; r < rows.size; ++r, from += structure.panel_stride[rows.block]) {

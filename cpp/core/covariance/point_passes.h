@@ -1,8 +1,8 @@
 #pragma once
 
-/// The passes over free points that covariances need, by the kernels of the elimination
-/// (schur/kernels/survey_points.h, point_covariances.h): several observations at a time, where a
-/// PointAssembler takes them one by one.
+/// The passes over free points for covariances, by the kernels of the elimination
+/// (schur/kernels/survey_points.h, point_covariances.h). They process several observations at a
+/// time; PointAssembler processes one at a time.
 
 #include <cstdint>
 #include <vector>
@@ -17,21 +17,23 @@ namespace bundle {
 
 class PointPasses {
  public:
-  /// Keeps a reference to the problem, which has been linearised.
+  /// Keeps a reference to the problem, which must be linearised.
   PointPasses(const SchurProblem& schur, int num_threads);
 
   struct Found {
     double squares = 0;         ///< sum of squared residuals
-    int64_t num_residuals = 0;  ///< counted ones
+    int64_t num_residuals = 0;  ///< number of residuals that count
     double decrease = 0;        ///< sum 1/2 g^T V^-1 g
-    std::vector<int> unclear;   ///< free points that are not in these sums, ascending
+    std::vector<int> unclear;   ///< free points left out of these sums, ascending
   };
-  /// Sums over all points whose V is clearly regular; for `gauge` as well, unless it is nullptr.
+  /// Sums over all points whose V is clearly regular; also the sums for `gauge`, unless it is
+  /// nullptr.
   Found Survey(GaugeSums* gauge) const;
 
-  /// The covariances of free points with observations, but those with very many, at `to`, 9 numbers
-  /// each in the order of the problem, on all threads. `values` are the covariances of the camera
-  /// parameters, blocks of `structure`, under the constraints of `gauge`; nullptr: there are none.
+  /// Writes the covariances of free points with observations to `to`, 9 numbers each in the order
+  /// of the problem, on all threads. Leaves out points with very many observations. `values` are
+  /// the covariances of the camera parameters, blocks of `structure`, under the constraints of
+  /// `gauge`; nullptr: without constraints.
   void FindCovariances(const BlockStructure& structure, const std::vector<double>& values,
                        const FreeGauge* gauge, double* to) const;
 
@@ -40,9 +42,9 @@ class PointPasses {
   struct RecordBlock {
     int block = -1;
     int size = 0;
-    std::vector<int> column;  ///< column per unknown; empty: `map` says
-    int first = -1;           ///< column of the first unknown, where the others follow it
-    std::vector<double> map;  ///< record's columns x size, row-major
+    std::vector<int> column;  ///< column per unknown; empty: use `map`
+    int first = -1;           ///< column of the first unknown if the columns are consecutive
+    std::vector<double> map;  ///< columns of the record x size, row-major
   };
 
   int NumColumns(int image) const { return schur_.input().image_columns[image]; }

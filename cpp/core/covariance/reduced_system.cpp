@@ -22,7 +22,7 @@
 namespace bundle {
 namespace {
 
-/// Below so many unknowns even the structure of S costs more than its dense factorisation.
+/// With fewer unknowns, building the structure of S takes longer than a dense factorisation.
 constexpr int kUnknownsWorthALook = 300;
 
 void RefuseUnsupported(const PreparedSolve& prepared) {
@@ -47,7 +47,7 @@ ReducedSystem::ReducedSystem(const AdjustmentProblem& problem, const SolveOption
 ReducedSystem::ReducedSystem(const AdjustmentProblem& problem, const SolveOptions& options,
                              PreparedSolve prepared, bool sums_gauge)
     : problem_(problem),
-      // Sums over points are one per thread, rounded by which points it has.
+      // One sum per thread; rounding depends on the points of each thread.
       num_threads_(options.deterministic ? 1 : EffectiveNumThreads(options.num_threads)),
       warnings_(std::move(prepared.warnings)),
       layout_(std::move(prepared.layout)),
@@ -71,13 +71,13 @@ ReducedSystem::ReducedSystem(const AdjustmentProblem& problem, const SolveOption
 
 ReducedSystem::~ReducedSystem() = default;
 
-/// The blocks of the layout in the order of the elimination, and the solver.
+/// Orders the blocks of the layout for the elimination, and makes the solver.
 ///
 /// Orders by nested dissection, even if another order has less fill-in. The selected inverse goes
-/// down the elimination tree, and lower levels multiply the rounding errors of higher ones. An
-/// order from one end of a drive to the other makes the tree a path: with 400 images with a lens
-/// each, some variances become negative; with 800, they are 1e36 times too large. With nested
-/// dissection, the depth of the tree is logarithmic.
+/// down the elimination tree, and lower levels amplify the rounding errors of higher ones. An order
+/// from one end of a drive to the other makes the tree a path. With 400 images with a lens each,
+/// some variances become negative; with 800, they are 1e36 times too large. With nested dissection,
+/// the depth of the tree is logarithmic.
 void ReducedSystem::Order() {
   if (HasMemoryLimit()) TakeBlasBuffers();
   std::vector<int> sizes;
@@ -96,7 +96,7 @@ void ReducedSystem::Order() {
                       sizeof(double) * static_cast<double>(structure_.num_values));
 }
 
-/// A counting sort by the first block that a point's observations have.
+/// Counting sort by the first block of a point's observations.
 void ReducedSystem::OrderPoints() {
   const int num_blocks = static_cast<int>(layout_.blocks().size());
   std::vector<int> first(problem_.num_points, num_blocks);
@@ -123,7 +123,7 @@ void ReducedSystem::LinearizeSchur(const SolveOptions& options) {
   is_finite_ = schur_->Linearize(0).is_finite;
 }
 
-/// Completes the last linearisation, which has no null points.
+/// Completes the last linearisation, in which no point has null directions.
 void ReducedSystem::FinishLinearization() {
   if (!is_finite_) {
     throw InputError("problem: expected finite residuals and derivatives of all observations");
@@ -134,7 +134,7 @@ void ReducedSystem::FinishLinearization() {
   ReadDiagonal();
 }
 
-/// Also replaces rows of held unknowns by those of the identity.
+/// Also replaces rows of constant unknowns by those of the identity.
 void ReducedSystem::ReadDiagonal() {
   diagonal_.clear();
   std::vector<double>& s = values();
@@ -263,7 +263,7 @@ double ReducedSystem::LargestInflation(int* unknown) const {
 void ReducedSystem::ForPoints(int num_threads, const std::vector<int>& points,
                               const PointVisitor& visit) const {
   if (points.empty()) return;
-  // Of each thread as many observations, about.
+  // Each thread has about the same number of observations.
   std::vector<size_t> first(static_cast<size_t>(num_threads) + 1, points.size());
   first[0] = 0;
   int64_t seen = 0, total = 0;

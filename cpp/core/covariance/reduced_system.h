@@ -7,12 +7,12 @@
 ///   [ W^T V ] [x_p] = [b_p]   =>   S x_c = b_c - sum W_p V_p^-1 b_p,
 ///                                  x_p = V_p^-1 (b_p - W_p^T x_c).
 ///
-/// S is that of the solvers, summed up by their own passes (schur/) and factorised by their own
-/// direct solvers (linear/). Null directions of points are left out (point_blocks.h): for the
-/// passes, a factor on the point alone holds them.
+/// S is that of the solvers, summed up by their passes (schur/) and factorised by their direct
+/// solvers (linear/). Null directions of points are left out (point_blocks.h): in the passes, a
+/// factor on the point alone holds them constant.
 ///
-/// A camera parameter on a bound beyond which the cost falls is held: its row and column of S are
-/// replaced by those of the identity.
+/// A camera parameter on an active bound, beyond which the cost decreases, is held constant: its
+/// row and column of S are replaced by those of the identity.
 
 #include <cstdint>
 #include <functional>
@@ -41,27 +41,27 @@ class GaugeSums;  // gauge_sums.h
 /// A free point with null directions.
 struct NullPoint {
   int point = 0;
-  int num_null = 0;     ///< null directions, of three
-  double direction[3];  ///< one of them, of norm 1
-  double projector[9];  ///< onto all of them
-  double root;          ///< square root of about the information along the other directions
+  int num_null = 0;     ///< number of null directions, up to three
+  double direction[3];  ///< one of the null directions, of norm 1
+  double projector[9];  ///< projector onto the null directions
+  double root;          ///< square root of the approximate information along the other directions
 };
 
-/// Two parts of a vector of unknowns, or of several side by side (column-major).
+/// The two parts of a vector of all free unknowns, or of several vectors (column-major).
 struct FullVectors {
   int num_columns = 0;
   std::vector<double> cameras;  ///< unknowns of the layout x num_columns
-  std::vector<double> points;   ///< 3 num_points x num_columns; zero where a point is not free
+  std::vector<double> points;   ///< 3 num_points x num_columns; zero for constant points
 };
 
 class ReducedSystem {
  public:
-  /// Chooses and lays out the free parameters and linearises. The problem is valid and outlives
-  /// this; its camera models are known. `sums_gauge`: the pass over the points also makes the sums
-  /// that a FreeGauge needs.
+  /// Chooses and lays out the free parameters and linearises. The problem must be valid, with known
+  /// camera models, and must outlive this object. `sums_gauge`: the pass over the points also
+  /// computes the sums that a FreeGauge needs.
   ///
-  /// Throws InputError if an id to be fixed does not exist, a factor couples a point with something
-  /// else that is free or is a function in Python, or the memory does not suffice.
+  /// Throws InputError if an id to be fixed does not exist, if a factor couples a point with
+  /// another free variable or is a Python function, or if the memory does not suffice.
   ReducedSystem(const AdjustmentProblem& problem, const SolveOptions& options,
                 bool sums_gauge = false);
   ~ReducedSystem();
@@ -80,92 +80,96 @@ class ReducedSystem {
   struct PointSums {
     double squares = 0;  ///< sum of squared residuals
     int64_t num_residuals = 0;
-    double decrease = 0;  ///< 1/2 sum g_p^T V^-1 g_p: of the cost, were the points alone free
+    double decrease =
+        0;  ///< 1/2 sum g_p^T V^-1 g_p: decrease of the cost if only the points were free
   };
   const PointSums& point_sums() const { return point_sums_; }
 
-  /// nullptr: none was asked for, or V and W have changed since.
+  /// nullptr: not requested, or V and W have changed since.
   const GaugeSums* gauge_sums() const { return second_order_ ? nullptr : gauge_sums_.get(); }
 
   /// Ascending.
   const std::vector<NullPoint>& null_points() const { return null_points_; }
-  /// Per unknown: 1 if it is held on a bound. Empty: none is.
+  /// Per unknown: 1 if it is held on a bound. Empty if no unknown is.
   const std::vector<uint8_t>& held() const { return held_; }
-  /// Sentences of the choices: a gauge that could not be held as asked.
+  /// Messages of the gauge choice, if a gauge could not be fixed as requested.
   const std::vector<Warning>& warnings() const { return warnings_; }
 
-  /// Structure of S in values(), with its blocks in the order of the layout.
+  /// Structure of the S in values(), with its blocks in the order of the layout.
   const BlockStructure& structure() const { return structure_; }
-  /// Values of S; after Factorize those of the solver; after Invert the same blocks of S^-1.
+  /// Values of S; after Factorize those that the solver left; after Invert the same blocks of S^-1.
   std::vector<double>& values();
   const std::vector<double>& values() const;
   /// The right-hand side of a step: minus the gradient, points eliminated.
   const std::vector<double>& rhs() const;
-  /// Entry (j, j) of S as it was summed up, of each unknown.
+  /// Entry (j, j) of S before the factorisation, for each unknown.
   const std::vector<double>& diagonal() const { return diagonal_; }
 
-  /// Makes V and W contain the second derivatives of the loss (sandwich.h); S is given.
+  /// Adds the second derivatives of the loss to V and W (sandwich.h); S is given.
   void UseSecondOrder() { second_order_ = true; }
   bool is_second_order() const { return second_order_; }
   void SetSystem(std::vector<double> values);
 
   LinearSolution Factorize();
-  /// Takes L, n x n and column-major, for the factor of a dense S.
+  /// Uses L, n x n and column-major, as the factor of a dense S.
   void TakeFactor(const double* lower);
   /// X = S^-1 B, unknowns x num_rhs, column-major.
   LinearSolution Solve(const double* rhs, int num_rhs, double* x);
-  /// Solves the whole normal equations.
+  /// Solves the normal equations for all unknowns.
   LinearSolution Solve(const FullVectors& rhs, FullVectors* x);
-  /// Replaces the factor by the blocks of S^-1 (LinearSolver::InvertBlocks), with zeros for held
-  /// unknowns.
+  /// Replaces the factor by the blocks of S^-1 (LinearSolver::InvertBlocks), with zeros for
+  /// unknowns on bounds.
   LinearSolution Invert();
-  /// The least of L_jj^2 / S_jj after Factorize, and its unknown j: rounding alone where S is
-  /// singular.
+  /// The minimum of L_jj^2 / S_jj after Factorize, and its unknown j. If S is singular, it consists
+  /// of rounding errors only.
   double SmallestPivot(int* unknown) const;
-  /// The most of (S^-1)_jj S_jj after Invert, and its unknown j: how much larger a variance is than
-  /// with all else known. Infinite where that is clearly below 1, as of rounding alone.
+  /// The maximum of (S^-1)_jj S_jj after Invert, and its unknown j. This is the ratio of a variance
+  /// to the variance with all other unknowns known. Infinite if a ratio is clearly below 1, which
+  /// only rounding can cause.
   double LargestInflation(int* unknown) const;
 
-  /// S is dense, and the tracks are so short and few that long sums of their rows are soon made.
+  /// True if S is dense, and the tracks are so short and few that long sums of their rows take
+  /// little time.
   bool is_small() const;
-  /// Makes ForPoints eliminate points from their rows (eliminated_rows.h). False if an observation
+  /// Lets ForPoints eliminate points from their rows (eliminated_rows.h). False if an observation
   /// has no rows, because its weight along its residual is negative.
   bool EliminateByRows();
-  /// Rows of the point's own factors, whitened, three columns each; after EliminateByRows, whatever
-  /// that returned.
+  /// Rows of the point's own factors, whitened, three columns each. Call after EliminateByRows,
+  /// whatever it returned.
   const std::vector<double>& point_prior_rows(int point) const;
 
   /// Calls visit(point, its blocks, its rows, thread) for every free point, on all threads. Points
-  /// of the same images are consecutive, so that their blocks of S are in the cache.
+  /// seen by the same images are consecutive, so that their blocks of S are in the cache.
   using PointVisitor =
       std::function<void(int point, const PointBlocks&, const PointAssembler&, int thread)>;
   void ForPoints(const PointVisitor& visit) const { ForPoints(num_threads_, point_order_, visit); }
-  /// ForPoints on a number of threads.
+  /// Same as ForPoints, with a given number of threads.
   void ForPoints(int num_threads, const PointVisitor& visit) const {
     ForPoints(num_threads, point_order_, visit);
   }
-  /// ForPoints over these points only.
+  /// Same as ForPoints, for these points only.
   void ForPoints(int num_threads, const std::vector<int>& points, const PointVisitor& visit) const;
-  /// Free points whose V is not clearly regular, or with very many observations: the kernels leave
-  /// these out. All points if the system has no unknowns.
+  /// Free points that the kernels leave out: those whose V is not clearly regular, or with very
+  /// many observations. All points if the system has no unknowns.
   const std::vector<int>& unclear_points() const { return unclear_points_; }
-  /// PointPasses::FindCovariances, by blocks of the structure of S.
+  /// PointPasses::FindCovariances, with blocks in the structure of S.
   void FindPointCovariances(const FreeGauge* gauge, double* to) const;
-  /// Rows of a factor's Jacobian by what is free: three columns a point, then unknowns.
+  /// Rows of a factor's Jacobian by the free variables: three columns per point, then unknowns.
   struct FactorRows {
     int num_rows = 0;
     std::vector<int> points;
     std::vector<int> unknowns;
     std::vector<double> residual;  ///< num_rows, weighted by the loss
-    std::vector<double> jacobian;  ///< num_rows x (3 points + unknowns), row-major, alike
+    std::vector<double>
+        jacobian;  ///< num_rows x (3 points + unknowns), row-major, weighted by the loss
   };
-  /// Calls visit(rows) for every factor of the problem, in its order, those with a value.
+  /// Calls visit(rows) for every factor of the problem that has a value, in order.
   void ForFactors(const std::function<void(const FactorRows&)>& visit) const;
-  /// Calls visit(rows) for the observations of points that are not free, those that count.
+  /// Calls visit(rows) for the observations of constant points, except those that do not count.
   void ForObservationsOfFixedPoints(const std::function<void(const ObservationRows&)>& visit) const;
 
   /// Block (row, column) of a matrix with the structure of S, rows of block `row` x columns of
-  /// block `column`, row-major; only for blocks of the structure.
+  /// block `column`, row-major. The block must be in the structure.
   void CopyBlock(const std::vector<double>& values, int row, int column, double* out) const {
     bundle::CopyBlock(structure_, values, row, column, out);
   }
@@ -198,13 +202,13 @@ class ReducedSystem {
   PointSums point_sums_;
   std::unique_ptr<GaugeSums> gauge_sums_;
   std::vector<NullPoint> null_points_;
-  ProblemFactors factors_;  ///< the problem's, and those that hold null directions
+  ProblemFactors factors_;  ///< the factors of the problem, and those that hold null directions
   AdjustmentProblem view_;  ///< the problem with factors_
   std::unique_ptr<SchurProblem> schur_;
-  bool is_finite_ = true;  ///< the linearisation
+  bool is_finite_ = true;  ///< result of the linearisation
   bool second_order_ = false;
   bool by_rows_ = false;
-  std::map<int, std::vector<double>> prior_rows_;  ///< per point; made by EliminateByRows
+  std::map<int, std::vector<double>> prior_rows_;  ///< per point; computed by EliminateByRows
   std::vector<uint8_t> held_;
   std::vector<double> diagonal_;
   std::vector<double> no_values_;  ///< values of a system without unknowns

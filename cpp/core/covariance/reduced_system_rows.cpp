@@ -1,6 +1,6 @@
 /// Part of ReducedSystem (reduced_system.h).
 ///
-/// Rows of the Jacobian that are no observations of free points, and the choice whether points are
+/// Rows of the Jacobian other than observations of free points, and the decision whether points are
 /// eliminated from rows.
 
 #include <cstddef>
@@ -15,7 +15,7 @@
 namespace bundle {
 namespace {
 
-/// Limit of the sum of cubes of track lengths. Long sums take about 100 multiplications for each.
+/// Limit of the sum of cubes of track lengths. Long sums take about 100 multiplications per unit.
 constexpr double kMaxTrackCubes = 3e5;
 
 }  // namespace

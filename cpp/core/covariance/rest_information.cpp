@@ -17,7 +17,7 @@
 namespace bundle {
 namespace {
 
-/// Right-hand sides at a time.
+/// Number of right-hand sides per solve.
 constexpr int kColumns = 256;
 
 /// An unknown of a layout by tangent coordinates: d(unknown) = sum value * d(coordinate).
@@ -38,7 +38,7 @@ void ForPoses(const KeptVariables& kept, const AdjustmentProblem& problem, const
   for (const int frame : kept.frames) visit(PoseOfFrame(problem, frame));
 }
 
-/// The unknowns that are kept.
+/// The kept unknowns.
 std::vector<TangentRow> FindTangentRows(const ReducedSystem& system, const SceneFrame& frame,
                                         bool is_moved, const KeptVariables& kept) {
   const ParameterLayout& layout = system.layout();
@@ -50,7 +50,7 @@ std::vector<TangentRow> FindTangentRows(const ReducedSystem& system, const Scene
     if (index < 0) return;
     const CameraBlock& block = layout.blocks()[index];
     const double* const rotation = system.states().pose(pose).rotation;
-    double by_phi[9] = {};  // of t', -R [c]x
+    double by_phi[9] = {};  // derivative of t' by phi, -R [c]x
     if (is_moved) {
       double cross[9];
       CrossMatrix(frame.origin, cross);
@@ -84,8 +84,8 @@ std::vector<TangentRow> FindTangentRows(const ReducedSystem& system, const Scene
   return rows;
 }
 
-/// Entries (i, j) of S where both have a place, >= 0, among rows and columns of `out`,
-/// column-major, which is zero.
+/// Copies entries (i, j) of S for which both places, among rows and columns of `out`, are >= 0.
+/// `out` is column-major and zero before.
 void CopyEntries(const ReducedSystem& system, const std::vector<int>& row_of,
                  const std::vector<int>& column_of, size_t num_rows, double* out) {
   const BlockStructure& s = system.structure();
@@ -212,7 +212,7 @@ RestInformation MarginalizeRest(const AdjustmentProblem& problem, const SolveOpt
     }
   }
 
-  // By tangent coordinates: M^T S M and M^T b.
+  // In tangent coordinates: M^T S M and M^T b.
   std::vector<double> half(num_b * n, 0.0);  // S M, row-major
   for (size_t j = 0; j < num_b; ++j) {
     for (const auto& [coordinate, value] : rows[j].entries) {

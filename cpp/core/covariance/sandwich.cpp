@@ -12,11 +12,11 @@
 namespace bundle {
 namespace {
 
-/// Columns of D that are solved for at once.
+/// Number of columns of D per solve.
 constexpr int kColumnsAtOnce = 256;
 
-/// Adds to block (row, column) of a symmetric matrix with the structure of S, at entry (r, c); of a
-/// pair of blocks the one that is stored.
+/// Adds to block (row, column) of a symmetric matrix with the structure of S, at entry (r, c). Of
+/// the two symmetric blocks, uses the stored one.
 class SymmetricSum {
  public:
   SymmetricSum(const BlockStructure& structure, std::vector<double>* values)
@@ -71,7 +71,7 @@ void AddEliminated(const PointBlocks& blocks, const PointScores& scores, Symmetr
   }
 }
 
-/// j^T j of one row of a factor; nothing depends on what is held.
+/// Adds j^T j of one row of a factor; parameters held on bounds are ignored.
 void AddFactorRow(const BlockStructure& s, const std::vector<uint8_t>& held,
                   const std::vector<int>& unknowns, const double* j, std::vector<double>* values) {
   const auto is_held = [&](int unknown) { return !held.empty() && held[unknown] != 0; };
@@ -89,7 +89,7 @@ void AddFactorRow(const BlockStructure& s, const std::vector<uint8_t>& held,
 /// J^T J of the factors of camera parameters.
 void AddFactors(const ReducedSystem& system, std::vector<double>* values) {
   system.ForFactors([&](const ReducedSystem::FactorRows& rows) {
-    if (!rows.points.empty()) return;  // of a point: in its V, or P
+    if (!rows.points.empty()) return;  // included in V or P of the point
     for (int row = 0; row < rows.num_rows; ++row) {
       AddFactorRow(system.structure(), system.held(), rows.unknowns,
                    &rows.jacobian[row * rows.unknowns.size()], values);
@@ -156,7 +156,7 @@ std::vector<double> SumMeat(const ReducedSystem& system, ScatterGauge* gauge) {
   std::vector<double> meat(static_cast<size_t>(s.num_values), 0.0);
   SymmetricSum sum(s, &meat);
   const std::vector<double>& prior = system.tracks().prior;
-  // On one thread: points share blocks, and no bit is to depend on whose turn it is.
+  // Uses one thread: points share blocks, and no bit may depend on the order of threads.
   system.ForPoints(1, [&](int point, const PointBlocks& blocks, const PointAssembler& rows, int) {
     PointScores scores;
     SumScores(blocks, rows, prior.empty() ? nullptr : &prior[9 * size_t(point)], &scores);
@@ -224,7 +224,7 @@ FullVectors MeatTimes(const ReducedSystem& system, const FullVectors& x) {
   product.num_columns = x.num_columns;
   product.cameras.assign(x.cameras.size(), 0.0);
   product.points.assign(x.points.size(), 0.0);
-  // psi (psi^T x) of one observation; of a point that is not free, -1, none of the point.
+  // Adds psi (psi^T x) of one observation. If its point is constant (-1), only the camera part.
   const auto add = [&](const ObservationRows& rows, int point, std::vector<double>* cameras) {
     double of_point[3], shares[ObservationRows::kMaxBlocks][BlockSystem::kMaxBlockSize];
     PointShare(rows, of_point);

@@ -2,22 +2,22 @@
 
 /// The sandwich under inner constraints (sandwich.h, free_gauge.h).
 ///
-/// J N = 0 in every row, so that M N = 0 and H^+ M H^+ = (P G) M (P G)^T: the gauge is taken out of
-/// each solution by G. Out of G M G it cannot be taken in the end: that is as much larger than the
-/// result as the square of the gauge's share in G, and nothing is left of its digits.
+/// J N = 0 in every row, so that M N = 0 and H^+ M H^+ = (P G) M (P G)^T: G must be corrected in
+/// each solution. Correcting G M G at the end does not work. It is larger than the result by the
+/// square of the gauge's component in G, so that no digits of the result would remain.
 ///
-/// It is done in two steps. If all points held the world, a point that is hardly determined would
-/// move the whole world far. So the camera parameters hold it first. Let O be an orthonormal basis
-/// of N_c and Q = I - O O^T. With the points eliminated, a gradient g of the points and b = G
-/// - sum Y_p g_p of the camera parameters move these by
+/// The correction has two steps. If all points determined the gauge at once, a poorly determined
+/// point would move all of the world far. So the camera parameters determine it first. Let O be an
+/// orthonormal basis of N_c and Q = I - O O^T. With the points eliminated, a gradient g of the
+/// points and b = G - sum Y_p g_p of the camera parameters move these by
 ///
 ///   delta_c = S^+ b,   S^+ = Q C Q,        D = cov delta_c = S^+ B S^+,
 ///
-/// column by column x = Q C Q e_j, D_j = Q C Q (B x). N_c^T B = 0: the Q before C and after B
-/// remove rounding errors outside the range of S, which C would amplify.
+/// column by column: x = Q C Q e_j, D_j = Q C Q (B x). As N_c^T B = 0, the Q before C and after B
+/// only remove rounding errors outside the range of S, which C would amplify.
 ///
-/// What is left of the constraints is N^T delta = 0. As N_c^T delta_c = 0 and delta_p = V_p^-1 g_p
-/// - Y_p^T delta_c, and as sum Y_p N_p = N_c - K,
+/// The remaining constraint is N^T delta = 0. As N_c^T delta_c = 0 and delta_p = V_p^-1 g_p - Y_p^T
+/// delta_c, and as sum Y_p N_p = N_c - K,
 ///
 ///   s = N^T delta = q + K^T delta_c,        q = sum N_p^T V_p^-1 g_p,        delta' = delta - N s.
 ///
@@ -26,13 +26,13 @@
 ///
 ///   R = E[delta_c s^T] = S^+ (E_q + B X),        T = E[s s^T] = Q_q + K^T R + E_q^T X,
 ///
-/// and for any part i of delta, cov delta' = cov delta - R_i N_j^T - N_i R_j^T + N_i T N_j^T. Of a
+/// and for any part i of delta, cov delta' = cov delta - R_i N_j^T - N_i R_j^T + N_i T N_j^T. For a
 /// point,
 ///
 ///   cov delta_p = V^-1 P V^-1 + Y^T D Y - F - F^T,        F = Y^T S^+ E_p V^-1,
 ///   R_p = V^-1 (P V^-1 N_p + E_p^T X) - Y^T R.
 ///
-/// Of a small system in long doubles: long_scatter.h.
+/// Small systems use long doubles: long_scatter.h.
 
 #include <Eigen/Core>
 #include <vector>
@@ -50,23 +50,23 @@ class ScatterGauge {
   /// Keeps a reference to the gauge.
   explicit ScatterGauge(const FreeGauge& gauge);
 
-  /// Adds E_p V^-1 N_p and N_p^T V^-1 P V^-1 N_p; `e` is E_p, rows as in PointBlocks::w.
+  /// Adds E_p V^-1 N_p and N_p^T V^-1 P V^-1 N_p; `e` is E_p, with rows as in PointBlocks::w.
   void AddPoint(int point, const PointBlocks& blocks, const ParameterLayout& layout,
                 const double* e, const double p[9]);
 
   /// Columns [first, first + columns) of Q: unknowns x columns.
   Eigen::MatrixXd UnitColumns(int first, int columns) const;
-  /// x to Q x.
+  /// Replaces x by Q x.
   void RemoveGauge(Eigen::Ref<Eigen::MatrixXd> x) const;
 
-  /// Finds X, R and T, by the factorised system and B.
+  /// Computes X, R and T from the factorised system and B.
   LinearSolution Finish(ReducedSystem* system, const std::vector<double>& meat);
 
-  /// Turns blocks of C into those of S^+; after Finish.
+  /// Transforms blocks of C to those of S^+. Call after Finish.
   void TransformInverse(const BlockStructure& structure, std::vector<double>* values) const;
-  /// Turns blocks of D into those of cov delta_c'.
+  /// Transforms blocks of D to those of cov delta_c'.
   void TransformScatter(const BlockStructure& structure, std::vector<double>* values) const;
-  /// Turns cov delta_p (3 x 3, row-major) into cov delta_p'; arguments as of AddPoint.
+  /// Transforms cov delta_p (3 x 3, row-major) to cov delta_p'; arguments as for AddPoint.
   void TransformPoint(int point, const PointBlocks& blocks, const ParameterLayout& layout,
                       const double* e, const double p[9], double* covariance) const;
 

@@ -49,7 +49,7 @@ void CameraStates::Update(const double* state) {
   Expand();
 }
 
-/// t = -R c for the centre c at the problem's values, which keep every bit where nothing turned.
+/// t = -R c for the centre c at the problem's values. A pose that did not turn keeps its bits.
 void CameraStates::TurnAboutCentre(int image) {
   const double* const start = ValueOfPose(problem_, image);
   double chart[kPoseSize], value[7], rotation[9], back[3];

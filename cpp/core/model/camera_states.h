@@ -18,44 +18,45 @@ namespace bundle {
 using PoseAnchors = std::vector<PoseAnchor>;
 
 /// The camera parameters of a problem at one state, expanded once per evaluation so that an
-/// observation only reads: rotation, translation and left Jacobian of each image, parameters of
-/// each camera. Images of rigs follow from their frames and sensors (factors/rig_pose.h); their
-/// coordinates here are the local ones.
+/// observation only reads them: rotation, translation and left Jacobian of each image, parameters
+/// of each camera. Poses of rig images follow from their frames and sensors (factors/rig_pose.h);
+/// their coordinates here are the local ones.
 ///
-/// A state has a meaning about certain anchors only: a candidate needs those of the state that the
-/// step starts from.
+/// A state is defined relative to its anchors: a candidate needs the anchors of the state from
+/// which its step starts.
 class CameraStates {
  public:
   /// Keeps references to both; starts at the problem's own values.
   CameraStates(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
-  /// Goes to the problem's own values, after these changed.
+  /// Resets to the problem's own values, after these changed.
   void Reset();
 
   void Update(const double* state);
 
-  /// Gives each pose that is too far from its anchor a new one, where it is. Same state, same
-  /// poses. True if there is any; others keep every bit.
+  /// Sets a new anchor, at the current pose, for each pose that is too far from its anchor. The
+  /// state and the poses do not change. True if any anchor moved; other poses keep every bit.
   bool MoveAnchors();
-  /// Sets the anchors from the next Update on. Anchors are never changed, only replaced.
+  /// Sets the anchors that are used from the next Update on. Anchor objects are never changed, only
+  /// replaced.
   void SetAnchors(std::shared_ptr<const PoseAnchors> anchors) { anchors_ = std::move(anchors); }
   const std::shared_ptr<const PoseAnchors>& anchors() const { return anchors_; }
 
   /// Pose of an image, a frame or a sensor, by its number (NumPoses).
   const PoseState& pose(int pose) const { return poses_[pose]; }
-  /// Frame and sensor from which an image's pose follows.
+  /// Frame and sensor from which the pose of an image follows.
   RigPose rig(int image) const;
   const double* params(int camera) const {
     return camera_params_.data() + static_cast<int64_t>(camera) * stride_;
   }
 
-  /// Chart of an image's observations: its rotation, and (v, t), six numbers. For an image of a rig
-  /// the chart is about the image's rotation.
+  /// Chart of an image's observations: its anchor rotation, and (v, t), six numbers. For an image
+  /// of a rig, the chart is at the image's current rotation.
   const double* chart_rotation(int image) const;
   void Chart(int image, double* chart) const;
 
   /// The refined poses as quaternion and translation (num_images x 7): Exp(v) q_a. A pose that did
-  /// not move keeps every bit of what it was.
+  /// not move keeps every bit of its input.
   std::vector<double> CamFromWorld() const;
   /// Refined poses of frames and of sensors.
   std::vector<double> RigFromWorld() const;
@@ -69,7 +70,7 @@ class CameraStates {
   void TurnAboutCentre(int image);
   void ChartOf(int pose, double* chart) const;
   bool HasMoved(int pose) const;
-  /// ValueOf a pose that is a variable of its own.
+  /// ValueOf a pose that is a variable itself.
   void ValueOfVariable(int pose, double value[7]) const;
   std::vector<double> Values(int first, int count) const;
 

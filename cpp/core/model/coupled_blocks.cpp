@@ -2,10 +2,9 @@
 
 /// Finds the coupled blocks of a problem.
 ///
-/// The points are taken in their order and mark the pairs of their blocks in a table of bits, which
-/// stays in the cache where lists of the points of each block would not: those lead from one end
-/// of the observations to the other. A table of all pairs may be larger than the observations, so
-/// there is one for as many columns at a time as have room.
+/// The points are processed in order and mark the pairs of their blocks in a bit table, which stays
+/// in the cache. Lists of the points of each block would access the observations at random. A table
+/// of all pairs may be larger than the observations, so each table covers as many columns as fit.
 
 #include <algorithm>
 #include <atomic>
@@ -29,7 +28,7 @@ namespace bundle {
 
 namespace {
 
-/// Rows of some columns, one bit each. Threads may mark at the same time.
+/// Rows of some columns, one bit each. Several threads may mark at the same time.
 class ColumnBits {
  public:
   ColumnBits(int num_columns, int num_rows)
@@ -44,7 +43,7 @@ class ColumnBits {
   void Mark(int column, int row) {
     std::atomic<uint64_t>& word = words_[column * words_per_column_ + row / 64];
     const uint64_t bit = uint64_t{1} << (row % 64);
-    // Most pairs have met before.
+    // Most pairs are already marked.
     if ((word.load(std::memory_order_relaxed) & bit) == 0) {
       word.fetch_or(bit, std::memory_order_relaxed);
     }
@@ -65,8 +64,8 @@ class ColumnBits {
   std::vector<std::atomic<uint64_t>> words_;
 };
 
-/// Blocks of the images that see a point. A block that several images share is repeated only if
-/// others come in between.
+/// Blocks of the images that see a point. A block that several images share may occur several
+/// times, but not consecutively.
 void CollectBlocks(const ParameterLayout& layout, const int32_t* begin, const int32_t* end,
                    std::vector<int>* blocks) {
   blocks->clear();
@@ -124,8 +123,8 @@ std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const AdjustmentProblem&
 
 namespace {
 
-/// For each free point that factors couple with other unknowns, these: blocks of the layout, and
-/// free points with a higher index.
+/// For each free point that factors couple with other unknowns, these unknowns: blocks of the
+/// layout, and free points with a higher index.
 struct Neighbours {
   std::vector<int> blocks;
   std::vector<int> points;
@@ -160,7 +159,8 @@ void AddBlocks(const std::unordered_map<int, Neighbours>& neighbours, int point,
 
 namespace {
 
-/// The pairs that any rank has. Each column has its diagonal everywhere, which need not be sent.
+/// The union of the pairs of all ranks. Diagonals need not be sent, because each column has one on
+/// all ranks.
 void JoinColumns(Communicator* communicator, std::vector<std::vector<int>>* columns) {
   if (communicator == nullptr) return;
   const auto n = static_cast<double>(columns->size());
@@ -233,7 +233,8 @@ void AddPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
   const Tracks tracks = GroupByPoint(problem);
   const int first_block = layout.num_free_points();
   const auto neighbours = FindPointNeighbours(problem, layout);
-  std::vector<int> place(neighbours.empty() ? 0 : problem.num_points);  // among the free points
+  std::vector<int> place(neighbours.empty() ? 0
+                                            : problem.num_points);  // index among the free points
   for (int point = 0, next = 0; point < static_cast<int>(place.size()); ++point) {
     place[point] = layout.point_is_free(point) ? next++ : -1;
   }
@@ -286,11 +287,12 @@ BlockPattern FullPattern(const AdjustmentProblem& problem, const ParameterLayout
 int64_t NumInformationNonzeros(const AdjustmentProblem& problem, const ParameterLayout& layout) {
   const std::vector<int> sizes = BlockSizes(layout);
   const BlockPattern cameras = MakeBlockPattern(sizes, FindDirectlyCoupledBlocks(problem, layout));
-  int64_t count = int64_t{kPointSize} * kPointSize * layout.num_free_points();  // with points
+  int64_t count = int64_t{kPointSize} * kPointSize *
+                  layout.num_free_points();  // entries between blocks and points
 
   const Tracks tracks = GroupByPoint(problem);
   const auto neighbours = FindPointNeighbours(problem, layout);
-  std::vector<int> last_point(sizes.size(), -1);  // that a block was counted for
+  std::vector<int> last_point(sizes.size(), -1);  // last point for which a block was counted
   const auto count_block = [&](int point, int block) {
     if (block < 0 || last_point[block] == point) return;
     last_point[block] = point;

@@ -11,13 +11,13 @@
 
 namespace bundle {
 
-/// The block pairs of the reduced camera system that some residual or free point couples:
-/// columns[j] holds the blocks i >= j that meet block j, ascending, j first.
+/// The block pairs of the reduced camera system that a residual or a free point couples: columns[j]
+/// holds the blocks i >= j that are coupled with block j, ascending, j first.
 std::vector<std::vector<int>> FindCoupledBlocks(const AdjustmentProblem& problem,
                                                 const ParameterLayout& layout, int num_threads = 1);
 
-/// Block pairs that a residual couples whatever its point: a shared camera or sensor, and the poses
-/// of its images.
+/// Block pairs that a residual couples independent of its point: a shared camera or sensor, and the
+/// poses of its images.
 std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const AdjustmentProblem& problem,
                                                         const ParameterLayout& layout);
 
@@ -29,10 +29,10 @@ BlockPattern ReducedPattern(const AdjustmentProblem& problem, const ParameterLay
 /// 3 x 3 each, then the blocks of the layout.
 BlockPattern FullPattern(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
-/// NumNonzeros of the full pattern, without making it.
+/// NumNonzeros of the full pattern, computed without building it.
 int64_t NumInformationNonzeros(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
-/// Entries of a full pattern up to which AMD takes seconds on it.
+/// Maximum number of entries of a full pattern on which AMD takes only seconds.
 inline constexpr int64_t kMostEntriesForAmd = 2'000'000;
 
 struct OrderedPattern {
@@ -41,9 +41,9 @@ struct OrderedPattern {
   bool points_first = false;
 };
 
-/// The full pattern and AMD's order of all its blocks, as a sparse Cholesky factorisation of the
-/// whole problem takes it. Where the pattern has more than `most_entries`, the points come first,
-/// then the blocks of S by AMD, which makes a factor that is within a few per cent as large. Throws
+/// The full pattern and AMD's order of all its blocks, as used by a sparse Cholesky factorisation
+/// of the complete problem. If the pattern has more than `most_entries`, the points come first,
+/// then the blocks of S by AMD; this factor is at most a few per cent larger. Throws
 /// std::bad_alloc.
 OrderedPattern OrderFullPattern(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                 int64_t most_entries = kMostEntriesForAmd);

@@ -19,7 +19,7 @@ double ApplyLoss(const Factor& factor, int columns, double* residual, double* ja
   double rho[3];
   ValueOfLoss(factor.loss(), factor.loss_scale(), squared_norm, rho);
   if (jacobian != nullptr && factor.loss() != LossType::kTrivial) {
-    // It exists: no loss of ours has rho'' > 0.
+    // The correction exists: every loss has rho'' <= 0.
     const auto correction = SolveTriggs(rho, squared_norm, SecondOrderTerm::kClamped);
     ApplyTriggs(*correction, rows, columns, residual, jacobian);
   }
@@ -31,7 +31,7 @@ uint32_t KindOf(const Factor& factor, const AdjustmentProblem& problem) {
   for (const int block : factor.blocks()) {
     key += static_cast<char>('a' + static_cast<int>(problem.factors->variables[block].kind));
   }
-  uint32_t hash = 2166136261U;  // Fowler, Noll and Vo's, 1a
+  uint32_t hash = 2166136261U;  // FNV-1a hash (Fowler, Noll, Vo)
   for (const char letter : key) hash = (hash ^ static_cast<unsigned char>(letter)) * 16777619U;
   return hash;
 }

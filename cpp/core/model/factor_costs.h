@@ -1,6 +1,6 @@
 #pragma once
 
-/// Costs of the factors beside the observations, each and by kind.
+/// Costs of the factors other than observations, per factor and per kind.
 
 #include <cstdint>
 #include <vector>
@@ -10,14 +10,14 @@
 
 namespace bundle {
 
-/// Kind of a factor: a number that factors of the same class, number of residuals and kinds of
-/// variables share. It is the same in all processes of a run.
+/// Kind of a factor: a number shared by factors with the same class, number of residuals and kinds
+/// of variables. It is the same in all processes of a run.
 uint32_t KindOf(const Factor& factor, const AdjustmentProblem& problem);
 
-/// The largest change of one of the costs, relative to the cost itself; 0 without any.
+/// The largest change of one of the costs, relative to the cost itself; 0 without factors.
 double LargestRelativeChange(const std::vector<double>& before, const std::vector<double>& after);
 
-/// 1/2 rho(||r||^2) of each factor at the problem's own values; NaN where it has none.
+/// 1/2 rho(||r||^2) of each factor at the problem's own values; NaN if it has no value.
 std::vector<double> FactorCosts(const AdjustmentProblem& problem);
 
 /// Corrects r and J (rows x columns) of a factor for its loss, and returns the cost 1/2

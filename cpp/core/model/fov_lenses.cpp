@@ -13,7 +13,7 @@ namespace bundle {
 namespace {
 
 constexpr int kOmega = 4;  // fx, fy, cx, cy, omega
-/// Omega from which to continue within the jump, and the range of omegas outside it.
+/// Omega from which to continue inside the range of the discontinuity, and limits of this range.
 constexpr double kWithin = 5e-3;
 constexpr double kOutside = 0.1, kFarOutside = 1;
 

@@ -23,7 +23,7 @@ using RowMajor6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
 
 }  // namespace
 
-/// A pose at the start, about the origin of the world.
+/// A pose at the start values, about the origin of the world.
 PoseState FreeMotions::StartOf(int pose) const {
   const double* const value = ValueOfPose(problem_, pose);
   PoseState state;
@@ -33,7 +33,7 @@ PoseState FreeMotions::StartOf(int pose) const {
   return state;
 }
 
-/// A pose of the world about the centre of the cameras.
+/// A pose about the centre of the cameras.
 PoseState FreeMotions::Centered(int pose) const {
   PoseState state = StartOf(pose);
   double moved[3];
@@ -53,7 +53,7 @@ Map6 FreeMotions::ChartMap(int pose, const PoseState& centered) const {
   return map;
 }
 
-/// The columns of a map that are free, with lengths in units of the scene.
+/// The free columns of a map, with lengths in units of the scene.
 MatrixXd FreeMotions::FreeColumns(Map6 map, uint8_t bits) const {
   map.bottomRows<3>() /= size_;
   map.rightCols<3>() *= size_;
@@ -69,7 +69,7 @@ uint8_t FreeMotions::BitsOf(int pose) const {
   return pose < problem_.num_images ? free_.pose[pose] : free_.frame[pose - problem_.num_images];
 }
 
-/// `own`: of its frame. `on_rig` becomes that of its sensor, where there is one.
+/// `own`: the map of its frame. `on_rig` becomes the map of its sensor, if it has one.
 RigPose FreeMotions::OnRig(int image, const PoseState& own, PoseState* on_rig) const {
   const int sensor = problem_.SensorOf(image);
   if (sensor < 0) return {&own, nullptr};

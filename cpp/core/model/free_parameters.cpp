@@ -65,7 +65,7 @@ uint32_t FreeCameraParameters(const CameraModel& model, const SolveOptions& opti
   return free;
 }
 
-/// The pose of an image is its own, or that of its frame and sensor.
+/// The pose of an image is its own, or follows from its frame and sensor.
 void FreePoseOf(const AdjustmentProblem& problem, const SolveOptions& options, int image,
                 FreeParameters* free) {
   const int sensor = problem.SensorOf(image);
@@ -80,7 +80,7 @@ void FreePoseOf(const AdjustmentProblem& problem, const SolveOptions& options, i
 void HoldSensorsWithoutReference(const AdjustmentProblem& problem, FreeParameters* free) {
   if (problem.num_sensors == 0) return;
   const std::vector<uint8_t> observed = FindObservedImages(problem);
-  std::set<int64_t> rigs;  // whose reference sensor observes something
+  std::set<int64_t> rigs;  // rigs whose reference sensor has observations
   for (int i = 0; i < problem.num_images; ++i) {
     const int frame = problem.FrameOf(i);
     if (observed[i] && frame >= 0 && problem.SensorOf(i) < 0) {
@@ -108,7 +108,7 @@ void HoldSensors(const AdjustmentProblem& problem, const SolveOptions& options,
   }
 }
 
-/// An image that is fixed fixes its frame; on a sensor that is refined it would move all the same.
+/// Fixing an image fixes its frame; with a refined sensor, the image would still move.
 void HoldImage(const AdjustmentProblem& problem, int image, FreeParameters* free) {
   const int sensor = problem.SensorOf(image);
   if (sensor >= 0 && free->sensor[sensor] != 0) {
@@ -121,7 +121,7 @@ void HoldImage(const AdjustmentProblem& problem, int image, FreeParameters* free
   free->OfPose(MovingPose(problem, image)) = 0;
 }
 
-/// Frees the variables of factors. No observation may see them.
+/// Frees the variables of factors. They may have no observations.
 void FreeTouched(const AdjustmentProblem& problem, const SolveOptions& options,
                  FreeParameters* free) {
   for (const ProblemVariable& variable : problem.factors->variables) {
@@ -170,11 +170,11 @@ void HoldParts(const AdjustmentProblem& problem, FreeParameters* free) {
   }
   for (int i = 0; problem.restrictions.held_pose_parts != nullptr && i < problem.num_images; ++i) {
     const uint8_t parts = problem.restrictions.held_pose_parts[i];
-    // An image of a rig holds its frame, as one that is fixed does.
+    // An image of a rig holds its frame constant, like a fixed image.
     uint8_t& bits = free->OfPose(MovingPose(problem, i));
     if (parts == (kHeldRotation | kHeldPosition)) bits = 0;
     if (parts == kHeldRotation) bits = static_cast<uint8_t>(bits & ~kRotation);
-    // The translation follows (TurnsAboutCentre).
+    // The translation depends on the rotation (TurnsAboutCentre).
     if (parts == kHeldPosition) bits = static_cast<uint8_t>(bits & kRotation);
   }
 }

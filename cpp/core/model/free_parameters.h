@@ -15,13 +15,13 @@ namespace bundle {
 struct FreeParameters {
   static constexpr uint8_t kWholePose = 0b111111;
 
-  std::vector<uint8_t> pose;     ///< num_images; 0 for images of rigs, which have none of their own
+  std::vector<uint8_t> pose;  ///< num_images; 0 for images of rigs, whose poses are not their own
   std::vector<uint32_t> camera;  ///< num_cameras
   std::vector<uint8_t> point;    ///< num_points: 0 or 1
   std::vector<uint8_t> frame;    ///< num_frames: of rig_from_world
   std::vector<uint8_t> sensor;   ///< num_sensors: of sensor_from_rig
 
-  /// Bits of an image's own pose, a frame or a sensor, by its number (NumPoses).
+  /// Bits of the pose with this number (NumPoses): of an image's own pose, a frame or a sensor.
   uint8_t& OfPose(int number) {
     size_t k = number;
     for (std::vector<uint8_t>* bits : {&pose, &frame}) {
@@ -40,7 +40,7 @@ struct FreeParameters {
 /// Per image: 1 if it has observations.
 std::vector<uint8_t> FindObservedImages(const AdjustmentProblem& problem);
 
-/// Selects the parameters that the options leave free and that an observation or a factor touches.
+/// Selects the parameters that the options leave free and that occur in an observation or a factor.
 /// A fixed image fixes its frame. The sensors of a rig whose reference sensor observes nothing are
 /// fixed, because moving all of them on the rig is equivalent to moving its frames. Throws
 /// InputError if an id to be fixed is not in the problem.

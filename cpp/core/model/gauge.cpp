@@ -2,30 +2,30 @@
 
 /// The gauge.
 ///
-/// Fixed by two cameras: what is free of the world is held by numbers of poses (gauge_hold.cpp). Of
-/// a world of which nothing is held, these are the first pose and a coordinate of the translation
-/// of a second one. (COLMAP takes the largest coordinate of the inverse motion; both hold the
-/// gauge, so both reach the same cost.)
+/// Fixed by two cameras: pose numbers hold the free motions of the world (gauge_hold.cpp). If the
+/// world is completely free, these are the first pose and a coordinate of the translation of a
+/// second pose. (COLMAP takes the largest coordinate of the inverse motion. Both fix the gauge, so
+/// both reach the same cost.)
 ///
-/// Fixed by three points: all nine coordinates of three points that are not on a line, as COLMAP
-/// does. That is two more than the gauge has: the shape of their triangle does not change any more.
-/// Points that are held anyway are the first of them. The others are taken far apart but from the
-/// bulk of the cloud, so that no stray point becomes the reference. Where rigs or images that are
-/// held take part in holding the world, three points would take even more: the rest is then held as
-/// by two cameras.
+/// Fixed by three points: all nine coordinates of three points that are not on a line, as in
+/// COLMAP. That is two more than the gauge has: the shape of their triangle does not change any
+/// more. Points that are constant anyway are used first. The others are chosen far apart but from
+/// the bulk of the cloud, so that no outlier becomes the reference. If rigs or constant images help
+/// to fix the world, three points would hold even more degrees of freedom: the remaining motions
+/// are then held as by two cameras.
 ///
 /// Directions in which cameras and points can move together without a change of any image: the
-/// world goes to X' = X + a, c + Exp(b) (X - c) or c + (1 + s) (X - c), with c the mean of the
-/// projection centres. An image R X + t stays what it is, up to its scale, if
+/// world moves to X' = X + a, c + Exp(b) (X - c) or c + (1 + s) (X - c), with c the mean of the
+/// projection centres. An image R X + t does not change, up to its scale, if
 ///
 ///   a:  R' = R,            t' = t - R a
 ///   b:  R' = R Exp(-b),    t' = t + (R - R') c          = t + R (b x c)   to first order
 ///   s:  R' = R,            t' = t + s (t + R c)
 ///
 /// and R Exp(-b) = Exp(-R b) R is the change J_l(v) dw = -R b of the chart
-/// (factors/reprojection.h). Intrinsics stay as they are. Columns that are not refined are left
-/// out, so that a direction may not be an exact null vector of the system; near ones are enough for
-/// its use (linear/coarse_space.h).
+/// (factors/reprojection.h). Intrinsics do not change. Columns that are not refined are left out,
+/// so that a direction may not be an exact null vector of the system. Approximate null vectors are
+/// enough for their use (linear/coarse_space.h).
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
@@ -75,7 +75,7 @@ double SquaredDistance(const AdjustmentProblem& problem, int p, int a, int b) {
   return squared(area) / squared(along);
 }
 
-/// Points no further from the median of the cloud than twice the median distance.
+/// Points whose distance from the median of the cloud is at most twice the median distance.
 std::vector<int> BulkOfThePoints(const AdjustmentProblem& problem, const std::vector<int>& points) {
   const auto median = [](std::vector<double> values) {
     std::nth_element(values.begin(), values.begin() + values.size() / 2, values.end());
@@ -102,7 +102,7 @@ std::vector<int> BulkOfThePoints(const AdjustmentProblem& problem, const std::ve
 }
 
 /// Finds the point that is furthest from the chosen ones, by more than `least`, a squared distance;
-/// -1: there is none.
+/// -1: no such point.
 int Furthest(const AdjustmentProblem& problem, const std::vector<int>& points, const int chosen[3],
              int count, double* least) {
   int furthest = -1;
@@ -114,10 +114,10 @@ int Furthest(const AdjustmentProblem& problem, const std::vector<int>& points, c
   return furthest;
 }
 
-/// A third point that is held would hold all of the world.
+/// A third constant point would fix all of the world.
 std::string FixThreePoints(const AdjustmentProblem& problem, const std::vector<int>& points,
                            FreeParameters* free) {
-  constexpr double kFar = 1e-12;  // squared, beside the bulk
+  constexpr double kFar = 1e-12;  // squared, relative to the bulk
   std::vector<int> held;
   std::copy_if(points.begin(), points.end(), std::back_inserter(held),
                [free](int p) { return free->point[p] == 0; });
@@ -137,7 +137,7 @@ std::string FixThreePoints(const AdjustmentProblem& problem, const std::vector<i
 
 using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 
-/// True if an image that is observed, or a rig, takes part in holding the world.
+/// True if an observed image, or a rig, helps to fix the world.
 bool PosesHoldSomething(const AdjustmentProblem& problem, const std::vector<int>& images,
                         const FreeParameters& free) {
   return problem.num_frames > 0 || std::any_of(images.begin(), images.end(), [&](int image) {
@@ -199,8 +199,8 @@ std::vector<double> GaugeDirections(const AdjustmentProblem& problem, const Para
   constexpr int kCount = kNumGaugeDirections;
   std::vector<double> gauge_directions(static_cast<size_t>(layout.state_size()) * kCount, 0.0);
   const std::array<double, 3> centre = MeanCentre(cameras, problem.num_images);
-  // What scaling the world does to a sensor is no direction of it: a sensor's block is better off
-  // without, as a cluster of its own that has all its columns (linear/coarse_space.cpp).
+  // The scaling of the world is not used as a direction of a sensor. A sensor's block is better as
+  // a cluster of its own that has all its columns (linear/coarse_space.cpp).
   for (int i = 0; i < problem.num_images + problem.num_frames; ++i) {
     if (layout.pose_block(i) < 0) continue;
     const CameraBlock& block = layout.blocks()[layout.pose_block(i)];

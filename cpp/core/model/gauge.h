@@ -1,6 +1,6 @@
 #pragma once
 
-/// The gauge: how the options fix it, and its directions.
+/// The gauge: the choice of constraints that the options select, and the gauge directions.
 
 #include <array>
 #include <string>
@@ -15,16 +15,16 @@
 
 namespace bundle {
 
-/// Takes the degrees of freedom that no observation sees out of `free`: as many as are counted, and
-/// with three points two more. Returns a sentence, to be shown to the user, where that could not be
-/// done as asked; else "".
+/// Removes the unobservable degrees of freedom from `free`: as many numbers as are counted, and
+/// with three points two more. Returns a message for the user if this could not be done as
+/// requested; otherwise "".
 std::string FixGauge(const AdjustmentProblem& problem, Gauge gauge, FreeParameters* free);
 
 /// Translations, rotations and the scale of the world.
 inline constexpr int kNumGaugeDirections = 7;
 
-/// Derivatives of the chart (w, t) of a pose by the gauge directions, for turns and scaling about a
-/// point: (w, t) x directions, row-major. Not for sensors.
+/// Derivatives of the chart (w, t) of a pose by the gauge directions, with rotation and scaling
+/// about a point: (w, t) x directions, row-major. Not for sensors.
 void GaugeRowsOfPose(const PoseState& pose, const double centre[3],
                      double rows[kPoseSize * kNumGaugeDirections]);
 
@@ -32,7 +32,7 @@ void GaugeRowsOfPose(const PoseState& pose, const double centre[3],
 std::array<double, 3> MeanCentre(const CameraStates& cameras, int num_images);
 
 /// Derivatives of the camera parameters by the similarities of the world about MeanCentre: for each
-/// column of the layout, by three translations, three rotations and the scale.
+/// column of the layout, three translations, three rotations and the scale.
 std::vector<double> GaugeDirections(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                     const CameraStates& cameras);
 

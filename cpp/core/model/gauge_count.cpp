@@ -1,35 +1,35 @@
 #include "core/model/gauge_count.h"
 
-/// Degrees of freedom of the gauge: how many similarities of the world change no image, up to its
-/// scale, and can be made by what is free.
+/// Degrees of freedom of the gauge: the number of similarities of the world that change no image,
+/// up to its scale, and that the free parameters can perform.
 ///
-/// A similarity is d = (a, b, s): X' = X + a + b x X + s X about the centre of the cameras. It has
-/// to move every image with observations by local coordinates (factors/rig_pose.h)
+/// A similarity is d = (a, b, s): X' = X + a + b x X + s X about the centre of the cameras. It must
+/// move every image with observations by local coordinates (factors/rig_pose.h)
 ///
 ///   phi = -R b,    tau = -R a + s t,
 ///
-/// and no point that is held. Let u_f be the free unknowns of a frame (or of an image with a pose
-/// of its own) and u_s those of all sensors that are refined. For all images i of a frame f,
+/// and move no constant point. Let u_f be the free unknowns of a frame (or of an image with a pose
+/// of its own) and u_s those of all refined sensors. For all images i of a frame f,
 ///
 ///   M_f u_f = delta_i(d) - M_s u_s
 ///
-/// has to have a solution. With W = P [delta_i, -M_s], P the projection onto what M_f does not
-/// reach, those (d, u_s) that are possible are the null space of the W of all frames, one above the
-/// other. Some may have d = 0: they move sensors on a rig against its frames. So the gauge has
+/// must have a solution. Let W = P [delta_i, -M_s], with P the projection onto the orthogonal
+/// complement of the range of M_f. The possible (d, u_s) are the null space of the stacked W of all
+/// frames. Some may have d = 0: they move sensors on a rig against its frames. So the gauge has
 ///
 ///   nullity(W) - nullity(W without the columns of d)
 ///
-/// degrees: 7 without rigs and nothing held, 6 where a fixed baseline gives the scale, 4 where one
-/// point is held, 0 where two images are. Lengths are in units of the scene and columns in those of
-/// [delta_i, -M_s], so that a baseline counts as one down to 1e-10 of the scene. Of W, the triangle
-/// of its QR factorisation is kept. A free frame of one image reaches everything and has no rows.
-/// Held points need three rows each, in units of their distance if they are far. But a similarity
-/// that keeps two points keeps their line, and one that keeps three keeps the world: three points
-/// that are far apart represent all.
+/// degrees: 7 without rigs and constant parameters, 6 if a constant baseline gives the scale, 4 if
+/// one point is constant, 0 if two images are. Lengths are in units of the scene and columns in
+/// those of [delta_i, -M_s], so that baselines down to 1e-10 of the scene count. Only the triangle
+/// of the QR factorisation of W is kept. A free frame of one image reaches every direction and has
+/// no rows. Constant points need three rows each, in units of their distance if they are far. But a
+/// similarity that keeps two points keeps their line, and one that keeps three keeps the world:
+/// three points that are far apart represent all.
 ///
 /// A pose is refined by (w, t) with t about the origin of the problem. About the centre c of the
-/// cameras it is t_c = t + R c, which a turn alone, t held, moves by phi x R c. The translation of
-/// an image that turns about its own centre follows it, by phi x t_c.
+/// cameras it is t_c = t + R c. A rotation with constant t moves t_c by phi x R c. If an image
+/// turns about its own centre, its translation follows by phi x t_c.
 
 #include <Eigen/Geometry>
 #include <algorithm>
@@ -52,7 +52,7 @@ using RowMajor6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
 
 constexpr double kZeroSingularValue = 1e-10;
 
-/// Selects up to three of the points (three numbers each) that span as much as all of them.
+/// Selects up to three of the points (three numbers each) with the same span as all of them.
 std::vector<double> Spanning(const std::vector<double>& points) {
   std::vector<double> chosen;
   const auto at = [](const std::vector<double>& of, size_t k) {
@@ -88,7 +88,7 @@ FreeMotions::FreeMotions(const AdjustmentProblem& problem, const FreeParameters&
     num_sensor_columns_ += __builtin_popcount(free.sensor[s]);
   }
   const int n = kNumGaugeDirections + num_sensor_columns_;
-  // Rows are added until there are so many, and then factorised with the triangle above them.
+  // Rows are collected up to this number, and then factorised with the triangle above them.
   rows_ = MatrixXd::Zero(n + std::max(64, 4 * n), n);
   num_rows_ = n;
   squares_ = Eigen::VectorXd::Zero(n);
@@ -149,7 +149,7 @@ FreeMotions::PoseMoves FreeMotions::MovesOf(int pose, const MatrixXd& motions) c
     moves.chart = moves.centered;
     return moves;
   }
-  // The images of a frame agree: the first of them says how it moves.
+  // The images of a frame agree, so that the first of them gives its motion.
   const auto place = std::find(poses_.begin(), poses_.end(), pose) - poses_.begin();
   const int image = moving_[place].front();
   const PoseState own = Centered(pose);
@@ -179,7 +179,7 @@ void FreeMotions::FindScene() {
                          Eigen::Map<const Vector3d>(pose.translation));
     centre_ += centres.back() / static_cast<double>(images_.size());
   }
-  // The root of the mean square, whatever squares do at 1e200.
+  // The root mean square, without overflow of squares at 1e200.
   double most = 0, squares = 0;
   for (const Vector3d& centre : centres) {
     most = std::max(most, (centre - centre_).cwiseAbs().maxCoeff());
@@ -271,7 +271,7 @@ void FreeMotions::Factorize() {
   num_rows_ = n;
 }
 
-/// The triangle by columns of norm 1 before the projection, from the column `first` on.
+/// The triangle, from column `first` on, scaled so that columns have norm 1 before the projection.
 MatrixXd FreeMotions::Scaled(int first) const {
   MatrixXd scaled = rows_.topRows(rows_.cols()).rightCols(rows_.cols() - first);
   for (Eigen::Index j = 0; j < scaled.cols(); ++j) {

@@ -15,19 +15,20 @@ namespace bundle {
 
 class FreeMotions {
  public:
-  /// Keeps references to both, which do not change while this is in use.
+  /// Keeps references to both, which must not change during its lifetime.
   FreeMotions(const AdjustmentProblem& problem, const FreeParameters& free);
 
   /// Degrees of freedom of the gauge.
   int Degrees() const;
-  /// Basis of the possible motions: similarities of the world with motions of refined sensors, and
-  /// motions of sensors on their rigs alone. One column each, orthonormal, in radians, units of the
-  /// scene and of scale.
+  /// Basis of the possible motions: similarities of the world together with motions of refined
+  /// sensors, and motions of sensors on their rigs alone. Orthonormal columns, in radians, units of
+  /// the scene and of scale.
   Eigen::MatrixXd Basis() const;
-  /// Poses that images with observations move by: of images, frames, then sensors that are refined.
+  /// Poses by which images with observations move: those of images, of frames, then of refined
+  /// sensors.
   std::vector<int> Poses() const;
 
-  /// Largest change of a number of an image or a frame by a motion of norm 1.
+  /// Largest change of a pose number of an image or a frame by a motion of norm 1.
   double LongestMove() const { return longest_move_; }
 
   /// Changes of (w, t) of a pose by motions, one row each, in radians and units of the scene.
@@ -35,7 +36,7 @@ class FreeMotions {
     Eigen::MatrixXd chart;     ///< in the solver's coordinates
     Eigen::MatrixXd centered;  ///< with t about the centre of the scene
   };
-  /// `motions`: combinations of the basis, columns as it has.
+  /// `motions`: combinations of the basis, one per column.
   PoseMoves MovesOf(int pose, const Eigen::MatrixXd& motions) const;
 
  private:
@@ -62,8 +63,8 @@ class FreeMotions {
 
   const AdjustmentProblem& problem_;
   const FreeParameters& free_;
-  std::vector<int> images_;               ///< with observations
-  std::vector<int> poses_;                ///< by which these move, in the order of images
+  std::vector<int> images_;  ///< with observations
+  std::vector<int> poses_;   ///< poses by which these images move, in the order of images
   std::vector<std::vector<int>> moving_;  ///< the images that move by each of poses_
   std::vector<int> first_column_;         ///< per sensor, after the columns of d
   int num_sensor_columns_ = 0;

@@ -1,25 +1,27 @@
 #include "core/model/gauge_hold.h"
 
-/// The gauge is held by as many numbers of poses as there are motions that change no image.
+/// Fixes the gauge by holding as many pose numbers as there are motions that change no image.
 ///
 /// Let N be a basis of these motions (gauge_count.h) with m columns, and g_j N the derivative of a
-/// number j of a pose by them. Numbers j_1, ..., j_m with independent rows g_j N can be held: among
-/// all worlds that are equal up to a motion, one has these numbers at their start values (implicit
-/// function theorem), so that nothing is lost. As G N is regular, no motion is left. This is true
-/// whatever else is held (a point, an image, a baseline), because N takes it into account.
+/// pose number j by them. Numbers j_1, ..., j_m with independent rows g_j N can be held constant.
+/// Among all worlds that are equal up to a motion, one has these numbers at their start values
+/// (implicit function theorem), so that the minimum does not change. As G N is regular, no motion
+/// remains. This is true for any other constant parameters (a point, an image, a baseline), because
+/// N takes them into account.
 ///
 /// Numbers are held one by one. After each, N becomes an orthonormal basis of the null space of the
-/// number's row. Poses are used in the order of images, each as far as possible, unless it moves by
-/// less than kShare of another one: a baseline that is relatively short determines the scale badly,
-/// and one of noise alone can change its sign. Sensors are used last; they have the scale if there
-/// is no second frame.
+/// number's row. Poses are used in the order of images, each for as many numbers as possible. A
+/// pose that moves by less than kShare of another one is skipped: a relatively short baseline
+/// determines the scale badly, and one of noise alone can change its sign. Sensors are used last;
+/// they determine the scale if there is no second frame.
 ///
-/// Numbers of a pose's rotation come first, as long as it turns by kTurn of what it shifts
-/// (radians beside units of the scene): with the rotation held, its translation is that of its
-/// centre whatever the origin. Where a point far away is held, turns about it are shifts. Of
-/// several, the number goes that moves most. With nothing held these are all six of the first pose.
-/// The motion left then scales the world about its centre, and moves a second pose's translation by
-/// t_2 -> t_2 + (s - 1) t_21, with t_21 that of cam2_from_cam1: its largest coordinate is held.
+/// Numbers of a pose's rotation come first, as long as it turns by kTurn times its shift (radians
+/// compared with units of the scene). With the rotation held, its translation is equivalent to its
+/// centre, for any origin. If a point far away is held, rotations about it are shifts. Among
+/// several numbers, the one that moves most is held. If no other parameter is constant, these are
+/// all six of the first pose. The remaining motion scales the world about the first pose's centre.
+/// It moves a second pose's translation by t_2 -> t_2 + (s - 1) t_21, with t_21 that of
+/// cam2_from_cam1: its largest coordinate is held.
 
 #include <Eigen/Core>
 #include <algorithm>
@@ -37,9 +39,10 @@ using Eigen::MatrixXd;
 
 constexpr double kShare = 0.01;
 constexpr double kTurn = 0.1;
-/// Motion below which a number counts as fixed, for motions of norm 1.
+/// Below this motion a number counts as constant, for motions of norm 1.
 constexpr double kStill = 1e-9;
-/// Numbers that move as much but for this share are equal, in whatever order sums were rounded.
+/// Numbers whose motions differ by less than this share count as equal, so that rounding does not
+/// decide.
 constexpr double kEqual = 1e-6;
 
 class GaugeHolder {
@@ -62,7 +65,7 @@ class GaugeHolder {
   }
 
  private:
-  /// A number of a pose and how far the motions that are left move it.
+  /// A pose number, and its change by the remaining motions.
   struct Number {
     int column = -1;
     double norm = 0;
@@ -82,14 +85,14 @@ class GaugeHolder {
     return largest;
   }
 
-  /// Moves by the basis, computed on demand: those of most poses are never needed.
+  /// Changes by the basis, computed on demand: those of most poses are never needed.
   const FreeMotions::PoseMoves& MovesOf(size_t place) {
     std::optional<FreeMotions::PoseMoves>& moves = moves_[place];
     if (!moves) moves = motions_.MovesOf(poses_[place], basis_);
     return *moves;
   }
 
-  /// The number that a pose holds next.
+  /// Returns the next number of a pose to hold.
   Number Next(size_t place) {
     const FreeMotions::PoseMoves& moves = MovesOf(place);
     const Number turn = Largest(place, moves.chart, 0);
@@ -110,7 +113,7 @@ class GaugeHolder {
     }
   }
 
-  /// True if no pose moves much further.
+  /// True if no pose moves much more than this one.
   bool IsLong(double norm, size_t first, size_t last) {
     if (norm >= kShare * motions_.LongestMove()) return true;
     double most = 0;
@@ -131,7 +134,7 @@ class GaugeHolder {
   std::vector<int> poses_;
   size_t num_of_world_ = 0;  ///< number of poses_ before the sensors
   std::vector<std::optional<FreeMotions::PoseMoves>> moves_;
-  MatrixXd left_;  ///< combinations of the basis that are not held yet
+  MatrixXd left_;  ///< combinations of the basis that are still free
 };
 
 }  // namespace

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Numbers of poses that hold the free motions of the world (gauge_hold.cpp).
+/// Pose numbers that are held constant to fix the gauge (gauge_hold.cpp).
 
 #include <string>
 
@@ -9,9 +9,9 @@
 
 namespace bundle {
 
-/// Removes as many numbers of poses from `free` as there are motions that change no image
-/// (gauge_count.h), so that no such motion is left. Returns a sentence if some are left, because no
-/// free number moves by them; "" also if no pose is free.
+/// Removes as many pose numbers from `free` as there are motions that change no image
+/// (gauge_count.h), so that no such motion remains. Returns a message if some remain, because no
+/// free number moves by them; "" otherwise, and if no pose is free.
 std::string HoldFreeMotions(const AdjustmentProblem& problem, FreeParameters* free);
 
 }  // namespace bundle

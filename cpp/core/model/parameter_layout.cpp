@@ -34,9 +34,9 @@ ParameterLayout::ParameterLayout(const AdjustmentProblem& problem, FreeParameter
       params_block_(problem.num_cameras, -1) {
   const std::vector<uint32_t> own = FindTies(problem);
   const std::vector<uint8_t> observed = FindObservedImages(problem);
-  std::vector<int> users(problem.num_cameras);  // observed images of each camera
+  std::vector<int> users(problem.num_cameras);  // number of observed images of each camera
   for (int i = 0; i < problem.num_images; ++i) {
-    // Beside an image of a rig, a camera has its own block as if others used it.
+    // With an image of a rig, a camera has its own block, as if other images used it.
     const int weight = problem.FrameOf(i) < 0 ? 1 : 2;
     users[problem.image_camera[i]] += weight * observed[i];
   }

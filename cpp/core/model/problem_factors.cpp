@@ -17,7 +17,7 @@ namespace {
 
 using Kind = ProblemVariable::Kind;
 
-constexpr int kPoseNumbers = 7;  // of an image's variable, a frame's or a sensor's
+constexpr int kPoseNumbers = 7;  // numbers of a pose variable (image, frame or sensor)
 
 const ProblemVariable& VariableOf(const Factor& factor, const AdjustmentProblem& problem,
                                   size_t place) {
@@ -32,15 +32,15 @@ int PoseNumber(Kind kind, int index, const AdjustmentProblem& problem) {
   return kind == Kind::kFrame ? PoseOfFrame(problem, index) : PoseOfSensor(problem, index);
 }
 
-/// A block of the layout with unknowns of a variable. is_of_rig: they are those of its frame or
-/// sensor; rig_column: column of the first of these.
+/// A block of the layout with unknowns of a variable. is_of_rig: the unknowns are those of the
+/// image's frame or sensor; rig_column: column of the first of these.
 struct VariableBlock {
   int block;
   bool is_of_rig;
   int rig_column;
 };
 
-/// The blocks that have unknowns of a variable; none of points.
+/// The blocks that have unknowns of a variable; empty for points.
 std::vector<VariableBlock> BlocksOf(const ProblemVariable& variable,
                                     const AdjustmentProblem& problem,
                                     const ParameterLayout& layout) {
@@ -65,8 +65,8 @@ std::vector<VariableBlock> BlocksOf(const ProblemVariable& variable,
   return blocks;
 }
 
-/// The free columns of a variable within one of its blocks: which unknown of the block moves each,
-/// and how many times.
+/// The free columns of a variable in one of its blocks: for each, the unknown that moves it, and
+/// its factor.
 template <typename Visit>
 void ForFreeColumns(const ProblemVariable& variable, const ParameterLayout& layout, int index,
                     const Visit& visit) {
@@ -184,7 +184,7 @@ ChartedFactor::ChartedFactor(const Factor& factor, const AdjustmentProblem& prob
 
 namespace {
 
-/// A row by (phi, rho) to one by (w, t), as the header derives it.
+/// Converts a row by (phi, rho) to one by (w, t), as derived in the header.
 void ToChart(const PoseState& pose, const double* origin, const double* row, double* out) {
   double a[3], turned[3];
   Cross3(row + 3, origin, a);
@@ -194,7 +194,7 @@ void ToChart(const PoseState& pose, const double* origin, const double* row, dou
   MatrixVector3(pose.rotation, row + 3, out + 3);
 }
 
-/// For an image that turns about its centre: adds the effect of w through t.
+/// For an image that turns about its centre: adds the effect of w on t.
 void AddTurn(const PoseState& pose, double* by_chart) {
   double by_turn[9], moved[3];
   MinusCross(pose.translation, pose.left_jacobian, by_turn);
@@ -202,7 +202,7 @@ void AddTurn(const PoseState& pose, double* by_chart) {
   for (int j = 0; j < 3; ++j) by_chart[j] += moved[j];
 }
 
-/// A pose's variable at a state, in the world of the factors.
+/// The value of a pose variable at a state, in the world of the factors.
 void PoseOf(const CameraStates& cameras, int pose, const double* origin, double* value) {
   cameras.ValueOf(pose, value);
   NormalizeQuaternion(value);
@@ -211,7 +211,7 @@ void PoseOf(const CameraStates& cameras, int pose, const double* origin, double*
   for (int j = 0; j < 3; ++j) value[4 + j] -= moved[j];
 }
 
-/// A row by local coordinates of an image to one by its frame's chart, then by its sensor's.
+/// Converts a row by local coordinates of an image to rows by its frame's chart and its sensor's.
 void ToRig(const RigPose& rig, const double* row, double* out) {
   double map[36];
   FrameMap(rig, map);

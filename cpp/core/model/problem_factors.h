@@ -1,6 +1,6 @@
 #pragma once
 
-/// Factors beside the observations of a problem, as functions of a solver's unknowns.
+/// Factors other than the observations of a problem, as functions of a solver's unknowns.
 ///
 /// A factor (factors/factor.h) is differentiated by the tangent coordinates of its variables. An
 /// image is the variable cam_from_world on SE(3), T = (R, t), which moves to T Exp(phi, rho): to
@@ -11,8 +11,8 @@
 ///   t + R rho  = t + dt                  =>   rho = R^T dt.
 ///
 /// A scene that is solved about another origin c (model/scene_frame.h) has t' = t + R c for its
-/// translations and X' = X - c for its points, but factors are in the world of the user. As t = t'
-/// - R c, and R c moves to R Exp(phi) c = R (c + phi x c),
+/// translations and X' = X - c for its points, but factors are in the user's world. As t = t' - R
+/// c, and R c moves to R Exp(phi) c = R (c + phi x c),
 ///
 ///   t + R rho  = t' + dt - R (c + phi x c)   =>   rho = R^T dt + c x phi.
 ///
@@ -21,11 +21,11 @@
 ///   by w: (R (a + b x c))^T J_l(v),        by t: (R b)^T.
 ///
 /// An image of a rig has no chart of its own. For the local coordinates of factors/rig_pose.h, J_l
-/// is the identity here, and the row goes on to those by its frame and its sensor through M_f and
-/// M_s. Frames and sensors are variables themselves, as images are; no origin moves a sensor.
+/// is the identity here. M_f and M_s then map the row to rows by its frame and its sensor. Frames
+/// and sensors are also variables, like images; a change of origin does not move a sensor.
 ///
-/// Cameras and points are Euclidean: their coordinates are the unknowns themselves. Of all these a
-/// layout keeps the columns that are free (CameraBlock::columns).
+/// Cameras and points are Euclidean: their coordinates are the unknowns. A layout keeps only the
+/// free columns of all of these (CameraBlock::columns).
 
 #include <cstdint>
 #include <memory>
@@ -44,18 +44,18 @@ namespace bundle {
 struct ProblemVariable {
   enum class Kind { kImage, kCamera, kPoint, kFrame, kSensor };
   Kind kind = Kind::kImage;
-  int index = 0;  ///< in the problem's arrays
+  int index = 0;  ///< index in the problem's arrays
 };
 
-/// The numbers of a variable; the quaternion of an image's has any norm.
+/// The numbers of a variable; the quaternion of a pose may have any norm.
 const double* ValueOf(const ProblemVariable& variable, const AdjustmentProblem& problem);
 
 struct ProblemFactors {
-  std::vector<ProblemVariable> variables;  ///< Factor::blocks() are places in it
+  std::vector<ProblemVariable> variables;  ///< Factor::blocks() are indices in it
   std::vector<std::unique_ptr<Factor>> factors;
 };
 
-/// The unknowns that a factor touches.
+/// The unknowns on which a factor depends.
 struct FactorUnknowns {
   std::vector<int> points;  ///< free points, in the order of the factor
   std::vector<int> blocks;  ///< blocks of the layout, ascending
@@ -65,18 +65,18 @@ struct FactorUnknowns {
 std::vector<FactorUnknowns> FindFactorUnknowns(const AdjustmentProblem& problem,
                                                const ParameterLayout& layout);
 
-/// True if the factor touches only camera parameters, or exactly one point and no other free
-/// unknown. The elimination of the points then leaves the factor unchanged, or only the point's
-/// block starts at another value.
+/// True if the factor depends only on camera parameters, or on exactly one point and no other free
+/// unknown. The elimination of the points then does not change the factor, or only adds to the
+/// point's block.
 inline bool LeavesPointsApart(const FactorUnknowns& unknowns) {
   return unknowns.points.empty() || (unknowns.points.size() == 1 && unknowns.blocks.empty());
 }
 
-/// True if a factor touches anything but cameras, and so may say where the world is.
+/// True if a factor depends on variables other than cameras, and may therefore fix the world.
 bool MayFixGauge(const AdjustmentProblem& problem);
 
-/// A factor by the unknowns of a solver. Threads may evaluate one at the same time if the factor
-/// allows it.
+/// A factor as a function of a solver's unknowns. Several threads may evaluate it at the same time
+/// if the factor allows it.
 class ChartedFactor {
  public:
   /// Keeps references to the factor, the problem and the layout's blocks.
@@ -89,27 +89,27 @@ class ChartedFactor {
   int num_residuals() const { return factor_.num_residuals(); }
   /// Columns of the Jacobian: three per free point, then those of the blocks.
   int num_columns() const { return num_columns_; }
-  /// First column of each free point, then of each block, and the end.
+  /// First column of each free point, then of each block, then the number of columns.
   const std::vector<int>& column_begin() const { return column_begin_; }
 
   /// The residual, without a loss, and unless it is nullptr the Jacobian, num_residuals x
-  /// num_columns, row-major. `points`: one pointer a free point of the factor. False where there is
-  /// no value, or no finite residual.
+  /// num_columns, row-major. `points`: one pointer per free point of the factor. False if there is
+  /// no value or the residual is not finite.
   bool Evaluate(const CameraStates& cameras, const double* const* points, double* residual,
                 double* jacobian) const;
 
-  /// 1/2 rho(||r||^2); NaN where there is no value. `points` as for Evaluate.
+  /// 1/2 rho(||r||^2); NaN if there is no value. `points` as for Evaluate.
   double Cost(const CameraStates& cameras, const double* const* points) const;
 
  private:
   struct Variable {
     ProblemVariable::Kind kind;
     int index;
-    int free_point = -1;               ///< place in unknowns().points
+    int free_point = -1;               ///< index in unknowns().points
     std::vector<int8_t> columns;       ///< free columns of the chart, or parameters
-    std::vector<int> jacobian_column;  ///< and where they go
-    std::vector<double> scale;         ///< and how many times
-    /// Columns of an image's frame and sensor, 6 + 6, and where these go.
+    std::vector<int> jacobian_column;  ///< destination of each of these columns
+    std::vector<double> scale;         ///< factor of each of these columns
+    /// Columns of an image's frame and sensor, 6 + 6, and their destinations.
     std::vector<int8_t> rig_columns;
     std::vector<int> rig_jacobian_column;
 

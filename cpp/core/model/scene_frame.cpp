@@ -32,7 +32,7 @@ double TrimmedMean(std::vector<double>* values) {
   return std::accumulate(begin, end, 0.0) / static_cast<double>(end - begin);
 }
 
-/// std::hypot is slow: it is for numbers whose squares leave the range of doubles.
+/// std::hypot is slow; it is used only for numbers whose squares would leave the range of doubles.
 double Distance(const double* a, const double* b) {
   const double d[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
   const double squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];

@@ -1,17 +1,15 @@
 #pragma once
 
-/// Scenes whose origin is far outside them, and points far outside their scene.
+/// Scenes that are far from their origin, and points that are far from their scene.
 ///
-/// Both harm a solver. A rotation turns the world about its origin: from afar, every turn of a
-/// camera moves it by far more than the scene measures, which its translation has to undo, and
-/// neither the damping nor the rounding is made for that. And the parameter tolerance stops a solve
-/// once
-/// ||step|| <= tolerance ||x||, where one large coordinate makes every step look small.
+/// Both harm a solver. A rotation turns the world about its origin. If the origin is far away, a
+/// rotation of a camera moves it by far more than the size of the scene, and its translation has to
+/// compensate. Neither damping nor rounding is suited to that. And the parameter tolerance stops a
+/// solve once ||step|| <= tolerance ||x||, where one large coordinate makes every step look small.
 ///
 /// So a scene that is more than kFarOrigin times its size away from the origin (UTM coordinates,
-/// for instance) is solved about a point c at its centre. With X' = X - c and t' = t + R c it is R
-/// X' + t' = R X + t: no residual changes. The solution is moved back; unchanged values keep their
-/// bits.
+/// for instance) is solved about a point c at its centre. With X' = X - c and t' = t + R c, R X' +
+/// t' = R X + t: no residual changes. The solution is moved back; unchanged values keep their bits.
 ///
 /// Points more than kFarPoint sizes away from the centre stay in the problem, but not in the norm:
 /// the tolerance is multiplied by ||x without them|| / ||x||.
@@ -21,10 +19,10 @@
 ///
 /// The scene is solved about the point that COLMAP's normalisation puts at the origin: per
 /// coordinate, the mean of the projection centres between their 10th and 90th percentile. Damping
-/// depends on where the origin is, and with it how many steps a slow valley takes until the
-/// function tolerance stops the solve: a COLMAP model that was moved gets the steps back that it
-/// had before. It is the centre where more than a tenth of the images stand far away from the
-/// others.
+/// depends on the origin, and therefore also the number of steps in a slow valley until the
+/// function tolerance stops the solve. With this choice, a COLMAP model that was moved takes the
+/// same steps as before. If more than a tenth of the images are far away from the others, the
+/// origin is the centre instead.
 
 #include <cstdint>
 #include <string>
@@ -43,10 +41,10 @@ inline constexpr double kFarPull = 1;
 
 struct SceneFrame {
   double center[3] = {};
-  double origin[3] = {};  ///< to solve a scene about that is far from its own
+  double origin[3] = {};  ///< solve about this point if it is far from the problem's origin
   double size = 0;        ///< 0 without images or points
   double reach = 0;       ///< distance of the farthest point
-  double unit = 1;        ///< in lengths of the problem that users know (world_scale.h)
+  double unit = 1;        ///< in lengths of the user's problem (world_scale.h)
 
   explicit SceneFrame(const AdjustmentProblem& problem);
 
@@ -54,7 +52,7 @@ struct SceneFrame {
   double DistanceTo(const double* point) const;
 };
 
-/// A problem about the centre of its scene, if the origin is far outside it, or else itself.
+/// A problem about the centre of its scene if its origin is far away, or the problem itself.
 class CenteredProblem {
  public:
   /// Keeps a reference to the problem.
@@ -65,7 +63,7 @@ class CenteredProblem {
   const AdjustmentProblem& view() const { return centered_; }
   bool is_moved() const { return !points_.empty(); }
 
-  /// Moves a solution of view() to where the problem is.
+  /// Moves a solution of view() back to the problem's origin.
   void MoveBack(SolveOutput* output) const;
 
  private:
@@ -77,14 +75,14 @@ class CenteredProblem {
   AdjustmentProblem centered_;
 };
 
-/// The points far outside the scene that take part: with observations that have something to
-/// refine.
+/// The points that are far from the scene and take part in the solve: they have observations with
+/// free parameters.
 struct FarPoints {
-  double norm_without = 1;  ///< ||x without them|| / ||x|| at the start, x all that is free
-  std::vector<int64_t> observations;  ///< theirs, of those that have something to refine
-  int64_t num_observations = 0;       ///< theirs, on all ranks
-  std::vector<int64_t> others;        ///< and all other points', where there are far ones
-  std::string warning;                ///< a sentence; empty: there are none
+  double norm_without = 1;            ///< ||x without them|| / ||x|| at the start, over all free x
+  std::vector<int64_t> observations;  ///< their observations, if these have free parameters
+  int64_t num_observations = 0;       ///< number of their observations on all ranks
+  std::vector<int64_t> others;        ///< observations of all other points, if there are far points
+  std::string warning;                ///< a message; empty without far points
 };
 
 FarPoints FindFarPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
@@ -93,10 +91,10 @@ FarPoints FindFarPoints(const AdjustmentProblem& problem, const ParameterLayout&
 /// A solution that is distorted by far points is not usable. The criteria: at the end, far points
 /// cost more than all others, or the others cost more than kMaxNearRise times their cost at the
 /// start. Observations behind their cameras at the start or the end are left out. Both criteria
-/// apply only if far points pull: the square root of the mean of rho' s over their observations, s
-/// the squared residual, exceeds kFarPull pixels, or loss scales (rho' s is the gradient of an
-/// observation along its residual). Otherwise, they may have most of a cost that is rounding, or
-/// that a loss bounds. A solve without iterations is not judged.
+/// apply only if far points pull. They pull if the square root of the mean of rho' s over their
+/// observations, with s the squared residual, exceeds kFarPull pixels or loss scales (rho' s is the
+/// gradient of an observation along its residual). Otherwise, they may have most of a cost that is
+/// rounding, or that a loss bounds. A solve without iterations is not judged.
 void JudgeFarPoints(const AdjustmentProblem& problem, const FarPoints& far,
                     const SolveOptions& options, SolveOutput* output);
 

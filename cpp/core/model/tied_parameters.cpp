@@ -1,6 +1,6 @@
 /// Part of ParameterLayout (parameter_layout.h).
 ///
-/// Camera parameters that are multiples of one number, and images that turn about their centre: the
+/// Camera parameters that are multiples of one number, and images that turn about their centre. The
 /// unknowns of their blocks move the columns of an image by maps.
 
 #include <algorithm>
@@ -65,7 +65,7 @@ std::vector<uint32_t> ParameterLayout::FindTies(const AdjustmentProblem& problem
     for (size_t m = is_own ? 1 : 0; m < tie.size(); ++m) {
       TiedParameter parameter = tie[m].parameter;
       if (is_own) {
-        parameter.entry = tie.front().parameter.column;  // until its block is known
+        parameter.entry = tie.front().parameter.column;  // replaced once its block is known
         parameter.scale /= scale;
       } else {
         parameter.block = *found;

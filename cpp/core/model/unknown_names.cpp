@@ -7,7 +7,7 @@ namespace bundle {
 std::vector<UnknownName> NameUnknowns(const AdjustmentProblem& problem,
                                       const ParameterLayout& layout) {
   std::vector<UnknownName> names(layout.state_size());
-  constexpr int kShared = -1;  // a block of numbers that cameras share
+  constexpr int kShared = -1;  // marks a block of numbers that cameras share
   std::vector<UnknownName> owner(layout.blocks().size(), {kShared, 0, 0});
   const auto own = [&owner](int block, UnknownName::Kind kind, int index) {
     if (block >= 0) owner[block] = {kind, index, 0};
@@ -38,7 +38,7 @@ std::vector<UnknownName> NameUnknowns(const AdjustmentProblem& problem,
       }
     }
   }
-  // A number that several cameras share goes by the first of them.
+  // A number that several cameras share has the name of the first of them.
   for (int c = problem.num_cameras - 1; c >= 0; --c) {
     for (const TiedParameter& tied : layout.tied(c)) {
       const CameraBlock& block = layout.blocks()[tied.block];

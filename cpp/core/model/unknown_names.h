@@ -11,20 +11,20 @@
 
 namespace bundle {
 
-/// An unknown of a layout: the entry of (w, t) of a pose, or a parameter of a camera. A number that
-/// several cameras share goes by the first of them.
+/// An unknown of a layout: an entry of (w, t) of a pose, or a parameter of a camera. A number that
+/// several cameras share has the name of the first of them.
 struct UnknownName {
   enum Kind : int32_t { kImage, kFrame, kSensor, kCamera };
   int32_t kind = kImage;
   int32_t index = 0;       ///< index of the image, frame, sensor or camera
-  int32_t coordinate = 0;  ///< 0..5 of a pose, else the parameter
+  int32_t coordinate = 0;  ///< 0..5 of a pose, or the parameter of a camera
 };
 
 /// One name per unknown of the layout.
 std::vector<UnknownName> NameUnknowns(const AdjustmentProblem& problem,
                                       const ParameterLayout& layout);
 
-/// "rotation z of image 362", "k of camera 3": by the ids of the problem, which it has.
+/// "rotation z of image 362", "k of camera 3", with the ids of the problem, which must have ids.
 std::string Words(const AdjustmentProblem& problem, const UnknownName& name);
 
 }  // namespace bundle
