@@ -1,20 +1,20 @@
 #pragma once
 
-/// Active bounds for Ceres: numbers of a state on a bound beyond which the cost falls.
+/// Active bounds for Ceres: numbers of a state on a bound beyond which the cost decreases.
 ///
-/// Ceres projects a step onto the bounds after it has computed it, and then compares the decrease
-/// of the cost with that of a model in which such numbers have left their bounds. If they have most
-/// of the gradient, the ratio is near zero, every step is rejected, and the solve "converges" at
-/// its state (ceres-solver issue 187). model/parameter_layout.h (StateBounds) explains active
-/// numbers.
+/// Ceres projects a step onto the bounds after it has computed it. It then compares the decrease of
+/// the cost with that of a model in which such numbers have left their bounds. If they have most of
+/// the gradient, the ratio is near zero, every step is rejected, and the solve "converges" at its
+/// state (ceres-solver issue 187). Active numbers are explained in model/parameter_layout.h
+/// (StateBounds).
 ///
-/// Ceres asks for derivatives at each new state. Before that, the active numbers are found by the
-/// gradient. Costs then have no derivatives by them, so that no step moves them and the model
-/// predicts no decrease from them.
+/// Ceres asks for derivatives at each new state. Before that, the active numbers are determined
+/// from the gradient. The derivatives of costs by them are then set to zero. So no step moves them
+/// and the model predicts no decrease from them.
 ///
-/// DENSE_QR finds a number without derivatives up to rounding only, which the small damping of its
-/// row magnifies: it would leave its bound by 1e-9 and no longer be active. There active numbers
-/// are kept by a manifold too.
+/// DENSE_QR keeps a number without derivatives constant only up to rounding, which the small
+/// damping of its row amplifies. It would leave its bound by 1e-9 and no longer be active. For
+/// DENSE_QR, a manifold also holds active numbers constant.
 
 #include <algorithm>
 #include <cmath>
@@ -33,8 +33,8 @@ namespace bundle {
 
 class ActiveBounds {
  public:
-  /// Sets the bounds of a parameter block of the problem, at whose numbers Ceres evaluates. Before
-  /// any cost is wrapped. `inexact`: steps may move numbers without derivatives.
+  /// Sets the bounds of a parameter block of the problem; Ceres evaluates at this block's memory.
+  /// Call before any cost is wrapped. `inexact`: steps may move numbers without derivatives.
   void Add(ceres::Problem* problem, double* data, StateBounds bounds, bool inexact) {
     bool has_bound = false;
     for (size_t k = 0; k < bounds.lower.size(); ++k) {
@@ -55,8 +55,8 @@ class ActiveBounds {
     problem->SetManifold(data, manifolds_.back().get());
   }
 
-  /// The cost without derivatives by active numbers; itself where none of its parameter blocks has
-  /// bounds. `loss` may be nullptr and outlives it.
+  /// Returns the cost without derivatives by active numbers, or the cost itself if none of its
+  /// parameter blocks has bounds. `loss` may be nullptr and must outlive the result.
   std::unique_ptr<ceres::CostFunction> Wrap(std::unique_ptr<ceres::CostFunction> cost,
                                             const ceres::LossFunction* loss,
                                             std::vector<double*> parameters) {
@@ -72,8 +72,8 @@ class ActiveBounds {
     return wrapped;
   }
 
-  /// Finds the active numbers at the state. Takes an evaluation of the costs that depend on numbers
-  /// on their bounds.
+  /// Finds the active numbers at the state. Evaluates the costs that depend on numbers on their
+  /// bounds.
   void Find() {
     bool any_on_bound = false;
     for (Block& block : blocks_) {
@@ -99,7 +99,7 @@ class ActiveBounds {
     const double* data;
     StateBounds bounds;
     std::vector<uint8_t> is_active;
-    std::vector<double> gradient;  ///< empty where no number is on its bound
+    std::vector<double> gradient;  ///< empty if no number is on its bound
   };
 
   class Cost final : public ceres::CostFunction {
@@ -130,7 +130,7 @@ class ActiveBounds {
       return true;
     }
 
-    /// Adds J^T r, corrected for the loss, by the blocks with a number on its bound.
+    /// Adds J^T r, corrected for the loss, for the blocks with a number on its bound.
     void AddGradient(std::vector<Block>* blocks) const {
       for (size_t b = 0; b < places_.size(); ++b) {
         if (places_[b] < 0 || (*blocks)[places_[b]].gradient.empty()) continue;
@@ -155,11 +155,11 @@ class ActiveBounds {
     const std::unique_ptr<ceres::CostFunction> cost_;
     const ceres::LossFunction* const loss_;
     const std::vector<double*> parameters_;
-    const std::vector<int> places_;  ///< per parameter block: place in blocks_; -1: without bounds
+    const std::vector<int> places_;  ///< per parameter block: index in blocks_; -1: without bounds
     const ActiveBounds& active_;
   };
 
-  /// A manifold that keeps active numbers constant, or nullptr for none.
+  /// Returns a manifold that keeps active numbers constant, or nullptr if none is needed.
   class Keep final : public ceres::Manifold {
    public:
     Keep(const ActiveBounds& active, size_t block, const ceres::Manifold* manifold)
@@ -215,7 +215,8 @@ class ActiveBounds {
 
   std::vector<Block> blocks_;
   std::vector<std::unique_ptr<Keep>> manifolds_;
-  std::unordered_map<const double*, int> place_;  ///< in blocks_, of a parameter block's numbers
+  std::unordered_map<const double*, int>
+      place_;  ///< index in blocks_ for a parameter block's address
   std::vector<const Cost*> costs_;
 };
 

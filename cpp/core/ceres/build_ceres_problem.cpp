@@ -18,11 +18,11 @@ void CeresSolve::BuildProblem() {
   problem_options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   problem_options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   problem_options.manifold_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
-  problem_options.disable_all_safety_checks = true;  // the layout makes every block once
+  problem_options.disable_all_safety_checks = true;  // the layout contains every block only once
   problem_options.evaluation_callback = &update_states_;
   ceres_problem_ = std::make_unique<ceres::Problem>(problem_options);
 
-  // In the order of memory, so that Ceres walks through ours as it walks through its own.
+  // In the order of memory, so that Ceres accesses parameter blocks in sequence.
   for (int p = 0; p < problem_.num_points; ++p) {
     if (layout_.point_is_free(p)) ceres_problem_->AddParameterBlock(PointData(p), 3);
   }

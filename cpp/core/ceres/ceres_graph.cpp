@@ -136,7 +136,8 @@ class CeresGraph::Cost final : public ceres::CostFunction {
   }
 
  private:
-  /// J to [J 0] in place, from the last row on: no row has moved when it is read.
+  /// Widens J to [J 0] in place, from the last row on, so that no row is overwritten before it is
+  /// read.
   static void Widen(int rows, const Retraction& retraction, double* jacobian) {
     const int narrow = retraction.tangent_size(), wide = retraction.ambient_size();
     if (narrow == wide) return;
@@ -156,7 +157,7 @@ class CeresGraph::Watch final : public ceres::EvaluationCallback {
   explicit Watch(CeresGraph* graph) : graph_(graph) {}
 
   void PrepareForEvaluation(bool evaluate_jacobians, bool new_evaluation_point) override {
-    // As in a solve of a problem: only the start is a new point where derivatives are asked for.
+    // As in a solve of a problem: Ceres asks for derivatives at a new point only at the start.
     graph_->step_lengths_.Evaluate(evaluate_jacobians && !(new_evaluation_point && has_start_));
     has_start_ = has_start_ || evaluate_jacobians;
     if (evaluate_jacobians) {

@@ -27,13 +27,13 @@ namespace bundle {
 std::unique_ptr<ceres::Manifold> MakeManifold(const std::string& name, int size,
                                               const std::vector<int>& constant);
 
-/// Reason why costs have no value any more, so that Ceres ends: the user's wish or an exception of
-/// a factor.
+/// Reason why costs can no longer be evaluated, so that Ceres ends: the user's request or an
+/// exception of a factor.
 struct Abandonment {
   std::atomic<bool> happened{false};
   FirstException exception;  ///< thrown by a factor; never Interrupted
 
-  /// Returns the result of `evaluate`. Keeps its exceptions, which Ceres does not expect.
+  /// Returns the result of `evaluate`. Stores its exceptions, which Ceres cannot handle.
   template <typename Evaluate>
   bool Guard(const Evaluate& evaluate) noexcept {
     if (happened.load(std::memory_order_relaxed)) return false;
@@ -48,50 +48,50 @@ struct Abandonment {
   }
 };
 
-/// A factor beside the observations of a problem as Ceres sees it. Its parameter blocks are its
-/// free points, then its blocks of the layout (ChartedFactor::unknowns). Values of the camera
-/// parameters are read from `states`, as MakeReprojectionCost does.
+/// A factor other than the observations of a problem, as a Ceres cost function. Its parameter
+/// blocks are its free points, then its blocks of the layout (ChartedFactor::unknowns). Values of
+/// the camera parameters are read from `states`, as in MakeReprojectionCost.
 std::unique_ptr<ceres::CostFunction> MakeFactorCost(ChartedFactor factor,
                                                     const CameraStates& states,
                                                     Abandonment* abandonment);
 
 /// A factor graph as a ceres::Problem.
 ///
-/// A factor's Jacobian J is by tangent coordinates, but Ceres asks a cost function for derivatives
-/// by the numbers that are stored and multiplies them with the manifold's PlusJacobian. As it uses
-/// that matrix for nothing else, both are chosen so that the product is J itself: the cost function
-/// writes [J 0], as wide as the stored value, and PlusJacobian is [I 0]^T, without the columns of
-/// coordinates that are held. No digit is lost and nothing is differentiated twice.
+/// A factor's Jacobian J is by tangent coordinates. Ceres asks a cost function for derivatives by
+/// the stored numbers and multiplies them with the manifold's PlusJacobian. It uses that matrix for
+/// nothing else, so both are chosen such that the product is J itself. The cost function writes [J
+/// 0], as wide as the stored value, and PlusJacobian is [I 0]^T, without the columns of constant
+/// coordinates. No digit is lost and no derivative is computed twice.
 ///
 /// Must outlive the ceres::Problem. The graph must not be moved or changed.
 class CeresGraph {
  public:
-  /// With `all_free`, held coordinates count as free ones and bounds are left out.
+  /// With `all_free`, constant coordinates count as free and bounds are left out.
   CeresGraph(const FactorGraph& graph, bool all_free);
   ~CeresGraph();
   CeresGraph(const CeresGraph&) = delete;
   CeresGraph& operator=(const CeresGraph&) = delete;
 
   ceres::Problem& problem() { return *problem_; }
-  /// Values that Ceres changes, at first those of the graph.
+  /// Values that Ceres changes; at first those of the graph.
   const std::vector<std::vector<double>>& values() const { return values_; }
   StepLengths& step_lengths() { return step_lengths_; }
   bool IsThreadSafe() const;
-  /// nnz(J^T J) over the free coordinates, blocks full.
+  /// nnz(J^T J) over the free coordinates, counting full blocks.
   int64_t CountInformationNonzeros() const;
 
-  /// True once no factor has a value any more, because the user wants the solve to end or a factor
-  /// threw. The user's wish is tested before a candidate is evaluated, while Ceres can still be
-  /// left with the best state.
+  /// True once no factor can be evaluated any more, because the user ended the solve or a factor
+  /// threw an exception. The user's request is tested before a candidate is evaluated, while Ceres
+  /// can still end with the best state.
   const std::atomic<bool>& abandoned() const { return abandonment_.happened; }
-  /// Rethrows the exception of a factor, if one threw; does not throw Interrupted.
+  /// Rethrows the exception of a factor, if any; does not throw Interrupted.
   void RethrowFactorException() { abandonment_.exception.Rethrow(); }
 
  private:
   class Cost;
   class BlockManifold;
   class Watch;
-  /// Evaluates a factor and keeps its exceptions, which must not pass through Ceres.
+  /// Evaluates a factor and stores its exceptions, which must not pass through Ceres.
   bool Evaluate(const Factor& factor, double const* const* parameters, double* residuals,
                 double** jacobians) const;
 

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Part of solve_with_ceres.cpp and build_ceres_problem.cpp, which alone include it.
+/// Included only by solve_with_ceres.cpp and build_ceres_problem.cpp.
 
 #include <cstdint>
 #include <memory>
@@ -26,13 +26,13 @@
 
 namespace bundle {
 
-/// Continuation of a solve that Ceres calls converged.
+/// Continuation of a solve that Ceres considers converged.
 struct Continuation {
   /// True: continue at the same state with the same held residuals, because Ceres compares changes
   /// of the cost with a cost that includes the held cost. False: continue with all observations
   /// that can count.
   bool repeats = false;
-  /// Share of the cost without the held cost in the cost that Ceres sees.
+  /// Ratio of the cost without the held cost to the cost that Ceres sees.
   double share = 1;
 };
 
@@ -47,21 +47,22 @@ class CeresSolve {
   ceres::Solver::Summary SolveOnce(const ProgressCallback& progress,
                                    ceres::Solver::Options ceres_options, SolveOutput* output,
                                    const Continuation& continuation = {});
-  /// Rewrites the message of Ceres about the function tolerance for the cost without the held cost.
+  /// Rewrites Ceres' message about the function tolerance for the cost without the held cost.
   void TellOfCostWithoutHeld(ceres::Solver::Summary* summary) const;
-  /// Finds whether a converged solve has to continue. Ceres judges steps by the cost with the held
-  /// cost (factors/reprojection.h), but the function tolerance is a share of the cost without it.
-  /// And observations that were left out may now be in front of their cameras.
+  /// Decides if a converged solve has to continue. Ceres judges steps by the cost with the held
+  /// cost (factors/reprojection.h), but the function tolerance refers to the cost without it. And
+  /// observations that were left out may now be in front of their cameras.
   std::optional<Continuation> FindContinuation(const ceres::Solver::Summary& summary) const;
   ceres::Solver::Options OptionsToGoOn(ceres::Solver::Options result,
                                        const ceres::Solver::Summary& summary,
                                        const Continuation& next);
   void Settle(ceres::Solver::Options options, ReportProgress* report,
               ceres::Solver::Summary* summary);
-  /// True if a factor is not thread-safe: Ceres then gets one thread. Warns.
+  /// True if a factor is not thread-safe: Ceres then uses one thread. Adds a warning.
   bool UseOneThread();
   ceres::Solver::Options ChooseSolver();
-  /// Threads of OpenBLAS: more than one only for the factorisation of a large reduced system.
+  /// Number of OpenBLAS threads: more than one only for the factorisation of a large reduced
+  /// system.
   int BlasThreads(const ceres::Solver::Options& options) const;
   void Collect(const ceres::Solver::Summary& summary, SolveOutput* output);
   double* PointData(int point) { return numbers_.data() + 3 * static_cast<int64_t>(point); }
@@ -72,7 +73,7 @@ class CeresSolve {
   void AddFactor(const Factor& factor);
   void AddBounds();
   void AddObservation(int64_t i);
-  /// 1/2 rho(||r||^2) of an observation with nothing to refine.
+  /// 1/2 rho(||r||^2) of an observation without free parameters.
   double Cost(const ceres::CostFunction& cost) const;
   static std::vector<double> StartNumbers(const AdjustmentProblem& problem,
                                           const ParameterLayout& layout);
@@ -88,7 +89,7 @@ class CeresSolve {
   double share_ = 1;               ///< Continuation::share of the last solve
   const int64_t num_coordinates_;  ///< coordinates of all points
   /// Coordinates of the points, then the state. Both are in one array because Ceres orders
-  /// parameter blocks by address: in two arrays, their order and the last digits of results would
+  /// parameter blocks by address. With two arrays, their order and the last digits of results would
   /// vary.
   std::vector<double> numbers_;
   Abandonment abandonment_;

@@ -1,7 +1,7 @@
 #pragma once
 
-/// Everything that differs between the versions of Ceres we build with: 2.1 (Debian 12) and
-/// 2.2 (Debian 13).
+/// All code that differs between the supported versions of Ceres: 2.1 (Debian 12) and 2.2 (Debian
+/// 13).
 
 #include <ceres/ceres.h>
 #include <glog/logging.h>
@@ -17,7 +17,8 @@
 
 namespace bundle {
 
-/// Power series expansion of the Schur complement came with 2.2. Returns false without it.
+/// Sets the power series expansion of the Schur complement, available since 2.2. Returns false
+/// without it.
 inline bool PowerSeriesPreconditioner(ceres::PreconditionerType* type) {
 #if BUNDLE_CERES_AT_LEAST_2_2
   *type = ceres::SCHUR_POWER_SERIES_EXPANSION;
@@ -31,7 +32,7 @@ inline bool PowerSeriesPreconditioner(ceres::PreconditionerType* type) {
 /// Below this level Ceres' log, which is glog's, prints nothing.
 inline constexpr int kPrintNothing = google::GLOG_FATAL;
 
-/// Sets the lowest level that the log of this process prints; returns what it was.
+/// Sets the lowest level that this process logs; returns the previous level.
 inline int ExchangeLogLevel(int level) { return std::exchange(FLAGS_minloglevel, level); }
 
 }  // namespace bundle

@@ -15,18 +15,18 @@ namespace bundle {
 
 namespace {
 
-/// First steps are a sixteenth of the parameter, and this for a parameter close to zero.
+/// First steps are a sixteenth of the parameter, or this value for a parameter close to zero.
 constexpr double kLeastFirstStep = 1.0 / 128;
 
 double FirstStep(double parameter) { return std::max(std::abs(parameter) / 16, kLeastFirstStep); }
 
-/// Rounding error of each residual: how far it moves when all parameters move by a few units in
-/// their last place. A residual is often the small difference of large numbers, so that its own
-/// size gives no bound.
+/// Rounding error of each residual: its change when all parameters change by a few units in their
+/// last place. A residual is often the small difference of large numbers, so that its own size
+/// gives no bound.
 std::vector<double> RoundingNoise(const ceres::CostFunction& cost,
                                   const std::vector<const double*>& parameters,
                                   const KnownScales& known) {
-  // A residual whose last digit is coarse moves in some of them only.
+  // If a residual's last digit is coarse, only some of these changes have an effect.
   constexpr int kTrials = 16;
   constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
   const int n = cost.num_residuals();
@@ -50,8 +50,8 @@ std::vector<double> RoundingNoise(const ceres::CostFunction& cost,
     for (int i = 0; i < n; ++i) noise[i] = std::max(noise[i], std::abs(values[i] - at_start[i]));
   }
   for (int i = 0; i < n; ++i) noise[i] += kEpsilon * std::abs(at_start[i]);
-  if (!known.largest_steps.empty()) return noise;  // a short step may be too long
-  // A parameter that is zero has no last place; what it is added to has one.
+  if (!known.largest_steps.empty()) return noise;  // a short step may already be too long
+  // A parameter that is zero has no last place, but the number to which it is added has.
   constexpr double kShortStep = 1e-9;
   std::vector<std::vector<double>> directions = moved;
   for (size_t b = 0; b < moved.size(); ++b) {
@@ -72,7 +72,7 @@ std::vector<double> RoundingNoise(const ceres::CostFunction& cost,
   return noise;
 }
 
-/// A copy of the parameter blocks of which one can be moved.
+/// A copy of the parameter blocks, in which one block can be moved.
 class MovablePoint {
  public:
   MovablePoint(const ceres::CostFunction& cost, const std::vector<const double*>& parameters)
@@ -92,7 +92,7 @@ class MovablePoint {
   const std::vector<const double*>& parameters_;
 };
 
-/// Writes columns into a Jacobian as they are found.
+/// Writes columns into a Jacobian as they are computed.
 class ColumnWriter {
  public:
   ColumnWriter(const std::vector<double>& noise, int num_columns, NumericJacobian* jacobian)
@@ -122,7 +122,7 @@ class ColumnWriter {
   int next_ = 0;
 };
 
-/// A cost function whose residual at one point is that of its first evaluation there.
+/// A cost function that repeats the residual of its first evaluation at a given point.
 /// GradientChecker logs every residual that differs between two calls.
 class SameResidual final : public ceres::CostFunction {
  public:
@@ -223,7 +223,7 @@ GradientCheckerProbe RunGradientChecker(const ceres::CostFunction& cost, const M
                                         const std::vector<const double*>& parameters,
                                         double relative_precision) {
   const SameResidual repeatable(cost, parameters);
-  // A plain nullptr for the manifolds would be ambiguous in Ceres 2.1.
+  // For the manifolds, a plain nullptr would be ambiguous in Ceres 2.1.
   const ceres::GradientChecker checker(&repeatable, &manifolds, ceres::NumericDiffOptions());
   ceres::GradientChecker::ProbeResults results;
   GradientCheckerProbe probe;

@@ -4,8 +4,8 @@
 ///
 /// The first is ceres::GradientChecker, which users know. It differentiates along the tangent space
 /// of the manifolds, so that errors along their normals stay hidden. Its step is 1e-2 (or 1e-2 of
-/// the parameter), which it shrinks at most a thousandfold. Where one side is exactly zero, it
-/// compares absolutely. Its numbers are kept; its verdict is only counted.
+/// the parameter), which it reduces at most a thousandfold. If one side is exactly zero, it
+/// compares absolutely. Its derivatives are returned; its verdict is only counted.
 ///
 /// The second reference is Richardson extrapolation (checking/richardson.h). It differentiates in
 /// the ambient space, parameter by parameter, and along the manifolds' Plus, without their
@@ -24,8 +24,8 @@ class Manifold;
 
 namespace bundle {
 
-/// A Jacobian of all blocks side by side, row-major, num_residuals x columns, and for each entry a
-/// bound on its error, infinite where there is no derivative.
+/// A Jacobian of all blocks, concatenated, row-major, num_residuals x columns, and for each entry a
+/// bound on its error. The bound is infinite where there is no derivative.
 struct NumericJacobian {
   std::vector<double> values;
   std::vector<double> uncertainty;
@@ -37,16 +37,16 @@ struct ReferenceJacobians {
 };
 
 /// Result of ceres::GradientChecker. Matrices are num_residuals x tangent columns, row-major; empty
-/// where the cost function has no value at one of the points it needs.
+/// if the cost function has no value at one of the points that it needs.
 struct GradientCheckerProbe {
-  bool agrees = false;  ///< its own verdict at the given relative precision
+  bool agrees = false;  ///< GradientChecker's verdict at the given relative precision
   std::vector<double> local_jacobian;
   std::vector<double> local_numeric_jacobian;
   std::string message;  ///< its error_log
 };
 
-/// A residual, as ceres::CostFunction::Evaluate: Jacobians row-major, `jacobians` or single ones
-/// may be nullptr; false where there is no value.
+/// A residual function like ceres::CostFunction::Evaluate: Jacobians are row-major; `jacobians` or
+/// single Jacobians may be nullptr. Returns false if there is no value.
 using ResidualFunction =
     std::function<bool(double const* const* parameters, double* residuals, double** jacobians)>;
 
@@ -61,20 +61,20 @@ struct FunctionAtPoint {
   ResidualFunction function;
   int num_residuals = 0;
   std::vector<std::vector<double>> blocks;
-  std::vector<ManifoldSpec> manifolds;  ///< one a block
+  std::vector<ManifoldSpec> manifolds;  ///< one per block
 };
 
-/// Both throw InputError if a manifold does not fit its block.
+/// Both functions throw InputError if a manifold does not fit its block.
 ReferenceJacobians DifferentiateByRichardson(const FunctionAtPoint& at);
 GradientCheckerProbe RunGradientChecker(const FunctionAtPoint& at, double relative_precision);
 
-/// The number of tangent directions of a block, and a point moved along them. Throw InputError if
-/// the manifold does not fit the block.
+/// The number of tangent directions of a block, and a point moved along them. Both throw InputError
+/// if the manifold does not fit the block.
 int ManifoldTangentSize(const ManifoldSpec& spec, int size);
 std::vector<double> ManifoldPlus(const ManifoldSpec& spec, const std::vector<double>& x,
                                  const std::vector<double>& delta);
 
-/// Manifolds of a cost function's blocks, one each; nullptr: Euclidean.
+/// Manifolds of a cost function's blocks, one per block; nullptr: Euclidean.
 using Manifolds = std::vector<const ceres::Manifold*>;
 
 int AmbientSize(const ceres::CostFunction& cost);
@@ -84,8 +84,8 @@ int TangentSize(const ceres::CostFunction& cost, const Manifolds& manifolds);
 struct KnownScales {
   /// Bounds of the first step of each ambient column, unless empty: the distance to a singularity.
   std::vector<double> largest_steps;
-  /// Size of the numbers whose difference is a residual: their rounding errors are those of the
-  /// residual.
+  /// Size of the numbers whose difference is a residual: their rounding errors are also those of
+  /// the residual.
   double minuend = 0;
 };
 

@@ -10,7 +10,7 @@ namespace bundle {
 
 namespace {
 
-/// A residual and its Jacobian that are what they are.
+/// A cost function with constant residual and Jacobian.
 class ConstantCost final : public ceres::CostFunction {
  public:
   ConstantCost(int rows, int columns, const double* residual, const double* jacobian)
@@ -59,13 +59,13 @@ void EvaluateLoss(LossType type, double scale, int64_t count, const double* squa
 void CorrectWithCeres(const double* rho, int rows, int columns, double* residual,
                       double* jacobian) {
   std::vector<double> parameters(columns);
-  ceres::Problem problem;  // owns the two
+  ceres::Problem problem;  // owns the cost function and the loss
   problem.AddResidualBlock(new ConstantCost(rows, columns, residual, jacobian),
                            new ConstantLoss(rho), parameters.data());
   ceres::Problem::EvaluateOptions options;
   options.apply_loss_function = true;
   std::vector<double> residuals;
-  ceres::CRSMatrix matrix;  // one dense block: its values are row-major
+  ceres::CRSMatrix matrix;  // one dense block, whose values are row-major
   problem.Evaluate(options, nullptr, &residuals, nullptr, &matrix);
   std::copy(residuals.begin(), residuals.end(), residual);
   std::copy(matrix.values.begin(), matrix.values.end(), jacobian);
@@ -82,7 +82,7 @@ std::unique_ptr<ceres::LossFunction> MakeLoss(LossType type, double scale) {
     case LossType::kCauchy:
       return std::make_unique<ceres::CauchyLoss>(scale);
     case LossType::kArctan:
-      // Ceres compares s itself, not its root, with the scale of this one.
+      // This loss of Ceres compares s, not its root, with the scale.
       return std::make_unique<ceres::ArctanLoss>(scale * scale);
     case LossType::kTukey:
       return std::make_unique<ceres::TukeyLoss>(scale);

@@ -3,14 +3,14 @@
 /// Checks the Jacobians of a solve's reprojection residuals, observation by observation.
 ///
 /// The projection is singular at the camera's centre and, for some models, in the plane through it.
-/// With L the distance of the point to the nearest of these, steps of the reference move the point
-/// by less than L / 4 within its camera's frame, where central differences are a convergent power
-/// series in step / L. The point's coordinates in that frame, R X + t, are only known to about
+/// Let L be the distance of the point to the nearest singularity. Steps of the reference move the
+/// point by less than L / 4 in its camera's frame, where central differences are a convergent power
+/// series in step / L. The point's coordinates in that frame, R X + t, have the rounding error
 ///
 ///   delta = eps (|R X| + |t|),
 ///
-/// so that every derivative by pose and point is only known to delta / L: where that is large,
-/// as for points that an earlier solve left at a camera's centre, there is nothing to compare with.
+/// so that every derivative by pose and point has the relative error delta / L. If this is large,
+/// as for points that an earlier solve left at a camera's centre, no comparison is possible.
 
 #include <algorithm>
 #include <cmath>
@@ -30,12 +30,12 @@
 namespace bundle {
 namespace {
 
-/// One observation as a problem of its own: one image, one camera, one point.
+/// Makes a separate problem of one observation: one image, one camera, one point.
 ///
 /// A solve's cost function reads camera parameters from CameraStates, which an EvaluationCallback
-/// keeps up to date; GradientChecker has no callbacks. Here the states belong to the cost
-/// function and follow its parameters at each evaluation, so that what is checked is the cost
-/// function of the solve itself, packing of the columns included.
+/// updates; GradientChecker has no callbacks. Here, the states belong to the cost function and
+/// follow its parameters at each evaluation. So the check tests the same cost function as the
+/// solve, including the packing of its columns.
 class SingleObservation final : public ceres::CostFunction {
  public:
   SingleObservation(const AdjustmentProblem& problem, int64_t observation, const double* offset,
@@ -62,13 +62,13 @@ class SingleObservation final : public ceres::CostFunction {
   std::vector<const double*> start() const { return {problem_.points, state_.data()}; }
   const CameraBlock& block() const { return layout_.blocks()[0]; }
 
-  /// True if the observation contributes under `cheirality` where it starts.
+  /// True if the observation contributes under `cheirality` at its start.
   bool Counts(Cheirality cheirality) const {
     states_.Update(state_.data());
     return bundle::Counts(ProjectionOf(problem_.points), cheirality);
   }
 
-  /// L and delta, and what a unit of rotation moves the point by.
+  /// L and delta, and the motion of the point per unit of rotation.
   struct Surroundings {
     double distance = 0, rounding = 0, lever = 0;
   };
@@ -88,8 +88,7 @@ class SingleObservation final : public ceres::CostFunction {
     return {distance, kEpsilon * (lever + Length(pose.translation)), lever};
   }
 
-  /// Steps of each column: point, then what is free of the camera parameters; and the size of the
-  /// pixels.
+  /// Steps of each column: point, then the free camera parameters. Also the size of the pixels.
   KnownScales Scales() const {
     constexpr double kShare = 0.25;  // of the distance to the singularity
     constexpr double kAny = std::numeric_limits<double>::infinity();
@@ -159,8 +158,8 @@ class SingleObservation final : public ceres::CostFunction {
                                               nullptr);
   }
 
-  /// False where the residual is zero because nothing can be computed: no differences across that.
-  /// Asked for such residuals only: it projects once more.
+  /// False if the residual is zero because it cannot be computed: no differences are taken there.
+  /// Called only for zero residuals, because it projects once more.
   bool HasValue(const double* point) const {
     return bundle::Counts(ProjectionOf(point), context_.cheirality);
   }
@@ -175,8 +174,8 @@ class SingleObservation final : public ceres::CostFunction {
   std::vector<double> state_;
 };
 
-/// Moves Jacobians from the blocks of the cost function (point, then what is free of the camera
-/// side) to the columns of ReprojectionCheck.
+/// Moves Jacobians from the blocks of the cost function (point, then the free camera parameters) to
+/// the columns of ReprojectionCheck.
 class Columns {
  public:
   Columns(const CameraBlock& block, int stride)
@@ -197,8 +196,8 @@ class Columns {
   const int size_, sources_;
 };
 
-/// Evaluates with Jacobians, side by side as in NumericJacobian. True if the residual is that of an
-/// evaluation without Jacobians.
+/// Evaluates with Jacobians, concatenated as in NumericJacobian. True if the residual equals that
+/// of an evaluation without Jacobians.
 bool EvaluateJacobian(const SingleObservation& cost, std::vector<double>* jacobian) {
   const int size = cost.block().size;
   const std::vector<const double*> start = cost.start();
@@ -225,7 +224,7 @@ void CheckReprojections(const AdjustmentProblem& problem, const int64_t* observa
   const int64_t entries = 2 * (int64_t{kPoseSize} + problem.camera_params_stride + 3);
   const Manifolds flat(2, nullptr);
   const auto check = [&](int64_t i) {
-    // Differences are taken by the formula, whichever side of the camera the point is on.
+    // Differences use the formula on both sides of the camera.
     const SingleObservation cost(problem, observations[i], offsets + 3 * i, Cheirality::kAlgebraic);
     for (double* matrix : {out.analytic, out.reference, out.uncertainty, out.ceres}) {
       std::fill_n(matrix + entries * i, entries, 0.0);

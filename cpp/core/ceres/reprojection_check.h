@@ -9,22 +9,23 @@
 
 namespace bundle {
 
-/// Output arrays for checked observations. Jacobians are num_checked x 2 x columns, row-major, with
-/// columns (w, t) of the pose, the camera's parameters (camera_params_stride), the point. Columns
-/// that the model does not have or never refines stay zero.
+/// Output arrays for checked observations. Jacobians are num_checked x 2 x columns, row-major. The
+/// columns are (w, t) of the pose, the camera's parameters (camera_params_stride), and the point.
+/// Columns that the model does not have or never refines stay zero.
 struct ReprojectionCheck {
-  double* analytic = nullptr;     ///< by the cost function that a solve uses
+  double* analytic = nullptr;     ///< from the cost function of the solve
   double* reference = nullptr;    ///< by Richardson extrapolation
   double* uncertainty = nullptr;  ///< uncertainty of the reference
-  double* ceres = nullptr;        ///< by ceres::GradientChecker; not a number where it gave up
+  double* ceres = nullptr;        ///< by ceres::GradientChecker; NaN if it failed
   double* rounding = nullptr;     ///< num_checked: delta / L
-  uint8_t* counts = nullptr;      ///< num_checked: 0 for an observation that contributes nothing
+  uint8_t* counts = nullptr;      ///< num_checked: 0 for an observation that does not contribute
   uint8_t* agrees = nullptr;      ///< num_checked: GradientChecker's own verdict
   uint8_t* stable = nullptr;  ///< num_checked: the residual is the same with and without Jacobians
 };
 
-/// Checks the observations of these indices, each at its image's pose, which is written as Exp(w)
-/// R0 with w = offsets (num_checked x 3): the Jacobian is tried away from the start of its chart.
+/// Checks the observations with these indices, each at its image's pose, which is written as Exp(w)
+/// R0 with w = offsets (num_checked x 3). So the Jacobian is tested away from the origin of its
+/// chart.
 ///
 /// Throws InputError, naming model and image, if an observed image has an unknown camera model.
 void CheckReprojections(const AdjustmentProblem& problem, const int64_t* observations,

@@ -179,8 +179,8 @@ class ReprojectionCost final : public ceres::CostFunction {
   mutable bool counted_ = true;  ///< at the last state
 };
 
-/// A reprojection cost divided by the observation's sigma. What an observation holds is in pixels
-/// below this, and compared with nothing but its own residual.
+/// A reprojection cost divided by the observation's sigma. The held residual is stored in pixels by
+/// the inner cost, and only compared with that observation's own residual.
 class DividedBySigma final : public ceres::CostFunction {
  public:
   DividedBySigma(std::unique_ptr<ceres::CostFunction> pixels, double sigma)

@@ -15,18 +15,19 @@
 
 namespace bundle {
 
-/// Residuals that observations hold, as the reprojection costs of a solve count them.
+/// Counts the residuals that observations hold, for the reprojection costs of a solve.
 struct HoldingWatch {
   LossType loss = LossType::kTrivial;
   double loss_scale = 1;
   std::atomic<int64_t> num_held{0};  ///< at the last state
-  /// Since this was last set to false, others counted at a candidate than at the state before.
+  /// True if, since this was last set to false, other observations counted at a candidate than at
+  /// the state before.
   std::atomic<bool> has_changed{false};
-  /// Derivatives that are asked for now are at a candidate.
+  /// True while derivatives are evaluated at a candidate.
   std::atomic<bool> is_at_candidate{false};
-  /// The state that derivatives are asked for is a start, where all counts that can.
+  /// True while derivatives are evaluated at a start, where all observations count that can.
   std::atomic<bool> is_at_start{false};
-  /// The held cost, as far as it has been evaluated: of the last state, of the last candidate.
+  /// The held cost, as far as it has been evaluated: at the last state, and at the last candidate.
   std::atomic<double> state_cost{0}, candidate_cost{0};
 
   /// Adds an observation that holds a residual, with its squared norm in sigmas.
@@ -45,23 +46,24 @@ struct ReprojectionContext {
   const ParameterLayout& layout;
   const CameraStates& states;
   Cheirality cheirality;
-  HoldingWatch* watch = nullptr;  ///< nullptr: what does not count is zero, and nothing is held
+  HoldingWatch* watch =
+      nullptr;  ///< nullptr: observations that do not count are zero; no residual is held
   /// Once true, no cost can be evaluated any more, so that Ceres ends. nullptr: never.
   const std::atomic<bool>* abandoned = nullptr;
 };
 
-/// The residual of one observation, divided by its sigma, as Ceres sees it. Its parameter blocks
-/// are, in this order and as far as they are free: the point, then the image's blocks
-/// (ParameterLayout::blocks_of). The derivatives by an image's own pose, if that is a rig's, are
+/// The residual of one observation, divided by its sigma, as a Ceres cost function. Its parameter
+/// blocks are, in this order and if they are free: the point, then the image's blocks
+/// (ParameterLayout::blocks_of). If the pose is that of a rig image, the derivatives by it are
 /// multiplied with the maps to its frame and its sensor (factors/rig_pose.h).
 ///
-/// Camera parameters are read from `context.states`, not from the parameters: an EvaluationCallback
-/// keeps the two equal. The model is one of the registry's and known.
+/// Camera parameters are read from `context.states`, not from the parameter blocks: an
+/// EvaluationCallback keeps the two equal. The model must be in the registry.
 ///
 /// An observation that does not count has the residual that it holds (factors/reprojection.h),
-/// which depends on the states of the solve. Ceres' trust region asks for derivatives at these, and
-/// for the residual alone at candidates; only its search along a projected step asks for
-/// derivatives at candidates, for which HoldingWatch::is_at_candidate is true.
+/// which depends on the states of the solve. Ceres' trust region asks for derivatives at these
+/// states, and for the residual alone at candidates. Only its search along a projected step asks
+/// for derivatives at candidates; HoldingWatch::is_at_candidate is then true.
 std::unique_ptr<ceres::CostFunction> MakeReprojectionCost(const ReprojectionContext& context,
                                                           int64_t observation);
 

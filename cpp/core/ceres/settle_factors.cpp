@@ -11,7 +11,7 @@
 namespace bundle {
 namespace {
 
-/// Numbers the iterations on, and ends the solve where the factors have settled.
+/// Continues the numbering of iterations, and ends the solve when the factors have settled.
 class WatchFactors final : public ceres::IterationCallback {
  public:
   WatchFactors(const KindCosts& factors, double tolerance,
@@ -61,7 +61,7 @@ void Append(const ceres::Solver::Summary& more, ceres::Solver::Summary* summary)
     summary->iterations.push_back(WatchFactors::After(last, more.iterations[i]));
   }
   summary->final_cost = more.final_cost;
-  summary->num_successful_steps += more.num_successful_steps - 1;  // the start is one
+  summary->num_successful_steps += more.num_successful_steps - 1;  // Ceres counts the start as one
   summary->num_unsuccessful_steps += more.num_unsuccessful_steps;
   summary->preprocessor_time_in_seconds += more.preprocessor_time_in_seconds;
   summary->residual_evaluation_time_in_seconds += more.residual_evaluation_time_in_seconds;

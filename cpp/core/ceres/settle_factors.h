@@ -1,8 +1,8 @@
 #pragma once
 
-/// A second solve by Ceres in which the factors settle (interface/settling.h). Ceres tests its
-/// tolerances on all residuals together, so the end of each kind of factors is watched here. Both
-/// solves become one summary.
+/// A second solve by Ceres until the factors settle (interface/settling.h). Ceres tests its
+/// tolerances on all residuals together, so the convergence of each kind of factors is tested here.
+/// Both solves are combined in one summary.
 
 #include <cstdint>
 #include <map>
@@ -12,14 +12,14 @@
 
 namespace bundle {
 
-/// The costs of factors, by their kinds (KindOf).
+/// Computes the costs of factors, by their kinds (KindOf).
 class KindCosts {
  public:
   /// Keeps the pointers.
   void Add(uint32_t kind, const ceres::CostFunction& cost, const ceres::LossFunction* loss,
            const std::vector<double*>& blocks);
   bool empty() const { return factors_.empty(); }
-  /// Costs by kind at the values of the blocks.
+  /// Costs by kind, at the current values of the blocks.
   std::vector<double> ByKind() const;
 
  private:
@@ -35,8 +35,8 @@ class KindCosts {
 /// True if a solve ended by function or parameter tolerance.
 bool EndedByTolerance(const ceres::Solver::Summary& summary);
 
-/// Solves again from the end of `summary`, with its options, and adds the new iterations to it.
-/// False if the new solve fails; everything is then unchanged. `callbacks` get the iterations with
+/// Solves again from the end of `summary`, with its options, and adds the new iterations to it. If
+/// the new solve fails, returns false and changes nothing. `callbacks` get the iterations with
 /// continued numbers.
 bool SettleFactors(const KindCosts& factors, ceres::Solver::Options options,
                    const std::vector<ceres::IterationCallback*>& callbacks, ceres::Problem* problem,

@@ -17,8 +17,8 @@
 namespace bundle {
 
 /// Expands the camera parameters once per evaluation. Tests for an interruption before a candidate
-/// is evaluated: within a step, Ceres can be left with the best state only then. After an
-/// interruption no cost can be evaluated, so that Ceres rejects the candidate.
+/// is evaluated: within a step, this is the only time when Ceres can end with the best state. After
+/// an interruption no cost can be evaluated, so that Ceres rejects the candidate.
 class UpdateCameraStates final : public ceres::EvaluationCallback {
  public:
   UpdateCameraStates(const double* state, CameraStates* states, HoldingWatch* watch,
@@ -34,7 +34,8 @@ class UpdateCameraStates final : public ceres::EvaluationCallback {
     if (!evaluate_jacobians && InterruptionRequested())
       abandonment_->happened.store(true, std::memory_order_relaxed);
     if (new_evaluation_point) states_->Update(state_);
-    // Ceres has evaluated the cost at every state but the first when it asks for derivatives there.
+    // When Ceres asks for derivatives, it has already evaluated the cost at this state, except at
+    // the first.
     const bool is_at_state = evaluate_jacobians && !(new_evaluation_point && has_start_);
     watch_->is_at_start.store(is_at_state && !has_start_ && all_count_);
     has_start_ = has_start_ || evaluate_jacobians;
@@ -66,21 +67,21 @@ class UpdateCameraStates final : public ceres::EvaluationCallback {
   bool all_count_ = true;
 };
 
-/// Records for each iteration whether other observations counted at the candidate than at the
-/// state, and the held cost that is part of its cost. Iterations are those of several solves, each
-/// of which continues from the end of the previous one.
+/// Records for each iteration if other observations counted at the candidate than at the state, and
+/// the held cost that is included in its cost. Iterations are numbered over several solves, each of
+/// which continues from the end of the previous one.
 class RecordHolding final : public ceres::IterationCallback {
  public:
   explicit RecordHolding(HoldingWatch* watch) : watch_(watch) {}
 
-  /// `repeats`: the next solve begins with the last iteration of the one before.
+  /// `repeats`: the next solve begins with the last iteration of the previous one.
   void BeginSolve(bool repeats) {
     if (repeats) records_.pop_back();
     first_ = static_cast<int>(records_.size());
     changes_ = !repeats && first_ > 0;
   }
 
-  /// Forgets iterations of the current solve that its summary does not have.
+  /// Removes iterations of the current solve that are not in its summary.
   void EndSolve(size_t num_iterations) { records_.resize(first_ + num_iterations); }
 
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
@@ -117,7 +118,7 @@ class RecordHolding final : public ceres::IterationCallback {
 };
 
 /// Records the anchors of the state with which Ceres ends: the best state, or the start if the
-/// solve fails. After the best state, states may follow that are worse by rounding.
+/// solve fails. Later states may follow the best one that are worse by rounding.
 class RememberAnchors final : public ceres::IterationCallback {
  public:
   explicit RememberAnchors(const CameraStates& states)

@@ -47,13 +47,13 @@ LinearizedGraph LinearizeGraph(const FactorGraph& graph, int num_threads) {
 
 namespace {
 
-/// Below so many columns and entries of a dense Jacobian the dense normal equations are faster than
-/// any structure.
+/// Up to these numbers of columns and entries of a dense Jacobian, the dense normal equations are
+/// faster than any sparse method.
 constexpr int kMostDenseColumns = 100;
 constexpr double kMostDenseEntries = 1e6;
 
-/// Keeps the values of the last accepted step. Ceres restores the start if it fails, also if a
-/// Jacobian cannot be evaluated because the user wants the solve to end.
+/// Stores the values of the last accepted step. Ceres restores the start if it fails, also if a
+/// Jacobian cannot be evaluated because the user ended the solve.
 class KeepBestState final : public ceres::IterationCallback {
  public:
   explicit KeepBestState(const CeresGraph& graph) : graph_(graph), values_(graph.values()) {}
@@ -91,14 +91,15 @@ bool IsDense(LinearSolverType type) {
          type == LinearSolverType::kDenseSchur;
 }
 
-/// DENSE_SCHUR may find little to eliminate in a graph: it is counted like the normal equations.
+/// In a graph, DENSE_SCHUR may find few blocks to eliminate: it is counted like the normal
+/// equations.
 double DenseBytes(LinearSolverType type, const ProblemShape& shape) {
   const bool is_qr = type == LinearSolverType::kDenseQr;
   return PredictDenseMatrixBytes(is_qr ? type : LinearSolverType::kDenseNormalCholesky, shape,
                                  /*cameras_eliminated=*/false);
 }
 
-/// Replaces kAuto, and returns why it became what it is.
+/// Replaces kAuto, and returns the reason for the choice.
 std::string Choose(const Shape& shape, SolveOptions* options) {
   if (options->linear_solver_type != LinearSolverType::kAuto) return "";
   const double entries = static_cast<double>(shape.num_rows) * shape.num_columns;

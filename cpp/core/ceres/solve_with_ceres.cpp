@@ -44,7 +44,7 @@ SolveOutput CeresSolve::Run(const ProgressCallback& progress) {
   BuildProblem();
   ThrowIfInterrupted();
   ceres::Solver::Options ceres_options = ChooseSolver();
-  // Ceres would not start otherwise where the system has no more threads.
+  // Ceres would not start otherwise if the system cannot create more threads.
   ceres_options.num_threads = UseOneThread() ? 1 : CountStartableThreads(ceres_options.num_threads);
   ThrowIfInterrupted();
   lengths_.Add(numbers_.data(), numbers_.size());
@@ -72,7 +72,7 @@ ceres::Solver::Summary CeresSolve::SolveOnce(const ProgressCallback& progress,
                                              const Continuation& continuation) {
   const bool repeats = continuation.repeats;
   const ProgressCallback complete = [&](const IterationRecord& iteration) {
-    if (repeats && iteration.iteration == 0) return true;  // it is known
+    if (repeats && iteration.iteration == 0) return true;  // repeats the last iteration
     IterationRecord record = iteration;
     record_holding_.CompleteCurrent(&record);
     return !progress || progress(record);
@@ -193,8 +193,8 @@ ceres::Solver::Options CeresSolve::ChooseSolver() {
   }
   if (options.linear_solver_ordering == EliminationOrdering::kPointsFirst &&
       shape.num_free_points > 0 && shape.num_camera_columns > 0) {
-    // n steps of conjugate gradients solve n equations; a further one divides zero by zero, which
-    // Ceres takes for a failure of the step.
+    // n steps of conjugate gradients solve n equations. A further step divides zero by zero, which
+    // Ceres treats as a failure of the step.
     result.max_linear_solver_iterations = static_cast<int>(
         std::min<int64_t>(result.max_linear_solver_iterations, shape.num_camera_columns));
   }

@@ -12,7 +12,7 @@ namespace bundle {
 /// Bundle adjustment by Ceres. `prepared` is the output of PrepareSolve for the problem.
 ///
 /// Throws InputError if options exclude each other or the dense matrices of the solver would not
-/// fit into memory. Anything else that keeps the solve from converging is in the summary.
+/// fit into memory. Other reasons why a solve does not converge are in the summary.
 SolveOutput SolveWithCeres(const AdjustmentProblem& problem, const SolveOptions& options,
                            PreparedSolve prepared, const ProgressCallback& progress);
 

@@ -19,10 +19,10 @@ class StepLengths final : public ceres::IterationCallback {
   /// Adds numbers that a solve changes. They must not be moved.
   void Add(const double* values, size_t size) { values_.push_back({values, size}); }
 
-  /// Another solve follows, whose iterations are numbered on.
+  /// Call before another solve, whose iterations continue the numbering.
   void Restart() { has_accepted_ = false; }
 
-  /// Forgets the steps of a solve before.
+  /// Removes the steps of an earlier solve.
   void BeginSolve() {
     measured_.clear();
     state_.clear();
@@ -53,7 +53,7 @@ class StepLengths final : public ceres::IterationCallback {
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
     if (!has_accepted_) measured_[iteration.iteration] = length_;
     has_accepted_ = has_accepted_ || (iteration.iteration > 0 && iteration.step_is_successful);
-    length_ = 0;  // of a step that is not valid there is no candidate
+    length_ = 0;  // a step that is not valid has no candidate
     return ceres::SOLVER_CONTINUE;
   }
 

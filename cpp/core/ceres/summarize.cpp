@@ -26,7 +26,7 @@ bool IsSchur(ceres::LinearSolverType type) {
   return type == ceres::DENSE_SCHUR || type == ceres::SPARSE_SCHUR;
 }
 
-/// Columns that are left when the images' blocks are eliminated (translate_options.cpp).
+/// Remaining columns when the images' blocks are eliminated (translate_options.cpp).
 int64_t NumColumnsWithoutImages(const ParameterLayout& layout) {
   int64_t num_columns = kPointSize * layout.num_free_points();
   for (const int block : layout.BlocksBesideFirst()) num_columns += layout.blocks()[block].size;
@@ -69,7 +69,7 @@ FactorSummary CountCeresFactor(const AdjustmentProblem& problem, const Parameter
   const bool is_schur = IsSchur(type);
   const bool is_dense = type == ceres::DENSE_SCHUR || type == ceres::DENSE_NORMAL_CHOLESKY;
   if (!is_schur && !is_dense && type != ceres::SPARSE_NORMAL_CHOLESKY) return result;
-  // Ceres says how many blocks it eliminated where the choice was its own, not which.
+  // If Ceres chose the blocks to eliminate, it reports their number, but not which.
   const bool is_known = ordering != EliminationOrdering::kAutomatic &&
                         !NothingToEliminate(ordering, layout) &&
                         !FactorsCoupleFirstGroup(ordering, problem, layout);
@@ -80,13 +80,13 @@ FactorSummary CountCeresFactor(const AdjustmentProblem& problem, const Parameter
     SetDense(is_schur, &result);
     return result;
   }
-  // All points that an image sees meet when it is eliminated: to find who meets whom, pairs of
-  // points that would be, takes far longer than it is worth.
+  // Eliminating an image couples all points that it sees. Finding these pairs of points would take
+  // far too long.
   if (is_schur && ordering == EliminationOrdering::kCamerasFirst) return result;
   try {
     SetSparse(problem, layout, is_schur, &result);
   } catch (const std::bad_alloc&) {
-    // The solve is done and its result worth more than these numbers.
+    // The solve is complete, and its result matters more than these numbers.
   }
   return result;
 }
@@ -152,7 +152,7 @@ std::vector<Warning> FindFallbacks(const ceres::Solver::Summary& summary) {
   compare(WarningKind::kSolverReplaced, "",
           ceres::LinearSolverTypeToString(summary.linear_solver_type_given),
           ceres::LinearSolverTypeToString(summary.linear_solver_type_used));
-  // The others carry a preconditioner along that nobody reads.
+  // Other linear solvers have a preconditioner option that Ceres does not use.
   const bool is_iterative = summary.linear_solver_type_used == ceres::ITERATIVE_SCHUR ||
                             summary.linear_solver_type_used == ceres::CGNR;
   if (is_iterative) {
@@ -181,7 +181,7 @@ IterationRecord ToRecord(const ceres::IterationSummary& iteration, double fixed_
 }
 
 ceres::CallbackReturnType ReportProgress::operator()(const ceres::IterationSummary& iteration) {
-  // An abandoned step is none to tell of.
+  // An abandoned step is not reported.
   if (abandoned_) return ceres::SOLVER_TERMINATE_SUCCESSFULLY;
   const bool goes_on = !progress_ || progress_(ToRecord(iteration, fixed_cost_, lengths_));
   if (goes_on && !InterruptionRequested()) return ceres::SOLVER_CONTINUE;

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Iterations and summary of Ceres as ours.
+/// Conversion of Ceres' iterations and summary to ours.
 
 #include <atomic>
 #include <vector>
@@ -14,26 +14,26 @@
 
 namespace bundle {
 
-/// Factor of Ceres with the linear solver that it used, `type`. Ceres does not report it: sparse
-/// factors are counted here, on the pattern that Ceres builds and in CHOLMOD's AMD order of its
-/// blocks. Ceres asks CHOLMOD for the same kind of order but numbers the blocks its own way and may
-/// have it keep the groups of the ordering apart, so that its factor can be some per cent larger or
+/// Statistics of the factor of Ceres' linear solver `type`, as it was used. Ceres does not report
+/// them. Sparse factors are counted here, on the pattern that Ceres builds and in CHOLMOD's AMD
+/// order of its blocks. Ceres uses the same kind of order but numbers the blocks differently, and
+/// may keep the groups of the ordering separate. So its factor can be some per cent larger or
 /// smaller. The symbolic time is that of this count.
 FactorSummary CountCeresFactor(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                EliminationOrdering ordering, ceres::LinearSolverType type);
 
-/// Converts the summary of Ceres. `fixed_cost` is the cost of observations that Ceres never saw; it
-/// is added to every cost.
+/// Converts the summary of Ceres. `fixed_cost` is the cost of observations that are not in Ceres'
+/// problem; it is added to every cost.
 SolveSummary Summarize(const ceres::Solver::Summary& summary, double fixed_cost);
 
-/// A warning for each choice of a linear solver or of its preconditioner that Ceres did not keep.
+/// Returns a warning for each linear solver or preconditioner that Ceres replaced.
 std::vector<Warning> FindFallbacks(const ceres::Solver::Summary& summary);
 
 IterationRecord ToRecord(const ceres::IterationSummary& iteration, double fixed_cost,
                          const StepLengths& lengths);
 
 /// Reports each iteration and tests for an interruption. `abandoned` is true if a candidate could
-/// not be evaluated because the user ended the solve: such a step is not reported.
+/// not be evaluated because the user ended the solve; such a step is not reported.
 class ReportProgress final : public ceres::IterationCallback {
  public:
   ReportProgress(const ProgressCallback& progress, double fixed_cost, const StepLengths& lengths,
@@ -56,7 +56,7 @@ class ReportProgress final : public ceres::IterationCallback {
 /// `repeats`: the first iteration of the next solve repeats the last one and is left out.
 void PutBefore(const ceres::Solver::Summary& first, bool repeats, ceres::Solver::Summary* next);
 
-/// Removes a step that could not be evaluated from the summary, as if it had not been tried.
+/// Removes a step that could not be evaluated from the summary.
 void ForgetAbandonedStep(ceres::Solver::Summary* summary);
 
 }  // namespace bundle

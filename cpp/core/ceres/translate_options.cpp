@@ -22,7 +22,7 @@ struct FirstGroup {
   std::set<int> blocks_left_out;
 };
 
-/// Removes from the group all but the first of the unknowns of one kind that a factor touches.
+/// Keeps in the group only the first of the unknowns of one kind in a factor.
 FirstGroup FindFirstGroup(bool points_first, const AdjustmentProblem& problem,
                           const ParameterLayout& layout) {
   FirstGroup group;
@@ -60,7 +60,7 @@ std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering 
     const bool is_first = points_first && first.points_left_out.count(p) == 0;
     result->AddElementToGroup(points + 3 * static_cast<int64_t>(p), is_first ? 0 : 1);
   }
-  // Blocks of images come first in the layout.
+  // The layout begins with blocks of images.
   for (size_t b = 0; b < layout.blocks().size(); ++b) {
     const bool is_first = !points_first && first.blocks_left_out.count(static_cast<int>(b)) == 0;
     result->AddElementToGroup(state + layout.blocks()[b].offset, is_first ? 0 : 1);
@@ -138,7 +138,7 @@ ceres::PreconditionerType ToCeres(PreconditionerType type, LinearSolverType solv
   throw InputError("preconditioner_type: expected a preconditioner");
 }
 
-/// Ceres 2.1 aborts the process on CGNR with anything but IDENTITY and JACOBI.
+/// Ceres 2.1 aborts the process for CGNR with preconditioners other than IDENTITY and JACOBI.
 void CheckPreconditioner(const SolveOptions& options, ceres::PreconditionerType preconditioner) {
   const bool plain = preconditioner == ceres::IDENTITY || preconditioner == ceres::JACOBI;
   const std::string name = ceres::PreconditionerTypeToString(preconditioner);
@@ -219,9 +219,9 @@ ceres::Solver::Options TranslateOptions(const SolveOptions& options) {
   result.parameter_tolerance = options.parameter_tolerance;
   result.initial_trust_region_radius = options.initial_trust_region_radius;
   result.num_threads = EffectiveNumThreads(options.num_threads);
-  // A factorisation that fails because the damping has become too small is tried again with a
-  // radius 2, 4, 8, ... times smaller. Ceres gives the whole solve up after five, COLMAP after ten:
-  // enough for 2^55, where no rounding is left to blame.
+  // If a factorisation fails because the damping has become too small, it is repeated with a radius
+  // 2, 4, 8, ... times smaller. Ceres gives up the solve after five failures, COLMAP after ten. Ten
+  // reduce the radius by 2^55, after which rounding cannot be the cause.
   result.max_num_consecutive_invalid_steps = 10;
   SetLinearSolver(options, &result);
   CheckTrustRegion(options);

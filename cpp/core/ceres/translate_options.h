@@ -1,6 +1,6 @@
 #pragma once
 
-/// Our options as those of Ceres.
+/// Translation of our options to those of Ceres.
 
 #include <memory>
 
@@ -13,14 +13,14 @@
 namespace bundle {
 
 /// Makes the elimination order for one solve; Ceres changes it, so that each solve needs its own.
-/// Group 0 is eliminated first: the points, or the images' blocks for kCamerasFirst. Everything
-/// else is group 1. nullptr for kAutomatic. The parameter blocks are in `points` and `state`.
+/// Group 0 is eliminated first: the points, or the images' blocks for kCamerasFirst. All other
+/// blocks are group 1. nullptr for kAutomatic. The parameter blocks are in `points` and `state`.
 std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering ordering,
                                                             const AdjustmentProblem& problem,
                                                             const ParameterLayout& layout,
                                                             double* points, double* state);
 
-/// True if factors couple unknowns of one kind, so that some of them are not in the group that an
+/// True if factors couple unknowns of one kind, so that some of these are not in the group that an
 /// ordering eliminates.
 bool FactorsCoupleFirstGroup(EliminationOrdering ordering, const AdjustmentProblem& problem,
                              const ParameterLayout& layout);
@@ -45,10 +45,10 @@ class ProcessSettings {
 /// Ceres' name of a linear solver. `type` is not kAuto.
 ceres::LinearSolverType ToCeres(LinearSolverType type);
 
-/// The one place where our options become Ceres'. `options.linear_solver_type` is not kAuto; the
-/// ordering is set separately (MakeOrdering).
+/// The only function that converts our options to those of Ceres. `options.linear_solver_type` is
+/// not kAuto; the ordering is set separately (MakeOrdering).
 ///
-/// Throws InputError for every combination that Ceres would refuse, abort on, or quietly replace.
+/// Throws InputError for every combination that Ceres would refuse, abort on, or replace silently.
 ceres::Solver::Options TranslateOptions(const SolveOptions& options);
 
 }  // namespace bundle

@@ -1,11 +1,11 @@
 #include "core/ceres/untaken_decrease.h"
 
-/// The decrease left where Ceres ended by its parameter tolerance, of whose last step it keeps
-/// no record.
+/// The remaining decrease if Ceres ended by its parameter tolerance. Ceres keeps no record of this
+/// last step.
 ///
-/// With the gradient g and G = J^T J the linearised cost has its minimum 1/2 g^T G^-1 g lower, at
-/// least 1/2 g_j^2 / G_jj for any coordinate j alone. The blocks with the largest gradients are
-/// looked at, so that no whole Jacobian is needed beside the solver's own.
+/// With the gradient g and G = J^T J, the minimum of the linearised cost is lower by 1/2 g^T G^-1
+/// g. This is at least 1/2 g_j^2 / G_jj for any single coordinate j. Only the blocks with the
+/// largest gradients are evaluated, so that no second full Jacobian is needed.
 
 #include <algorithm>
 #include <cmath>

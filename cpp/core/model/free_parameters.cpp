@@ -121,7 +121,7 @@ void HoldImage(const AdjustmentProblem& problem, int image, FreeParameters* free
   free->OfPose(MovingPose(problem, image)) = 0;
 }
 
-/// Frees the variables of factors. They may have no observations.
+/// Frees the variables of factors, including those without observations.
 void FreeTouched(const AdjustmentProblem& problem, const SolveOptions& options,
                  FreeParameters* free) {
   for (const ProblemVariable& variable : problem.factors->variables) {

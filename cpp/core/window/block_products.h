@@ -1,7 +1,7 @@
 #pragma once
 
-/// Products of small matrices, added to blocks of a window's system. Those of images' poses have
-/// sizes that the compiler knows: they are nearly all there are.
+/// Products of small matrices, added to blocks of a window's system. Nearly all of them are between
+/// poses of images; the compiler knows these sizes.
 
 #include <cstdint>
 
@@ -26,13 +26,13 @@ void AddFixedProduct(const double* a, const double* b, double* out, int64_t stri
 
 inline void AddProduct(const double* a, int m, const double* b, int n, int rows, double* out,
                        int64_t stride) {
-  if (rows == 2 && m == kPoseSize && n == kPoseSize) {  // of images
+  if (rows == 2 && m == kPoseSize && n == kPoseSize) {  // the case of image poses
     return AddFixedProduct<kPoseSize, kPoseSize, 2>(a, b, out, stride);
   }
   for (int k = 0; k < rows; ++k) {
     for (int c = 0; c < n; ++c) {
       const double factor = b[k * n + c];
-      if (factor == 0) continue;  // half of an inertial factor's entries
+      if (factor == 0) continue;  // half of the entries of an inertial factor are zero
       double* const column = out + c * stride;
       for (int r = 0; r < m; ++r) column[r] += a[k * m + r] * factor;
     }

@@ -1,12 +1,12 @@
 #pragma once
 
-/// The residual of a landmark that is stored by where it is in the image that anchors it, and its
-/// inverse depth there: three numbers (x, y, l).
+/// The residual of a landmark given by its position in its anchoring image and its inverse depth
+/// there: three numbers (x, y, l).
 ///
-/// In image h it is at m = (x, y, 1), normalised, with l = 1 / z. The image's own observation of it
-/// is a measurement of x and y like any other: taken for exact, as is often done to have one number
-/// per landmark, its noise would be in all residuals of the landmark, which least squares then
-/// takes for independent; an estimator that does so is several times too certain.
+/// In image h it is at m = (x, y, 1), normalised, with l = 1 / z. The observation in this image is
+/// a measurement of x and y like any other. Often it is taken as exact, to have one number per
+/// landmark. Its noise is then in all residuals of the landmark, but least squares assumes that
+/// these are independent. Such an estimator is several times too certain.
 ///
 ///  With camera_from_imu (C, c) and the
 /// poses world_from_imu (R_h, p_h), (R_j, p_j) of both images, its point in camera j, times l, is
@@ -15,9 +15,9 @@
 ///   b = R_j^T (R_h a + l (p_h - p_j))     in the IMU of j
 ///   y = C b + l c                         in camera j,
 ///
-/// homogeneous: l = 0 is a point at infinity and nothing of the chain divides by l. The residual is
-/// r = (y_x / y_z - x_j, y_y / y_z - y_j) / sigma. Perturbing R_h, R_j and C to the right by Exp(d)
-/// and everything else by addition, with G = C R_j^T and [a]x the cross product matrix,
+/// homogeneous: l = 0 is a point at infinity, and no step divides by l. The residual is r = (y_x /
+/// y_z - x_j, y_y / y_z - y_j) / sigma. Perturbing R_h, R_j and C on the right by Exp(d) and all
+/// other variables by addition, with G = C R_j^T and [a]x the cross product matrix,
 ///
 ///   dy/d(R_h) = -G R_h [a]x        dy/d(p_h) = l G
 ///   dy/d(R_j) =  C [b]x            dy/d(p_j) = -l G
@@ -27,9 +27,9 @@
 ///   dy/dm     = G R_h C^T, its first two columns by (x, y)
 ///
 /// (a moves by [a]x d with C, since C^T becomes Exp(-d) C^T.) Both images were taken t seconds
-/// after the instants of their states, t the time offset beyond the one that the states were placed
-/// with: at these instants their features stood at (x, y) - t (u, v), with the velocities of the
-/// features, so that
+/// after the instants of their states; t is the time offset beyond the one used to place the
+/// states. At these instants the features were at (x, y) - t (u, v), with (u, v) the velocities of
+/// the features, so that
 ///
 ///   dy/dt = -G R_h C^T (u_h, v_h, 0),     and r itself gains (u_j, v_j) / sigma
 ///
@@ -58,8 +58,8 @@ struct DepthJacobians {
   double by_anchor[12], by_observer[12], by_camera[12], by_time[2], by_point[6];
 };
 
-/// The residual, in units of sigma; with `jacobians` also these. False where the landmark is not
-/// before camera j: there is no image of it.
+/// The residual, in units of sigma, and if `jacobians` is given also these. False if the landmark
+/// is not in front of camera j.
 inline bool InverseDepthResidual(const ImuState& h, const ImuState& j, const CameraOfImu& camera,
                                  const double point[3], double time, const LandmarkSight& sight,
                                  double sigma, double residual[2], DepthJacobians* jacobians) {

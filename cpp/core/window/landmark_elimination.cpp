@@ -12,7 +12,7 @@
 
 namespace bundle {
 
-/// Adds the rows' share of W, H and g.
+/// Adds the rows' contribution to W, H and g.
 void WindowProblem::AddLandmark(const VisualRows& row, Landmark* landmark) {
   const double* const p = row.by.by_point;
   int entry = 0;
@@ -39,14 +39,15 @@ void WindowProblem::AddLandmark(const VisualRows& row, Landmark* landmark) {
   }
 }
 
-/// Adds the anchoring image's own rows.
+/// Adds the rows of the observation in the anchoring image.
 void WindowProblem::AddAnchor(const AnchorRows& row, Landmark* landmark) {
   landmark->hessian[0] += Squared(row.scale);
   landmark->hessian[3] += Squared(row.scale);
   for (int i = 0; i < 2; ++i) landmark->gradient[i] += row.scale * row.r[i];
 }
 
-/// Damps H, then L in its place and L^-1 g. False where H is not positive definite.
+/// Adds damping to H, then replaces it by L and computes L^-1 g. False if H is not positive
+/// definite.
 bool WindowProblem::FactorizeLandmark(Landmark* landmark) {
   constexpr int kDiagonal[] = {0, 3, 5};
   constexpr double kNothing = 1e-15;
@@ -78,7 +79,7 @@ bool WindowProblem::FactorizeLandmark(Landmark* landmark) {
 
 void WindowProblem::Eliminate(Landmark* landmark) {
   landmark->is_regular = FactorizeLandmark(landmark);
-  if (!landmark->is_regular) return;  // nothing is known of its depth
+  if (!landmark->is_regular) return;  // no row depends on its depth
   const double* const l = landmark->hessian;
   const double* const y = landmark->solved;
   for (const int a : touched_) {  // V = W L^-T, row by row

@@ -56,7 +56,7 @@ ColumnsOfBlocks PlaceBlocks(const WindowView& view, const Marginalization& reque
   return columns;
 }
 
-/// The point that an absorbed prior has of a block, or nullptr.
+/// The point of a block in an absorbed prior, or nullptr.
 const double* PointOfOldPrior(const WindowView& view, int block) {
   for (const WindowPrior& prior : view.priors) {
     const auto at = std::find(prior.blocks.begin(), prior.blocks.end(), block);
@@ -135,7 +135,7 @@ Eigen::VectorXd InverseRoots(Eigen::VectorXd diagonal) {
 
 double LeastCost(const WindowPrior& prior) {
   if (prior.num_rows == 0) return prior.constant;
-  constexpr double kUnknown = 1e-11;  // of a unit diagonal: what is free costs nothing
+  constexpr double kUnknown = 1e-11;  // for a unit diagonal: below this, a direction counts as free
   Eigen::MatrixXd lambda = InformationOf(prior);
   const Eigen::Map<const Eigen::VectorXd> v(prior.vector.data(), prior.num_rows);
   Eigen::VectorXd eta = v;

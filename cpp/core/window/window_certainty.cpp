@@ -1,12 +1,13 @@
 /// Part of WindowProblem (window_problem.h).
 ///
-/// What the normal equations of a window say of its certainty, undamped: eigenvalues, the
-/// covariance of the last state, and what its IMU factors should cost.
+/// Certainty of a window from its normal equations without damping: eigenvalues, the covariance of
+/// the last state, and the expected cost of its IMU factors.
 ///
-/// With C = (J^T J)^-1 over all factors, residuals r of sigma 1 leave r - J C J^T r at the minimum,
-/// so that n rows J_f of one family cost 1/2 (n - tr(J_f C J_f^T)) on average: next to nothing
-/// where states follow them, n / 2 where others hold the states. A wrong calibration makes images
-/// and IMU contradict each other, and costs many times as much.
+/// With C = (J^T J)^-1 over all factors, residuals r of sigma 1 leave r - J C J^T r at the minimum.
+/// So n rows J_f of one family of factors cost 1/2 (n - tr(J_f C J_f^T)) on average. This is close
+/// to zero if the states follow these factors, and n / 2 if other factors determine the states.
+/// With a wrong calibration, images and IMU contradict each other, and the cost is many times as
+/// large.
 
 #include <algorithm>
 #include <cmath>
@@ -25,8 +26,8 @@ std::vector<double> WindowProblem::ReducedSpectrum() {
   Eigen::MatrixXd s = Eigen::Map<const Eigen::MatrixXd>(system_.values.data(), n, n);
   Eigen::VectorXd scale(n);
   for (int c = 0; c < n; ++c) {
-    // The elimination of the landmarks leaves no information on a coordinate that only they
-    // determine.
+    // After the elimination of the landmarks, a coordinate that only they determine has no
+    // information.
     scale[c] = d_squared_[c] > 0 ? 1 / std::sqrt(d_squared_[c]) : 1;
   }
   for (int c = 0; c < n; ++c) {

@@ -1,7 +1,7 @@
 #pragma once
 
-/// The elimination of marginalize_window.h, in double or single precision: the rows of the absorbed
-/// factors are made in double precision, and all that follows is of `Scalar`.
+/// The elimination of marginalize_window.h, in double or single precision. The rows of the absorbed
+/// factors are computed in double precision, everything after in `Scalar`.
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
@@ -21,8 +21,8 @@ namespace bundle {
 
 /// Places of the blocks among the columns: eliminated blocks, then kept blocks.
 struct ColumnsOfBlocks {
-  std::vector<int> at;    ///< first column of a block; -1: not touched, or held
-  std::vector<int> kept;  ///< blocks that stay, ascending
+  std::vector<int> at;    ///< first column of a block; -1: not in any row, or constant
+  std::vector<int> kept;  ///< kept blocks, ascending
   int num_gone = 0, num_kept = 0;
 
   int total() const { return num_gone + num_kept; }
@@ -32,14 +32,14 @@ template <typename Scalar>
 class WindowElimination {
   using Matrix = Eigen::Matrix<Scalar, Eigen::Dynamic, Eigen::Dynamic>;
   using Vector = Eigen::Matrix<Scalar, Eigen::Dynamic, 1>;
-  static constexpr int kPoint = 3, kDepth = 2;  ///< numbers of a landmark, the last its depth
+  static constexpr int kPoint = 3, kDepth = 2;  ///< numbers of a landmark; the last is its depth
 
  public:
   WindowElimination(const WindowView& view, const Marginalization& request,
                     const ColumnsOfBlocks& columns, const WindowRows& rows, const WindowState& at)
       : view_(view), request_(request), columns_(columns), rows_(rows), at_(at) {}
 
-  /// About the current state.
+  /// Prior about the current state.
   void Run(MarginalizedWindow* result) {
     if (request_.square_root) {
       ByQr(result);
@@ -118,7 +118,7 @@ class WindowElimination {
       }
       ++result->num_landmarks;
       Vector workspace(dense.cols());
-      for (int c = 0; c < kPoint; ++c) {  // its own columns go, one reflection each
+      for (int c = 0; c < kPoint; ++c) {  // one Householder reflection for each of its own columns
         auto rest = dense.bottomRightCorner(dense.rows() - c, dense.cols() - c);
         Vector essential(rest.rows() - 1);
         Scalar tau, beta;
@@ -151,13 +151,13 @@ class WindowElimination {
       for (int c = a; c < n; ++c) prior.matrix.push_back(triangle(k, c));
       prior.vector.push_back(triangle(k, n));
     }
-    // What no step of the kept coordinates changes.
+    // The constant, which no step of the kept coordinates changes.
     prior.constant = 0.5 * double(triangle(n, n)) * double(triangle(n, n));
   }
 
   void SolveGone(const Matrix& haa, const Matrix& rhs, Matrix* solved, MarginalizedWindow* result) {
     if (SolveByCholesky(haa, rhs, solved)) return;
-    // Information on part of the coordinates only: the others take nothing along.
+    // H_aa has information on some coordinates only; the others are dropped.
     result->is_regular = false;
     *solved = SolveSemidefinite(haa.template cast<double>(), rhs.template cast<double>(),
                                 double(std::numeric_limits<Scalar>::epsilon()))
@@ -176,7 +176,7 @@ class WindowElimination {
     }
   }
 
-  /// The column of each coordinate of a prior; -1 for held ones.
+  /// The column of each coordinate of a prior; -1 for constant ones.
   std::vector<int> ColumnsOfPrior(const WindowPrior& prior) const {
     std::vector<int> at;
     for (const int block : prior.blocks) {
@@ -237,7 +237,7 @@ class WindowElimination {
     return blocks;
   }
 
-  /// Rows of a landmark, the anchor's two last: by its three numbers, by blocks, r.
+  /// Rows of a landmark, those of its anchoring image last: by its three numbers, by blocks, r.
   Matrix DenseLandmark(size_t* k, const std::vector<int>& blocks, const AnchorRows& anchor) const {
     const int landmark = rows_.visual[*k].landmark;
     size_t end = *k;

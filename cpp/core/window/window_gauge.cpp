@@ -9,7 +9,8 @@
 namespace bundle {
 namespace {
 
-/// Share of D^2 along a direction: above the rounding of a window, below any prior's.
+/// Threshold of information along a direction, as a share of D^2: above the rounding of a window,
+/// below any prior's.
 constexpr double kKnown = 1e-11;
 
 const double* StateOfJacobian(const WindowView& view, const WindowState& at, int i) {

@@ -18,7 +18,7 @@ std::vector<double> CoordinatesOfPrior(const WindowPrior& prior, int num_states,
   return d;
 }
 
-/// M d + v of a square-root prior, M d - v of one in information form.
+/// M d + v for a square-root prior, M d - v for one in information form.
 std::vector<double> Residuals(const WindowPrior& prior, const std::vector<double>& d) {
   std::vector<double> rows(prior.num_rows);
   const double sign = prior.is_square_root ? 1 : -1;
@@ -43,7 +43,8 @@ double Cost(const WindowPrior& prior, const std::vector<double>& d,
   return cost;
 }
 
-/// Calls visit(first coordinate, J_r^-1 of the rotation) for the rotations that are not about 0.
+/// Calls visit(first coordinate, J_r^-1 of the rotation) for the rotations whose offset from the
+/// point is not 0.
 template <typename Visit>
 void ForTurned(const WindowView& view, const WindowPrior& prior, const std::vector<double>& d,
                const Visit& visit) {
@@ -62,7 +63,7 @@ void ForTurned(const WindowView& view, const WindowPrior& prior, const std::vect
   }
 }
 
-/// row <- row T on three entries: of a row of M, or of a gradient as a row.
+/// row <- row T on three entries: for a row of M, or for a gradient as a row.
 void TurnRow(const double turn[9], double* row) {
   double out[3];
   VectorMatrix3(row, turn, out);
@@ -135,7 +136,7 @@ PriorForm LinearizePrior(const WindowView& view, const WindowPrior& prior, const
   ForTurned(view, prior, d, [&](int begin, const double* turn) {
     TurnRow(turn, form.gradient.data() + begin);
     for (size_t r = 0; r < n; ++r) TurnRow(turn, form.information.data() + r * n + begin);
-    // T^T from the left: the same of columns.
+    // T^T from the left: the same for columns.
     for (size_t c = 0; c < n; ++c) {
       double column[3];
       for (int k = 0; k < 3; ++k) column[k] = form.information[(begin + k) * n + c];

@@ -3,8 +3,9 @@
 /// Gradient and Hessian of a prior at a state of the window.
 ///
 /// A prior is a quadratic form of d = (state about its points). With d' the coordinates about the
-/// state, d(d)/d(d') is I but for rotations, where it is J_r^-1 (d_rotation). Jacobians of an
-/// anchored state are those at its anchor, which is the prior's point: d = 0 there, and I.
+/// current state, d(d)/d(d') is I, except for rotations, where it is J_r^-1(d_rotation). Jacobians
+/// of an anchored state are taken at its anchor, which is the prior's point: there, d = 0 and the
+/// Jacobian is I.
 
 #include <vector>
 

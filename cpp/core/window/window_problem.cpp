@@ -34,12 +34,13 @@ WindowProblem::BlockPlace WindowProblem::Place(int a, int b) {
           structure_.panel_stride[column], place_[a] < place_[b]};
 }
 
-/// S_ab += J_a^T J_b, with rows x size matrices, row-major. Of the diagonal block all is added.
+/// S_ab += J_a^T J_b, with rows x size matrices, row-major. Both triangles of a diagonal block are
+/// added.
 void WindowProblem::AddBlock(int a, int b, const double* ja, const double* jb, int rows) {
   const int na = view_.BlockSize(a), nb = view_.BlockSize(b);
   if (na == 0 || nb == 0) return;
   const BlockPlace place = Place(a, b);
-  // S's lower triangle: rows are those of the block that comes later.
+  // S's lower triangle: the rows are those of the later block.
   if (place.transposed) {
     AddProduct(jb, nb, ja, na, rows, place.values, place.stride);
   } else {

@@ -17,7 +17,7 @@ CameraOfImu CameraFrom(const std::array<double, 7>& camera) {
   return result;
 }
 
-/// The states as matrices, where residuals and where Jacobians are taken.
+/// The states as matrices: those for residuals and those for Jacobians.
 struct WindowStates {
   std::vector<ImuState> now, jacobian;
   CameraOfImu camera;
@@ -41,14 +41,14 @@ LandmarkSight SightOf(const WindowView& view, int k) {
   return sight;
 }
 
-/// sigma of the walk of each bias, sqrt(T) times its density.
+/// Sigma of the random walk of each bias: sqrt(T) times its density.
 void BiasWalkScales(const Preintegration& imu, double* gyro, double* accel) {
   const double root = std::sqrt(imu.duration());
   *gyro = 1 / (imu.noise().gyro_bias_random_walk * root);
   *accel = 1 / (imu.noise().accel_bias_random_walk * root);
 }
 
-/// The rows of the biases' walk: six numbers, each divided by its sigma.
+/// The rows of the biases' random walk: six numbers, each divided by its sigma.
 void BiasWalk(const Preintegration& imu, const ImuState& i, const ImuState& j, double scales[6],
               double r[6]) {
   double of_bias[2];
@@ -95,7 +95,8 @@ void AddImuCost(const WindowView& view, const WindowStates& states, int i, Windo
   for (const double x : walk) costs->bias_walk += 0.5 * x * x;
 }
 
-/// The residual of observation k where the states are, or, for `jacobians`, where theirs are taken.
+/// The residual of observation k at the current states or, for `jacobians`, at their linearisation
+/// points.
 bool ResidualOfSight(const WindowView& view, const WindowState& at,
                      const std::vector<ImuState>& states, const CameraOfImu& camera, int k,
                      double r[2], DepthJacobians* jacobians) {
@@ -105,7 +106,7 @@ bool ResidualOfSight(const WindowView& view, const WindowState& at,
                               jacobians);
 }
 
-/// Appends the rows of an observation; false where it has no value.
+/// Appends the rows of an observation; false if it has no value.
 bool LinearizeSight(const WindowView& view, const WindowState& at, const WindowStates& states,
                     int k, WindowRows* rows) {
   VisualRows row;
@@ -121,7 +122,7 @@ bool LinearizeSight(const WindowView& view, const WindowState& at, const WindowS
   double rho[3];
   ValueOfLoss(view.loss, view.loss_scale, squared, rho);
   rows->costs.visual += 0.5 * rho[0];
-  const double weight = std::sqrt(rho[1]);  // of a loss with rho'' <= 0 (factors/loss.h)
+  const double weight = std::sqrt(rho[1]);  // for a loss with rho'' <= 0 (factors/loss.h)
   if (weight != 1) {
     for (double& x : row.r) x *= weight;
     for (double& x : row.by.by_anchor) x *= weight;
@@ -209,7 +210,8 @@ WindowCosts CostsOfWindow(const WindowView& view, const WindowState& at) {
     ValueOfLoss(view.loss, view.loss_scale, norm * norm, rho);
     costs.visual += 0.5 * rho[0];
     if (!(norm < std::numeric_limits<double>::infinity())) {
-      costs.visual = norm;  // a bounded loss would hide it
+      costs.visual =
+          norm;  // without the loss, because a bounded loss would hide an infinite residual
       return costs;
     }
   }

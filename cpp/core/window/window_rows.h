@@ -23,15 +23,15 @@ struct AnchorRows {
   double scale = 0;
 };
 
-/// Preintegrated samples (9 rows: rotation, position, velocity) and the biases' walk (6).
+/// Preintegrated samples (9 rows: rotation, position, velocity) and the biases' random walk (6).
 struct InertialRows {
   static constexpr int kRows = 15, kImuRows = 9;  ///< rows of these factors
-  int first = 0;                                  ///< from this state to the next
+  int first = 0;                                  ///< from this state to the next one
   double r[kRows];
   double by_first[kRows * kStateTangent], by_second[kRows * kStateTangent];  ///< row-major
 };
 
-/// Factors that count: all, or those absorbed by marginalising some states and landmarks.
+/// Selection of factors: all, or those absorbed by marginalising some states and landmarks.
 struct FactorSelection {
   bool all = true;
   std::vector<uint8_t> landmarks;  ///< flags
@@ -47,14 +47,14 @@ struct WindowRows {
   std::vector<PriorForm> priors;
 };
 
-/// Jacobians of states are taken at their anchors where the view says so.
+/// Jacobians of states are taken at their anchors if the view says so.
 void LinearizeWindow(const WindowView& view, const WindowState& at,
                      const FactorSelection& selection, WindowRows* rows);
 
 /// Not finite if a landmark is behind a camera that sees it.
 WindowCosts CostsOfWindow(const WindowView& view, const WindowState& at);
 
-/// ||r|| of each observation without its loss; infinite where it has no value.
+/// ||r|| of each observation without its loss; infinite if it has no value.
 std::vector<double> VisualResidualNorms(const WindowView& view, const WindowState& at);
 
 }  // namespace bundle

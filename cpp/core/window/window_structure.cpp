@@ -10,10 +10,10 @@
 namespace bundle {
 namespace {
 
-/// Columns from which on a sparse factorisation serves better.
+/// From this number of columns on, a sparse factorisation is faster.
 constexpr int kColumnsOfDenseWindow = 400;
 
-/// Blocks that share rows, each pair once.
+/// Pairs of blocks that share rows, each pair once.
 std::vector<std::pair<int, int>> CoupledPairs(const WindowView& view,
                                               const std::vector<int>& sizes) {
   std::vector<std::pair<int, int>> pairs;
