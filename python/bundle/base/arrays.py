@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import real_numbers
 from bundle.errors import InputError, brief
 

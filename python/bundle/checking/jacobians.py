@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import check_function
 from bundle.checking.assemble import CHECKER_PRECISION, make_report, undecided_points
 from bundle.checking.classify import classify, float_precision

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bundle import _core
+import bundle._core as _core
 from bundle.checking.columns import Block
 from bundle.checking.jacobian_deviation import Array
 from bundle.errors import InputError, brief

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.words import plural
 from bundle.checking.assemble import CHECKER_PRECISION, make_report, undecided_points
 from bundle.checking.classify import classify, float_precision, stale

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.errors import InputError, shown
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem

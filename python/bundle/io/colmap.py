@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.errors import InputError
 from bundle.io.model_notes import check_rig_files, lacks_keypoint_lines, note_contradiction
 from bundle.model import rig_arrays

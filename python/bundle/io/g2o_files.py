@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.paths import as_path
 from bundle.base.words import plural
 from bundle.errors import shown

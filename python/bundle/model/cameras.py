@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import as_array, as_flag
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import as_array
 from bundle.errors import InputError, brief
 from bundle.interface.option_fields import choice, number

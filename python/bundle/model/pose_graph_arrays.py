@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arrays import freeze, immutable, refrozen
 from bundle.base.display import Display, Displayed
 from bundle.base.words import plural

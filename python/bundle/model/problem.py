@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arrays import immutable
 from bundle.base.display import Display, Displayed
 from bundle.base.words import contents, format_name, plural

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import CHEIRALITIES

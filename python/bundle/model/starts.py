@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.words import number
 from bundle.errors import InputError
 from bundle.interface.pose_graph_options import PoseGraphOptions

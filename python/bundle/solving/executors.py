@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import check_function
 from bundle.interface.solve_record import Progress
 from bundle.solving.prepare import Executor, Prepared

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bundle import _core
+import bundle._core as _core
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.model.reprojection import resolve_cheirality

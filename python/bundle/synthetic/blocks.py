@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.errors import InputError
 from bundle.interface.scene_options import SceneOptions
 from bundle.model.problem import Problem

@@ -19,7 +19,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.io import bal
 from bundle.io.atomic import atomic_write as atomic
 from bundle.model.problem import Problem

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.interface.scene_options import MIN_OBSERVATIONS_PER_IMAGE
 from bundle.synthetic.intrinsics import Intrinsics
 from bundle.synthetic.scene import Pairs, Points, Scene

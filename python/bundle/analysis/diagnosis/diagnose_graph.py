@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.analysis.diagnosis.conditioning import Finding
 from bundle.analysis.diagnosis.graph_diagnosis import (
     GraphComponent,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Unpack, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.analysis.diagnosis.collapsed import collapsed_clusters
 from bundle.analysis.diagnosis.component_modes import component_modes, rotation_modes
 from bundle.analysis.diagnosis.diagnose_graph import diagnose_graph

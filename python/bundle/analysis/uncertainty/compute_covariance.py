@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Unpack, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.analysis.uncertainty.graph_covariance import GraphCovariance, graph_covariance
 from bundle.analysis.uncertainty.value_checks import (

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arrays import freeze, refrozen
 from bundle.base.display import Display, Displayed
 from bundle.base.words import not_converged, number, plural

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import check_type
 from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
 from bundle.interface.option_fields import choice

@@ -8,7 +8,7 @@ from weakref import WeakSet
 
 import numpy as np
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.display import Display
 from bundle.base.memory_sizes import format_size
 from bundle.base.words import plural

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.anchored import AnchoredFactor

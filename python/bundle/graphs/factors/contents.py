@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 
 from numpy.typing import ArrayLike
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import check_type
 from bundle.base.display import Displayed
 from bundle.base.words import plural

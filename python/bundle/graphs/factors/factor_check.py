@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.display import Display, Displayed
 from bundle.base.words import plural
 from bundle.checking.columns import Block

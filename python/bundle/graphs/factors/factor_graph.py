@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Unpack
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import as_flag, check_function
 from bundle.base.display import Display, Displayed
 from bundle.base.words import change, plural, seconds

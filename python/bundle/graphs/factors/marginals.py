@@ -22,7 +22,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import as_flag
 from bundle.errors import InputError
 from bundle.graphs.factors.contents import GraphContents

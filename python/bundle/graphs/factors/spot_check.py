@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.words import plural
 from bundle.graphs.factors.variables import Array
 

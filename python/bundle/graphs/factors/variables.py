@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import as_array, as_integers
 from bundle.base.arrays import freeze, refrozen
 from bundle.base.words import plural

@@ -39,7 +39,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.model.rigid_motions import multiply_poses
 from bundle.model.rotations import (
     cross_matrices,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import check_type
 from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError

@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arrays import freeze
 from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
 from bundle.graphs.pose_graphs.truncated_search import Settled, TruncatedSearch

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.words import distinct, plural
 from bundle.errors import InputError
 from bundle.model.pose_graph_arrays import PoseGraph

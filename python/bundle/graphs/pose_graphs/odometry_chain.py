@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.lie_groups import adjoints
 from bundle.model.pose_graph_arrays import PoseGraph

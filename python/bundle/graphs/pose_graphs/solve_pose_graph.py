@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import check_function, check_type
 from bundle.base.arrays import freeze
 from bundle.base.words import plural

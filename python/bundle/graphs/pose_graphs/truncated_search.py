@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.words import number, plural
 from bundle.graphs.pose_graphs.chi2_quantiles import chi2_quantile
 from bundle.model.pose_graph_arrays import PoseGraph

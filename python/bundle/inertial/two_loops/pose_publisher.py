@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import check_type
 from bundle.base.display import Display, Displayed
 from bundle.errors import InputError

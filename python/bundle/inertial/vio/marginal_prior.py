@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle import _core
+import bundle._core as _core
 from bundle.inertial.vio.window_frame import WindowFrame
 from bundle.model.rotations import rotation_matrices
 

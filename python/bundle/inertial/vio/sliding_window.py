@@ -17,7 +17,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from bundle import _core
+import bundle._core as _core
 from bundle.errors import InputError
 from bundle.inertial.preintegration.preintegration import as_vector
 from bundle.inertial.vio.keyframe_record import KeyframeRecord, keyframe_reason

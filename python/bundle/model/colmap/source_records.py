@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 
 __all__ = [
     "CAMERA",

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base import address_space
 from bundle.base.interrupts import interrupts_deferred
 from bundle.errors import InputError, first_line

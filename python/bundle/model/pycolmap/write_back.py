@@ -13,7 +13,7 @@ from typing import Any
 
 import pycolmap
 
-from bundle import _core
+import bundle._core as _core
 from bundle.model.colmap.model_records import ModelRecords, model_records
 from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.pycolmap.problem_source import Packed, is_reconstruction, packed, unpacked

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import check_function, check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path, is_path

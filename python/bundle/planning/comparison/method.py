@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
 from bundle.interface.compare_options import BACKENDS, ORDERINGS, PRECONDITIONERS, SOLVERS, THREADS

@@ -23,7 +23,7 @@ import resource
 import sys
 from pathlib import Path
 
-from bundle import _core
+import bundle._core as _core
 
 __all__ = [
     "available_memory",

@@ -21,7 +21,7 @@ import time
 from pathlib import Path
 from typing import Any, TextIO
 
-from bundle import _core
+import bundle._core as _core
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.planning.comparison import process_memory

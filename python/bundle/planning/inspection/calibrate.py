@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bundle import _core
+import bundle._core as _core
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem

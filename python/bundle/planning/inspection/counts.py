@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.planning.inspection.problem_pattern import (

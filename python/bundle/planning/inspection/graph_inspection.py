@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import as_flag
 from bundle.base.display import Display, Displayed
 from bundle.base.words import plural

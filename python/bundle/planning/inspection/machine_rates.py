@@ -18,7 +18,7 @@ import os
 import platform
 from pathlib import Path
 
-from bundle import _core
+import bundle._core as _core
 from bundle.planning.inspection.calibrate import calibrate
 from bundle.planning.inspection.rates import FactorRate, Rates, implausible
 

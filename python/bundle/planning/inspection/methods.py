@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bundle import _core
+import bundle._core as _core
 from bundle.interface.options import PRECONDITIONER_TYPES
 
 __all__ = ["ORDERINGS", "Method", "all_methods"]

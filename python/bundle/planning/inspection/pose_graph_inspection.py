@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path, is_path

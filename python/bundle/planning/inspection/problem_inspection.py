@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Unpack, overload
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arguments import as_flag
 from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY, format_size
 from bundle.errors import InputError

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arrays import freeze
 from bundle.interface.process_record import ProcessPart, ProcessRecord, Traffic
 from bundle.model.problem import Problem

@@ -9,7 +9,7 @@ import os
 import signal
 from pathlib import Path
 
-from bundle import _core
+import bundle._core as _core
 from bundle.solving.ranks.launch import rank_by_launcher
 
 __all__ = ["begin", "know_processes", "speaks_for_all", "take_the_word"]

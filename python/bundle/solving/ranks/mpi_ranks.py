@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle import _core
+import bundle._core as _core
 
 __all__ = ["MpiRanks"]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bundle import _core
+import bundle._core as _core
 
 __all__ = ["reason_in_options", "reason_to_be_alone", "warning"]
 

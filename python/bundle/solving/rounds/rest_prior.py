@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.base.arrays import freeze
 from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY, format_size
 from bundle.base.words import plural

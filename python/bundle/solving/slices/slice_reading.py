@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+import bundle._core as _core
 from bundle.errors import InputError, shown
 from bundle.io import bal, colmap
 from bundle.model.problem import Problem
