@@ -1,1 +1,1 @@
-"""Jacobians against independent references."""
+"""Comparison of Jacobians with independent references."""

@@ -1,4 +1,4 @@
-"""Report of a check from counts and findings."""
+"""Assembly of a check's report from counts and findings."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ REASONS = {
 }
 
 SAYS_NOTHING = ("undecided", "unstable")
-"""Kinds of findings that leave the Jacobians undecided."""
+"""Kinds of findings after which the Jacobians are neither correct nor wrong, but undecided."""
 
 NAMED = 3
-"""Number of places in a sentence."""
+"""Largest number of places listed in a sentence."""
 
 CHECKER_PRECISION = 1e-6
-"""Precision requested from ceres::GradientChecker; its own differences are not always better."""
+"""Relative precision for ceres::GradientChecker, whose differences are not always more precise."""
 
 
 def make_report(
@@ -52,9 +52,9 @@ def make_report(
 ) -> GradientReport:
     """Return the report.
 
-    Groups of parameters that the reference cannot decide become findings, and so does a check
-    without a decided point. A residual without a value, a finding without columns, decides nothing
-    either.
+    A finding is added for each group of parameters that the reference cannot decide, and if no
+    point is decided. A finding without columns (the residual has no value) means that no point is
+    decided.
     """
     groups, parameters = verdicts(tallies)
     found = [*findings, *_undecided(groups)]
@@ -97,7 +97,7 @@ def undecided_points(
     Args:
         noun: name of a point.
         points: numbers of the points, by reason.
-        place: function that names a point.
+        place: function that converts a point's number to text.
     """
     entries = []
     for reason, found in sorted(points.items(), key=lambda item: -len(item[1])):

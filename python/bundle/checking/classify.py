@@ -1,7 +1,8 @@
 """Classification of wrong Jacobians: signatures of mistakes, from specific to general.
 
-A signature is a hypothesis on the wrong columns, computed from the correct ones. It is accepted if
-it leaves at most a thousandth of the deviation. Errors without a signature are classified by size.
+A signature is a hypothesis about the mistake: it predicts the wrong columns from the correct ones.
+It is accepted if it leaves at most 1/1000 of the deviation unexplained. Errors without a signature
+are classified by size.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ KINDS = (
     "small_part",
     "large_part",
 )
-"""Kinds of findings, from "a stale cache" to "wrong in a large part"."""
+"""Kinds of findings, from the most specific ("a stale cache") to the most general."""
 
 SIGNATURES: tuple[Callable[[Evidence], None], ...] = (
     rotation.conventions,
@@ -68,7 +69,7 @@ SIGNATURES: tuple[Callable[[Evidence], None], ...] = (
 
 
 def classify(evidence: Evidence) -> list[Finding]:
-    """Return findings that together name every wrong column."""
+    """Return findings that together contain every wrong column."""
     _not_finite(evidence)
     for signature in SIGNATURES:
         if evidence.wrong:
@@ -81,7 +82,7 @@ def classify(evidence: Evidence) -> list[Finding]:
 def stale(
     deviations: JacobianDeviation, repeated: JacobianDeviation, tolerance: float
 ) -> Finding | None:
-    """Return a finding if Jacobians belong to previously evaluated points.
+    """Return a finding if Jacobians equal those of points evaluated earlier (a stale cache).
 
     Args:
         deviations: deviations at K points, evaluated one after the other.
@@ -148,7 +149,7 @@ def _not_finite(evidence: Evidence) -> None:
 
 
 def _by_size(evidence: Evidence) -> None:
-    """Name the remaining columns by their typical error."""
+    """Add findings for the remaining columns by the size of their typical error."""
     sizes = {j: float(np.median(_largest(evidence, j))) for j in evidence.wrong}
     fine = [j for j in evidence.wrong if evidence.deviations.error[..., j].max() < 1e-4]
     small = [j for j, size in sizes.items() if size < 0.3 and j not in fine]

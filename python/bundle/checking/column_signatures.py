@@ -31,7 +31,7 @@ DEGREE = np.pi / 180
 NEGLIGIBLE = 1e-12
 
 LEAST_FACTOR = 1e-4
-"""Smallest difference of a factor from 1: smaller ones may be rounding errors."""
+"""Smallest difference of a factor from 1; smaller differences may be rounding errors."""
 
 
 def zeros(evidence: Evidence) -> None:
@@ -48,7 +48,7 @@ def zeros(evidence: Evidence) -> None:
 
 
 def factors(evidence: Evidence) -> None:
-    """Find columns that are a constant times the correct one, as a whole or in some rows."""
+    """Find columns that are a constant times the correct column, in all rows or in some."""
     by_factor: dict[tuple[float, ...], list[int]] = {}
     where: dict[int, str] = {}
     for j in evidence.wrong:
@@ -83,7 +83,7 @@ def factors(evidence: Evidence) -> None:
 
 
 def parameter_factors(evidence: Evidence) -> None:
-    """Find columns that are correct except for a factor that is the value of a parameter."""
+    """Find columns that equal the correct column times the value of a parameter."""
     for j in list(evidence.wrong):
         analytic, reference = evidence.analytic[..., j], evidence.reference[..., j]
         ratios = _ratios(analytic, reference, axis=1)
@@ -109,7 +109,7 @@ def parameter_factors(evidence: Evidence) -> None:
 
 
 def terms_of_a_parameter(evidence: Evidence) -> None:
-    """Find columns that are correct for a parameter of value zero: its terms are missing."""
+    """Find columns that are correct if a parameter is zero: the terms with it are missing."""
     if not evidence.wrong:
         return
     deviation = np.linalg.norm(
@@ -136,7 +136,7 @@ def terms_of_a_parameter(evidence: Evidence) -> None:
 
 
 def zero_entries(evidence: Evidence) -> None:
-    """Find columns that are correct except for rows that are zero."""
+    """Find columns that are correct except for some rows that are zero."""
     for j in list(evidence.wrong):
         analytic, reference = evidence.analytic[..., j], evidence.reference[..., j]
         zero_rows = ~analytic.any(axis=0)
@@ -158,7 +158,7 @@ def _num_used(evidence: Evidence) -> int:
 def _ratios(analytic: Array, reference: Array, axis: int | None) -> Array:
     """Return the least-squares factors from reference to analytic along an axis."""
     square = np.sum(reference * reference, axis=axis)
-    counts = square > NEGLIGIBLE**2 * np.sum(reference * reference)  # others are rounding errors
+    counts = square > NEGLIGIBLE**2 * np.sum(reference * reference)  # others are rounding
     ratio: Array = np.sum(analytic * reference, axis=axis) / np.where(counts, square, 1.0)
     return np.where(counts, ratio, 1.0)
 
@@ -181,7 +181,7 @@ def _factor_in_words(factor: float) -> tuple[str, str]:
 
 
 def transposed(evidence: Evidence) -> None:
-    """Find blocks written column by column that Ceres reads row by row."""
+    """Find blocks stored column by column, although Ceres expects row-major order."""
     for block in evidence.blocks:
         columns = list(block.columns)
         num_points, num_residuals = evidence.analytic.shape[:2]
@@ -235,7 +235,7 @@ def shifted(evidence: Evidence) -> None:
 
 
 def order(evidence: Evidence) -> None:
-    """Find columns that hold the derivative by some other parameter."""
+    """Find columns that hold the derivative by another parameter."""
     matches = _matches(evidence)
     columns = [j for j in evidence.wrong if matches[j].any()]
     if columns:

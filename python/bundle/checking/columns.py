@@ -12,7 +12,7 @@ __all__ = ["Block", "Column"]
 
 @dataclass(frozen=True)
 class Column:
-    """Parameter: its name in reports, and the group of its verdict."""
+    """A parameter: its name in reports, and the group of its verdict."""
 
     name: str
     group: str
@@ -20,12 +20,13 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Adjacent columns, `start` to `stop`.
+    """Adjacent columns, `start` to `stop` (exclusive).
 
     ``rotation`` is "" or the kind of rotation: "tangent" (a manifold's increment), "vector" (the
-    numbers of a rotation vector, with its values in the points) or "quaternion". ``conventions``
-    are other tangent coordinates that users may differentiate by: a description, and for each
-    sample the matrix from the correct columns to these (samples, size, size).
+    numbers of a rotation vector, whose values are in the points) or "quaternion". ``conventions``
+    lists other tangent coordinates by which users may differentiate. Each entry has a description
+    and, for each sample, the matrix from the correct columns to these columns (samples, size,
+    size).
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Evidence for signatures: wrong columns, and a test of hypotheses."""
+"""Input of signatures: wrong columns, and a test of hypotheses."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 __all__ = ["Evidence", "Finding"]
 
 EXPLAINED = 1e-3
-"""Largest share of a deviation that an accepted hypothesis leaves."""
+"""Largest fraction of the deviation that an accepted hypothesis may leave unexplained."""
 
 ReferenceAt = Callable[[int, int], Array | None]
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Mistake, and its description.
+    """A mistake and its description.
 
     Attributes:
         kind: signature, one of ``bundle.checking.classify.KINDS``.
-        columns: names of the parameters concerned.
+        columns: names of the affected parameters.
         sentence: explanation.
         error: largest relative error of these columns.
-        factor: analytic / correct, if that is constant.
+        factor: analytic / correct, if this ratio is constant.
     """
 
     kind: str
@@ -40,7 +40,7 @@ class Finding:
 
 @dataclass(eq=False)
 class Evidence:
-    """Wrong points, and columns that are not yet explained.
+    """Points with wrong Jacobians, and their columns that no signature explains yet.
 
     Attributes:
         deviations: Jacobians at K points, all of them wrong.
@@ -49,7 +49,7 @@ class Evidence:
         points: (K, N) the parameters at these points.
         reference_at: function of (k, j) that returns the reference at point k with parameter j set
             to zero, or None.
-        wrong: indices of wrong columns without explanation; signatures remove theirs.
+        wrong: indices of unexplained wrong columns; a signature removes those that it explains.
         tolerance: relative error above which an entry is wrong.
         numbers: (K,) sample numbers of the points, for blocks with data per sample.
         residuals: (K, R) residuals at the points, if available to signatures.
@@ -78,8 +78,8 @@ class Evidence:
     ) -> bool:
         """Return True if a hypothesis (K, R, len(columns)), in units of scale, equals the Jacobian.
 
-        The remainder is compared with the deviation and with the Jacobian itself: a thousandth of
-        the correct size is not explained by any other small number.
+        The remainder is compared both with the deviation and with the Jacobian itself. Otherwise
+        any small number would explain a column of a thousandth of the correct size.
         """
         chosen = slice(None) if points is None else points
         analytic = self.analytic[chosen][..., columns]
@@ -91,12 +91,12 @@ class Evidence:
         return bool(deviation > 4 * doubt and left <= EXPLAINED * size + 2 * doubt)
 
     def points_wrong_in(self, column: int) -> NDArray[np.intp]:
-        """Return the points at which a column is wrong: a mistake may be in one branch only."""
+        """Return the points at which a column is wrong; a mistake may affect one branch only."""
         errors = self.deviations.error[..., column].max(axis=1)
         return np.flatnonzero(errors > self.tolerance)
 
     def names(self, columns: Sequence[int]) -> str:
-        """Return "rotation x, y and z": joined names with a common first word written once."""
+        """Return joined names such as "rotation x, y and z"; a common first word appears once."""
         return join_names([self.columns[j].name for j in columns])
 
     def found(

@@ -20,7 +20,7 @@ ResidualFunction = Callable[[list[Array]], tuple[Any, Sequence[Any]]]
 class UserFunction:
     """Function of parameter blocks that returns residual and Jacobians.
 
-    It is called once at the blocks to find the number of residuals, unless that is known.
+    If the number of residuals is not given, the function is called once to find it.
     """
 
     def __init__(
@@ -31,7 +31,7 @@ class UserFunction:
         self.num_residuals = num_residuals or len(self._residual(self._call(blocks)[0]))
 
     def evaluate(self, blocks: Sequence[Array]) -> tuple[Array, Array]:
-        """Return the residual (R,) and all Jacobians side by side (R, N).
+        """Return the residual (R,) and the Jacobians of all blocks, concatenated to (R, N).
 
         Raises:
             InputError: the returned values have wrong shapes.
@@ -46,7 +46,7 @@ class UserFunction:
         return values, np.hstack(self._jacobians(jacobians))
 
     def core(self, blocks: list[Array], jacobians: bool) -> tuple[Array, list[Array] | None] | None:
-        """Return the values for ``_core``: None if the residual is not finite."""
+        """Return the values for ``_core``; None if the residual is not finite."""
         residual, matrices = self._call(blocks)
         values = self._residual(residual)
         if not np.isfinite(values).all():

@@ -38,13 +38,14 @@ class Verdict:
 
     Attributes:
         name: "camera RADIAL k1", "rotation".
-        verdict: "correct", "wrong", or "undecided" if the reference is not accurate enough for most
-            entries, of most parameters; entries that are certainly zero do not count.
+        verdict: "correct", "wrong" or "undecided". A parameter is undecided if the reference is not
+            accurate enough for most of its entries; entries that are certainly zero do not count. A
+            group is undecided if most of its parameters are.
         num_entries: number of compared entries of the Jacobians.
         num_wrong: entries above the tolerance.
         num_undecided: entries whose reference is less accurate than the tolerance.
-        max_error: largest relative error; for undecided entries, only the part that exceeds the
-            reference's uncertainty.
+        max_error: largest relative error, minus the uncertainty of the reference for undecided
+            entries.
     """
 
     name: str
@@ -57,18 +58,18 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Offender:
-    """Entry of a Jacobian.
+    """An entry of a Jacobian with a large error.
 
     Attributes:
         place: place in words: "image IMG_17.jpg, point 12", "sample 3".
-        parameter: column: "camera 3 k1", "image IMG_17.jpg rotation y".
-        residual: row.
-        analytic: given value.
+        parameter: name of the column: "camera 3 k1", "image IMG_17.jpg rotation y".
+        residual: index of the row.
+        analytic: value to check.
         reference: correct value.
         error: relative error, safe near zero (``JacobianDeviation.scale``), minus the uncertainty
             of the reference.
-        details: the place for programs: image_id, image_name, camera_id, model, point_id, or
-            sample.
+        details: the place for programs, by keys: image_id, image_name, camera_id, model, point_id,
+            or sample.
     """
 
     place: str
@@ -82,15 +83,15 @@ class Offender:
 
 @dataclass(frozen=True)
 class Undecided:
-    """Points at which no reference is accurate enough.
+    """Points at which the reference is not accurate enough.
 
     Attributes:
         reason: "camera_center" (the point is so close to the projection centre that the rounding of
             point and pose changes the derivatives), "rough" (a kink, a jump or noise), or
             "no_value" (the residual has no value on both sides of the point).
         count: number of points.
-        places: the first few of them: "image IMG_17.jpg, point 12", "sample 3".
-        sentence: the same in words.
+        places: places of the first few points: "image IMG_17.jpg, point 12", "sample 3".
+        sentence: reason, count and places in words.
     """
 
     reason: str
@@ -105,10 +106,10 @@ class GradientCheckerSummary:
 
     Attributes:
         num_probes: number of probes.
-        num_agreed: probes without a complaint.
-        num_false_alarms: complaints about Jacobians that the second reference finds correct.
-        num_gave_up: probes that stepped on a point without a value.
-        num_overlooked: wrong Jacobians that it accepted.
+        num_agreed: probes that GradientChecker accepted.
+        num_false_alarms: rejected Jacobians that are correct by the second reference.
+        num_gave_up: probes that failed because the residual has no value at a nearby point.
+        num_overlooked: wrong Jacobians that GradientChecker accepted.
     """
 
     num_probes: int = 0
@@ -120,17 +121,19 @@ class GradientCheckerSummary:
 
 @dataclass(frozen=True, eq=False)
 class GradientReport:
-    """Result of a check. True if all is correct; printing it explains.
+    """Result of a check. Its truth value is True if all Jacobians are correct.
+
+    Printing the report explains the result.
 
     Attributes:
         ok: True if the verdict is "correct".
-        verdict: "correct", "wrong", or "undecided" if nothing is wrong but not all is certain: some
-            parameter has no accurate reference at most points, or the given point has none.
+        verdict: "correct", "wrong" or "undecided". It is undecided if no mistake was found, but a
+            parameter has no accurate reference at most points or at the given point.
         subject: checked function in words.
         noun: name of a point: "sample", "observation".
         tolerance: relative error above which an entry is wrong.
         num_checked: number of checked points (observations).
-        num_skipped: points left out: without a finite residual, or without weight.
+        num_skipped: number of skipped points: their residual is not finite or has no weight.
         undecided: checked points without a verdict, by reason.
         findings: mistakes and undecided parameters, worst first.
         groups: verdict on each group of parameters.
@@ -162,7 +165,7 @@ class GradientReport:
 
     @property
     def kinds(self) -> frozenset[str]:
-        """Kinds of all findings; {"correct"} if there are none."""
+        """Kinds of all findings; {"correct"} without findings."""
         return frozenset(finding.kind for finding in self.findings) or frozenset({"correct"})
 
     def __bool__(self) -> bool:
@@ -207,7 +210,7 @@ def outcome(report: GradientReport) -> str:
 
 
 def explanation(report: GradientReport) -> list[RenderableType]:
-    """Return verdict, findings, and the numbers behind them."""
+    """Return the verdict, the findings, and tables of errors."""
     skipped = f", {report.num_skipped} skipped" if report.num_skipped else ""
     count = plural(report.num_checked, report.noun)
     parts: list[RenderableType] = [

@@ -13,7 +13,7 @@ __all__ = ["JacobianDeviation"]
 Array = NDArray[np.float64]
 
 FLOOR = 1e-3
-"""Share of the column's usual size, which replaces smaller ones as the divisor of errors."""
+"""Smallest divisor of errors, as a fraction of the column's usual size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +34,10 @@ class JacobianDeviation:
     def scale(self) -> Array:
         """Divisor of the error of each entry, (K, 1, N).
 
-        It is the norm of the entry's column. If that is unusually small (a point on the axis of its
-        camera has no derivative by the distortion) or zero, relative errors are meaningless and the
-        usual size of the column is used; if the whole column is zero, that of the others.
+        The divisor is the norm of the entry's column. If this norm is zero or unusually small,
+        relative errors are meaningless. (For example, the derivative by the distortion is zero for
+        a point on the camera's axis.) The divisor is then based on the column's usual size over all
+        points or, if the column is zero everywhere, on the usual size of the other columns.
         """
         norms = np.linalg.norm(np.nan_to_num(self.reference), axis=1, keepdims=True)
         nonzero = np.where(norms > 0, norms, np.nan)
@@ -52,7 +53,7 @@ class JacobianDeviation:
     def deviation(self) -> Array:
         """Deviation |analytic - reference| / scale, (K, R, N).
 
-        Infinite if the analytic is not finite.
+        Infinite if the analytic value is not finite.
         """
         with np.errstate(invalid="ignore", over="ignore"):
             deviation = np.abs(self.analytic - self.reference) / self.scale
@@ -77,14 +78,14 @@ class JacobianDeviation:
         return len(self.analytic)
 
     def take(self, points: NDArray[np.intp]) -> JacobianDeviation:
-        """Return some of the points."""
+        """Return the deviation at some of the points."""
         return JacobianDeviation(
             self.analytic[points], self.reference[points], self.uncertainty[points]
         )
 
     @staticmethod
     def join(parts: list[JacobianDeviation]) -> JacobianDeviation:
-        """Return the points of all parts."""
+        """Return the concatenated points of all parts."""
         return JacobianDeviation(
             np.concatenate([part.analytic for part in parts]),
             np.concatenate([part.reference for part in parts]),

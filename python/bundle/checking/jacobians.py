@@ -35,7 +35,7 @@ ROUNDING_UNITS = 16
 CLOSE_UNITS = 1024
 """Factor by which differences over a fraction of the depth amplify rounding errors."""
 TURN = 0.3
-"""Radians from the start of its chart at which every other observation is checked."""
+"""Rotation [rad] from the origin of its chart at which every other observation is checked."""
 
 Progress = Callable[[int, int], None]
 
@@ -52,18 +52,19 @@ def check_jacobians(
 ) -> GradientReport:
     """Check the analytic Jacobians that a solve of this problem would use.
 
-    Every residual is checked as Ceres evaluates it, with pose, intrinsics and point free, by
-    ceres::GradientChecker and by Richardson extrapolation; every other observation away from the
-    start of its rotation's chart.
+    Every residual is checked as Ceres evaluates it, with variable pose, intrinsics and point. The
+    references are ceres::GradientChecker and Richardson extrapolation. Every other observation is
+    checked away from the origin of its rotation's chart.
 
     Args:
-        problem: Problem at whose values to check, path of one, or pycolmap.Reconstruction.
+        problem: a problem, the path of a problem, or a pycolmap.Reconstruction; the check is at its
+            values.
         samples_per_image: number of observations to check per image; None: all.
         seed: seed of the sampling.
         tolerance: relative error above which an entry is wrong.
         cheirality: as in a solve; observations that do not count are skipped.
-        num_threads: 0: all cores.
-        progress: called with the numbers of finished and of all observations.
+        num_threads: number of threads; 0: all cores.
+        progress: called with the number of finished and the total number of observations.
 
     Raises:
         InputError: a camera model is not supported, or an argument is out of range.
@@ -139,7 +140,7 @@ class _Check:
                 ("rough", rows[~decided & ~close[rows]]),
             ):
                 self.undecided[reason] += np.sort(observations[group]).tolist()
-            # Entries of a rough residual count as undecided; close points do not count.
+            # Entries of a rough residual count as undecided; points too close to a camera do not.
             kept = np.flatnonzero(decided | ~close[rows])
             rows, deviations = rows[kept], deviations.take(kept)
             found = model.tally.add(deviations, observations[rows].astype(np.intp))
@@ -158,7 +159,7 @@ class _Check:
         ]
 
     def report(self) -> GradientReport:
-        """Classify the mistakes and name them."""
+        """Classify the mistakes and return the report."""
         findings = [finding for model in self.models.values() for finding in self._classify(model)]
         if self.unstable:
             findings.append(
@@ -221,7 +222,7 @@ class _Check:
         def reference_at(k: int, parameter: int) -> Array | None:
             column = parameter - 6
             if not 0 <= column < len(model.tally.columns) - 9:
-                return None  # poses and points have no terms that could be missing
+                return None  # only camera parameters can have missing terms
             observation = np.array([numbers[k]], np.int64)
             image = self.problem.observation_image[observation[0]]
             params = self.problem.camera_params.copy()
@@ -304,12 +305,12 @@ class _Check:
 def _rounding_errors(jacobians: Array, rounding: Array) -> Array:
     """Return the rounding errors of the entries (K, 2, N) of Jacobians.
 
-    Entries by rotation, translation and point are sums that may cancel: their error is relative to
-    the largest column of their kind.
+    Derivatives by rotation, translation and point are sums that may cancel. Their error is
+    therefore relative to the largest column of the same kind.
 
     Args:
-        jacobians: (K, 2, N).
-        rounding: (K,) relative rounding error of the derivatives by the point in its camera.
+        jacobians: (K, 2, N) Jacobians.
+        rounding: (K,) relative rounding error of the derivatives by the point in the camera frame.
     """
     size = np.linalg.norm(jacobians, axis=1, keepdims=True)
     for kind in (slice(0, 3), slice(3, 6), slice(-3, None)):

@@ -1,4 +1,4 @@
-"""Manifolds of parameter blocks, by the names in the interface."""
+"""Manifolds of parameter blocks, by their names in the API."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Manifold:
     """Manifold of one block.
 
     Attributes:
-        name: in lower case.
+        name: name in lower case.
         constant: constant entries of "subset".
         size: size of the block.
         tangent_size: dimension of the tangent space.
@@ -61,10 +61,10 @@ class Manifold:
 
     @staticmethod
     def parse(given: ManifoldLike, size: int) -> Manifold:
-        """Return the manifold of a name.
+        """Return the manifold with a name.
 
         Raises:
-            InputError: the manifold does not exist, or it does not fit a block of this size.
+            InputError: the manifold does not exist, or it does not match a block of this size.
         """
         pair = given if isinstance(given, tuple) else (given or "euclidean", ())
         if len(pair) != 2:
@@ -86,16 +86,16 @@ class Manifold:
 
     @property
     def core(self) -> tuple[str, list[int]]:
-        """Arguments of ``_core``: to Ceres a rotation vector's numbers are a vector space."""
+        """Arguments of ``_core``; for Ceres, a rotation vector is a vector space."""
         return _core_name(self.name), list(self.constant)
 
     @property
     def is_curved(self) -> bool:
-        """True if the tangent space differs from that of the parameters."""
+        """True if tangent coordinates differ from the parameters."""
         return self.core[0] != "euclidean"
 
     def plus(self, x: Array, delta: Array) -> Array:
-        """Return the point moved along the tangent space."""
+        """Return x plus a tangent vector ``delta`` (Ceres' Plus)."""
         return _core.manifold_plus(self.core, x, np.ascontiguousarray(delta))
 
     def parameter_names(self, block: str) -> list[str]:
@@ -115,7 +115,7 @@ class Manifold:
         return [f"{block} {n}" for n in names or [f"direction {j}" for j in range(self.size - 1)]]
 
     def blocks(self, name: str, start: int, *, tangent: bool) -> list[Block]:
-        """Return the block and its parts for the signatures, first column `start`."""
+        """Return the block and its sub-blocks for the signatures; `start` is the first column."""
         size = self.tangent_size if tangent else self.size
         blocks = [Block(name, start, start + size)]
         if self.name == "angle_axis":

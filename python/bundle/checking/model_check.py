@@ -48,7 +48,7 @@ class ModelCheck:
         ]
         columns += [Column(text, "point") for text in POINT]
         source = np.arange(len(columns))
-        source[-3:] = [-3, -2, -1]  # after columns that other models need
+        source[-3:] = [-3, -2, -1]  # after columns of other models
         return ModelCheck(name, source, Tally(columns, tolerance))
 
     @property

@@ -1,8 +1,8 @@
 """Signature: tangent Jacobians padded with a column of zeros to the size of the block.
 
-Older solvers expect a Jacobian by the numbers of a block, 4 for a quaternion, and multiply it by
-that of the manifold's Plus. If this Jacobian is (I, 0)^T, the tangent Jacobian with a zero column
-is correct; for any other manifold it is wrong.
+Older solvers expect a Jacobian by the parameters of a block (4 for a quaternion), and multiply it
+by the Jacobian of the manifold's Plus. If the Plus Jacobian is (I, 0)^T, the tangent Jacobian with
+a zero column is correct. For any other manifold it is wrong.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ SCALES = (1.0, 2.0, 0.5)
 def padded(
     layout: Layout, space: JacobianDeviation, tangent: JacobianDeviation, tolerance: float
 ) -> list[Finding]:
-    """Return one finding per padded block, if there is no other mistake.
+    """Return one finding per padded block if no other mistake exists.
 
     Args:
         layout: layout of the blocks.
-        space: Jacobians by the numbers of the blocks.
+        space: Jacobians by the parameters of the blocks.
         tangent: Jacobians by the tangent coordinates, at the same points.
         tolerance: relative error above which an entry is wrong.
     """
@@ -60,10 +60,10 @@ def padded(
 
 
 def _is_tangent(given: Array, reference: Array) -> bool:
-    """Return True if columns are by tangent coordinates, in a common scale or rotation.
+    """Return True if columns are derivatives by tangent coordinates, up to scale or rotation.
 
-    Rotations and translations have three columns each, possibly perturbed from the other side: A Q
-    has the products A A^T of A.
+    Rotations and translations have three columns each. Their perturbation may be from the other
+    side; then the columns are A Q with a rotation Q, and A A^T does not change.
     """
     parts = [slice(j, j + 3) for j in range(0, given.shape[2], 3)]
     for part in parts:

@@ -1,4 +1,4 @@
-"""Parameter blocks of a user-defined residual: manifolds, column names, sample points."""
+"""Parameter blocks of a user-defined residual: manifolds, names of columns, sample points."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Name = str | tuple[str, Sequence[str]]
 
 @dataclass(frozen=True)
 class Layout:
-    """Names of the columns, in the parameters and in the tangent space."""
+    """Names of the columns, for the parameters and for the tangent space."""
 
     manifolds: list[Manifold]
     columns: list[Column]
@@ -29,8 +29,8 @@ class Layout:
     blocks: list[Block]
     tangent_blocks: list[Block]
     is_step: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
-    """Mask (N,) of columns whose numbers are steps from a value instead of the value itself; () for
-    none.
+    """Mask (N,) of columns whose numbers are steps from a value instead of the value itself; ()
+    without such columns.
     """
 
     @staticmethod
@@ -42,7 +42,7 @@ class Layout:
         """Return the layout of blocks.
 
         Raises:
-            InputError: manifolds or names do not fit the blocks.
+            InputError: manifolds or names do not match the blocks.
         """
         count = len(start)
         for what, given in (("manifolds", manifolds), ("names", names)):
@@ -89,12 +89,12 @@ class Layout:
 
     @property
     def is_curved(self) -> bool:
-        """True if some tangent space differs from that of the parameters."""
+        """True if tangent coordinates of some block differ from its parameters."""
         return any(manifold.is_curved for manifold in self.manifolds)
 
 
 def sample(manifold: Manifold, x: Array, radius: float, rng: np.random.Generator) -> Array:
-    """Return a point near x."""
+    """Return a random point near x."""
     if manifold.is_curved and manifold.name not in ("subset", "se3"):
         return manifold.plus(x, radius * rng.standard_normal(manifold.tangent_size))
     if manifold.name == "angle_axis":

@@ -1,10 +1,10 @@
-"""Signatures of rotations: another perturbation, frame, or order of the tangent space.
+"""Signatures of mistakes in rotations: another perturbation, frame, or order of coordinates.
 
-The numbers w of a rotation vector change by d as Exp(w + d) = Exp(J_l(w) d) Exp(w). The derivative
-by w is that by a perturbation from the left times J_l, or by one from the right times J_r(w) =
-J_l(-w). For any Lie algebra J_l = sum ad^k / (k + 1)!, with ad the matrix of the bracket with w. A
-block of six numbers is a rotation vector and a translation, in either order, or an element of
-se(3): all layouts are tested, at any position of a longer block.
+If a rotation vector w changes by d, then Exp(w + d) = Exp(J_l(w) d) Exp(w). The derivative by w is
+therefore the derivative by a left perturbation times J_l(w). It is also the derivative by a right
+perturbation times J_r(w) = J_l(-w). In any Lie algebra J_l = sum ad^k / (k + 1)!, where ad is the
+matrix of the bracket with w. A block of six numbers is a rotation vector and a translation, in
+either order, or an element of se(3). All layouts are tested, at any position of a longer block.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ BY_RIGHT = "the derivative by d of Exp(w) Exp(d), not by w: J_r is missing"
 
 
 def conventions(evidence: Evidence) -> None:
-    """Find columns by other tangent coordinates of the manifold than the required ones."""
+    """Find derivatives by other tangent coordinates of the manifold than the required ones."""
     for block in evidence.blocks:
         columns = list(block.columns)
         for (kind, words), changes in block.conventions.items():
@@ -36,7 +36,7 @@ def conventions(evidence: Evidence) -> None:
 
 
 def rotation_vectors(evidence: Evidence) -> None:
-    """Find columns of a rotation vector that belong to another perturbation of the rotation."""
+    """Find derivatives by a perturbation of the rotation instead of by the rotation vector."""
     for columns, left, what in _algebras(evidence):
         if not set(columns) & set(evidence.wrong):
             continue
@@ -63,8 +63,8 @@ def rotation_vectors(evidence: Evidence) -> None:
 def turned(evidence: Evidence) -> None:
     """Find three columns that are a rotation of the correct ones.
 
-    A' = A Q with a rotation Q keeps A A^T, whatever Q is. Three of four columns of a quaternion are
-    no rotation vector.
+    For A' = A Q with any rotation Q, A' A'^T = A A^T. Three of the four columns of a quaternion are
+    not tested, because they are not a rotation vector.
     """
     quaternions = {j for b in evidence.blocks if b.rotation == "quaternion" for j in b.columns}
     for block in evidence.blocks:
@@ -116,7 +116,7 @@ def _algebras(evidence: Evidence) -> Iterator[tuple[list[int], Array, str]]:
 
 
 def _turns(w: Array) -> bool:
-    """Return True if vectors (K, 3) may be rotations: less than a turn, and nonzero."""
+    """Return True if vectors (K, 3) may be rotation vectors: less than a turn, and nonzero."""
     return bool(w.any() and np.linalg.norm(w, axis=1).max() < 6)
 
 
@@ -146,7 +146,7 @@ def _gram(matrices: Array) -> Array:
 
 
 def _left_jacobian(ad: Array) -> Array:
-    """Return the power series, sum of ad^k / (k + 1)!."""
+    """Return the left Jacobian J_l = sum ad^k / (k + 1)!."""
     term, total = np.eye(len(ad)), np.eye(len(ad))
     for k in range(1, 60):
         term = term @ ad / (k + 1)

@@ -1,10 +1,11 @@
-"""Signatures of rows: the correct Jacobian multiplied from the left, A = M J.
+"""Signatures of mistakes in rows: the correct Jacobian J multiplied from the left, A = M J.
 
 - Rows in a wrong order: M is a permutation.
-- The square root L^T of the information applied only to the residual, or only to the Jacobian: M is
-  the same at all points, in all columns.
-- The residual is a logarithm, r = W Log(E), whose derivative is W J_r^-1(e) times that of E.
-  Without J_r^-1, M = W J_r(e) W^-1, and since J_r(e) e = e, M r = r for any W.
+- The square root L^T of the information is applied only to the residual, or only to the Jacobian: M
+  is the same at all points and in all columns.
+- The residual is a logarithm, r = W Log(E). Its derivative is W J_r^-1(e) times the derivative of
+  E, with e = Log(E). If J_r^-1 is missing, M = W J_r(e) W^-1. Since J_r(e) e = e, M r = r for any
+  W.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ __all__ = ["logarithm", "rows", "whitening"]
 
 
 def rows(evidence: Evidence) -> None:
-    """Find exchanged rows, of all columns or of a block."""
+    """Find exchanged rows, in all columns or in the columns of a block."""
     num_residuals = evidence.analytic.shape[1]
     if num_residuals < 2:
         return
@@ -54,7 +55,7 @@ def whitening(evidence: Evidence) -> None:
         return
     ratios = _row_ratios(analytic[..., used], reference[..., used])
     if _is_number(np.diag(ratios)):
-        return  # a scalar factor has its own name
+        return  # a scalar factor is another signature
     everything = np.linalg.norm(analytic[..., used] - reference[..., used])
     off = np.abs(ratios - 1) > EXPLAINED
     left = np.linalg.norm(analytic[..., used] - ratios[:, None] * reference[..., used])
@@ -120,9 +121,9 @@ def _keeps_residual(evidence: Evidence, columns: list[int], size: int) -> bool:
 
 
 def _sources(given: Array, right: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the row of the correct Jacobian of which each given row is a multiple, and the factor.
+    """Return, for each row, the correct row of which it is a multiple, and the factor.
 
-    A row that is a multiple of its own row is kept.
+    A row that is a multiple of the correct row with the same index is assigned to it.
     """
     products = np.einsum("kin,kjn->ij", given, right)
     square = np.einsum("kjn,kjn->j", right, right)
@@ -146,7 +147,7 @@ def _is_number(matrix: Array) -> bool:
 
 
 def _is_one_matrix(given: Array, right: Array) -> bool:
-    """Return True if a single M, fitted without a column, gives A = M J in that column too."""
+    """Return True if an M that is fitted without a column also gives A = M J in that column."""
     num_residuals, num_columns = given.shape[1:]
 
     def stacked(matrices: Array, columns: list[int]) -> Array:

@@ -27,23 +27,23 @@ from bundle.interface.check_options import TOLERANCE
 __all__ = ["SamplePoint", "check_samples"]
 
 SAME_RESIDUAL = 1e-9
-"""Largest difference, relative to the largest entry, of residuals of two calls at one point."""
+"""Largest difference between residuals of two calls at one point, relative to the largest entry."""
 
 ROUGH = 1e-3
-"""Relative uncertainty of the reference at the given point that rounding does not explain."""
+"""Relative uncertainty of the reference at the given point above which rounding is no cause."""
 
 _Probe = tuple[bool, Array | None, Array | None, str]
 
 
 @dataclass(frozen=True, eq=False)
 class SamplePoint:
-    """Blocks at which a function is checked; each point may have its own function."""
+    """Values of the blocks at which a function is checked; each point may have its own function."""
 
     user: UserFunction
     blocks: list[Array]
 
     def evaluate(self) -> tuple[Array, Array]:
-        """Return the residual (R,) and all Jacobians side by side (R, N)."""
+        """Return the residual (R,) and the Jacobians of all blocks, concatenated to (R, N)."""
         return self.user.evaluate(self.blocks)
 
     def reference(self, manifolds: list[tuple[str, list[int]]]) -> Any:
@@ -59,7 +59,7 @@ class SamplePoint:
         )
 
     def without(self, parameter: int) -> SamplePoint | None:
-        """Return the point with one parameter set to zero; None if there is no residual."""
+        """Return the point with one parameter set to zero; None if it has no residual."""
         flat = np.concatenate(self.blocks)
         flat[parameter] = 0.0
         blocks = np.split(flat, np.cumsum(self.user.sizes)[:-1])
@@ -69,12 +69,12 @@ class SamplePoint:
 def check_samples(
     samples: Sequence[SamplePoint], layout: Layout, *, tolerance: float, ambient: bool = True
 ) -> GradientReport:
-    """Check Jacobians at points; the first is the given one."""
+    """Check Jacobians at sample points; the first sample is the point given by the user."""
     return _Check(samples, layout, tolerance, ambient).run()
 
 
 class _Check:
-    """Single check, in the order of its methods."""
+    """A check; its methods are in the order of its steps."""
 
     def __init__(
         self, samples: Sequence[SamplePoint], layout: Layout, tolerance: float, ambient: bool
@@ -82,7 +82,7 @@ class _Check:
         self.layout, self.tolerance = layout, tolerance
         self.user = samples[0].user
         self.ambient = ambient or not layout.is_curved
-        # Evaluated in sequence and first, so that a stale cache becomes visible.
+        # Evaluate the samples in sequence and before all else, to detect a stale cache.
         first = [at.evaluate() for at in samples]
         finite = [bool(np.isfinite(residual).all()) for residual, _ in first]
         self.num_skipped = finite.count(False)
@@ -126,7 +126,7 @@ class _Check:
     def _undecided_start(
         self, deviations: JacobianDeviation, samples: Sequence[int]
     ) -> list[Finding]:
-        """Return a finding if the given point itself, the first, is on a kink or a jump."""
+        """Return a finding if the given (first) point is on a kink or a jump."""
         if not self.has_start or not len(samples) or samples[0] != 0:
             return []
         doubt = self._roughness(deviations)
@@ -304,7 +304,7 @@ def _no_value() -> Finding:
 
 
 def _unstable(first: Sequence[Array], again: Sequence[Array]) -> Finding | None:
-    """Return a finding if two calls at one point differ by more than rounding explains."""
+    """Return a finding if two calls at one point differ by more than rounding errors."""
     for k, (one, other) in enumerate(zip(first, again, strict=True)):
         with np.errstate(invalid="ignore"):
             same = np.abs(one - other) <= SAME_RESIDUAL * np.abs(one).max()

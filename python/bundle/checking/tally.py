@@ -1,4 +1,4 @@
-"""Statistics over many points: verdicts, histogram, worst entries, points to classify."""
+"""Statistics over many points: verdicts, histogram, worst entries, points for the classifier."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EDGES = (0.0, *(10.0**exponent for exponent in range(-14, 2)), np.inf)
 """Limits of the histogram's bins."""
 
 MOST_KEPT = 200
-"""Wrong points that suffice to identify a mistake."""
+"""Number of wrong points that is enough to identify a mistake."""
 
 MOST_WORST = 10
 MOST_OF_A_COLUMN = 3
@@ -26,7 +26,7 @@ MOST_OF_A_COLUMN = 3
 
 @dataclass(frozen=True)
 class Worst:
-    """Entry with a large error: number of its point, row, column, and values."""
+    """Entry with a large error: its point number, row, column, and values."""
 
     point: int
     residual: int
@@ -46,7 +46,7 @@ class Kept:
 
 @dataclass(eq=False)
 class Tally:
-    """Statistics of one kind of residual with its columns."""
+    """Statistics of the columns of one kind of residual."""
 
     columns: Sequence[Column]
     tolerance: float
@@ -64,7 +64,7 @@ class Tally:
         self._kept: list[Kept] = []
 
     def add(self, deviations: JacobianDeviation, points: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Add points, `points` are their numbers; return the wrong ones."""
+        """Add points with the numbers `points`; return a mask of those that are wrong."""
         if not len(deviations):
             return np.zeros(0, bool)
         error = deviations.error
@@ -74,7 +74,7 @@ class Tally:
         self.num_wrong += wrong.sum(axis=(0, 1))
         self.num_entries += error.shape[0] * error.shape[1]
         self.num_undecided += undecided.sum(axis=(0, 1))
-        # A derivative can be known to be zero where no other is known.
+        # An entry may be certainly zero although the reference is inaccurate for all others.
         is_something = np.abs(deviations.reference) > deviations.uncertainty
         self.num_telling += (undecided | is_something).sum(axis=(0, 1))
         clear = np.where(deviations.doubt <= self.tolerance, deviations.deviation, error)
@@ -89,12 +89,12 @@ class Tally:
         return wrong_points
 
     def is_undecided(self, column: int) -> bool:
-        """Return True if most of a column is undecided, without entries that are surely zero."""
+        """Return True if most entries of a column are undecided; certain zeros do not count."""
         return bool(2 * self.num_undecided[column] > self.num_telling[column])
 
     @property
     def kept(self) -> Kept | None:
-        """Wrong points, at most MOST_KEPT of them; None if all are correct."""
+        """Wrong points, at most MOST_KEPT; None if all points are correct."""
         if not self._kept:
             return None
         return Kept(

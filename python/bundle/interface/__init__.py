@@ -1,1 +1,1 @@
-"""Options of each command and solve, and the records of what happened."""
+"""Options of commands and solves, and records of their results."""

@@ -13,7 +13,7 @@ __all__ = ["LensOptions", "RuleOptions"]
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
 class LensOptions(Options):
-    """Changes of the cameras of an input, before anything else happens."""
+    """Changes of the cameras of an input, made before all other steps."""
 
     camera_model: str | None = option(
         None,

@@ -1,4 +1,4 @@
-"""Options of a check of Jacobians, with the defaults that :func:`bundle.check_jacobians` shares."""
+"""Options of a check of Jacobians, with the defaults of :func:`bundle.check_jacobians`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bundle.interface.option_fields import option
 __all__ = ["SAMPLES_PER_IMAGE", "TOLERANCE", "CheckOptions"]
 
 SAMPLES_PER_IMAGE = 100
-"""Observations that are checked of each image."""
+"""Number of observations to check per image."""
 TOLERANCE = 1e-7
 """Relative error above which an entry is wrong."""
 

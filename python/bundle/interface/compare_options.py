@@ -1,6 +1,6 @@
-"""Options of a comparison, with the defaults that :func:`bundle.compare` shares.
+"""Options of a comparison, with the defaults of :func:`bundle.compare`.
 
-Methods are the combinations of the values of five options of a solve (``COMPARED``).
+The compared methods are all combinations of the values of five solve options (``COMPARED``).
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ PRECONDITIONERS = ("auto",)
 ORDERINGS = ("points_first",)
 THREADS = (0,)
 REPEAT = 3
-"""Runs of each method."""
+"""Number of runs of each method."""
 TIMEOUT = 60.0
 """Seconds after which a solve is stopped."""
 SECONDS_NOT_REPEATED = 10.0
-"""A run that took this long is not repeated: its spread is small."""
+"""Time of a run in seconds from which it is not repeated, because its spread is small."""
 
 COMPARED = {
     "backend": "backends",
@@ -125,7 +125,7 @@ class CompareOptions(Options):
 
     @property
     def memory_cap_in_bytes(self) -> int:
-        """Memory that a solve may take beyond the loaded problem; 0: a share of what is free.
+        """Bytes that a solve may use in addition to the loaded problem; 0: part of free memory.
 
         Raises:
             InputError: the size cannot be read.

@@ -1,4 +1,4 @@
-"""Options of a covariance, with the choices that :func:`bundle.covariance` shares."""
+"""Options of a covariance, with the choices of :func:`bundle.covariance`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROBUST = ("weights", "sandwich")
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
 class CovarianceOptions(Options):
-    """Options of ``bundle covariance``; of a pose graph only pairs, gauge and scale count."""
+    """Options of ``bundle covariance``; a pose graph uses only pairs, gauge and scale."""
 
     parts: str | None = option(
         None,
@@ -68,10 +68,10 @@ class CovarianceOptions(Options):
 
 
 def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
-    """Return the choice that a word names, in any case, with hyphens or underscores.
+    """Return the choice that equals a word; case, hyphens and underscores are ignored.
 
     Raises:
-        InputError: the word names no choice.
+        InputError: the word is not a valid choice.
     """
     word = value.lower().replace("-", "_") if isinstance(value, str) else value
     if word not in choices:
@@ -84,7 +84,7 @@ def parts_of(name: str, value: str | Iterable[str]) -> tuple[str, ...]:
     """Return the named parts, in the order of ``PARTS``.
 
     Raises:
-        InputError: a name is not in ``PARTS``, or there are no names.
+        InputError: a name is not in ``PARTS``, or the list is empty.
     """
     words = value.split(",") if isinstance(value, str) else list(value)
     named = {one_of(name, word.strip() if isinstance(word, str) else word, PARTS) for word in words}

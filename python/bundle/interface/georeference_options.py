@@ -1,4 +1,4 @@
-"""Options of positions and control points: where a model stands on the earth."""
+"""Options of image positions and ground control points, which georeference a model."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ __all__ = [
 
 GPS_SIGMA = "2/5"
 GCP_SIGMA = "0.02"
-"""Standard deviations in metres, horizontal and vertical, where a file has none."""
+"""Default standard deviations in metres, horizontal and vertical, for files without them."""
 GCP_PIXEL_SIGMA = 0.5
 ROBUST_SCALE = math.sqrt(7.814727903251179)
-"""Sigmas; 95 % of errors with three Gaussian coordinates are shorter (chi squared: 7.8147)."""
+"""Length in sigmas below which 95 % of 3D Gaussian errors are (chi squared: 7.8147)."""
 
 
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
 class GeoreferenceOptions(Options):
-    """Positions of images and ground control points, with what is assumed of their errors."""
+    """Positions of images and ground control points, with assumptions on their errors."""
 
     gps: str | None = option(
         None,
@@ -109,15 +109,15 @@ class GeoreferenceOptions(Options):
 
     @property
     def is_given(self) -> bool:
-        """True if there are positions or control points."""
+        """True if positions or control points were given."""
         return self.gps is not None or self.gcp is not None
 
     @property
     def lever_arm(self) -> list[float]:
-        """Place of the antenna in the frame of the camera.
+        """Position of the antenna in the frame of the camera.
 
         Raises:
-            InputError: the text is no three numbers.
+            InputError: the text is not three numbers.
         """
         try:
             numbers = [float(part) for part in self.antenna.split(",")]
@@ -132,7 +132,7 @@ class GeoreferenceOptions(Options):
 
     @property
     def check_point_names(self) -> list[str] | None:
-        """Names of the check points; None: those that the file marks so."""
+        """Names of the check points; None: those marked as check points in the file."""
         if self.check_points is None:
             return None
         return [name.strip() for name in self.check_points.split(",") if name.strip()]

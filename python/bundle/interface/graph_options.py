@@ -16,7 +16,7 @@ __all__ = ["GraphOptions"]
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
 class GraphOptions(SolveOptions):
-    """Options of :meth:`bundle.FactorGraph.solve`: those of reconstructions, and Gauss-Newton.
+    """Options of :meth:`bundle.FactorGraph.solve`: the SolveOptions, and Gauss-Newton.
 
     Raises:
         InputError: an option has a value outside its range; the message names option and value.
@@ -31,7 +31,7 @@ class GraphOptions(SolveOptions):
 
     @classmethod
     def of(cls, options: SolveOptions | None, changes: Mapping[str, Any], caller: str) -> Self:
-        """Return the options with some changed, out of those of reconstructions as well."""
+        """Return the options with some changed; ``options`` may also be plain SolveOptions."""
         if isinstance(options, SolveOptions) and not isinstance(options, cls):
             options = cls(**options.asdict())
         return super().of(options, changes, caller)

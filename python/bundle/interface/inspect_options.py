@@ -1,4 +1,4 @@
-"""Options of an inspection beside what is refined: several processes, or a graph from a file."""
+"""Options of an inspection except the refined parameters: processes, or a graph from a file."""
 
 from __future__ import annotations
 

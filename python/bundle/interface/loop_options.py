@@ -10,14 +10,14 @@ from bundle.interface.option_fields import option
 __all__ = ["LOOP_LOSSES", "LoopOptions"]
 
 LOOP_LOSSES = ("trivial", "huber", "soft_l1", "cauchy")
-"""Losses whose pull does not end with the distance: before a loop is closed, all closures are far
-from the model."""
+"""Losses that do not ignore large errors. Before a loop is closed, the errors of all its closures
+are large."""
 
 
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
 class LoopOptions(Options):
-    """Closures of loops, and the loss that tells right ones from wrong ones."""
+    """Loop closures, and the loss that separates correct closures from wrong ones."""
 
     loops: str | None = option(
         None,

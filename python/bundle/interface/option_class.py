@@ -23,10 +23,10 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class Options:
-    """Base of option classes: values are checked when they are set, and immutable."""
+    """Base of option classes. Values are checked when they are set, and immutable."""
 
     def __new__(cls, *args: Any, **given: Any) -> Self:
-        """Refuse unknown options with a suggestion, before ``__init__`` raises a TypeError."""
+        """Raise an InputError with a suggestion for unknown options, before ``__init__`` fails."""
         if args:
             raise InputError(f"{cls.__name__}: expected options by name, found {brief(args[0])}")
         check_keywords(cls.__name__, given, spellings(cls))
@@ -48,10 +48,10 @@ class Options:
 
     @classmethod
     def of(cls, options: Self | None, changes: Mapping[str, Any], caller: str) -> Self:
-        """Return the options with some changed; the defaults where there are none.
+        """Return ``options``, or the defaults if it is None, with changes.
 
         Raises:
-            InputError: these are no options, or a change is wrong.
+            InputError: ``options`` has another type, or a change is invalid.
         """
         if options is None:
             options = _defaults(cls)
@@ -82,7 +82,7 @@ class Options:
         }
 
     def _changed(self, caller: str, changes: Mapping[str, Any]) -> Self:
-        """Return a copy with changes; only these are checked, the other values were."""
+        """Return a copy with changes; only the changes are checked again."""
         check_keywords(caller, changes, spellings(type(self)))
         copy = object.__new__(type(self))
         copy.__dict__.update(self.__dict__, **changes)
@@ -90,16 +90,16 @@ class Options:
         return copy
 
     def without_idle(self) -> Self:
-        """Return a copy in which options without effect have their defaults."""
+        """Return a copy in which options without effect have their default values."""
         return self.replace(**{field.name: field.default for field in self._idle()})
 
     def short(self) -> str:
-        """Return the call that makes these options, on one line: "SolveOptions(loss='huber')"."""
+        """Return the call that creates these options, such as "SolveOptions(loss='huber')"."""
         given = (f"{name}={value!r}" for name, value in self.changed().items())
         return f"{type(self).__name__}({', '.join(given)})"
 
     def __repr__(self) -> str:
-        """Return every option, one per line; a comment marks each that is not the default."""
+        """Return every option, one per line; a comment marks those that are not the default."""
         lines = []
         for field in _declared(type(self)).fields:
             value = getattr(self, field.name)
@@ -108,7 +108,7 @@ class Options:
         return "\n".join([f"{type(self).__name__}(", *lines, ")"])
 
     def _checked(self, field: dataclasses.Field[Any], value: Any) -> Any:
-        """Return the value in canonical form; classes with options of their own kind override."""
+        """Return the value in canonical form; classes with special options override this method."""
         return checked(field, value)
 
     def _idle(self) -> list[dataclasses.Field[Any]]:
@@ -116,7 +116,7 @@ class Options:
         idle = []
         for field in _declared(type(self)).dependent:
             value = getattr(self, field.name)
-            zero = isinstance(value, float) and value == 0  # noise of something that is not there
+            zero = isinstance(value, float) and value == 0  # noise of zero has no effect
             if value == field.default or zero:
                 continue
             other, values = field.metadata["only_with"]
@@ -126,13 +126,13 @@ class Options:
 
 
 def documented(kind: type[AnyOptions]) -> type[AnyOptions]:
-    """Let the docstring of an option class end in a list of its options, made when it is read."""
+    """Append a list of its options to the docstring of an option class, when it is first read."""
     kind.__doc__ = _Documentation(kind.__doc__ or "")  # type: ignore[assignment]
     return kind
 
 
 class _Documentation:
-    """Docstring that is made from the fields of its class when somebody reads it."""
+    """Docstring that is generated from the fields of its class when it is read."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -179,12 +179,12 @@ def takes_options(kind: type[Options]) -> Callable[[Function], Function]:
 
 
 def spellings(kind: type[Options]) -> Mapping[str, str]:
-    """Return every spelling of an option that is understood, the flags' among them."""
+    """Return a table from accepted spellings, including those of flags, to option names."""
     return _declared(kind).spellings
 
 
 class _Declared(NamedTuple):
-    """Fields of an option class and what is derived from them."""
+    """Fields of an option class, and values derived from them."""
 
     fields: tuple[dataclasses.Field[Any], ...]
     dependent: tuple[dataclasses.Field[Any], ...]
@@ -227,7 +227,7 @@ def _requirement(field: dataclasses.Field[Any]) -> str:
 
 
 def _wrapped(text: str) -> list[str]:
-    import textwrap  # for readers of the docstring only
+    import textwrap  # only needed when the docstring is read
 
     return textwrap.wrap(
         " ".join(text.split()),

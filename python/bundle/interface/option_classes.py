@@ -1,7 +1,7 @@
 """Table of every option class, by name.
 
-The command line, the documentation and the tests find the classes here. Each is imported when it is
-asked for: a command needs few of them.
+The command line, the documentation and the tests find the classes here. Each class is imported on
+first use, because a command needs few of them.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ OPTION_CLASSES = {
     "SolveOptions": "options",
     "WindowOptions": "window_options",
 }
-"""Option classes, with the modules of this room that define them."""
+"""Option classes, with the modules of this package that define them."""
 
 
 def option_class(name: str) -> type[Options]:
-    """Import the option class of a name."""
+    """Import and return the option class with a name."""
     module = importlib.import_module(f"bundle.interface.{OPTION_CLASSES[name]}")
     kind: type[Options] = getattr(module, name)
     return kind

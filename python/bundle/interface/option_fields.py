@@ -1,8 +1,8 @@
-"""Fields of option classes: value, flag, help and range are declared once and checked in one way.
+"""Fields of option classes, which declare value, flag, help and range in one place.
 
 :func:`option` makes a field. Classes that hold such fields derive from
-:class:`bundle.interface.option_class.Options`. Flags of the command line, refusals, documentation
-and typed keywords are all made from the fields.
+:class:`bundle.interface.option_class.Options`. Command-line flags, error messages, documentation
+and typed keywords are all generated from the fields.
 """
 
 from __future__ import annotations
@@ -40,31 +40,31 @@ def option(
     needs: tuple[str, ...] = (),
     late: bool = False,
 ) -> Any:
-    """Return a dataclass field with what the command line and :func:`checked` need to know.
+    """Return a dataclass field with the metadata of the command line and of :func:`checked`.
 
     The type of the default is the type of the option: str with ``choices``, bool, int, float, or a
     tuple of whole numbers of that length. Whole numbers go up to 2^31 - 1 unless ``maximum`` is
     given. A default of None or a text without choices is any text.
 
     Args:
-        default: value where nothing is given.
-        flag: of the command line.
+        default: default value.
+        flag: flag of the command line.
         help: meaning, with the unit.
-        choices: all values, where they are words.
-        minimum: smallest number.
-        above: number that the value exceeds.
-        below: number that the value stays below.
-        maximum: largest number.
+        choices: all allowed values, for an option that is a word.
+        minimum: smallest allowed number.
+        above: number that the value must exceed.
+        below: number that the value must stay below.
+        maximum: largest allowed number.
         metavar: placeholder in the help of the command line.
         value: how the command line reads the value, one of ``bundle.cli.flag_values.READERS``;
-            "": as the type of the default.
-        unset: default in words, where the default is None.
-        negatable: for bool, whether the command line has a ``--no-`` flag as well.
-        only_with: another option, and its values with which this one has an effect.
-        idle: treatment of a value without effect: "error" where the user would expect another
-            result, "note" (a warning of the solve) where only the way to the result would differ.
-        needs: other options, of which the command line must be given one beside this option.
-        late: leave the check of the value to the function that takes it.
+            "": by the type of the default.
+        unset: default in words, if the default is None.
+        negatable: for bool: also add a ``--no-`` flag to the command line.
+        only_with: another option, and its values with which this option has an effect.
+        idle: treatment of a value without effect. "error": the user would expect another result.
+            "note" (a warning of the solve): only the way to the result would differ.
+        needs: other options. The command line requires one of them together with this option.
+        late: leave the check of the value to the function that uses it.
     """
     metadata = {
         "flag": flag,
@@ -111,10 +111,10 @@ def checked(field: dataclasses.Field[Any], value: Any) -> Any:
 
 
 def choice(name: str, value: Any, choices: Iterable[str]) -> str:
-    """Return the choice that is meant, in any case, with hyphens or underscores.
+    """Return the choice that equals a value; case, hyphens and underscores are ignored.
 
     Raises:
-        InputError: none is; the message names the nearest.
+        InputError: the value is not a valid choice; the message suggests the nearest.
     """
     expected = tuple(choices)
     hint = ""
@@ -138,10 +138,10 @@ def number(name: str, value: Any, *, whole: Literal[False] = False, **limits: fl
 
 
 def number(name: str, value: Any, *, whole: bool = False, **limits: float) -> int | float:
-    """Return an argument that is a number; ``limits`` are those of :func:`option`.
+    """Check a numeric argument and return it; ``limits`` are as for :func:`option`.
 
     Raises:
-        InputError: it is no number, or out of its range.
+        InputError: the argument is not a number, or is out of its range.
     """
     return _number(name, value, limits, whole=whole)
 

@@ -1,7 +1,7 @@
 """Options of a solve.
 
-Names, defaults and meaning stand here once: the command line makes its flags from these fields, the
-JSON report lists them, and ``bundle._core`` reads them by name.
+Names, defaults and meanings are defined only here. The command line generates its flags from these
+fields, the JSON report lists them, and ``bundle._core`` reads them by name.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ PRECONDITIONER_TYPES = (
     "schur_power_series_expansion",
     "two_level",
 )
-# What may differ from one solve of a bundle.Solver to the next.
+# Options that may change between solves of a bundle.Solver.
 CHANGEABLE = (
     "loss",
     "loss_scale",
@@ -58,7 +58,7 @@ AUTO_PRECONDITIONER = {
 TRUST_REGION_STRATEGIES = ("levenberg_marquardt", "dogleg", "subspace_dogleg")
 LOSSES = ("trivial", "huber", "soft_l1", "cauchy", "arctan", "tukey")
 SENSORS = "sensor_from_rig"
-"""Further name in ``refine``, for ``refine_sensor_from_rig``."""
+"""Additional name in ``refine``, for ``refine_sensor_from_rig``."""
 REFINABLE = ("poses", "points", "focal", "principal_point", "extra")
 GAUGES = ("auto", "none", "two_cameras", "three_points")
 CHEIRALITIES = ("auto", "algebraic", "zero")
@@ -67,7 +67,7 @@ REFINED = (
     *("num_threads", "refine", "fixed_camera_ids", "fixed_image_ids", "fixed_point_ids"),
     *("refine_sensor_from_rig", "fixed_sensors"),
 )
-"""Options of the commands that look at a problem without solving it, and the number of threads."""
+"""Options of the commands that examine a problem without solving it, and the thread count."""
 PATTERN = (*REFINED, "gauge")
 INFORMATION = (*REFINED, "loss", "loss_scale")
 LINEARIZATION = (*REFINED, "gauge", "loss", "loss_scale")
@@ -77,13 +77,13 @@ LINEARIZATION = (*REFINED, "gauge", "loss", "loss_scale")
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
 class SolveOptions(Options):
-    """Options of :func:`bundle.solve`, under Ceres' names where Ceres has them.
+    """Options of :func:`bundle.solve`, with Ceres' names if Ceres has the option.
 
     Choices are accepted in any case, with hyphens or underscores ("sparse-schur", "SPARSE_SCHUR").
 
     Raises:
         InputError: an option has a value outside its range; the message names option and value.
-            Combinations that no backend can serve are refused by :func:`bundle.solve`.
+            For combinations that no backend supports, :func:`bundle.solve` raises this error.
     """
 
     backend: str = option(
@@ -273,7 +273,7 @@ def _names(value: Any) -> tuple[str, ...]:
 
 
 def _sensors(value: Any) -> tuple[tuple[int, int], ...]:
-    """Return pairs of ids: of a rig, and of a camera."""
+    """Return pairs (rig id, camera id)."""
     expected = "fixed_sensors: expected pairs (rig id, camera id), found "
     try:
         if isinstance(value, str | bytes | dict):
@@ -292,7 +292,7 @@ def _sensors(value: Any) -> tuple[tuple[int, int], ...]:
 def _ids(name: str, value: Any) -> tuple[int, ...]:
     try:
         if isinstance(value, str | bytes):
-            raise TypeError  # their characters are no ids
+            raise TypeError  # the characters of a string are not ids
         given = list(value)
         if any(isinstance(entry, bool) for entry in given):
             raise TypeError

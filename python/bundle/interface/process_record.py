@@ -11,10 +11,10 @@ __all__ = ["ProcessPart", "ProcessRecord", "Traffic"]
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessPart:
-    """One process: what it had of the problem and how long its phases took, in seconds.
+    """One process: its part of the problem, and the times of its phases in seconds.
 
-    The phases are those of :class:`bundle.Summary`; each includes the time in which the process
-    waited for the others, ``waiting_time_in_seconds`` in all.
+    The phases are those of :class:`bundle.Summary`. Each includes the time in which the process
+    waited for other processes; ``waiting_time_in_seconds`` is the total of these waiting times.
     """
 
     num_points: int
@@ -35,9 +35,9 @@ class Traffic:
     Attributes:
         what: "normal equations" (S, its right-hand side and block diagonal, to the first process),
             "gradient", "step", "scalars", or "setup".
-        num_messages: calls in each process.
-        num_bytes: of the arrays that were summed or sent, once for each call.
-        seconds: in these calls, of the first process; waiting for others is part of it.
+        num_messages: number of calls in each process.
+        num_bytes: size of the arrays that were summed or sent, counted once per call.
+        seconds: time that the first process spent in these calls, including waiting for others.
     """
 
     what: str
@@ -51,8 +51,8 @@ class ProcessRecord:
     """A solve by several processes.
 
     Attributes:
-        parts: one for each process, the first first.
-        traffic: the kinds of messages, in the order of their first appearance.
+        parts: one entry per process, in order of rank.
+        traffic: one entry per kind of message, in the order of first appearance.
     """
 
     parts: tuple[ProcessPart, ...]
@@ -60,7 +60,7 @@ class ProcessRecord:
 
     @staticmethod
     def of_dict(given: Mapping[str, Any]) -> ProcessRecord:
-        """Return what ``dataclasses.asdict``, and JSON, made of a record."""
+        """Return the record from its ``dataclasses.asdict`` or JSON form."""
         return ProcessRecord(
             parts=tuple(ProcessPart(**part) for part in given["parts"]),
             traffic=tuple(Traffic(**kind) for kind in given["traffic"]),
@@ -68,11 +68,11 @@ class ProcessRecord:
 
     @property
     def balance(self) -> float:
-        """Observations of the fullest process over the mean; 1 where all have as many."""
+        """Largest number of observations of a process, divided by the mean; 1: balanced."""
         counts = [part.num_observations for part in self.parts]
         return max(counts) * len(counts) / max(sum(counts), 1)
 
     @property
     def num_bytes(self) -> int:
-        """Total of all messages."""
+        """Total number of bytes of all messages."""
         return sum(kind.num_bytes for kind in self.traffic)

@@ -19,7 +19,7 @@ CHECKPOINT_INTERVAL = 20
 """Iterations from one checkpoint to the next within a round."""
 
 RESTS = ("fixed", "marginal")
-"""Treatments of everything that a local adjustment does not refine."""
+"""Treatments of the variables that a local adjustment does not refine."""
 
 
 @documented
@@ -68,7 +68,7 @@ class RoundOptions(Options):
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
 class LocalOptions(Options):
-    """Part of a problem that is refined while the rest stays."""
+    """Selection of the variables to refine; all others stay constant."""
 
     only_images: str | None = option(
         None,
@@ -94,7 +94,7 @@ class LocalOptions(Options):
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
 class CheckpointOptions(Options):
-    """Files from which a killed run goes on."""
+    """Checkpoint files, from which a killed run can be resumed."""
 
     checkpoint: str | None = option(
         None,

@@ -1,7 +1,7 @@
 """Options of a synthetic scene.
 
-Names, defaults and meaning stand here once: the command line makes its flags from these fields and
-the JSON report lists them.
+Names, defaults and meanings are defined only here. The command line generates its flags from these
+fields, and the JSON report lists them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from bundle.interface.option_fields import option
 __all__ = ["SceneOptions", "outlier_share_option", "pixel_noise_option"]
 
 SCENES = ("street", "orbit", "photo_collection")
-# Models that intrinsics.py can draw a believable lens of.
+# Models for which intrinsics.py can draw realistic parameters.
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 CAMERAS = ("auto", "shared", "individual")
 MIN_OBSERVATIONS_PER_IMAGE = 20
@@ -177,7 +177,7 @@ class SceneOptions(Options):
 
     @property
     def wanted_track_length(self) -> float:
-        """Mean track length to aim at."""
+        """Requested mean track length."""
         return self.mean_track_length or min(USUAL_TRACK_LENGTH, self.num_images)
 
     @property

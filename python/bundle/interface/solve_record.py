@@ -25,10 +25,10 @@ class SolveRecord(Displayed):
 
     Attributes:
         options: every option as used.
-        summary: what the solver says.
-        iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
-        build_time_in_seconds: outside the solver.
-        solve_time_in_seconds: inside the solver.
+        summary: summary of the solver.
+        iterations: one array per field of Ceres' IterationSummary, with one entry per iteration.
+        build_time_in_seconds: time outside the solver.
+        solve_time_in_seconds: time inside the solver.
     """
 
     options: SolveOptions
@@ -46,7 +46,7 @@ class SolveRecord(Displayed):
 
 
 def with_warnings(fields: Mapping[str, Any], sentences: Mapping[str, str]) -> dict[str, Any]:
-    """Return the fields of a summary with what is worth a warning, by kind; "" is not."""
+    """Return the fields of a summary with warnings added: sentences by kind; "" adds nothing."""
     said = {kind: sentence for kind, sentence in sentences.items() if sentence}
     return {
         **fields,
@@ -56,7 +56,7 @@ def with_warnings(fields: Mapping[str, Any], sentences: Mapping[str, str]) -> di
 
 
 def record_fields(output: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a record but for the options, out of what the core's solvers return."""
+    """Return the fields of a record, without options, from the output of the core's solvers."""
     return {
         "summary": Summary(**output["summary"]),
         "iterations": output["iterations"],

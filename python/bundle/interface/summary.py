@@ -21,47 +21,59 @@ __all__ = ["Summary", "held_facts", "share", "sizes", "solver_phases", "solver_t
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Summary(Displayed):
-    """Ceres' Solver::Summary under Ceres' field names; times in seconds, -1 where not measured.
+    """Ceres' Solver::Summary with Ceres' field names; times in seconds, -1 if not measured.
 
-    Beyond Ceres: ``backend_given`` and ``backend_used``, ``backend_choice`` and
-    ``linear_solver_choice`` (why ``auto`` took them; "" when asked for), ``instruction_set`` (what
-    the fused backend's kernels run on; "" for Ceres), ``warnings`` (sentences: a fallback, a gauge
-    that could not be held, ...) and ``warning_kinds`` (for each of them its name in
-    ``bundle.warning_kinds.WARNING_KINDS``, for programs), ``interrupted``, ``origin`` (x, y, z: the
-    centre that a scene far from its origin was solved about; None where it was solved as given).
-    ``held_cost`` (of observations without a projection at the solution, which keep the residual
-    that they had when they lost it, times 4: in no other cost, nor in those of iterations).
-    ``num_factors`` beside the observations. ``num_processes`` that mpirun started, and where there
-    are several ``processes``, what each of them had and did
-    (:class:`bundle.interface.process_record.ProcessRecord`); times are the first one's. Costs are
-    1/2 sum rho(||r||^2), r in pixels, and in sigmas for factors.
+    Costs are 1/2 sum rho(||r||^2), with r in pixels, or in sigmas for factors. Fields that Ceres
+    does not have:
 
-    What each step factorises (None, or "", where it factorises nothing or the number is unknown;
-    blocks count as full, matrices by both triangles and the diagonal, the factor L by its lower
-    triangle with the diagonal, all as in ``bundle.inspect``):
+    - ``backend_given`` and ``backend_used``.
+    - ``backend_choice`` and ``linear_solver_choice``: reason for the choice of ``auto``; "" if the
+      user chose.
+    - ``instruction_set``: instruction set of the fused backend's kernels; "" for Ceres.
+    - ``warnings``: sentences, for example about a fallback or a gauge that could not be fixed.
+    - ``warning_kinds``: for each warning its name in ``bundle.warning_kinds.WARNING_KINDS``, for
+      programs.
+    - ``interrupted``.
+    - ``origin``: x, y, z of the centre to which a scene far from its origin was moved for the
+      solve; None if it was not moved.
+    - ``held_cost``: cost of the observations that have no projection at the solution. Each keeps
+      the residual that it had when it lost its projection, times 4. No other cost, including those
+      of iterations, contains it.
+    - ``num_factors``: number of factors in addition to the observations.
+    - ``num_processes``: number of processes that mpirun started.
+    - ``processes``: with several processes, their parts of the problem, times and messages
+      (:class:`bundle.interface.process_record.ProcessRecord`). All other times are those of the
+      first process.
 
-    - ``num_information_nonzeros``: of J^T J, J the Jacobian of all that is refined; None only
-      without ``check_solution``.
-    - ``num_factor_columns``: n of the factorised matrix, which is the reduced camera system S with
-      a Schur solver (the points' system where the cameras are eliminated) and J^T J without.
-    - ``num_reduced_nonzeros``: of S as its solver holds it, n^2 where that is dense.
-    - ``num_factor_nonzeros``, ``factor_flops``: of L; sum of c^2 + 3 c over its columns, c their
-      entries below the diagonal.
+    Size of the matrix that each step factorises. Values are None, or "", if no matrix is factorised
+    or the number is unknown. All entries of a block count. Matrices count with both triangles and
+    the diagonal, the factor L with its lower triangle and the diagonal, as in ``bundle.inspect``:
+
+    - ``num_information_nonzeros``: nonzeros of J^T J, where J is the Jacobian of all refined
+      variables; None only without ``check_solution``.
+    - ``num_factor_columns``: size n of the factorised matrix. With a Schur solver it is the reduced
+      camera system S (or the points' system if cameras are eliminated), otherwise J^T J.
+    - ``num_reduced_nonzeros``: nonzeros of S as stored by its solver; n^2 if it is dense.
+    - ``num_factor_nonzeros``: nonzeros of L.
+    - ``factor_flops``: sum of c^2 + 3 c over the columns of L, where c is the number of entries
+      below the diagonal.
     - ``factor_ordering``: "natural", "amd", "metis", or "points first, amd".
-    - ``symbolic_time_in_seconds``: of finding the pattern, the ordering and L's structure; part of
-      the fused backend's preprocessor time; 0 of a ``bundle.Solver``, whose constructor spent it.
+    - ``symbolic_time_in_seconds``: time to find the pattern, the ordering and L's structure. It is
+      part of the fused backend's preprocessor time. It is 0 for a ``bundle.Solver``, which spends
+      this time in its constructor.
 
-    The fused backend's numbers are exact, those of the factor that it stores without the zeros that
-    its panels add. Ceres tells nothing of its factor. With it a dense one is exact as well; a
-    sparse one is counted after the solve on the pattern that Ceres builds, in CHOLMOD's AMD order
-    of its blocks. Ceres asks CHOLMOD for the same kind of order but numbers the blocks its own way,
-    so its factor can be some per cent larger or smaller, and the symbolic time is that of our
-    count. Empty with Ceres: what ``cameras_first`` leaves for SPARSE_SCHUR (n apart), as its
-    pattern takes too long to find, and all where Ceres chose what to eliminate.
+    The fused backend's numbers are exact: they describe the stored factor without the zeros that
+    its panels add. Ceres does not report its factor. For Ceres, the numbers of a dense factor are
+    exact. A sparse factor is counted after the solve, on the pattern that Ceres builds, in
+    CHOLMOD's AMD order of its blocks. Ceres requests the same kind of order but numbers the blocks
+    differently, so its factor can be some per cent larger or smaller. The symbolic time is then the
+    time of this count. With Ceres, two cases have no numbers. For SPARSE_SCHUR with
+    ``cameras_first``, only n is given, because its pattern takes too long to find. If Ceres chose
+    the eliminated variables, all numbers are empty.
 
-    The fused backend linearises and eliminates in one pass. Its Jacobian evaluation therefore
-    includes the elimination of the points, its linear solver is that of the reduced camera system
-    alone, and its residual evaluation includes the back-substitution.
+    The fused backend linearises and eliminates in one pass. Its Jacobian evaluation time therefore
+    includes the elimination of the points. Its linear solver time covers only the reduced camera
+    system, and its residual evaluation time includes the back-substitution.
     """
 
     initial_cost: float
@@ -126,11 +138,11 @@ class Summary(Displayed):
     processes: ProcessRecord | None = None
 
     def full_report(self) -> str:
-        """Return everything in lines of text, in the order of Ceres' FullReport."""
+        """Return all fields as lines of text, in the order of Ceres' FullReport."""
         return _full_report(self)
 
     def breakdown(self) -> str:
-        """Return the table of where the time inside the solver went, with percentages."""
+        """Return a table of the solver's phases with times and percentages."""
         from bundle.base.tables import render
 
         return render(solver_table(self))
@@ -153,7 +165,7 @@ class Summary(Displayed):
         )
 
 
-# Work of a backend in the times of residual evaluation, Jacobian evaluation and linear solver.
+# Work that a backend's residual evaluation, Jacobian evaluation and linear solver times include.
 _PHASES = {
     "CERES": ("residual evaluation", "Jacobian evaluation", "linear solver"),
     "FUSED": ("back-substitution, residuals", "Jacobians, elimination", "reduced linear solver"),
@@ -162,16 +174,16 @@ _PHASES = {
 
 
 def _eliminates(summary: Summary) -> str:
-    """Return which phases a solve has: the own backend eliminates nothing of a pose graph."""
+    """Return the key of the solve's phases; for pose graphs, FUSED does not eliminate variables."""
     normal = summary.linear_solver_type_used.endswith("NORMAL_CHOLESKY")
     return "NORMAL" if summary.backend_used == "FUSED" and normal else summary.backend_used
 
 
 def solver_phases(summary: Summary) -> list[tuple[str, float]]:
-    """Return (phase, seconds) of a solve, -1 where the solver did not measure.
+    """Return (phase, seconds) of a solve; -1 for a time that the solver did not measure.
 
-    Evaluation and linear solver times are parts of the minimizer's time and do not add up to it:
-    "other" is what is left of the total, so that the phases do add up.
+    Evaluation and linear solver times do not add up to the minimizer's time. The phase "other" is
+    the remainder of the total time.
     """
     residuals, jacobians, linear_solver = _PHASES[_eliminates(summary)]
     phases = [
@@ -188,7 +200,7 @@ def solver_phases(summary: Summary) -> list[tuple[str, float]]:
 
 
 def solver_table(summary: Summary) -> Columns:
-    """Return the phases of a solve with their share of it."""
+    """Return a table of a solve's phases with their percentages of the total time."""
     from bundle.base.tables import columns
     from bundle.base.words import seconds
 
@@ -199,17 +211,17 @@ def solver_table(summary: Summary) -> Columns:
 
 
 def held_facts(summary: Summary) -> tuple[tuple[str, str], ...]:
-    """Return the line of the cost that observations without a projection hold, where some do."""
+    """Return the line of ``held_cost``, or () if every observation has a projection."""
     return (("held cost", number(summary.held_cost)),) if summary.held_cost else ()
 
 
 def share(time: float, total: float) -> str:
-    """Return time as a percentage of total, "-" where one was not measured."""
+    """Return time as a percentage of total; "-" if one of them was not measured."""
     return f"{100.0 * time / total:.1f} %" if time >= 0 and total > 0 else "-"
 
 
 def sizes(groups: Sequence[int]) -> str:
-    """Return the sizes of elimination groups, "22106, 16", or AUTOMATIC: the choice is Ceres'."""
+    """Return the sizes of elimination groups, "22106, 16", or AUTOMATIC if Ceres chose them."""
     return ", ".join(map(str, groups)) if groups else "AUTOMATIC"
 
 

@@ -1,4 +1,4 @@
-"""The end of a solve in plain words."""
+"""Explanation of the termination of a solve in plain words."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from bundle.interface.summary import Summary
 
 __all__ = ["sentence"]
 
-# The beginnings of Ceres' messages (trust_region_minimizer.cc, solver.cc), the same from 1.14 to
-# 2.2. "{limit}" is the tolerance at the end of the message.
+# First words of Ceres' messages (trust_region_minimizer.cc, solver.cc), identical in versions 1.14
+# to 2.2. "{limit}" is the tolerance at the end of the message.
 _REASONS = {
     "Function tolerance reached. No non-constant": ": all parameters are constant",
     "Function tolerance reached": " (relative cost change below {limit})",
@@ -38,7 +38,10 @@ _VERDICTS = {
 
 
 def sentence(summary: Summary, num_steps: int, num_rejected: int = 0) -> str:
-    """Return the end of a solve of `num_steps` steps, `num_rejected` of them not accepted."""
+    """Return a sentence on the termination of a solve.
+
+    `num_rejected` of its `num_steps` steps were not accepted.
+    """
     steps = plural(num_steps, "step")
     if num_rejected:
         steps += f", {num_rejected} rejected"

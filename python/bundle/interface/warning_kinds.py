@@ -1,6 +1,6 @@
-"""The kinds of warning that a solve gives, as ``Summary.warning_kinds`` and JSON name them.
+"""Kinds of a solve's warnings, as named in ``Summary.warning_kinds`` and in JSON.
 
-Sentences are for people and may change; these names do not.
+Sentences are for people and may change; these names do not change.
 """
 
 from __future__ import annotations
@@ -43,4 +43,4 @@ WARNING_KINDS = {
     "prior_spectrum": "the information of a marginalised prior has an alarming spectrum",
     "most_left_out": "half of the closures or more contradict the largest consistent set",
 }
-"""Each kind with what it means."""
+"""Each kind with its meaning."""

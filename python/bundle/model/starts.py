@@ -61,7 +61,7 @@ class Start:
 
 
 def start_without_poses(graph: PoseGraph) -> PoseGraph:
-    """Return the graph with poses from odometry or a spanning tree if its file had no poses."""
+    """Return a graph whose file has no poses with poses from odometry or a spanning tree."""
     held, _, _ = _core.hold_poses(graph)
     joined = _core.odometry_gap(graph)[0] < 0
     init = "odometry" if joined and not graph.fixed.any() else "spanning_tree"
