@@ -1,8 +1,8 @@
 """Excitation of the accelerometer, on which the observability of scale depends.
 
-An accelerometer measures metres only if the acceleration changes. The standard deviation of |a| -
-|g| shows how much it changes: at rest, on a straight road or in a hover it is noise, and scale
-cannot be separated from accelerometer bias.
+An accelerometer measures metres only while the acceleration changes. The standard deviation of
+|a| - |g| measures these changes. At rest, on a straight road or in a hover it contains only noise.
+Scale and accelerometer bias are then not separable.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Excitation(Displayed):
 
 
 def excitation(accel: ArrayLike) -> Excitation:
-    """Return the excitation of accelerometer samples, and whether scale is observable.
+    """Return the excitation of accelerometer samples, with a verdict on the scale.
 
     Args:
         accel: (n, 3) m/s^2, specific force, all samples of a window; at least 2.

@@ -27,7 +27,7 @@ def as_vector(name: str, value: ArrayLike, size: int = 3) -> Array:
     """Return finite numbers as an array (size,).
 
     Raises:
-        InputError: the values are no finite numbers, or their number is wrong.
+        InputError: the values are not finite numbers, or their number is wrong.
     """
     vector = as_array(name, value)
     if vector.shape != (size,):
@@ -40,9 +40,9 @@ def as_vector(name: str, value: ArrayLike, size: int = 3) -> Array:
 class Preintegration(Displayed):
     """Motion between two states by IMU samples, in the IMU frame of the first state.
 
-    With f and w a sample of accelerometer and gyroscope minus its bias, an interval dt moves (R, v,
-    p), which starts at (I, 0, 0), first to p + v dt + 1/2 R f dt^2, then to v + R f dt, then to R
-    Exp(w dt). Gravity is added by the states (:class:`ImuFactor`). Forster, Carlone, Dellaert and
+    Let f and w be samples of accelerometer and gyroscope minus their biases. (R, v, p) starts at
+    (I, 0, 0). An interval dt moves it first to p + v dt + 1/2 R f dt^2, then to v + R f dt, then
+    to R Exp(w dt). The states add gravity (:class:`ImuFactor`). Forster, Carlone, Dellaert and
     Scaramuzza, "On-Manifold Preintegration for Real-Time Visual-Inertial Odometry", TRO 2017;
     ``cpp/core/inertial/preintegration.cpp`` has the derivation.
 
@@ -107,7 +107,7 @@ class Preintegration(Displayed):
         """Integrate the samples of the next interval, at the biases of this one.
 
         Raises:
-            InputError: it was integrated by another rule.
+            InputError: the other interval was integrated by another rule.
         """
         check_type("append", following, Preintegration)
         self._motion.append(following._motion)
@@ -137,7 +137,7 @@ class Preintegration(Displayed):
     def needs_repropagation(
         self, gyro_bias: ArrayLike, *, accel_bias_sigma: float = 0.01
     ) -> Repropagation:
-        """Tell if a new gyroscope bias is too far for :meth:`corrected`.
+        """Tell if a new gyroscope bias is too far away for :meth:`corrected`.
 
         It is too far if the first-order error tilts gravity by more than the uncertainty of the
         accelerometer bias (``bundle.inertial.preintegration.repropagation`` has the closed form).
@@ -150,7 +150,7 @@ class Preintegration(Displayed):
             True or false as a condition, with its ``reason``.
 
         Raises:
-            InputError: these are no finite numbers, or the sigma is not above 0.
+            InputError: the values are not finite numbers, or the sigma is not above 0.
         """
         change = float(np.linalg.norm(as_vector("gyro_bias", gyro_bias) - self._gyro_bias))
         sigma = number("accel_bias_sigma", accel_bias_sigma, above=0)
@@ -224,50 +224,50 @@ class Preintegration(Displayed):
 
     @property
     def combined_covariance(self) -> Array:
-        """(15, 15): the same, then gyroscope and accelerometer bias at the end.
+        """Covariance (15, 15): ``covariance``, then gyroscope and accelerometer bias at the end.
 
-        The biases walk from those at the start with the densities of the noise, and act on the
-        motion meanwhile: the covariance of the residual of :class:`bundle.ImuFactor` with the
-        change of the biases below it.
+        The biases walk from those at the start with the densities of the noise, and affect the
+        motion meanwhile. This is the covariance of the residual of :class:`bundle.ImuFactor`
+        stacked with the change of the biases.
         """
         return self._motion.combined_covariance()
 
     @property
     def sqrt_information(self) -> Array:
-        """(9, 9) upper triangular W with W^T W the inverse of the covariance.
+        """Upper triangular W (9, 9), where W^T W is the inverse of the covariance.
 
         Raises:
-            InputError: the covariance is not positive definite, as of no samples.
+            InputError: the covariance is not positive definite, for example without samples.
         """
         return self._motion.sqrt_information
 
     @property
     def d_rotation_d_gyro_bias(self) -> Array:
-        """(3, 3) J: a bias change d makes the rotation R Exp(J d)."""
+        """Jacobian J (3, 3): a bias change d makes the rotation R Exp(J d)."""
         return self._motion.d_rotation_d_gyro_bias
 
     @property
     def d_velocity_d_gyro_bias(self) -> Array:
-        """(3, 3)."""
+        """Derivative (3, 3) of the velocity by the gyroscope bias."""
         return self._motion.d_velocity_d_gyro_bias
 
     @property
     def d_velocity_d_accel_bias(self) -> Array:
-        """(3, 3)."""
+        """Derivative (3, 3) of the velocity by the accelerometer bias."""
         return self._motion.d_velocity_d_accel_bias
 
     @property
     def d_position_d_gyro_bias(self) -> Array:
-        """(3, 3)."""
+        """Derivative (3, 3) of the position by the gyroscope bias."""
         return self._motion.d_position_d_gyro_bias
 
     @property
     def d_position_d_accel_bias(self) -> Array:
-        """(3, 3)."""
+        """Derivative (3, 3) of the position by the accelerometer bias."""
         return self._motion.d_position_d_accel_bias
 
     def core_motion(self) -> _core.Preintegration:
-        """Return a copy for the core, which later samples do not reach."""
+        """Return a copy for the core; it does not contain later samples."""
         return self._motion.copy()
 
     def _display(self) -> Display:
@@ -309,8 +309,8 @@ def propagate(
 ) -> NDArray[np.float64]:
     """Return the states after each of n intervals, (n, 16).
 
-    A state is qx qy qz qw of world_from_imu, position (m) and velocity (m/s) in the world, the
-    gyroscope's bias (rad/s) and the accelerometer's (m/s^2), which stay.
+    A state is qx qy qz qw of world_from_imu, position (m) and velocity (m/s) in the world,
+    gyroscope bias (rad/s) and accelerometer bias (m/s^2). The biases are constant.
 
     Args:
         state: (16,) at the first sample.
@@ -318,7 +318,7 @@ def propagate(
         accel: m/s^2, specific force, likewise.
         dt: (n,) seconds, each above 0.
         gravity: (3,) m/s^2 in the world.
-        rule: as of :class:`bundle.Preintegration`.
+        rule: integration rule of :class:`bundle.Preintegration`.
 
     Raises:
         InputError: shapes do not fit, numbers are not finite, or a time is not above 0.

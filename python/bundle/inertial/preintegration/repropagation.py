@@ -7,9 +7,9 @@ perpendicular to the axis, the error of the first-order correction is
 
 about w |d|^2 T^3 / 12 for a rate w, and at most (|d| T)^2 / (2 pi), at Theta = pi. The error is of
 second order: a change ten times as large gives an error a hundred times as large. A change along
-the axis gives none. A rotation error e tilts gravity and leaks |g| e into the acceleration, which
-is harmless below the uncertainty b of the accelerometer bias: e < b / |g|. If the motion turns by
-more than pi, or back and forth, Theta = pi is assumed, the worst angle.
+the axis causes no error. A rotation error e tilts gravity and leaks |g| e into the acceleration. It
+is harmless below the uncertainty b of the accelerometer bias: e < b / |g|. If the motion rotates by
+more than pi, or back and forth, the worst angle is assumed, Theta = pi.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Two loops: poses at the IMU rate, independent of the duration of window and graph solves.
 
 A :class:`PosePublisher` answers each IMU sample with a pose and never waits. A :class:`WindowLoop`
-and a :class:`ClosureLoop` solve on their own threads and put results with time stamps into rings,
-of which the publisher uses the newest. :func:`run_two_loops` replays a sequence through all three.
+and a :class:`ClosureLoop` solve on their own threads. They put results with time stamps into rings,
+and the publisher uses the newest. :func:`run_two_loops` replays a sequence through all three.
 """
 
 from bundle.inertial.two_loops.closure_files import load_closures

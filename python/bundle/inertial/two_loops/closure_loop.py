@@ -2,9 +2,9 @@
 
 Consecutive keyframes are connected by their relative motion in the window's world at the time of
 their arrival. If the ring has lost a keyframe, the motion between its neighbours connects them. A
-solve holds the first keyframe constant and gives the pose X of the newest one, which the window has
-at O. The correction is the motion about the vertical that moves O to X, with the stamp of that
-keyframe.
+solve holds the first keyframe constant and gives the pose X of the newest one. In the window this
+keyframe has the pose O. The correction is the motion about the vertical that moves O to X, with the
+stamp of that keyframe.
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ class Closure:
 class ClosureLoop(SolveLoop):
     """Solver of a pose graph when a closure arrives; it corrects a publisher.
 
-    The solve releases the interpreter, and the loop itself only copies arrays, so it delays no
-    pose, however long it takes.
+    The solve releases the interpreter, and the loop itself only copies arrays. The solve therefore
+    delays no pose, even if it takes long.
 
     Args:
         corrections: ring of a :class:`PosePublisher`.

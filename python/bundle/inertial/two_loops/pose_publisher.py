@@ -9,9 +9,9 @@ into the anchor A, never assigned: with the previous correction C', the anchor b
 
     A <- C C'^-1 A,
 
-so that other motions of the anchor (:meth:`PosePublisher.move`) are kept. The published pose
-approaches it in equal shares over a number of poses: each step moves heading and position by the
-remainder divided by the number of remaining poses.
+so that other motions of the anchor (:meth:`PosePublisher.move`) are kept. The anchor of
+the published poses approaches this value in equal shares over a number of poses. Each step moves
+heading and position by the remainder divided by the number of remaining poses.
 """
 
 from __future__ import annotations
@@ -99,8 +99,8 @@ class PublishedPose(Displayed):
 class PosePublisher(Displayed):
     """Publisher of a pose for each IMU sample, without waiting.
 
-    :meth:`publish` belongs to one thread. Other threads put into the rings ``solutions`` and
-    ``corrections``, of which the newest entry counts.
+    Call :meth:`publish` from one thread only. Other threads put into the rings ``solutions`` and
+    ``corrections``; only the newest entry of a ring counts.
 
     Args:
         timestamp_ns: stamp of the start.

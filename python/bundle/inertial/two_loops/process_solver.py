@@ -1,9 +1,9 @@
 """Solver of pose graphs in a separate process, at a lower priority.
 
-A solve on a thread shares the interpreter with the thread that publishes poses. Each of its calls
-into Python, and each copy of an array that holds the interpreter, can delay a pose by the time for
-which the system suspends the thread. A process shares nothing. It receives the arrays of a graph
-and returns the refined poses, each as a pickle through a pipe.
+A solve on a thread shares the interpreter with the thread that publishes poses. Each Python call of
+the solve, and each copy of an array, may hold the interpreter. If the system suspends the thread at
+this time, a pose is late. A separate process shares nothing. It receives the arrays of a graph and
+returns the refined poses, each as a pickle through a pipe.
 """
 
 from __future__ import annotations

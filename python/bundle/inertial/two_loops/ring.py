@@ -24,7 +24,7 @@ class Ring(Generic[Record]):
         capacity: largest number of records.
 
     Raises:
-        InputError: capacity is no whole number above 0.
+        InputError: capacity is not a whole number above 0.
     """
 
     def __init__(self, capacity: int = 64) -> None:
@@ -60,6 +60,6 @@ class Ring(Generic[Record]):
             taken.append(record)
 
     def take_newest(self) -> Record | None:
-        """Return the newest record and discard the others; None if there is none."""
+        """Return the newest record and discard the others; None if the ring is empty."""
         taken = self.take_all()
         return taken[-1] if taken else None

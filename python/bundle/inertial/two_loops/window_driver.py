@@ -9,8 +9,8 @@ the frame of a becomes
 
     (A^-1 a) M (B^-1 b)^-1,
 
-of keyframe B in the frame of keyframe A: over fractions of a second the window is accurate, however
-much it has drifted. The information of the closure is kept.
+as the pose of keyframe B in the frame of keyframe A. Over fractions of a second the window is
+accurate, even if it has drifted far. The information of the closure is unchanged.
 
 The motion between keyframes has the sigmas EDGE_TURN for rotation, and EDGE_SHIFT plus EDGE_SHARE
 of its length for translation. They weigh the odometry against closures, which have their own
@@ -100,7 +100,7 @@ class WindowDriver:
     def _between_keyframes(self, closure: Closure) -> Closure | None:
         """Return the closure between its nearest keyframes.
 
-        None if outside or if they are the same.
+        Return None if an end is outside, or if both ends have the same keyframe.
         """
         ends = np.array(self._ends(closure), np.int64)
         if ends.min() < self.run.stamps[0]:

@@ -21,9 +21,9 @@ class WindowLoop(SolveLoop):
 
     It drives any window: ``solve(frames, deadline)`` gets the frames since its last call, oldest
     first, and a time of ``time.monotonic()`` by which it should return its best state. The result,
-    a :class:`Solution` or None, goes to the ring of a publisher even if it is late; meanwhile the
-    publisher has used the IMU alone. After a slow solve, several frames are waiting at the next
-    call, and the oldest are lost if there are more than the ring holds.
+    a :class:`Solution` or None, goes to the ring of a publisher even if it is late. Until then the
+    publisher uses the IMU alone. After a slow solve, several frames are waiting at the next call.
+    If they exceed the ring's capacity, the oldest are lost.
 
     Args:
         solve: function that solves the window.

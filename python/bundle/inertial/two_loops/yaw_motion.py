@@ -1,4 +1,4 @@
-"""Motions about the vertical: the directions that an IMU leaves free and closures correct.
+"""Motions about the vertical: directions that an IMU leaves free and closures correct.
 
 Gravity determines roll and pitch; heading and position drift. A motion rotates about z and
 translates: x -> Rz(yaw) x + t. The yaw of a rigid motion is its twist about z: the angle 2 atan2(z,
@@ -59,7 +59,7 @@ class YawMotion(Displayed):
 
     @staticmethod
     def between(start: Array, end: Array) -> YawMotion:
-        """Return the motion from a pose's position and heading to another's.
+        """Return the motion between two poses, from their positions and headings.
 
         Args:
             start: qx qy qz qw tx ty tz, followed by any numbers.
@@ -118,7 +118,7 @@ class YawMotion(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Correction(Displayed):
-    """Pose of the window's world in the graph's world, as known at a time.
+    """Pose of the window's world in the graph's world at a time.
 
     Attributes:
         timestamp_ns: stamp of the newest keyframe in the graph.

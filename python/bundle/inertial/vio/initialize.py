@@ -4,12 +4,12 @@ If a sequence begins at rest, samples give its tilt and gyroscope bias
 (:mod:`bundle.inertial.vio.static_start`). Otherwise spans of two seconds are tried, one after the
 other, until the linear start of one (:mod:`bundle.inertial.vio.linear_start`) passes every test:
 
-* tracks: enough of them are seen by three images;
-* parallax: rays, turned by the gyroscope, still move between a point's first and last image:
-  without translation there is neither depth nor scale;
-* before the camera: points that come out behind it say that the minimum is a wrong one;
-* biases of a size that sensors have;
-* certain: the way is known to a tenth of its length. It is not where nothing accelerates.
+* tracks: at least three images observe enough of them;
+* parallax: after removing the gyroscope's rotation, rays still move between a point's first and
+  last image; without translation neither depth nor scale is observable;
+* in front of the camera: points behind a camera show that the solution is a wrong minimum;
+* biases: their size is plausible for sensors;
+* certainty: the distance is known to a tenth of its length, which requires acceleration.
 
 The world of a start has z up and its origin at the first image; its yaw is that of the shortest
 rotation that levels the IMU.
@@ -53,7 +53,7 @@ MOST_SCALE_SIGMA = 0.1
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VioStart(Displayed):
-    """Initial states of a sequence, or the reason why there are none.
+    """Initial states of a sequence, or the reason why they are missing.
 
     Attributes:
         kind: "static", "moving", or "none".
@@ -175,7 +175,7 @@ def find_start(
 
 
 def _span(images: SequenceImages, first: int, end: int) -> _Span | None:
-    """Return images over two seconds and the points in at least three of them, if sufficient."""
+    """Return images over two seconds and their points in three or more images, if sufficient."""
     stamps = images.stamps
     last = int(np.searchsorted(stamps, stamps[first] + round(1e9 * SPAN), "right")) - 1
     last = min(last, end)
@@ -197,7 +197,7 @@ def _span(images: SequenceImages, first: int, end: int) -> _Span | None:
 
 
 def _objection(found: LinearStart, span: _Span, calibration: Calibration) -> str:
-    """Return the test that a solution fails, or ""."""
+    """Return the name of the test that a solution fails; "" if it passes all."""
     seen = span.seen
     turn = rotation_matrices(np.array(calibration.camera_from_imu)[None, :4])[0]
     rays = np.column_stack([seen.xy, np.ones(len(seen.xy))]) @ turn

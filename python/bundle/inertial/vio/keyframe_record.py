@@ -1,8 +1,9 @@
 """Keyframes of a window: the rule that selects them, and the telemetry of each.
 
 Depth has the relative error sigma_z / z = sigma_d / d for a parallax d: at f = 460 px and sigma_d =
-0.5 px, 10 px give 5 %. A frame that adds less parallax only costs time, unless tracks become few or
-the IMU interval becomes long. Without translation there is no parallax, and no frame is added.
+0.5 px, 10 px give 5 %. A frame with less parallax costs time without much benefit, unless few
+tracks are left or the IMU interval becomes long. Without translation there is no parallax, and no
+keyframe is added.
 """
 
 from __future__ import annotations
@@ -129,7 +130,7 @@ def keyframe_reason(
     seconds: float,
     options: WindowOptions,
 ) -> tuple[str, float]:
-    """Return why the new frame is a keyframe ("" if it is none), and the median parallax [px].
+    """Return the reason for a keyframe ("" if it is not a keyframe), and the median parallax [px].
 
     Args:
         last: tracks of the last keyframe.

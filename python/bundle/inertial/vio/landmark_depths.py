@@ -8,8 +8,8 @@ y_x - u y_z = 0 and y_y - v y_z = 0, two equations linear in l:
 
     l (t_x - u t_z) = u (A m)_z - (A m)_x,        the same with v and y.
 
-Least squares over all observations of the landmark weighs near and far landmarks alike, because y_z
-is about 1 for small motions.
+Least squares over all observations of the landmark gives near and far landmarks the same weight,
+because y_z is about 1 for small motions.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def reanchored(
 ) -> Array:
     """Return inverse depths in other frames for landmarks at xy in their old frames.
 
-    Not positive if a landmark is behind the new camera; 0 stays 0.
+    The result is not positive if a landmark is behind the new camera; 0 stays 0.
     """
     rays = np.c_[xy, np.ones(len(xy))]
     in_world = np.einsum("kji,kj->ki", rotations[old], rays)
@@ -119,9 +119,9 @@ class LandmarkDepths:
     ) -> tuple[LandmarkTable, Array]:
         """Return the landmarks in front of all cameras, with x, y, 1 / z of each.
 
-        Each is the better of the last solve's estimate and a triangulation from the current poses.
-        Otherwise a landmark without parallax so far would be rejected as an outlier when it gets
-        some.
+        The solve's last estimate or a triangulation from the current poses is used, whichever is
+        better. The estimate alone could reject a landmark as an outlier: a landmark without
+        parallax so far, when it gets parallax.
         """
         rotations, centres = camera_poses(np.array([f.state for f in frames]), camera_from_imu)
         stamps = np.array([f.stamp for f in frames], np.int64)

@@ -6,8 +6,8 @@ landmarks, each anchored in the first frame that observed it.
 
 Tracks get numbers by time and position of their first observation, independent of their ids.
 
-Sums run over landmarks in the order of their numbers, and rounding depends on this order. With ids,
-the same tracks under other ids would give other results.
+Sums run over landmarks in the order of their numbers, and rounding errors depend on this order. If
+the order were that of the ids, the same tracks with other ids would give other results.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class FrameTracks(NamedTuple):
     velocity: Array
 
     def check(self, where: str) -> None:
-        """Refuse wrong shapes, ids that are not ascending, and numbers that are not finite.
+        """Refuse wrong shapes, ids that are not ascending, and values that are not finite.
 
         Raises:
             InputError: the message begins with ``where``.

@@ -5,19 +5,20 @@ for the gyroscope bias b (on which rotations depend alone) and J = d dp / d acce
 
     R = dR(b),    p = v t + 1/2 g t^2 + dp(b) + J a.
 
-A camera (R_c, t_c of camera_from_imu) observes a point X at y = R_c R^T (X - p) + t_c, and its
-observation (u, w) gives y_x - u y_z = 0 and y_y - w y_z = 0: linear in X, v, g and a. One linear
-system thus determines everything but b, in metres, without a vision-only reconstruction whose scale
-must be fitted afterwards (Dong-Si and Mourikis, IROS 2012; Martinelli, IJCV 2014).
+A camera (R_c, t_c of camera_from_imu) observes a point X at y = R_c R^T (X - p) + t_c. Its
+observation (u, w) gives y_x - u y_z = 0 and y_y - w y_z = 0, which is linear in X, v, g and a. One
+linear system thus determines everything but b, in metres. A vision-only reconstruction with a scale
+fitted afterwards is not needed (Dong-Si and Mourikis, IROS 2012; Martinelli, IJCV 2014).
 
-* Points are eliminated (Schur complement); gravity has its known length and moves on its sphere by
-  two coordinates, a few times over; a prior holds a, which a second of motion hardly determines.
-* The first system has the observed coordinates in its rows; the next ones are linearised at the
-  solution before, which makes their errors pixels, the last ones with Cauchy's weights.
-* b begins where rays meet best: for the right rotation of a pair of images the normals of the
-  planes through corresponding rays are at right angles to one direction, that of the way between
-  (Kneip, Siegwart and Pollefeys, ECCV 2012). It ends with Gauss-Newton steps on the errors that
-  the linear system leaves (variable projection). Derivatives are numerical: three columns.
+* Points are eliminated (Schur complement). Gravity has its known length and moves on its sphere by
+  two coordinates, in a few iterations. A prior constrains a, which a second of motion hardly
+  determines.
+* The first system has the observed coordinates in its rows. The next ones are linearised at the
+  previous solution, so that their errors are in pixels; the last ones have Cauchy weights.
+* The initial b makes rays coplanar. For a pair of images with the right rotation, the normals of
+  the planes through corresponding rays are perpendicular to the baseline (Kneip, Siegwart and
+  Pollefeys, ECCV 2012). Gauss-Newton steps then refine b on the errors that the linear system
+  leaves (variable projection). Derivatives are numerical: three columns.
 """
 
 from __future__ import annotations

@@ -26,8 +26,8 @@ class OdometryResult(Displayed):
     """Result of an odometry.
 
     Attributes:
-        trajectory: states at the time of their images' solves, as a robot has them in real time;
-            with ``marginalize="keep"`` those of the last solve, a batch.
+        trajectory: state of each image right after its solve, as a robot has it in real time; with
+            ``marginalize="keep"``, states of the last solve, a batch.
         keyframes: telemetry of keyframes.
         start: "static" or "moving": method of initialisation.
         is_usable: False if the window lost track; ``message`` tells when.

@@ -2,10 +2,10 @@
 
 Coordinates are normalised once. IMU samples are interpolated at the stamps of images.
 
-In a gap, 2.5 periods and more without a sample, nothing was measured. Rate and force are
-interpolated linearly, and their deviation is an additional uncertainty. With s the larger of their
-change and of their standard deviation around the gap (twice its length on each side), a gap of T
-adds an uncertainty of s T to a rotation and of s T to a velocity.
+A gap is a time of 2.5 periods or more without a sample. Rate and force are interpolated linearly
+over it, and their deviation is an additional uncertainty. Let s be the larger of their change and
+of their standard deviation around the gap (twice its length on each side). A gap of T then adds an
+uncertainty of s T to a rotation and of s T to a velocity.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class ImuSlices:
         return ImuInterval(gyro, accel, dt, doubt)
 
     def _doubt(self, gaps: Array, seconds: Array) -> tuple[float, float]:
-        """Return the variances due to gaps, of these durations within an interval."""
+        """Return the variances due to gaps of these durations within an interval."""
         variances = np.zeros(2)
         for gap, part in zip(gaps.tolist(), seconds.tolist(), strict=True):
             length = AROUND * (self.stamps[gap + 1] - self.stamps[gap])
@@ -164,7 +164,7 @@ class SequenceImages:
         return [self.interval(self.stamp(first), second) for first, second in pairwise(images)]
 
     def after(self, image: int, rate: float) -> list[int]:
-        """Return the images after one, not closer in time than a rate in Hz allows."""
+        """Return the images after an image, at most at a rate in Hz."""
         chosen, last = [], self.stamps[image]
         for k in range(image + 1, len(self)):
             # Half a millisecond of tolerance for cameras with jittering stamps.

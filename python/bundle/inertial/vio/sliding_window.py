@@ -5,8 +5,7 @@ between them. If it becomes a keyframe, it stays, and the oldest keyframe is mar
 anchored landmarks and its IMU factor into a prior on the remaining states. Otherwise the next image
 replaces it, and its IMU samples join the next interval, so that no sample is lost.
 
-Every observation counts once. Tracks of landmarks that were marginalised start anew with the next
-images.
+Every observation counts once. Tracks of marginalised landmarks start again with the next images.
 """
 
 from __future__ import annotations

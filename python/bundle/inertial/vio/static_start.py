@@ -4,9 +4,9 @@ At rest the specific force is -g in the IMU frame, so its mean f gives the tilt:
 rotation that takes f to the world's z axis; yaw is arbitrary. The difference of |f| and |g| is the
 accelerometer bias along gravity, which the window estimates.
 
-A vehicle is at rest as long as its tracks stay at their first positions to within their noise and
-the mean rate does not change. Samples alone are not sufficient: rotors that spin on the ground
-shake an accelerometer by more than slow flight does.
+A vehicle counts as at rest while its tracks stay at their first positions, up to noise, and the
+mean rate does not change. IMU samples alone are not sufficient. Rotors that spin on the ground
+shake an accelerometer more than slow flight does.
 
 Two positions of a track, each with noise s in both coordinates, have a median distance of 1.7 s.
 """

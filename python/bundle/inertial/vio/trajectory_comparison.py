@@ -5,11 +5,12 @@ https://github.com/MichaelGrupp/evo
 Ground truth is interpolated at the stamps of the estimate: positions linearly, rotations along the
 shortest arc. Errors are computed after two alignments:
 
-* all six degrees (Umeyama, by evo): its absolute trajectory error is what papers report, and its
-  variant with a free scale says by how much the estimate is too small;
-* yaw and position, the four degrees that an odometry with an IMU leaves open. Errors of roll and
-  pitch stay errors. The yaw a maximises sum q_i . R_z(a) p_i over centred positions p of the
-  estimate and q of the truth: tan a = sum (p_x q_y - p_y q_x) / sum (p_x q_x + p_y q_y).
+* all six degrees of freedom (Umeyama, by evo): papers report this absolute trajectory error; its
+  variant with a free scale shows by how much the estimate is too small;
+* yaw and position, the four degrees of freedom that an odometry with an IMU leaves open. Errors of
+  roll and pitch are not aligned away. The yaw a maximises sum q_i . R_z(a) p_i over centred
+  positions p of the estimate and q of the truth: tan a =
+  sum (p_x q_y - p_y q_x) / sum (p_x q_x + p_y q_y).
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 """Alarms of a window's telemetry.
 
-Some indicators are wrong whenever they occur. Others, which a healthy window shows briefly, count
-once they persist: two keyframes, five without excitation, a trend over fifty.
+Some indicators are wrong at any time. Others, which a healthy window shows briefly, count only if
+they persist: two keyframes, five without excitation, a trend over fifty.
 
-The cost of a prior is at least 0, and half a chi-square with as many degrees of freedom as the
-window has coordinates in it: about 0.1 per coordinate in healthy windows, and above 1 if wrong
-tracks or a wrong calibration were marginalised into it.
+The cost of a prior is at least 0. It is half a chi-square, whose degrees of freedom are the
+prior's number of coordinates. Healthy windows have about 0.1 per coordinate. The cost exceeds 1
+per coordinate if wrong tracks or a wrong calibration were marginalised into the prior.
 
-No sensor measures the heading. Its sigma, once a prior set it, must not fall, whether the platform
-turns or not, except by fluctuations between images. Medians of five keyframes remove these.
+No sensor measures the heading. Once a prior has set its sigma, the sigma must not fall, except by
+fluctuations between images. Medians of five keyframes remove these.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ YAW_MEDIAN, YAW_FALL, YAW_TURN = 5, 0.98, 0.3  # keyframes, ratio, rad
 
 
 def walks_down(ratios: list[float]) -> bool:
-    """Return True if ratios fall steadily: the medians of five tens, by a decade in all."""
+    """Return True if ratios fall steadily: medians of five blocks of ten, by a decade in total."""
     if len(ratios) < BLOCK * BLOCKS:
         return False
     last = np.log10(np.maximum(ratios[-BLOCK * BLOCKS :], 1e-300)).reshape(BLOCKS, BLOCK)
@@ -46,7 +46,7 @@ def walks_down(ratios: list[float]) -> bool:
 
 
 def yaw_falls(sigmas: list[float], turned: list[float]) -> tuple[float, float] | None:
-    """Return a sigma of yaw and the smaller one to which it fell during rotation, or None.
+    """Return a yaw sigma and the smaller sigma to which it fell during rotation, or None.
 
     Args:
         sigmas: sigmas of yaw at the keyframes.

@@ -2,10 +2,10 @@
 
 Positions must agree with velocities.
 
-From image to image a window moves its newest position by its velocity, and by new estimates: some
-centimetres per second of its span at speed. The remainder m = (p_j - p_i) - 1/2 (v_i + v_j) T is a
-jump if it is more than a metre plus half a second's distance. Over the whole flight the sum of m is
-a drift if it exceeds two metres plus a tenth of the path.
+From image to image a window moves its newest position by its velocity and by new estimates; the
+latter amount to some centimetres per second at speed. The remainder is m = (p_j - p_i) - 1/2 (v_i +
+v_j) T. It is a jump if it exceeds a metre plus the distance of half a second. Over the whole
+flight, the sum of m is a drift if it exceeds two metres plus a tenth of the path.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ class WindowRun:
         return Trajectory(np.array(self.stamps, np.int64), np.array(self.states))
 
     def failure(self) -> str:
-        """Return why this is no valid estimate of the motion, "" if it is valid."""
+        """Return the reason why this is not a valid estimate of the motion; "" if it is valid."""
         return self.lost or _lost_reason(self.window.records)
 
     def records(self) -> tuple[KeyframeRecord, ...]:
@@ -170,7 +170,7 @@ class WindowRun:
 
 
 def _lost_reason(records: list[KeyframeRecord]) -> str:
-    """Return the error of most keyframes if the window is no valid estimate; "" otherwise."""
+    """Return the error of most keyframes if the window is not a valid estimate; otherwise ""."""
     without_step = sum(record.out_of_time and record.num_iterations == 0 for record in records)
     indefinite = sum((record.prior_definiteness or 0.0) < INDEFINITE for record in records)
     if 2 * without_step > len(records):

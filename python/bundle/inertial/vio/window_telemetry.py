@@ -208,7 +208,7 @@ class WindowTelemetry:
 
 
 def _nullity(spectrum: Any) -> int:
-    """Return the number of eigenvalues, with a unit diagonal, that are rounding errors."""
+    """Return the number of eigenvalues, for a unit diagonal, that are rounding errors."""
     values = np.asarray(spectrum)
     return int(np.sum(values < len(values) * np.finfo(float).eps * values[-1]))
 

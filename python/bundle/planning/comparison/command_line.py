@@ -16,7 +16,7 @@ __all__ = ["command_line", "recommended_command"]
 def command_line(
     options: SolveOptions | PoseGraphOptions, source: str = "INPUT", output: str = "OUTPUT"
 ) -> str:
-    """Return the `bundle refine` command of these options; defaults are left out."""
+    """Return the `bundle refine` command with these options; default values are left out."""
     words = ["bundle", "refine", source, "-o", output]
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)

@@ -92,15 +92,15 @@ def compare(
 ) -> Comparison | GraphComparison:
     """Solve the same start by every combination of methods and recommend one.
 
-    Runs are sequential, each in its own process. A run that fails, exceeds the time or memory limit
-    or crashes becomes a row with the reason; the comparison continues. Ctrl-C ends the comparison
-    and returns the runs so far.
+    Runs are sequential, each in its own process. A run that fails, crashes or exceeds the time or
+    memory limit becomes a row with the reason, and the comparison continues. Ctrl-C ends the
+    comparison and returns the completed runs.
 
     For a pose graph, the result of its solve, or a g2o file, the result is a
-    :class:`GraphComparison`: backends, elimination orders and trust regions from one start, run one
-    after the other in this process. It takes ``backends``, ``threads``, ``repeat``, ``timeout`` and
-    options of :class:`bundle.PoseGraphOptions`; ``progress`` is called with the name of each
-    method.
+    :class:`GraphComparison`. It compares backends, elimination orders and trust regions from one
+    start, one run after the other in this process. It takes ``backends``, ``threads``, ``repeat``,
+    ``timeout`` and options of :class:`bundle.PoseGraphOptions`. ``progress`` is called with the
+    name of each method.
 
     Args:
         problems: one or a list of problems, paths, or pycolmap.Reconstructions.
@@ -110,17 +110,16 @@ def compare(
         orderings: values of ``linear_solver_ordering``.
         backends: values of ``backend``.
         threads: values of ``num_threads``; 0 for all cores.
-        repeat: runs of each method, of which the median counts; a run of more than 10 s is not
-            repeated.
+        repeat: runs of each method, whose median counts; a run of more than 10 s is not repeated.
         timeout: seconds after which a solve is stopped.
-        memory_cap: bytes that a solve may allocate beyond the loaded problem; 0: 90 % of the memory
-            that is free when the comparison starts.
+        memory_cap: bytes that a solve may allocate beyond the loaded problem; 0: 90 % of the free
+            memory at the start of the comparison.
         progress: called when a run starts, and regularly with its iterations.
         **changes: options by name, which replace those in ``options``.
 
     Raises:
-        InputError: an option does not exist, is compared or is out of range, a problem cannot be
-            loaded or has no observations, or there is nothing to compare.
+        InputError: an option does not exist, is out of range, or is a compared option; a problem
+            cannot be loaded or has no observations; or there is nothing to compare.
 
     Example:
         >>> comparison = bundle.compare("problem.txt", solvers=["dense_schur", "sparse_schur"])

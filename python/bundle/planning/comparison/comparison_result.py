@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 GAPS = (1e-2, 1e-3, 1e-5)
-"""Relative distances to the best cost; the times to reach them are compared."""
+"""Relative distances to the best cost at which methods are compared by time."""
 
 Trace = tuple[NDArray[np.float64], NDArray[np.float64]]
 

@@ -33,10 +33,10 @@ TRUST_REGIONS = ("gauss_newton", "levenberg_marquardt", "dogleg", "subspace_dogl
 VARIED = ("backend", "ordering", "trust_region_strategy_type", "num_threads")
 
 NEAR_ENOUGH = 1.15
-"""Methods within this factor of the least time count as equally fast."""
+"""Factor of the shortest time within which methods count as equally fast."""
 
 COST_TOLERANCE = 1e-6
-"""Solutions within this relative distance to the best final cost count as equally good."""
+"""Relative distance to the best final cost within which solutions count as equally good."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class GraphMethod:
 
     @property
     def name(self) -> str:
-        """Return "fused amd gauss-newton"."""
+        """Return a name such as "fused amd gauss-newton"."""
         words = (self.backend, self.ordering, self.trust_region_strategy_type.replace("_", "-"))
         return " ".join(filter(None, words))
 
@@ -105,9 +105,9 @@ class GraphComparison(Displayed):
         graph: common start of all methods, with its poses.
         options: options of every solve, except those that the methods vary.
         runs: one per method.
-        recommended: the fastest of the methods that reach the best cost within 1e-6; methods within
-            15 % of its time count as equal, and the first of them is taken. None if no method has a
-            usable solution.
+        recommended: fastest of the methods that reach the best cost within 1e-6. Methods within
+            15 % of its time count as equal, and the first one is recommended. None if no method has
+            a usable solution.
         reason: reason in one sentence.
         command: command line of the method.
         warnings: warnings of the recommended solve.

@@ -1,6 +1,6 @@
 """Problem on disk for other processes: one file per array, for fast reading from the disk cache.
 
-Data that only writing a model needs (names, the original reconstruction) is not stored.
+Data that is needed only for writing a model (names, the original reconstruction) is not stored.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ class Method:
 
     @property
     def name(self) -> str:
-        """Return "fused SPARSE_SCHUR" and values that differ from the defaults, without threads."""
+        """Return "fused SPARSE_SCHUR" with non-default values, without threads."""
         words = [self.backend, self.linear_solver_type.upper()]
         if self.preconditioner_type != "auto":
             words.append(self.preconditioner_type.upper())
@@ -45,12 +45,12 @@ class Method:
 
     @property
     def threads(self) -> str:
-        """Return "2 threads"."""
+        """Return text such as "2 threads"."""
         return plural(self.num_threads, "thread")
 
     @property
     def is_iterative(self) -> bool:
-        """True if the linear solver is iterative whatever the problem."""
+        """True if the linear solver is iterative for every problem."""
         return self.linear_solver_type in ITERATIVE
 
     def options(self, base: SolveOptions) -> SolveOptions:
@@ -78,7 +78,7 @@ def expand(
     are limited to the number of cores, as in a solve; 0 stands for all cores.
 
     Raises:
-        InputError: a value is not one of its option, or a list is empty.
+        InputError: a value is not a value of its option, or a list is empty.
     """
     given: dict[str, tuple[Any, ...]] = {
         "backend": as_tuple("backends", backends),
@@ -96,7 +96,7 @@ def expand(
 
 
 def as_tuple(argument: str, values: Any) -> tuple[Any, ...]:
-    """Return the values of a list; a single word is a list of one."""
+    """Return the values of a list; a single word becomes a list with one value."""
     if isinstance(values, str):
         return (values,)
     try:
@@ -106,7 +106,7 @@ def as_tuple(argument: str, values: Any) -> tuple[Any, ...]:
 
 
 def thread_counts(argument: str, values: Iterable[Any]) -> tuple[int, ...]:
-    """Return distinct thread counts as a solve takes them: at most the cores, 0 for all."""
+    """Return the distinct effective thread counts: at most the number of cores; 0 becomes all."""
     cores = _core.hardware_threads()
     checked = [number(argument, count, whole=True, minimum=0) for count in values]
     return tuple(dict.fromkeys(min(count or cores, cores) for count in checked))

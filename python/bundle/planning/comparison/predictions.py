@@ -22,8 +22,8 @@ def predict(
 ) -> dict[Method, Prediction]:
     """Return the predictions by method.
 
-    Methods that inspection does not know have none. If inspection refuses the options, no method
-    has one; the runs then report the reason.
+    Methods without an inspection have no prediction. If the inspection refuses the options, all
+    predictions are missing; the runs then report the reason.
     """
     methods = tuple(methods)
     found: dict[Method, Prediction] = {}
@@ -88,9 +88,9 @@ def foresee(
 ) -> Method | None:
     """Return the method that is predicted to be the fastest, without solving.
 
-    If times are predicted, it is the fastest that fits into memory and under the cap (bytes beyond
-    the problem; 0: no cap). Otherwise it is the choice of ``auto`` with the most threads; None if
-    that is not among the methods.
+    With predicted times, it is the fastest method that fits into memory and under the cap (bytes
+    beyond the problem; 0: no cap). Otherwise it is the choice of ``auto`` with the most threads, or
+    None if that choice is not among the methods.
     """
     times = {
         method: predictions[method].time_per_step_in_seconds

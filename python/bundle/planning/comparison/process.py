@@ -1,4 +1,4 @@
-"""Life of one worker process, from its start to any kind of end."""
+"""One worker process: start, messages, limits, and all kinds of ends."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _MEMORY_WORDS = re.compile(
 
 @dataclass(kw_only=True)
 class WorkerEnd:
-    """End of a worker: an outcome of ``Run``, and the messages before.
+    """End of a worker: an outcome of ``Run``, and the messages received before.
 
     Attributes:
         outcome: "done" for any termination type of the solver.
@@ -146,7 +146,7 @@ def _take(end: WorkerEnd, message: dict[str, Any], memory_cap: int) -> None:
 
 
 def beyond(memory_cap: int) -> str:
-    """Return "needed more than 500 MB beyond the loaded problem"."""
+    """Return text such as "needed more than 500 MB beyond the loaded problem"."""
     if not memory_cap:
         return "ran out of memory"
     return f"needed more than {format_size(memory_cap)} beyond the loaded problem"

@@ -1,7 +1,7 @@
 """Memory of a process, and a limit on it.
 
-The report and the cap count resident memory. The kernel cannot limit that for a single process, so
-two mechanisms enforce the cap:
+The report and the cap count resident memory. The kernel cannot limit it for a single process,
+so two mechanisms enforce the cap:
 
 - RLIMIT_DATA, which the process sets after loading its problem. An allocation beyond the cap fails
   before its memory is touched: a dense matrix of 3 GB under a cap of 500 MB is never allocated.
@@ -12,7 +12,7 @@ two mechanisms enforce the cap:
 - The parent, which reads the resident size several times a second and kills a process above the
   cap.
 
-A process that exceeds the cap between two readings and ends is found by its peak.
+If a process exceeds the cap between two readings and then ends, its peak reveals it.
 """
 
 from __future__ import annotations

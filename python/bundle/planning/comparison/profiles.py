@@ -6,9 +6,9 @@ t(p, s) / min over s' of t(p, s'). The profile of s is
 
     rho_s(tau) = share of problems with r(p, s) <= tau,
 
-so rho_s(1) is the share of problems where s is the fastest, and rho_s at large tau the share that
-it solves at all. t is the time to a cost within a gap of the best known cost. All methods are thus
-held to the same accuracy, independent of their stopping rules.
+so rho_s(1) is the share of problems on which s is the fastest, and rho_s at large tau the share
+that s solves at all. t is the time to a cost within a gap of the best known cost. All methods are
+thus compared at the same accuracy, independent of their stopping rules.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def performance_profiles(
         times: for each problem the seconds of each method; NaN or missing if not solved. Problems
             that no method solved are left out.
         methods: methods to profile.
-        gap: gap that the times belong to.
+        gap: gap of these times.
     """
     fastest = [
         min((time for time in row.values() if math.isfinite(time)), default=math.nan)

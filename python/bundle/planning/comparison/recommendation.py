@@ -17,7 +17,7 @@ __all__ = ["COST_TOLERANCE", "NEAR_ENOUGH", "reason_on_many", "reason_on_one", "
 
 
 def reason_on_one(comparison: Comparison, method: Method, tolerance: float) -> str:
-    """Return "SPARSE_SCHUR: S is 14 % full, AMD needs 2.1e9 flops per step; DENSE_SCHUR takes ...".
+    """Return text: "SPARSE_SCHUR: S is 14 % full, AMD needs 2.1e9 flops per step; DENSE_SCHUR ...".
 
     Args:
         comparison: comparison on one problem.
@@ -43,7 +43,7 @@ def reason_on_one(comparison: Comparison, method: Method, tolerance: float) -> s
 
 
 def reason_on_many(method: Method, ratios: Sequence[Mapping[Method, float]]) -> str:
-    """Return on how many problems the method is the fastest, and its largest ratio.
+    """Return the number of problems on which the method is the fastest, and its largest ratio.
 
     Args:
         method: the recommended method.
@@ -135,7 +135,7 @@ def _speed(run: Run) -> tuple[bool, float]:
 
 
 def _behind(comparison: Comparison, winner: Run, rival: Run, tolerance: float) -> str:
-    """Return how much longer a rival takes, and how much higher its final cost is."""
+    """Return text about a rival: how much slower it is, and how much higher its final cost."""
     ratio = rival.total_time_in_seconds / winner.total_time_in_seconds
     name = _told_apart(winner.method, rival.method)
     verb = "take" if name.endswith("threads") else "takes"
@@ -162,10 +162,10 @@ def _times(ratio: float) -> str:
 
 
 COST_TOLERANCE = 1e-3
-"""Solutions within this relative distance to the best final cost count as equally good."""
+"""Relative distance to the best final cost within which solutions count as equally good."""
 
 NEAR_ENOUGH = 1.15
-"""A predicted method within this factor of the least total time counts as right."""
+"""Factor of the shortest total time within which a predicted method counts as right."""
 
 
 def recommend(
@@ -173,8 +173,8 @@ def recommend(
 ) -> Recommendation | None:
     """Return the fastest of the methods that reached the best cost.
 
-    With several problems, it is the method that reached the best cost most often; ties go to the
-    least geometric mean of times relative to the fastest.
+    With several problems, it is the method that reached the best cost most often. Ties are resolved
+    by the smallest geometric mean of times relative to the fastest.
 
     Args:
         comparison: comparison without a recommendation.

@@ -48,7 +48,7 @@ class Progress:
 
 @dataclass(kw_only=True)
 class Work:
-    """Comparison in progress; `folder` holds the problems, `ends` the ends of workers."""
+    """Running comparison; `folder` holds the problems, `ends` the ends of workers."""
 
     folder: Path
     options: SolveOptions
@@ -62,7 +62,7 @@ class Work:
     foreseen: list[Method | None] = field(default_factory=list)
 
     def take_over(self, index: int, source: Source) -> ComparedProblem:
-        """Load a problem from a path or take it, and store it for the workers."""
+        """Load a problem from a path, or use a given problem, and store it for the workers."""
         is_file = is_path(source)
         name = f"problem {index + 1}"
         if is_path(source):
@@ -83,7 +83,7 @@ class Work:
         )
 
     def run_all(self, problems: Sequence[ComparedProblem]) -> bool:
-        """Run everything; return True if Ctrl-C ended it."""
+        """Run all methods on all problems; return True if Ctrl-C ended the comparison."""
         total = len(problems) * self.repeat * len(self.methods)
         number = 0
         try:

@@ -43,7 +43,7 @@ class Reporter:
         self._sent = time.perf_counter()
 
     def iteration(self, values: dict[str, Any]) -> None:
-        """Queue an iteration; send the queue if the last batch is long enough ago."""
+        """Queue an iteration; send the queue if enough time has passed since the last batch."""
         self._waiting.append(values)
         if time.perf_counter() - self._sent >= SECONDS_BETWEEN_REPORTS:
             self.send({"iterations": self._waiting})
@@ -57,7 +57,7 @@ class Reporter:
 
 
 def main() -> None:
-    """Load, solve, report."""
+    """Load the problem, solve it, and report the result."""
     folder, request_path, channel = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # an abort must not leave a core file
     process_memory.go_first_when_memory_ends()

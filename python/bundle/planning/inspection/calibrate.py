@@ -1,4 +1,4 @@
-"""Calibration: rates derived from the times of small solves, about a second in all."""
+"""Calibration: rates from the times of small solves, about a second in total."""
 
 from __future__ import annotations
 
@@ -41,9 +41,10 @@ def make_scene(
     Args:
         num_images: number of images.
         num_points: number of points.
-        track_length: images that observe a point: neighbours, or spread over all if ``scattered``.
-        scattered: each image shares points with most other images, in random order.
-        shared_camera: one camera for all images, instead of one per image.
+        track_length: number of images that observe a point: neighbours, or spread over all images
+            if ``scattered``.
+        scattered: True if each image shares points with most other images, in random order.
+        shared_camera: True for one camera for all images, instead of one per image.
         seed: seed of the noise and of the tracks.
     """
     rng = np.random.default_rng(seed)
@@ -145,7 +146,7 @@ class _Calibration:
         )
 
     def _time(self, problem: Problem, solver: str, backend: str = "fused") -> Timing:
-        """Return the least of several solves' median step times; other load can only add time."""
+        """Return the shortest of several solves' median step times; other load only adds time."""
         options = self._options(solver, backend)
         timings: list[Timing] = []
         begun = perf_counter()

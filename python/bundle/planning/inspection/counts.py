@@ -1,4 +1,4 @@
-"""Cost of each method's factor, exact where an exact count is affordable."""
+"""Cost of each method's factor, with exact counts where they are affordable."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from bundle.planning.inspection.problem_pattern import (
 
 __all__ = ["FactorCounter", "FactorizedSystem"]
 
-# Most entries of the full pattern for which AMD still takes only seconds.
+# Largest number of entries of the full pattern for which AMD takes only seconds.
 MOST_ENTRIES_FOR_AMD = _core.MOST_ENTRIES_FOR_AMD
 
-# Pairs of points to collect before duplicates are removed.
+# Number of pairs of points to collect before duplicates are removed.
 CODES_AT_A_TIME = 1 << 22
-# Most pairs of covisible points for which the system of the points is counted.
+# Largest number of pairs of covisible points for which the system of the points is counted.
 MOST_POINT_PAIRS = 20_000_000
 
 

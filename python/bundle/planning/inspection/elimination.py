@@ -1,9 +1,9 @@
 """Variable elimination on a small graph, with the neighbours and the fill-in of each step.
 
 The graph of a symmetric matrix has one vertex per variable and one edge per pair of variables whose
-block is nonzero. Eliminating a variable makes its neighbours a clique. Each edge that this adds is
-fill-in: an entry of the Cholesky factor L where the matrix has a zero. The variable's column of L
-has one block for each neighbour at that step.
+block is nonzero. Eliminating a variable makes its neighbours a clique. Each new edge is fill-in: an
+entry of the Cholesky factor L where the matrix has a zero. The variable's column of L has one block
+for each neighbour at that step.
 
 This file implements the definition. For real problems ``_core.count_factor`` computes the same
 counts without creating edges (``cpp/core/symbolic/factor_counts.cpp``); tests compare the two.

@@ -1,4 +1,4 @@
-"""``inspect_graph``: fill-in and flops of eliminating a graph in a given order, counted only."""
+"""``inspect_graph``: count fill-in and flops of a graph's elimination, without numerical work."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from bundle.planning.inspection.graph_input import (
 
 __all__ = ["GRAPH_ORDERINGS", "GraphInspection", "inspect_graph", "pattern_of_edges"]
 
-# Most pairs of neighbours for which steps are recorded by default. This takes about a second: some
-# hundred variables, or thousands with little fill-in.
+# Largest number of neighbour pairs for which steps are recorded by default. This takes about a
+# second: some hundred variables, or thousands with little fill-in.
 MOST_PAIRS_TO_RECORD = 2_000_000
 
 
@@ -138,10 +138,10 @@ def inspect_graph(
         names: names of the variables; by default their indices.
         landmarks: indices of the landmarks.
         block_size: scalars of each variable, such as 6 for poses: one number, or one per variable.
-        record_steps: keep every step; by default steps are kept where that is quick.
+        record_steps: True to record every step; by default steps are recorded if that is fast.
 
     Raises:
-        InputError: an edge joins a variable to itself, an index is out of range, an order is no
+        InputError: an edge joins a variable to itself, an index is out of range, an order is not a
             permutation, or another argument is invalid.
     """
     pairs = as_edges(edges)

@@ -25,7 +25,7 @@ from bundle.planning.inspection.rates import FactorRate, Rates, implausible
 __all__ = ["cache_path", "machine_rates"]
 
 ATTEMPTS = 3
-"""Calibrations before implausible rates are used once, without caching them."""
+"""Number of calibrations after which implausible rates are used once, without caching them."""
 
 
 def machine_rates(num_threads: int, *, recalibrate: bool = False) -> Rates:

@@ -35,7 +35,7 @@ class Method:
 
     @property
     def name(self) -> str:
-        """Return "SPARSE_SCHUR amd"."""
+        """Return a name such as "SPARSE_SCHUR amd"."""
         what = self.preconditioner.lower() if self.preconditioner else self.ordering
         return f"{self.linear_solver_type} {what}".strip()
 

@@ -26,9 +26,9 @@ _PACKED_COLUMNS = 384
 # Stored values of CHOLMOD's merged supernodes relative to nnz(L).
 _SUPERNODE_PADDING = 1.15
 
-# Chunk buffers in use by each thread of the fused backend. It has three and uses the third only
-# when it is two chunks ahead of the others (assembler.h): rarely on small problems, always on large
-# ones.
+# Number of chunk buffers that each thread of the fused backend uses. A thread has three buffers. It
+# uses the third only when it is two chunks ahead of the others (assembler.h): rarely on small
+# problems, always on large ones.
 _CHUNK_BUFFERS = 2.5
 
 # Ceres. Per observation: cost function, residual block, Jacobian row with its cells, and pointers

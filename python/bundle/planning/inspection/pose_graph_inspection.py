@@ -108,7 +108,7 @@ def inspect_pose_graph(source: Any) -> PoseGraphInspection:
     """Count the cost of a step of a pose graph's solve; see :func:`bundle.inspect`.
 
     Raises:
-        InputError: the source is no pose graph.
+        InputError: the source is not a pose graph.
         OSError: the path cannot be read.
     """
     if isinstance(source, PoseGraphResult):

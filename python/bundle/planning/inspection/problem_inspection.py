@@ -123,7 +123,7 @@ class _Inspector:
         """Return the methods that apply to this problem.
 
         Raises:
-            InputError: nothing is refined.
+            InputError: no parameter is refined.
         """
         pattern = self._pattern
         if pattern.num_unknowns == 0 or pattern.num_observations == 0:

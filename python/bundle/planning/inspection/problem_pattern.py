@@ -3,10 +3,10 @@
 The unknowns are the free points p and the blocks c of camera parameters: an image's pose and
 intrinsics, or a shared camera's intrinsics (``cpp/core/model/parameter_layout.h``).
 
-    J   two rows an observation, nonzero in its point's and its image's blocks,
+    J   two rows per observation, nonzero in the blocks of its point and of its image,
     H   = J^T J, the information matrix; H_pp is block diagonal,
-    S   = H_cc - H_cp H_pp^-1 H_pc, the reduced camera system: two blocks meet if they are the
-        image's and the camera's of one image, or if some free point is seen by both.
+    S   = H_cc - H_cp H_pp^-1 H_pc, the reduced camera system: two blocks are coupled if they are
+        the pose and the intrinsics of one image, or if both observe a common free point.
 
 Nonzeros of H and S count both triangles and the diagonal; those of L, its lower triangle with the
 diagonal. Blocks count as dense.

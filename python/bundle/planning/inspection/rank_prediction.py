@@ -8,8 +8,8 @@ with t_points the terms of one process that are sums over points, w the largest 
 (``ranks.partition``, by pairs of observations), and t_first the serial work of rank 0: the linear
 solver and the constant cost. A step sends m messages of b bytes (the count that `bundle refine`
 reports). MPI pipelines large messages through trees, so their time does not depend on the number of
-processes. Of double-double sums, b_2 of the bytes, rank 0 receives one at each level of a binary
-tree. Efficiency is t(1) / (N t(N)).
+processes. b_2 of the bytes are double-double sums; rank 0 receives one such sum at each level of a
+binary tree. Efficiency is t(1) / (N t(N)).
 
 Bytes per step, for blocks (i, j) of S of h x w numbers and n columns:
 
@@ -25,10 +25,10 @@ problem, of its part of the points, and of S without fill-in. Rank 0 adds the fa
 with several processes, BAL files and binary COLMAP models are read in slices
 (``bundle.solving.slices``), and each process stores the ids of all points of a model.
 
-Scaling limit: of a step t(N) = w(N) t_points + t_first + t_messages(N) only the first term falls
-with N. Processes pay while the efficiency t(1) / (N t(N)) is at least one half, so that doubling N
-saves more time than it wastes. The limit is due to the largest of the terms that are added to N
-t(N), the time of all processes:
+Scaling limit: in a step t(N) = w(N) t_points + t_first + t_messages(N), only the first term falls
+with N. More processes pay while the efficiency t(1) / (N t(N)) is at least one half: doubling N
+then saves more time than it wastes. N t(N) is the time of all processes; the largest of its added
+terms causes the limit:
 
     imbalance   N w(N) t_points - t_points
     first       (N - 1) t_first            (N - 1 processes wait)
@@ -231,7 +231,7 @@ def _bytes_of(problem: Problem) -> int:
 
 
 PAYS = 0.5
-"""Least efficiency at which processes pay."""
+"""Smallest efficiency at which more processes pay."""
 
 _WHY = {
     "first": "all wait while rank 0 solves the reduced system",
@@ -247,8 +247,8 @@ class RankLimit:
     Attributes:
         num_processes: largest requested number that pays.
         next_num_processes: smallest requested number that does not pay; 0 if all pay.
-        reason: what wastes most of their time: "first", "messages" or "imbalance"; "" if all pay.
-        share: share of their time that this wastes, 0 to 1.
+        reason: largest waste of time: "first", "messages" or "imbalance"; "" if all pay.
+        share: share of the processes' time that this waste takes, 0 to 1.
         message: limit and reason in one sentence.
     """
 

@@ -39,7 +39,7 @@ class Rates:
         fused_pair: block product of two observations of a point.
         fused_scattered_pair: add a pair of images of a chunk to an S larger than the caches.
         ceres_step: constant cost of a step.
-        ceres_evaluation: evaluate an observation, and all else outside the linear solver.
+        ceres_evaluation: evaluate an observation, and all work outside the linear solver.
         ceres_elimination: eliminate and back-substitute an observation.
         ceres_pair: two blocks that observe a point, in kernels of fixed size.
         ceres_dynamic_pair: the same in kernels of dynamic size.

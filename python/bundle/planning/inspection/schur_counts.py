@@ -1,12 +1,12 @@
 """Textbook estimate of bundle adjustment with and without eliminating the points first.
 
-The estimate of lectures and papers, for n_c cameras of 6 unknowns, n_p points of 3 unknowns and a
-dense S. It gives orders of magnitude, not instructions: a product of m x k and k x n matrices
-counts m k n, an inverse of a 3 x 3 block 3^3, a Cholesky factorisation of n columns n^3 / 3.
+This is the estimate of lectures and papers, for n_c cameras of 6 unknowns, n_p points of 3 unknowns
+and a dense S. It gives orders of magnitude, not instructions. A product of m x k and k x n matrices
+counts m k n, the inverse of a 3 x 3 block 3^3, a Cholesky factorisation of n columns n^3 / 3.
 
     points    V_p^-1 for each point: 27 n_p
     products  W_ip V_p^-1 W_jp^T for each point p and each ordered pair of cameras (i, j) that see
-              it, both triangles of S and the diagonal, nothing shared between pairs:
+              it, both triangles of S and the diagonal, without sharing between pairs:
               6 3 3 + 6 3 6 = 162 each, d^2 of them for a point seen d times
     reduced   Cholesky of S: (6 n_c)^3 / 3
     dense     Cholesky of all 6 n_c + 3 n_p unknowns at once, for comparison

@@ -12,8 +12,8 @@ from bundle.planning.inspection.rates import FactorRate, Rates
 __all__ = ["COARSE_FACTOR_SHARE", "ceres_time", "factor_rate", "fused_time", "products_per_step"]
 
 PRODUCTS_PER_STEP, PRODUCTS_WITH_TWO_LEVELS = 200, 80
-"""Assumed products with S per step by conjugate gradients. Between 2 and 500 were measured, most of
-them in late steps; between 2 and 100 with two levels (cpp/core/prepare/choose_solver.cpp).
+"""Assumed products with S per step by conjugate gradients. Measurements range from 2 to 500,
+most of them in late steps; with two levels from 2 to 100 (cpp/core/prepare/choose_solver.cpp).
 """
 
 # Coarse system of TWO_LEVEL: seconds to form it per value of S and thread, and nnz of its factor
