@@ -1,9 +1,9 @@
 """Alignment of a reconstruction to control points, GPS or another model.
 
-Nothing is adjusted: one similarity moves all poses and points together, so all reprojection errors
-stay the same. Control points are triangulated with the cameras of the model and weighted by the
-covariances of the survey and of the triangulation; measured positions of images are weighted by
-their own.
+The model is not adjusted: one similarity moves all poses and points together, so that all
+reprojection errors stay the same. Control points are triangulated with the cameras of the model.
+Their weights contain the covariances of the survey and of the triangulation. The weights of
+measured positions of images contain the covariances of these positions only.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ __all__ = ["align"]
 
 FEWEST = 3
 LARGEST_SIGMA0 = 3.0
-"""Above this, the sigmas are too small or something is wrong, and a note says so."""
+"""Threshold of sigma0 for a note that the sigmas are too small or the data contains an error."""
 NO_WEIGHT = 1e-6
-"""Factor rho' below which a robust loss has removed a measurement."""
+"""Weight rho' below which a measurement counts as removed by the robust loss."""
 
 
 def align(
@@ -70,11 +70,11 @@ def align(
     """Align a reconstruction to control points, GPS or another model.
 
     The new frame is east, north, up in metres. Its origin is in the middle of the control points,
-    or of the positions if there are none. With ``to`` it is the frame of the other model.
+    or of the positions without control points. With ``to`` it is the frame of the other model.
 
     Args:
         problem: a Problem, the path of one, or a pycolmap.Reconstruction; not modified.
-        gcps: control points, or the path of ODM's gcp_list.txt. Only those in at least two images
+        gcps: control points, or the path of ODM's gcp_list.txt. Only points in at least two images
             of the model are used.
         gps: positions of images: the path of ODM's geo.txt, "exif", or a result of
             ``bundle.georeference`` readers. They may be used with or without control points.
@@ -87,8 +87,8 @@ def align(
         gps_sigma: metres, a number or (horizontal, vertical), for positions without their own.
         antenna: x, y, z of the antenna in the camera frame (right, down, forward), metres.
         prior_loss: robust loss of the residuals in sigmas, a loss of SolveOptions.
-        prior_loss_scale: sigmas beyond which the loss is robust; by default 2.795, which 5 % of
-            good points exceed.
+        prior_loss_scale: scale of the loss: length of a residual in sigmas beyond which the loss
+            is robust. The default is 2.795, which 5 % of good points exceed.
 
     Raises:
         InputError: a file or an argument is wrong, or the points do not determine position, scale
@@ -190,8 +190,8 @@ def _aligned_to(problem: Problem, other: Problem) -> Alignment:
             "to: expected unique image names in both models, found several images with one name"
         )
     target = other.projection_centers[there]
-    # Weights are equal, so their size is arbitrary; the variance of the scene exceeds all
-    # residuals.
+    # Weights are equal, so that their size is arbitrary. The variance of the scene is a safe
+    # choice, because it exceeds all residuals.
     variance = float(((target - target.mean(axis=0)) ** 2).sum(axis=1).mean()) or 1.0
     shared = Correspondences(
         problem.projection_centers[here], target, np.tile(variance * np.eye(3), (len(pairs), 1, 1))

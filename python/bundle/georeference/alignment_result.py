@@ -29,13 +29,13 @@ class ControlPointError:
         role: "control", "check", or "unused" (in fewer than two images of the model).
         num_images: images of the model that observe it.
         residual: (3,) model minus survey, east, north, up [m]; nan if unknown.
-        leave_one_out: (3,) the same with the model aligned without this point; for a check point
-            the residual itself; nan if the other points do not determine the alignment.
+        leave_one_out: (3,) residual if the model is aligned without this point; equal to `residual`
+            for a check point; nan if the other points do not determine the alignment.
         sigma: (3,) standard deviations of the survey [m]; nan for an unknown height.
         pixels: root mean square reprojection error of the triangulated target.
         images: name, and error in x and y [pixels], of each measurement.
         suspect: True if a gross error is likely; see ``bundle.georeference.leave_one_out``.
-        reason: reason why it is unused; "" otherwise.
+        reason: reason why the point is unused; "" if it is used.
     """
 
     name: str
@@ -50,7 +50,7 @@ class ControlPointError:
     reason: str = ""
 
     def asdict(self) -> dict[str, Any]:
-        """Return its entry in ``georeference.json``."""
+        """Return the entry of this point in ``georeference.json``."""
         return {
             "name": self.name,
             "role": self.role,
@@ -88,7 +88,7 @@ class Alignment(Displayed):
             model.
         similarity: similarity from the frame of the input to the new one.
         reference_system: reference system of the coordinates; None without one.
-        origin: origin of the local frame east, north, up; None if the new frame is another one.
+        origin: origin of the local frame east, north, up; None in the frame of another model.
         control_points: every target in the given order.
         positions: measured positions of images in the given order.
         shared_images: images of the other model, if it determined the alignment.
@@ -128,8 +128,8 @@ class Alignment(Displayed):
 
         ``similarity`` maps a point x of the input to scale * rotation @ x + translation, metres
         east, north, up of ``origin``. ``pipeline`` is PROJ's operation from longitude, latitude and
-        height to these. ``rms_enu`` belongs to the control points, to the positions if there are
-        none, or to the shared images.
+        height to these metres. ``rms_enu`` belongs to the control points; without control points,
+        to the positions or to the shared images.
         """
         kinds = ("control", "gps", "shared_images")
         counted = [kind for kind in kinds if not np.isnan(self.rms(kind)[0])]

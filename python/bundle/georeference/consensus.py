@@ -5,13 +5,13 @@ winner has the smallest h-th smallest squared residual in sigmas, h = floor(n / 
 h) points may therefore be anywhere, even a continent away, without any influence. Reweighting that
 starts from all points does not achieve this, because a single gross error rotates the whole fit.
 
-The residuals of the winner give a scale of their own, by the median 1.538 of the length of three
-Gaussian coordinates, corrected for small n,
+The residuals of the winner give an estimate of the scale. It uses the median length 1.538 of three
+Gaussian coordinates and a correction for small n,
 
     s = (1 + 5 / (n - 3)) sqrt(r2_(h)) / 1.538,
 
-but at least one sigma. Points within 2.795 s (95 % of good points) agree. Two rounds of fitting
-them and selecting anew remove the noise of the winning triple.
+but at least one sigma. Points with a residual below 2.795 s (95 % of good points) agree. Two rounds
+of fitting these points and selecting again remove the noise of the winning triple.
 """
 
 from __future__ import annotations
@@ -30,11 +30,13 @@ __all__ = ["agreeing"]
 Array = NDArray[np.float64]
 
 MOST_TRIPLES = 1000
-"""Beyond this number, triples are random. With half of the points wrong, all miss with probability
+"""Largest number of triples that are all tried; beyond it, this number of random triples is used.
+
+If half of the points are wrong, all random triples contain a wrong point with probability
 (7/8)^1000 = 1e-58.
 """
 MOST_SCORED = 1000
-"""Points that rate a triple."""
+"""Largest number of points whose residuals score a triple."""
 MEDIAN_LENGTH = 1.538172
 """Median length of a vector of three standard Gaussian coordinates."""
 
@@ -71,7 +73,8 @@ def agreeing(source: Array, target: Array, sigmas: Array) -> NDArray[np.bool_]:
 def _triples(count: int, rng: np.random.Generator) -> NDArray[np.int64]:
     if comb(count, 3) <= MOST_TRIPLES:
         return np.array(list(combinations(range(count), 3)))
-    # Three different indices each, without listing all triples: differences around the circle.
+    # Draw three different indices per triple by their differences on a circle. This avoids a list
+    # of all triples.
     first = rng.integers(count, size=MOST_TRIPLES)
     gaps = np.sort(rng.integers(count - 2, size=(MOST_TRIPLES, 2)), axis=1)
     second, third = gaps[:, 0] + 1, gaps[:, 1] + 2

@@ -38,11 +38,11 @@ class Sigma(NamedTuple):
 
 
 GCP_SIGMA = Sigma(0.02, 0.02)
-"""Default for points without their own. Both are equal: if sigmas are far too small, a smaller
-horizontal one would tilt the model to fit.
+"""Default sigma of surveyed positions. Horizontal and vertical sigmas are equal: if sigmas are far
+too small, a smaller horizontal sigma would make the fit tilt the model.
 """
 GCP_PIXEL_SIGMA = 0.5
-"""Default for measurements without their own."""
+"""Default sigma of measurements in pixels."""
 
 
 class Measurement(NamedTuple):
@@ -70,13 +70,13 @@ class GroundControlPoint:
         name: unique among the targets.
         position: (3,) x, y, z in ``reference_system``: east or longitude, north or latitude,
             height; nan for an unknown height.
-        measurements: its measurements in images: (image, x, y) or (image, x, y, sigma) each, see
+        measurements: measurements in images, each (image, x, y) or (image, x, y, sigma); see
             :class:`Measurement`. Images that are not in the model are ignored.
         sigma: standard deviation of each coordinate in metres: one number, or horizontal and
             vertical; None: default of the alignment, 0.02 m in a solve.
-        role: "control", or "check": it is compared with the model and never moves it.
+        role: "control", or "check": a check point is compared with the model and never moves it.
         reference_system: "EPSG:32632", a PROJ string or "WGS84 UTM 32N"; None: a Cartesian frame in
-            metres, which becomes that of the model.
+            metres, which becomes the frame of the model.
         loss: robust loss of the distance from ``position`` in a solve, a loss of
             :class:`bundle.SolveOptions`; an alignment has its own loss.
         loss_scale: length of the residual in sigmas beyond which the loss is robust.
@@ -117,8 +117,8 @@ def parse_sigma(name: str, value: Any) -> Sigma:
     """Return standard deviations from a number, a pair, "0.02" or "0.02/0.05".
 
     Raises:
-        InputError: the format is another, or a sigma is not positive; the message begins with the
-            name.
+        InputError: the value has another format, or a sigma is not positive; the message begins
+            with the name.
     """
     parts: Any = value
     if isinstance(value, str):
@@ -143,7 +143,7 @@ def parse_pixel_sigma(name: str, value: Any) -> float:
     """Return the standard deviation of a measurement in pixels.
 
     Raises:
-        InputError: it is out of range; the message begins with the name.
+        InputError: the value is out of range; the message begins with the name.
     """
     return number(name, value, minimum=SMALLEST, maximum=LARGEST)
 

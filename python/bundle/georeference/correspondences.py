@@ -42,7 +42,7 @@ class Correspondences:
         return len(self.source)
 
     def rows(self, chosen: NDArray[Any]) -> Correspondences:
-        """Return some of the rows."""
+        """Return the chosen rows as new correspondences."""
         return Correspondences(
             self.source[chosen],
             self.target[chosen],
@@ -53,7 +53,7 @@ class Correspondences:
 
     @staticmethod
     def joined(first: Correspondences, second: Correspondences) -> Correspondences:
-        """Return the concatenation of both."""
+        """Return the concatenation of two sets of correspondences."""
         return Correspondences(
             np.concatenate([first.source, second.source]),
             np.concatenate([first.target, second.target]),

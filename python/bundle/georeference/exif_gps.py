@@ -5,8 +5,8 @@ is in metres, with its sign in a separate tag. EXIF does not define whether it i
 above the ellipsoid, and receivers differ. It is used unchanged
 (``bundle.georeference.reference_system`` has the consequence).
 
-Pillow reads the tags of JPEG, TIFF, DNG, PNG and WebP without decoding pixels. (ExifRead, which
-does nothing else, misses those of WebP and the accuracy.)
+Pillow reads the tags of JPEG, TIFF, DNG, PNG and WebP without decoding pixels. (The package
+ExifRead cannot read tags of WebP and the tag of the accuracy.)
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ __all__ = ["read_exif_gps"]
 _GPS = 0x8825
 """Tag of the directory of GPS tags."""
 _LATITUDE, _LONGITUDE, _ALTITUDE_REFERENCE, _ALTITUDE, _POSITIONING_ERROR = 2, 4, 5, 6, 31
-"""The tags of the letters of latitude and longitude precede them."""
+"""Tags of latitude and longitude. The tag of the letter (N, S, E, W) precedes each of them."""
 _BELOW = (1, 3)
-"""Altitude references of heights below zero: of sea level, and since EXIF 3.0 of the ellipsoid."""
+"""Altitude references of negative heights: below sea level, and (EXIF 3.0) below the ellipsoid."""
 
 
 def read_exif_gps(folder: str | os.PathLike[str], names: Iterable[str]) -> GpsPositions:
     """Read the positions of images from their EXIF tags.
 
-    An image without a position is no error: it is left out, and a note counts such images. Latitude
-    and longitude 0, which receivers write without a fix, count as no position.
+    Images without a position are left out, and a note counts them. Receivers without a fix write
+    latitude and longitude 0; such images count as images without a position.
 
     Args:
         folder: folder of the images.
-        names: names of the images in the reconstruction: paths relative to the folder. If there is
-            no such file, one of that name directly in the folder is used if the choice is unique.
+        names: names of the images in the reconstruction: paths relative to the folder. If the path
+            does not exist, a file of that name directly in the folder is used if it is unique.
 
     Raises:
-        InputError: there is no such folder, or no image in it.
+        InputError: the folder does not exist, or contains none of the images.
         OSError: an image cannot be read.
     """
     root = Path(folder)
@@ -103,9 +103,9 @@ def _position(path: Path) -> tuple[float, float, float, float] | None:
         try:
             with Image.open(file) as image:
                 tags = image.getexif().get_ifd(_GPS)
-        except Exception as error:  # broken files may raise anything; they have no position
+        except Exception as error:  # broken files may raise anything; skip them
             if isinstance(error, OSError) and error.errno is not None:
-                raise  # a disk error, not the format
+                raise  # a disk error, not an error of the format
             return None
     latitude = _angle(tags, _LATITUDE, "NS", 90)
     longitude = _angle(tags, _LONGITUDE, "EW", 180)

@@ -13,7 +13,7 @@ coordinates are one target, as in ODM, labelled or not; "nan" is an unknown heig
 
 In ODM the centre of the first pixel is (0, 0): OpenSfM, which reads the list for it, normalizes x
 by (x + 0.5 - width / 2) / max(width, height) (``opensfm.features.normalized_image_coordinates``).
-Here, as in COLMAP, it is (0.5, 0.5): half a pixel is added to each coordinate.
+Here, as in COLMAP, this centre is (0.5, 0.5): half a pixel is added to each coordinate.
 
 Extensions of ODM's format, which ignores everything after the image's name: ``sigma=H[/V]``
 (metres) and ``check`` on any line of a target apply to the target, ``pixel_sigma=PX`` to the
@@ -43,7 +43,7 @@ from bundle.georeference.odm_lines import parse_number, read_lines
 __all__ = ["PIXEL_SHIFT", "read_gcp_list"]
 
 PIXEL_SHIFT = 0.5
-"""Shift from pixels whose origin is the centre of the first pixel to COLMAP's."""
+"""Shift from pixel coordinates with origin at the centre of the first pixel to COLMAP's."""
 
 CHECK = "check"
 _KEYS = ("sigma", "pixel_sigma")
@@ -66,7 +66,8 @@ def read_gcp_list(path: str | os.PathLike[str]) -> tuple[GroundControlPoint, ...
     """Read the ground control points of a file; unnamed ones become "target 1" and so on.
 
     Raises:
-        InputError: the content does not follow the format; one line with file and line.
+        InputError: the content does not follow the format; the message is one line with file and
+            line number.
         OSError: the file cannot be read.
     """
     path = as_path(path)
@@ -154,7 +155,7 @@ def _meant(key: str) -> str:
 
 
 def _name_targets(path: Path, targets: dict[tuple[str, ...], _Target]) -> None:
-    """Name the targets without a label, and refuse a label for two places."""
+    """Name the targets without a label, and refuse a label that two places have."""
     lines: dict[str, int] = {}
     for index, target in enumerate(targets.values(), start=1):
         target.name = target.name or f"target {index}"

@@ -1,9 +1,10 @@
-"""Priors of a solve from ground control points, and from GPS beside them.
+"""Priors of a solve from ground control points, optionally with GPS positions of images.
 
-Gross errors are searched twice, each time by the prediction of a point from the others through a
-similarity (``leave_one_out``). First in the model as given, which no control point has bent yet. If
-that finds none, then in the adjusted model, where its own distortions are removed. A gross error
-bends the adjusted model, so that neighbouring points would also look bad there.
+Gross errors are searched by predicting each point from the others through a similarity
+(``leave_one_out``). The first search is in the given model, which no control point has deformed
+yet. If it finds no gross error, a second search is in the adjusted model, whose own distortions are
+removed. The adjusted model is not searched first, because a gross error deforms it, so that
+neighbouring points would look bad as well.
 """
 
 from __future__ import annotations
@@ -51,8 +52,8 @@ __all__ = ["GcpPriors", "gcp_priors"]
 Array = NDArray[np.float64]
 
 LEVEL_AFTER = 1e-3
-"""Level of the test of the adjusted model. Covariances do not contain correlated errors of the
-cameras, which bend a model between and beyond its control points.
+"""Significance level of the test in the adjusted model. It allows for correlated errors of the
+cameras, which bend a model between and beyond its control points: covariances do not contain them.
 """
 
 
@@ -65,11 +66,11 @@ class GcpPriors(Displayed):
             control and check points.
         origin: origin of their frame east, north, up [m]; None for Cartesian coordinates.
         reference_system: reference system of the given coordinates; None if Cartesian.
-        left_out: by name, residual (3,) of each point in the given problem if all others place it,
-            east, north, up [m]; nan if they cannot.
+        left_out: by name, residual (3,) of each point in the given problem, aligned by all other
+            points, east, north, up [m]; nan if they do not determine the alignment.
         suspects: names of points for which this residual is too large.
         notes: sentences on ignored, inexact or suspicious data.
-        gps: positions of the images; None without.
+        gps: positions of the images; None without positions.
     """
 
     priors: tuple[PositionPrior | GroundControlPoint, ...]
@@ -112,11 +113,11 @@ class GcpPriors(Displayed):
         )
 
     def _judged(self, point: ControlPointError, after: Array | None) -> ControlPointError:
-        """Return a point with its prediction from the others.
+        """Return a point with its leave-one-out residual.
 
         Args:
             point: point after the solve.
-            after: its prediction in the adjusted model, if that makes it a suspect.
+            after: prediction of the point in the adjusted model, if it makes the point a suspect.
         """
         if after is not None:
             return replace(point, leave_one_out=as_triple(after), suspect=True)
@@ -124,7 +125,7 @@ class GcpPriors(Displayed):
         return replace(point, leave_one_out=self.left_out[point.name], suspect=suspect)
 
     def _found_after(self, problem: Problem) -> list[Array | None]:
-        """Return each suspect's prediction by the others in the adjusted model, else None."""
+        """Return for each suspect its prediction in the adjusted model, None for other points."""
         points = self.control_points
         if self.suspects:
             return [None] * len(points)
@@ -174,14 +175,14 @@ def gcp_priors(
     Only points in at least two images of the problem are used; notes list the others.
 
     Args:
-        problem: problem whose images observe them.
+        problem: problem whose images observe the control points.
         gcps: control points, or the path of OpenDroneMap's gcp_list.txt.
         gps: as in :func:`gps_priors`; None: control points alone.
         images: folder of the images, for ``gps="exif"``.
         gcp_sigma: metres, a number or (horizontal, vertical), for points without their own.
         gcp_pixel_sigma: pixels, for measurements without their own.
         check_points: names of additional check points, which must not influence the solve.
-        gps_sigma: metres, likewise, for positions without their own.
+        gps_sigma: metres, a number or (horizontal, vertical), for positions without their own.
         antenna: (3,) position of the receiver in the camera frame, metres.
         prior_loss: robust loss of each control point's and each position's residual.
         prior_loss_scale: sigmas beyond which the loss is robust.

@@ -9,9 +9,9 @@ The first line is the coordinate reference system, every other line an image::
 
 Numbers are identified by position, as in OpenDroneMap: accuracies follow the three angles, and an
 incomplete group at the end of a line does not belong to the format. x is east or longitude, y north
-or latitude; 0 and 0 is a receiver without a fix. Names with blanks are in quotes, or between tabs
-if all fields are. Angles are checked and not used: they have no effect on a position, and the
-images determine the attitude better.
+or latitude; 0 and 0 mean a receiver without a fix. A name with blanks is in quotes, or between tabs
+if tabs separate all fields. Angles are checked and not used: they have no effect on a position, and
+the images determine the attitude better.
 
 Source: https://docs.opendronemap.org/geo/ and ``opendm/geo.py`` of OpenDroneMap.
 """
@@ -37,9 +37,9 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
     """Read the positions of images from OpenDroneMap's geo.txt.
 
     Raises:
-        InputError: an unknown reference system, a line with missing or non-numeric values, an image
-            with two lines, or a position outside the system's area; one line with file, line,
-            expected and found.
+        InputError: the reference system is unknown, a line has missing or non-numeric values, an
+            image has two lines, or a position is outside the system's area. The message is one
+            line with file, line number, expected and found.
         OSError: the file cannot be read.
     """
     system, lines = read_lines(path, name_at=0)

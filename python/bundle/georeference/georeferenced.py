@@ -15,7 +15,7 @@ from bundle.model.problem import Problem
 __all__ = ["Georeference", "PositionError", "Solved", "origin_text"]
 
 LARGE = 3.0
-"""Sigmas that 3 % of good positions exceed."""
+"""Length of a residual in sigmas that 3 % of good positions exceed."""
 
 
 class Solved(Protocol):
@@ -40,10 +40,10 @@ class PositionError:
 
     Attributes:
         name: name of the image.
-        residual: (3,) position in the model minus measured position, east, north, up [m]; nan where
-            there is no measurement.
+        residual: (3,) position in the model minus measured position, east, north, up [m]; nan
+            without a measurement.
         sigmas: length of the residual in standard deviations; nan for an image without a position.
-        used: True if it has a prior.
+        used: True if the image has a prior.
     """
 
     name: str
@@ -77,7 +77,7 @@ class Georeference(Displayed):
     def rms(self) -> tuple[float, float, float]:
         """Root mean square of the residuals in use, east, north, up [m].
 
-        They belong to the control points, or to the used positions of images if there are none.
+        They belong to the control points; without control points, to the used positions of images.
         """
         return self.rms_of("control" if self.control_points else "gps")
 
@@ -107,7 +107,7 @@ class Georeference(Displayed):
 
         ``similarity`` maps a point x of the input to scale * rotation @ x + translation, metres
         east, north, up of ``origin``. ``pipeline`` is PROJ's operation from longitude, latitude and
-        height on WGS84 to these.
+        height on WGS84 to these metres.
         """
         return {
             "reference_system": self.reference_system,

@@ -31,10 +31,10 @@ class Frame:
     Attributes:
         reference_system: reference system of the coordinates, or None if they are Cartesian.
         origin: origin of east, north, up: in the middle of the control points (check points have no
-            influence), or of the positions if there are none.
+            influence), or of the positions without control points.
         control_points: (n, 3) positions of the targets; up is nan if unknown.
         positions: (m, 3) positions of images.
-        notes: inexact data.
+        notes: sentences on inexact data.
 
     Raises:
         InputError: some coordinates have a reference system and others do not.
@@ -76,10 +76,10 @@ class Frame:
 
 
 def given_control_points(gcps: Any) -> tuple[GroundControlPoint, ...]:
-    """Return control points, those of a file, or an empty list for None.
+    """Return control points from objects or from a file; an empty list for None.
 
     Raises:
-        InputError: these are no control points, or names repeat.
+        InputError: the argument does not contain control points, or names repeat.
         OSError: the file cannot be read.
     """
     if gcps is None:
@@ -108,7 +108,7 @@ def with_check_points(
     """Return the points with some of them changed to check points.
 
     Raises:
-        InputError: there is no point of a name.
+        InputError: a name is not the name of a point.
     """
     if isinstance(names, str):
         raise InputError(f"check_points: expected a sequence of names, found {brief(names)}")
@@ -128,7 +128,7 @@ def given_gps(
     images: str | os.PathLike[str] | None,
     problem: Problem,
 ) -> GpsPositions | None:
-    """Return positions, those of a file or of the images' EXIF tags, or None for None.
+    """Return positions from an object, a file or the images' EXIF tags; None for None.
 
     Raises:
         InputError: a file or an argument is wrong.

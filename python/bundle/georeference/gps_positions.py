@@ -38,8 +38,8 @@ class GpsPositions(Displayed):
         names: names of the n images.
         geodetic: (n, 3) latitude, longitude [degrees] and height [m] on WGS84; the height is nan if
             unknown.
-        accuracy: (n, 2) horizontal and vertical standard deviation [m], nan if the source has none.
-            The horizontal one applies to east and to north.
+        accuracy: (n, 2) horizontal and vertical standard deviation [m], nan if unknown. The
+            horizontal one applies to east and to north.
         reference_system: reference system of the given coordinates.
         source: name of the source for messages.
         notes: sentences on ignored or inexact data.
@@ -72,7 +72,7 @@ class GpsPositions(Displayed):
 
 
 def with_fix(positions: GpsPositions) -> GpsPositions:
-    """Return the positions without those at latitude and longitude 0: receivers without a fix."""
+    """Remove positions at latitude and longitude 0, which receivers write without a fix."""
     fixed = ~(np.asarray(positions.geodetic)[:, :2] == 0).all(axis=1)
     if fixed.all():
         return positions
@@ -87,7 +87,7 @@ def with_fix(positions: GpsPositions) -> GpsPositions:
 
 
 def no_fix_notes(names: Sequence[str], source: str) -> tuple[str, ...]:
-    """Return a sentence on images whose position is 0 0, or none."""
+    """Return a sentence on images whose position is 0 0; an empty tuple without such images."""
     if not names:
         return ()
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
@@ -158,7 +158,7 @@ def unmatched_notes(
 
 
 def case_notes(index: ImageIndex, names: Iterable[str]) -> list[str]:
-    """Return a sentence on unknown names that differ from images' in case only, or none."""
+    """Return a sentence on unknown names that differ from image names in case only, if any."""
     pairs = [(name, index.differing_in_case(name)) for name in dict.fromkeys(names)]
     alike = [(name, other) for name, other in pairs if other is not None]
     if not alike:

@@ -28,7 +28,7 @@ from bundle.model.problem import Problem
 __all__ = ["GPS_SIGMA", "GpsPriors", "check_settings", "gps_priors"]
 
 GPS_SIGMA = (2.0, 5.0)
-"""Metres, horizontal and vertical: a receiver without corrections under open sky."""
+"""Default sigma, horizontal and vertical, in metres: a receiver without corrections, open sky."""
 FEWEST = 3
 
 
@@ -113,7 +113,7 @@ def gps_priors(
         OSError: a path cannot be read.
     """
     default = parse_sigma("gps_sigma", gps_sigma)
-    # Refuse wrong settings first, whatever the positions are.
+    # Refuse wrong settings first, independently of the positions.
     settings: dict[str, Any] = {"loss": prior_loss, "loss_scale": prior_loss_scale}
     check_settings(antenna, settings)
     index = ImageIndex(problem, "gps: ")
@@ -125,7 +125,7 @@ def gps_priors(
     if len(chosen) < fewest:
         raise too_few(problem, positions, len(chosen), fewest)
     notes: tuple[str, ...] = ()
-    if fewest >= FEWEST:  # only then they place the model alone
+    if fewest >= FEWEST:  # the positions must then determine the alignment alone
         survey = Survey(
             problem,
             (),
@@ -136,7 +136,7 @@ def gps_priors(
             antenna=np.asarray(antenna, dtype=np.float64),
         )
         notes = check_readings(survey)
-        try:  # test if they determine it
+        try:  # check that they determine the alignment
             robust_similarity(survey.measured, survey.what)
         except InputError as error:
             raise InputError(f"gps: {error}") from None
@@ -160,7 +160,7 @@ def gps_priors(
 
 
 def check_settings(antenna: ArrayLike, settings: dict[str, Any]) -> None:
-    """Refuse settings that no prior accepts, under the names of the arguments."""
+    """Raise an InputError with the argument's name for settings that no prior accepts."""
     try:
         PositionPrior(0, (0.0, 0.0, 0.0), 1.0, lever_arm=antenna, **settings)
     except InputError as error:

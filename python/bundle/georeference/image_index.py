@@ -33,11 +33,11 @@ class ImageIndex:
             self._folded.setdefault(last_part(name).casefold(), index)
 
     def find(self, name: str, place: str = "") -> int | None:
-        """Return the index of an image, None if the model has none of this name.
+        """Return the index of an image; None if the model has no image of this name.
 
         Args:
             name: name of the image.
-            place: beginning of messages; by default that of the constructor.
+            place: beginning of messages; by default the argument of the constructor.
 
         Raises:
             InputError: several images match.

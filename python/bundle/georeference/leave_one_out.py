@@ -1,23 +1,23 @@
 """Leave-one-out residuals of surveyed points, and detection of gross errors.
 
-The similarity without point i predicts it: d_i is the prediction minus the survey, and its
-covariance C_i is that of the survey, of the point in the model and of the similarity together. d_i
-is independent of the fit. For normal errors, with a factor sigma0 on all sigmas that is estimated
-from the residuals of the others with nu degrees of freedom,
+The similarity fitted without point i predicts this point. d_i is the prediction minus the survey.
+Its covariance C_i is the sum of the covariances of the survey, of the point in the model and of the
+similarity. d_i is independent of the fit. Let sigma0 be a common factor on all sigmas, estimated
+from the residuals of the other points with nu degrees of freedom. For normal errors,
 
     east and north:  F = d^T C^-1 d / (2 sigma0^2)   has the F distribution with 2 and nu,
     up:              t = d / (sigma0 sqrt(C))        has Student's with nu degrees of freedom
 
 (deletion residuals: Belsley, Kuh and Welsch 1980; data snooping in geodesy: Baarda 1968). sigma0 is
 estimated separately for east and north and for up, because the ratio of two stated sigmas is seldom
-right. It is at least 1, so that errors within the stated sigmas make no suspect; where the estimate
-is smaller, nu is infinite.
+correct. It is at least 1, so that errors within the stated sigmas do not make a point a suspect. If
+the estimate is below 1, nu is infinite.
 
 A point is a suspect if the probability of one of its statistics, multiplied by the number of
-statistics (Bonferroni), is below ``LEVEL``: a block without gross errors gets a suspect once in
-twenty times. The most improbable point is removed, and the others are tested again without it,
-until no suspect is left. Otherwise a gross error would hide a smaller one, and would make its
-neighbours look bad.
+statistics (Bonferroni), is below ``LEVEL``: one in twenty blocks without gross errors gets a
+suspect. The most improbable point is removed, and the others are tested again without it, until no
+suspect remains. Otherwise a gross error would hide a smaller error, and would make neighbouring
+points look bad.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ LEVEL = 0.05
 """Probability that a block without gross errors gets a suspect."""
 
 FEWEST = 3
-"""Fewest points for a similarity."""
+"""Smallest number of points for a similarity."""
 
 NODES = 60
 MOST_FREEDOM = 1000
-"""Above this, Student's distribution is normal to four digits."""
+"""Degrees of freedom above which Student's distribution is normal to four digits."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class LeaveOneOut:
     Attributes:
         residual: (n, 3) prediction from the others minus survey, east, north, up [m]; nan if the
             others do not determine the model, and for unknown heights.
-        sigma: (n, 3) standard deviation of each, from the stated sigmas.
+        sigma: (n, 3) standard deviation of each residual, from the stated sigmas.
         suspect: (n,) True if a gross error is likely.
     """
 
@@ -75,7 +75,7 @@ def leave_one_out(
         points: all points.
         control: (n,) mask of points that determine the similarity.
         tested: (n,) mask of points to predict.
-        level: probability of a suspect without a gross error.
+        level: probability that a block without gross errors gets a suspect.
     """
     count = len(points)
     residual, sigma = np.full((count, 3), np.nan), np.full((count, 3), np.nan)

@@ -7,9 +7,9 @@ and longitude lambda, PROJ's ``topocentric`` step gives
     [n] = [-sin(phi) cos(lambda)  -sin(phi) sin(lambda)   cos(phi)  ] (X - X0)
     [u]   [ cos(phi) cos(lambda)   cos(phi) sin(lambda)   sin(phi)  ]
 
-(EPSG method 9837). It is a rigid motion: distances are those of space, in metres, anywhere. Up is
-the normal of the ellipsoid at the origin only; at a distance d, a point on the ellipsoid is d^2 /
-2R below zero, 8 cm at one kilometre.
+(EPSG method 9837). It is a rigid motion, so that distances are distances in space, in metres,
+everywhere. The up axis is the normal of the ellipsoid at the origin only. At a distance d, a point
+on the ellipsoid is d^2 / 2R below zero, 8 cm at one kilometre.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = ["LocalFrame"]
 Array = NDArray[np.float64]
 
 LARGEST_HEIGHT = 1e9
-"""Metres; beyond the moon, coordinates lose micrometres."""
+"""Largest height in metres, beyond the moon; above it, coordinates lose micrometres."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class LocalFrame:
 
         Args:
             geodetic: (n, 3) latitude, longitude [degrees], height [m]. If the height is nan, east
-                and north are those at the height of the origin, and up is nan.
+                and north are computed at the height of the origin, and up is nan.
         """
         latitude, longitude, height = np.asarray(geodetic, dtype=np.float64).reshape(-1, 3).T
         unknown = np.isnan(height)

@@ -34,7 +34,7 @@ def read_lines(
         name_at: index of the word that is the name of an image.
 
     Raises:
-        InputError: the file is no text, or its first line names no reference system.
+        InputError: the file is not text, or its first line does not name a reference system.
         OSError: the file cannot be read.
     """
     lines = [
@@ -75,7 +75,7 @@ def parse_number(place: str, name: str, word: str, *, unknown: bool = False) -> 
         unknown: allow nan for unknown values.
 
     Raises:
-        InputError: it is not numeric, or not finite.
+        InputError: the word is not numeric, or not finite.
     """
     try:
         value = float(word)

@@ -7,12 +7,13 @@ the upward axis a of its image (minus y),
 
     uprightness = median of a_up - median of d_up
 
-is about 1 for nadir images (0 and -1), for images of a facade (1 and 0) and more between, and the
-negative if upside down. Cameras that look straight up at a ceiling also have -1 and are right.
-Coordinates are therefore refused only if another interpretation fits no worse and is upright, or
-fits many times better. The criterion is the residual in sigmas that most places do not exceed, the
-h-th of n with h = n / 2 + 2, about the similarity that most of them agree on: some may be anywhere,
-and three fit anything.
+is about 1 for nadir images (0 and -1) and for images of a facade (1 and 0), and larger for oblique
+images. If the model is upside down, it has the opposite sign. Cameras that look straight up at a
+ceiling also have -1 although they are correct. Coordinates are therefore refused in two cases only:
+another interpretation is upright and does not fit worse, or another interpretation fits many times
+better. The criterion of a fit is a robust residual, since some places may have gross errors and any
+three places fit a similarity well. It is the h-th smallest of n residuals in sigmas, h = n / 2 + 2,
+about the similarity on which most places agree.
 """
 
 from __future__ import annotations
@@ -34,26 +35,26 @@ from bundle.georeference.similarity import Similarity
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 
-if TYPE_CHECKING:  # survey calls check_readings
+if TYPE_CHECKING:  # avoids a cycle: survey calls check_readings
     from bundle.georeference.survey import Survey
 
 __all__ = ["check_readings", "uprightness"]
 
 UPRIGHT = 0.5
-"""Above this a model is upright, below minus this it is upside down."""
+"""Uprightness above which a model is upright; below its negative, the model is upside down."""
 NO_WORSE = 1.2
-"""Ratio of residuals up to which another interpretation fits no worse."""
+"""Largest ratio of residuals for which another interpretation counts as not worse."""
 BETTER = 3.0
-"""Ratio of residuals from which another interpretation must be meant."""
+"""Smallest ratio of residuals that proves another interpretation."""
 TINY = 0.05
-"""Residuals in sigmas that need no explanation."""
+"""Residual in sigmas below which a better fit is not significant."""
 SMALL = 0.5
-"""Residuals in sigmas below which no interpretation is worse than another."""
+"""Residual in sigmas below which all interpretations count as equally good."""
 FEWEST = 7
-"""Fewest places for which a better fit is no coincidence."""
+"""Smallest number of places for which a better fit is not a coincidence."""
 FOOT = 0.3048
 MOST_OBSERVATIONS = 1_000_000
-"""Most observations that are read to determine the vertical."""
+"""Largest number of observations in use to determine the vertical."""
 EXCHANGED = "columns 1 and 2 fit when exchanged"
 FEET = "heights fit as feet"
 
@@ -62,10 +63,10 @@ Readings = tuple[tuple[GroundControlPoint, ...], GpsPositions | None]
 
 
 def check_readings(survey: Survey) -> tuple[str, ...]:
-    """Return a sentence on a model that is upside down, or none.
+    """Return a sentence if the model is upside down; otherwise an empty tuple.
 
     Raises:
-        InputError: another interpretation of the coordinates is meant.
+        InputError: another interpretation of the coordinates is more likely.
     """
     if survey.frame.origin is None:
         return ()
@@ -82,7 +83,7 @@ def check_readings(survey: Survey) -> tuple[str, ...]:
         turned = upright < -UPRIGHT and its_upright > UPRIGHT and what == EXCHANGED
         better = residual > TINY and residual > BETTER * its_residual and len(given) >= FEWEST
         if better and what == FEET:
-            # Heights that are noise fit the better the smaller they are.
+            # Scaling down heights always improves the fit if they are noise.
             level = survey.decisive_places(*_scaled(points, positions, 0.0))
             if level is not None:
                 at_one_height = _judged(survey.problem, level, survey.what)[0]
@@ -103,7 +104,7 @@ def check_readings(survey: Survey) -> tuple[str, ...]:
 def uprightness(problem: Problem, similarity: Similarity) -> float:
     """Return the uprightness of a problem's images after a similarity; nan without points.
 
-    It is about 1 if upright, -1 if upside down.
+    The uprightness is about 1 for an upright model, -1 for one that is upside down.
     """
     up = similarity.rotation[2]  # in the frame of the problem
     some = slice(None, None, max(1, problem.num_observations // MOST_OBSERVATIONS))
@@ -119,7 +120,7 @@ def uprightness(problem: Problem, similarity: Similarity) -> float:
 
 
 def _most(lengths: Array) -> float:
-    """Return the length that most of them do not exceed."""
+    """Return the length that most of the lengths do not exceed."""
     rank = min(len(lengths) // 2 + 2, len(lengths)) - 1
     return float(np.sort(lengths)[rank])
 
@@ -141,7 +142,7 @@ def _judged(problem: Problem, places: Correspondences, what: str) -> tuple[Array
 
 
 def _readings(survey: Survey) -> Iterator[tuple[str, str, *Readings]]:
-    """Return other interpretations: whose coordinates, description, and the coordinates."""
+    """Return other interpretations: the kind of data, a description, and the coordinates."""
     points, positions = survey.points, survey.positions
     by_hand = positions if positions is not None and not positions.is_exif else None
     for what in (EXCHANGED, FEET):
@@ -159,7 +160,7 @@ def _readings(survey: Survey) -> Iterator[tuple[str, str, *Readings]]:
 
 
 def _exchanged_points(points: tuple[GroundControlPoint, ...]) -> tuple[GroundControlPoint, ...]:
-    """Return points with x and y swapped; none if they have no place in their system."""
+    """Return points with x and y swapped; an empty tuple if these are invalid in their system."""
     exchanged = []
     for point in points:
         x, y, z = point.position
@@ -181,7 +182,7 @@ def _exchanged_positions(positions: GpsPositions | None) -> GpsPositions | None:
 def _scaled(
     points: tuple[GroundControlPoint, ...], positions: GpsPositions | None, factor: float
 ) -> Readings:
-    """Return both with scaled heights."""
+    """Return control points and positions with scaled heights."""
     of_points = (
         replace(point, position=(*point.position[:2], factor * point.position[2]))
         for point in points

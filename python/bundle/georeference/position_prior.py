@@ -5,9 +5,9 @@ position, the prior costs
 
     1/2 rho(r^T r),  r = L^-1 (c + R^T a - p),  Sigma = L L^T
 
-beside the reprojection errors, whose unit is one pixel: the cost of a solve is 1/2 sum (e / 1 px)^2
-+ 1/2 sum rho(r^T r). An unknown axis has a sigma so large that its share of cost, gradient and
-Hessian is zero in double precision.
+in addition to the cost of reprojection errors, whose sigma is one pixel. The cost of a solve is
+1/2 sum (e / 1 px)^2 + 1/2 sum rho(r^T r). An axis without a measurement has a very large sigma: its
+contribution to cost, gradient and Hessian is zero in double precision.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = ["PositionPrior"]
 Array = NDArray[np.float64]
 
 UNKNOWN = 1e100
-"""Standard deviation whose inverse square is negligible beside any other number here."""
+"""Standard deviation whose inverse square is negligible in every sum of this module."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,9 +42,9 @@ class PositionPrior(Displayed):
     Attributes:
         image: id or name of the image.
         position: (3,) position of the projection centre, or of the antenna, in the length unit of
-            ``sigma``. The third coordinate may be nan: then only the horizontal position counts.
-        sigma: standard deviation: one number, (horizontal, vertical), or one per axis. Infinite:
-            the axis does not count. Exactly one of this and ``covariance`` is given.
+            ``sigma``. If the third coordinate is nan, only the horizontal position counts.
+        sigma: standard deviation: one number, (horizontal, vertical), or one per axis. An axis with
+            an infinite sigma does not count. Give either ``sigma`` or ``covariance``.
         covariance: (3, 3) symmetric positive definite, in squared length units.
         lever_arm: (3,) position of the antenna in the camera frame (x right, y down, z forward), in
             the same length unit.

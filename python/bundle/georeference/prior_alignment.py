@@ -1,9 +1,9 @@
-"""A problem moved to where priors of its images' positions say that it is.
+"""Alignment of a problem to priors of its images' positions.
 
-A reconstruction stands in a frame of its own. From there a solve with priors would have to turn,
-scale and carry the whole model by thousands of sigmas, which a trust region does in small steps if
-at all. So it starts from the similarity that the positions determine, found robustly; the minimum
-does not depend on it.
+A reconstruction has an arbitrary frame. A solve with priors that started there would have to
+rotate, scale and move the entire model by thousands of sigmas. A trust region does this in small
+steps, if it succeeds. Therefore the problem is first moved by the similarity that the positions
+determine robustly. The minimum does not depend on this motion.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ __all__ = ["ProblemPriors", "robust_similarity"]
 Array = NDArray[np.float64]
 
 NOT_COUNTING = 1e50
-"""A standard deviation beyond which a coordinate is as good as unknown."""
+"""Standard deviation beyond which a coordinate counts as unknown."""
 
 
 @dataclass(frozen=True)
 class ProblemPriors:
-    """Priors with the images of a problem that they are about.
+    """Priors of image positions, and their images in a problem.
 
     Attributes:
-        priors: in the order given.
+        priors: priors in the order given.
         rows: (n,) index of each prior's image.
         image_ids: n ids of these images.
     """
@@ -52,10 +52,10 @@ class ProblemPriors:
 
     @staticmethod
     def make(problem: Problem, priors: Iterable[PositionPrior]) -> ProblemPriors:
-        """Find the images.
+        """Find the image of each prior.
 
         Raises:
-            InputError: these are no priors, an image is not in the problem, its name is not
+            InputError: an entry is not a prior, an image is not in the problem, its name is not
                 unique, or two priors have the same image.
         """
         given = _listed(priors)
@@ -94,7 +94,7 @@ class ProblemPriors:
         ]
 
     def residuals(self, problem: Problem) -> Array:
-        """Return (n, 3) position in the problem minus measured position; nan where unknown."""
+        """Return (n, 3) positions in the problem minus measured positions; nan if unknown."""
         if not self.priors:
             return np.zeros((0, 3))
         antennas = problem.projection_centers[self.rows] + self._levers(problem)
@@ -107,12 +107,12 @@ class ProblemPriors:
         return np.array([np.linalg.norm(prior.whiten(row)) for prior, row in pairs])
 
     def align(self, problem: Problem) -> Similarity:
-        """Return the similarity to where the priors say that the problem is.
+        """Return the similarity from the frame of the problem to the frame of the priors.
 
         See :func:`robust_similarity`.
 
         Raises:
-            InputError: fewer than three positions, or they lie on one line.
+            InputError: there are fewer than three positions, or they lie on one line.
         """
         if len(self.priors) < 3:
             raise InputError(
@@ -122,7 +122,7 @@ class ProblemPriors:
         return robust_similarity(self.correspondences(problem), "positions of images")
 
     def correspondences(self, problem: Problem) -> Correspondences:
-        """Return where images are in the problem and by the priors; up is nan where unknown."""
+        """Return positions of images in the problem and in the priors; up is nan if unknown."""
         if not self.priors:
             return Correspondences(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
         target = self._positions()
@@ -133,7 +133,7 @@ class ProblemPriors:
         return Correspondences(source, target, covariance, offset=self._levers(problem))
 
     def aligned(self, problem: Problem) -> tuple[Problem, Similarity]:
-        """Return the problem in its place, and the similarity; see :meth:`align`."""
+        """Return the problem in the frame of the priors, and the similarity of :meth:`align`."""
         similarity = self.align(problem)
         return moved(problem, similarity), similarity
 
@@ -141,7 +141,7 @@ class ProblemPriors:
         return np.array([prior.position for prior in self.priors], dtype=np.float64)
 
     def _levers(self, problem: Problem) -> Array:
-        """Return (n, 3) from camera to antenna along the axes of the world."""
+        """Return the (n, 3) vectors from camera to antenna along the axes of the world."""
         rotations = rotation_matrices(problem.cam_from_world[self.rows, :4])
         levers = np.array([prior.lever_arm for prior in self.priors], dtype=np.float64)
         along: Array = np.einsum("nji,nj->ni", rotations, levers)
@@ -152,14 +152,14 @@ def robust_similarity(points: Correspondences, what: str) -> Similarity:
     """Return the similarity that most of the points agree on.
 
     Points that contradict the majority do not count. With fewer than three known heights, or
-    heights that leave the tilt open, all are taken to be at one height.
+    heights that do not determine the tilt, all points are assumed to have one height.
 
     Args:
-        points: at least three.
-        what: they are, for messages.
+        points: at least three points.
+        what: description of the points for messages.
 
     Raises:
-        InputError: they lie on one line.
+        InputError: the points lie on one line.
     """
     target, covariance = points.target, points.target_covariance.copy()
     unknown = np.isnan(target[:, 2])

@@ -1,23 +1,24 @@
 """Coordinate reference systems of files, their transformation to WGS84 by PROJ, and area of use.
 
-All coordinates are transformed to latitude, longitude and height on WGS84, never from one
-projection to another, and from there into a local frame (``bundle.georeference.local_frame``),
-because projected coordinates are no Euclidean space. A UTM map scales its central meridian by
-0.9996, 40 cm in a kilometre, and rotates north by the convergence of meridians.
+All coordinates are transformed to latitude, longitude and height on WGS84, and from there into a
+local frame (``bundle.georeference.local_frame``). They are never transformed from one projection to
+another, because projected coordinates are not a Euclidean space. A UTM map scales its central
+meridian by 0.9996, 40 cm in a kilometre, and rotates north by the convergence of meridians.
 
 Heights are treated separately. If a system has a vertical axis (EPSG:4979, EPSG:7423,
 EPSG:32632+5773), PROJ transforms it. Otherwise (EPSG:32632, EPSG:4326), the third number of a file
-is used unchanged as metres above the WGS84 ellipsoid: heights above sea level are wrong by the
-geoid undulation, up to 100 m, which is nearly constant over a survey and shifts it as a whole.
+is used unchanged as metres above the WGS84 ellipsoid. Heights above sea level then have an error:
+the geoid undulation, up to 100 m. It is nearly constant over a survey, so that it shifts all points
+equally.
 
 If most coordinates of a file are outside the system's area, the numbers usually have another
 meaning: swapped columns, degrees, or the zone of the other hemisphere. Each is tried.
 
 The area of use of a system comes from PROJ's database.
 
-Coordinates outside of it are rarely right, but some are: national surveys use one UTM zone for a
-wider country (EPSG:25833 in Norway, 13 degrees beyond). Such coordinates get a note. They are
-refused if another interpretation is within the area, or if they are too far away.
+Coordinates outside the area are rarely correct. There are exceptions: some national surveys use one
+UTM zone for a wider country (EPSG:25833 in Norway, up to 13 degrees outside). Such coordinates get
+a note. They are refused if another interpretation is within the area, or if they are too far away.
 """
 
 from __future__ import annotations
@@ -44,11 +45,11 @@ __all__ = ["FARTHEST", "MARGIN", "SURE", "WGS84", "AreaOfUse", "ReferenceSystem"
 Array = NDArray[np.float64]
 
 MARGIN = 1.0
-"""Degrees outside of the area that need no note."""
+"""Largest distance from the area, in degrees, without a note."""
 FARTHEST = 20.0
-"""Degrees outside of the area from which no coordinates can be right."""
+"""Distance from the area, in degrees, from which coordinates are refused."""
 SURE = 70
-"""Least confidence of PROJ, in per cent, to identify a text without a code with a system of its
+"""Smallest confidence of PROJ, in percent, to match a text without a code to a system of its
 database.
 """
 
@@ -82,7 +83,7 @@ class AreaOfUse:
         return None if area is None else AreaOfUse(*area.bounds)
 
     def beyond(self, geodetic: Array) -> Array:
-        """Return by how many degrees (n, 2 or more) latitudes and longitudes are outside."""
+        """Return the distance in degrees of (n, 2 or more) latitudes and longitudes to the area."""
         latitude, longitude = geodetic[:, 0], geodetic[:, 1]
         width = (self.east - self.west) % 360 or 360.0
         from_west = (longitude - self.west) % 360
@@ -108,8 +109,8 @@ class ReferenceSystem:
             "WGS84 UTM 32N", or "WGS84" for longitude and latitude.
 
     Raises:
-        InputError: the name has none of these forms, PROJ does not know it, or it has no horizontal
-            coordinates.
+        InputError: the name has another form, is unknown to PROJ, or its system does not have
+            horizontal coordinates.
     """
 
     name: str
@@ -119,7 +120,7 @@ class ReferenceSystem:
 
     @property
     def has_height(self) -> bool:
-        """True if the third coordinate belongs to the system."""
+        """True if the system defines the third coordinate."""
         return len(self._crs.axis_info) == 3
 
     @property
@@ -141,7 +142,7 @@ class ReferenceSystem:
             places: name of each row for messages; "position 0" and so on by default.
 
         Raises:
-            InputError: a coordinate has no place on the map, or most are outside the system's area.
+            InputError: a coordinate cannot be transformed, or most are outside the system's area.
         """
         given = np.asarray(coordinates, dtype=np.float64).reshape(-1, 3)
         geodetic = self._transformed(given)
@@ -162,7 +163,7 @@ class ReferenceSystem:
         )
 
     def area_notes(self, geodetic: NDArray[np.float64]) -> tuple[str, ...]:
-        """Return a sentence on places outside of the system's area of use, or none."""
+        """Return a sentence on places outside the system's area of use, if there are any."""
         outside = int((self._beyond(geodetic) > MARGIN).sum())
         if not outside:
             return ()
@@ -181,7 +182,7 @@ class ReferenceSystem:
         return zero
 
     def exchanged(self, geodetic: ArrayLike) -> NDArray[np.float64] | None:
-        """Return places with the first two coordinates swapped; None if they have no place."""
+        """Return places with the first two coordinates swapped; None if these are invalid."""
         places = np.asarray(geodetic, dtype=np.float64).reshape(-1, 3)
         transformer, _ = self._transformer
         if self._crs.is_geocentric:
@@ -218,14 +219,14 @@ class ReferenceSystem:
         return np.zeros(len(geodetic)) if self._area is None else self._area.beyond(geodetic)
 
     def _readable(self, given: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return the places of coordinates; None if most are outside of the area."""
+        """Return the places of coordinates; None if most of them are outside the area."""
         geodetic = self._transformed(given)
         if not _is_on_earth(geodetic).all() or np.median(self._beyond(geodetic)) > MARGIN:
             return None
         return geodetic
 
     def _meant(self, given: NDArray[np.float64]) -> str:
-        """Return another interpretation of coordinates outside of the area, or ""."""
+        """Return a likely interpretation of coordinates outside the area, or ""."""
         if self._crs.is_geocentric:
             return ""
         if self._crs.is_projected and (np.abs(given[:, :2]) <= [180, 180]).all():
@@ -268,7 +269,7 @@ class ReferenceSystem:
 
     @cached_property
     def _transformer(self) -> tuple[Transformer, bool]:
-        """Return the transformation to WGS84, and whether it includes all differences of datums."""
+        """Return the transformation to WGS84, and True if it includes all datum shifts."""
         import pyproj  # start-up: loads slowly
 
         target = pyproj.CRS.from_epsg(4979 if self.has_height else 4326)
@@ -302,7 +303,7 @@ def _definition(name: str) -> str:
     """Return a definition for PROJ.
 
     Raises:
-        InputError: the name has none of the forms that files use.
+        InputError: the name has another form than those that files use.
     """
     text = name.strip().strip("'\"").strip()
     if re.fullmatch(r"WGS\s*84", text, re.IGNORECASE):

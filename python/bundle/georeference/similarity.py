@@ -70,11 +70,11 @@ class Similarity:
 
 
 def umeyama(source: Array, target: Array) -> Similarity:
-    """Return the similarity of the least sum of squares, every point with the same weight.
+    """Return the least-squares similarity, with the same weight for every point.
 
     Args:
         source: (n, 3) points of the model.
-        target: (n, 3) where they belong.
+        target: (n, 3) target positions of these points.
     """
     center, goal = source.mean(axis=0), target.mean(axis=0)
     scale, rotation = scale_and_rotation(source - center, target - goal)
@@ -92,7 +92,7 @@ def scale_and_rotation(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def moved(problem: Problem, similarity: Similarity) -> Problem:
-    """Return the problem where the similarity puts it; observations and cameras stay."""
+    """Return the problem moved by the similarity; observations and cameras do not change."""
     changes = {"points": similarity.apply(problem.points)}
     poses = _moved_poses(problem.cam_from_world, similarity)
     if problem.num_frames:

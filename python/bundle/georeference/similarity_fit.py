@@ -1,8 +1,8 @@
 """Weighted similarity between two sets of corresponding points, each with its covariance.
 
-The unknowns are s, R, t with y_i = s R a_i + R m_i + t near b_i: a_i in the model, b_i its surveyed
-position, and m_i an offset in metres along the axes of the model (the lever arm of an antenna; zero
-otherwise). The cost is
+The unknowns are s, R, t with y_i = s R a_i + R m_i + t near b_i. Here a_i is a point of the model
+and b_i its surveyed position. m_i is an offset in metres along the axes of the model (the lever arm
+of an antenna; zero without one). The cost is
 
     1/2 sum rho(r_i^T S_i^-1 r_i),  r_i = y_i - b_i,  S_i = B_i + s^2 R A_i R^T
 
@@ -14,10 +14,10 @@ increments
 
     dr = (y - t) dlambda - [y - t]x dw + dt,  s <- s exp(dlambda),  R <- Exp(dw) R
 
-(the part of dlambda without R m). They use the S_i and the weights rho' of the last step until
-convergence: iteratively reweighted least squares, whose fixed point is the minimum for the final
-S_i. If heights are unknown, the closed form uses those that the model itself predicts, in a few
-iterations.
+(without R m in the term of dlambda). Each step uses the S_i and the weights rho' of the last step,
+until convergence. This is iteratively reweighted least squares; its fixed point is the minimum for
+the final S_i. If heights are unknown, the closed form uses heights that the model itself predicts,
+in a few iterations.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ __all__ = ["SimilarityFit", "fit_similarity"]
 Array = NDArray[np.float64]
 
 THINNEST = 1e-6
-"""Largest ratio of width to length of points that count as lying on one line."""
+"""Largest ratio of width to length for which points count as lying on one line."""
 WIDEST_ANGLE = math.radians(10)
 """Largest standard deviation of the three rotation angles of a determined model."""
 LEAST_SIGMA0 = 1e-3
-"""Share of the sigmas below which residuals are rounding errors."""
+"""Fraction of the sigmas below which residuals are rounding errors."""
 LEAST_FREEDOM = 1e-6
-"""Degrees of freedom below which only rounding errors are left."""
+"""Degrees of freedom below which residuals are rounding errors only."""
 MAX_STEPS = 200
 SMALLEST_STEP = 1e-13
 WORST_CONDITION = 1e10
@@ -63,8 +63,8 @@ class SimilarityFit:
         weight: (n,) rho' of each point; 1 without a loss.
         whitened: (n, 3) residuals divided by the lower Cholesky factors of their covariances; 0 for
             unknown heights.
-        redundancy: (n, 3) share of each whitened residual that the fit does not absorb, between 0
-            and 1; 0 for unknown heights.
+        redundancy: (n, 3) fraction of each whitened residual that the fit does not absorb, between
+            0 and 1; 0 for unknown heights.
     """
 
     similarity: Similarity
@@ -76,7 +76,7 @@ class SimilarityFit:
 
     @property
     def sigma0(self) -> float:
-        """Residuals in sigmas relative to their degrees of freedom; nan without any."""
+        """Residuals in sigmas relative to their degrees of freedom; nan with zero degrees."""
         freedom = float(self.redundancy.sum())
         squared = float((self.weight[:, None] * self.whitened**2).sum())
         return math.sqrt(squared / freedom) if freedom > LEAST_FREEDOM else math.nan
@@ -84,7 +84,7 @@ class SimilarityFit:
     def predict(self, points: Correspondences) -> tuple[Array, Array]:
         """Return residuals (n, 3) and covariances (n, 3, 3) of points that were not used.
 
-        The covariance is the sum for the survey, the model's point and the similarity.
+        The covariance is the sum of the survey's, the model point's and the similarity's.
         """
         residual = _residuals(self.similarity, points)
         jacobian = _jacobian(self.similarity, points, self.center)
@@ -98,13 +98,13 @@ def fit_similarity(
     """Return the weighted similarity.
 
     Args:
-        points: at least three points, not on one line, of which enough have a height.
+        points: at least three points that are not on one line; enough of them must have a height.
         loss: robust loss of the residuals in sigmas.
         loss_scale: sigmas beyond which the loss is robust.
         what: description of the points for messages.
 
     Raises:
-        InputError: the points do not determine seven degrees of freedom; the message has the
+        InputError: the points do not determine all seven degrees of freedom; the message has the
             reason.
     """
     try:
@@ -189,7 +189,7 @@ def _check_normal(normal: Array, points: Correspondences, weight: Array, what: s
 
 def _check_angles(fit: SimilarityFit, points: Correspondences, what: str) -> None:
     """Refuse points that lie on one line within their sigmas and residuals."""
-    # The residuals' estimate of the sigmas counts if it is smaller.
+    # Use the sigmas estimated from the residuals if they are smaller.
     sigma0 = 1.0 if math.isnan(fit.sigma0) else min(max(fit.sigma0, LEAST_SIGMA0), 1.0)
     # information of the rotation with the other parameters free
     known = np.linalg.inv(fit.covariance[1:4, 1:4])
@@ -209,8 +209,9 @@ def _check_angles(fit: SimilarityFit, points: Correspondences, what: str) -> Non
 def _known_of_target(fit: SimilarityFit, points: Correspondences) -> Array:
     """Return the rotation information if the surveyed points rotate instead of the model.
 
-    Points of a wide model do not fit a line. If the coordinate of the largest sigma is across the
-    line, they stand on edge beside it and seem to determine the rotation that the line leaves free.
+    Points of a wide model do not fit surveyed points on a line. If the coordinate with the largest
+    sigma is perpendicular to the line, the fit puts the model's width along this coordinate. The
+    rotation about the line then seems to be determined, although the line leaves it free.
     """
     moved = fit.similarity.apply(points.source) + points.offset @ fit.similarity.rotation.T
     target = np.where(np.isnan(points.target), moved, points.target)
@@ -317,7 +318,7 @@ def _stepped(
     root: Array,
     weight: Array,
 ) -> tuple[Similarity, float]:
-    """Return the similarity after the step, or after a share of it that lowers the cost."""
+    """Return the similarity after the step, or after a fraction of it that lowers the cost."""
 
     def cost(at: Similarity) -> float:
         whitened = np.einsum("nij,nj->ni", root, np.nan_to_num(_residuals(at, points)))

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 FEWEST = 3
 
 MOST_OUTSIDE = 5
-"""Most measurements outside of their images to list."""
+"""Largest number of measurements outside their images to list."""
 
 
 class Survey:
@@ -48,14 +48,15 @@ class Survey:
         targets: points triangulated in the model.
         used: (n,) mask of triangulated targets.
         control: (n,) mask of control points among these.
-        surveyed: targets, used or not.
+        surveyed: all targets, used or not.
         cameras: positions of images of the model.
-        rows: their rows in the given positions.
+        rows: rows of these images in the given positions.
         measured: used targets, then cameras.
-        decisive: mask of ``measured`` that may have an influence: all but check points.
+        decisive: mask of the entries of ``measured`` that may have an influence: all but check
+            points.
 
     Raises:
-        InputError: fewer than three are decisive.
+        InputError: fewer than three entries are decisive.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class Survey:
     def decisive_places(
         self, points: tuple[GroundControlPoint, ...], positions: GpsPositions | None
     ) -> Correspondences | None:
-        """Return the decisive places at other coordinates; None if these have no place."""
+        """Return the decisive places for other coordinates; None if these are invalid."""
         try:
             frame = Frame(points, positions)
         except InputError:
@@ -115,15 +116,15 @@ class Survey:
         """Return the leave-one-out residuals of targets; see :func:`leave_one_out`.
 
         Returns:
-            (n, 3) residuals if all others place the model, nan for unused targets; and (n,) mask of
-            suspects.
+            (n, 3) residuals of a model that all other points align, nan for unused targets; and
+            (n,) mask of suspects.
         """
         others = leave_one_out(self.measured, self.decisive, self.tested)
         left_out = self._of_targets(others.residual, np.nan)
         return left_out, self._of_targets(others.suspect, False)
 
     def _of_targets(self, values: NDArray[Any], otherwise: Any) -> NDArray[Any]:
-        """Return a value for each target, given those of ``measured``."""
+        """Return a value for each target, given the values of ``measured``."""
         shape = (len(self.targets), *values.shape[1:])
         found = np.full(shape, otherwise, dtype=values.dtype)
         found[self.used] = values[: self.used.sum()]
@@ -200,7 +201,7 @@ def control_point_error(
 
 
 def notes_on_targets(problem: Problem, targets: tuple[Triangulated, ...]) -> tuple[str, ...]:
-    """Return sentences on targets that are not used, or measured at strange positions."""
+    """Return sentences on unused targets, and on measurements outside their images."""
     notes = [
         f"{entry.point.name} is not used: {entry.reason}." for entry in targets if entry.reason
     ]
@@ -215,7 +216,7 @@ def notes_on_targets(problem: Problem, targets: tuple[Triangulated, ...]) -> tup
 
 
 def _outside(problem: Problem, targets: tuple[Triangulated, ...]) -> list[str]:
-    """Return a sentence for each measurement outside of its image."""
+    """Return a sentence for each measurement outside its image."""
     notes = []
     for entry in targets:
         for image, measurement in zip(entry.images.tolist(), entry.measurements, strict=True):
@@ -240,7 +241,7 @@ def _cameras(
     sigma: Sigma,
     antenna: Array,
 ) -> tuple[Correspondences, list[int]]:
-    """Return the positions of images of the model, and their rows in the given positions."""
+    """Return the measured positions of images of the model, and their rows in the input."""
     images, rows = np.array(list(found), dtype=np.int64), list(found.values())
     sigmas = np.tile(np.array(sigma), (len(rows), 1))
     if positions is not None and rows:

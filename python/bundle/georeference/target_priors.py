@@ -1,14 +1,14 @@
 """Ground control points among the points of a solve.
 
-A control point is a point X of the problem like any other, with two kinds of residual: those of its
-pixels, divided by their sigma, and its distance from the survey,
+A control point is a point X of the problem with two kinds of residual: the residuals of its pixels,
+divided by their sigma, and its distance from the survey,
 
     1/2 rho(r^T r),  r = L^-1 (X - X0),  Sigma = L L^T = diag(h^2, h^2, v^2),
 
-where an unknown height has a variance so large that its share is zero in double precision. It
-starts where the rays of its images intersect. Check points are no part of the solve: they are
-triangulated afterwards with the refined cameras. So are the control points, whose adjusted
-positions would only show how tightly the survey holds them.
+where an unknown height has a very large variance: its contribution is zero in double precision. The
+point starts at the intersection of the rays of its images. Check points do not take part in the
+solve; they are triangulated afterwards with the refined cameras. Control points are triangulated
+afterwards as well, because the survey keeps their adjusted positions close to the surveyed ones.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class TargetPriors:
 
         Raises:
             InputError: the images have no names, coordinates are not in the frame of a solve, names
-                repeat, or no control point is in two images.
+                repeat, or no control point is measured in two images.
         """
         given = tuple(points)
         names: set[str] = set()
@@ -111,7 +111,7 @@ class TargetPriors:
 
         Args:
             problem: problem of :meth:`make`, or the same problem moved.
-            moved: similarity by which it was moved.
+            moved: similarity by which the problem was moved.
         """
         if not self.used:
             return problem
@@ -147,7 +147,7 @@ class TargetPriors:
         )
 
     def taken_from(self, problem: Problem) -> Problem:
-        """Return a solved or filtered problem of :meth:`added_to` without them."""
+        """Return a solved or filtered problem of :meth:`added_to` without the control points."""
         if not self.used:
             return problem
         points = problem.num_points - len(self.used)
@@ -177,7 +177,7 @@ class TargetPriors:
 
 
 def _free_ids(problem: Problem, count: int) -> tuple[int, ...]:
-    """Return unused ids: the next ones, or the first gaps if there are none."""
+    """Return unused ids: those after the largest id, or the first gaps if no larger ids exist."""
     last = int(problem.point_ids.max(initial=0))
     if last < LARGEST_ID - count:
         return tuple(range(last + 1, last + 1 + count))

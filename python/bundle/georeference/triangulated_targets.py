@@ -5,8 +5,8 @@ the camera models' own Jacobians J. It starts at the point nearest to all rays: 
 and centres c, (sum I - d d^T) X = sum (I - d d^T) c. Its covariance (sum J^T J)^-1 assumes pixels
 of the stated sigma and cameras without error.
 
-A camera model projects. Its inverse is found here, for any model, by Gauss-Newton on the sphere of
-directions, along a path of pixels from the optical axis.
+The projection of any camera model is inverted here by Gauss-Newton on the sphere of directions,
+along a path of pixels from the optical axis.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ Array = NDArray[np.float64]
 FEWEST_IMAGES = 2
 MAX_STEPS = 100
 WORST_CONDITION = 1e12
-"""Condition number of a point's normal matrix above which its rays are parallel."""
+"""Condition number of a point's normal matrix above which its rays count as parallel."""
 LONGEST_STEP = 0.3
-"""Radians by which a direction rotates at most per step, and per stage."""
+"""Largest rotation of a direction per step, and per stage, in radians."""
 SMALLEST_STEP = 1e-11
 STAGES = 12
 LARGEST_MISS = 1e-3
@@ -70,7 +70,7 @@ def triangulate(
     *,
     pixel_sigma: float,
 ) -> tuple[Triangulated, ...]:
-    """Triangulate every target; ``reason`` tells why one failed.
+    """Triangulate every target; ``reason`` is the reason of a failure.
 
     Args:
         problem: the model.
@@ -134,10 +134,10 @@ def _camera(problem: Problem, image: int) -> tuple[str, Array]:
 def direction_of(model: str, params: Array, xy: Array) -> Array | None:
     """Return the unit vector in the camera frame that projects to a pixel, None without one.
 
-    The pixel is approached along a line from that of the optical axis, and the direction follows by
-    Gauss-Newton. It therefore stays in the region where the projection is one to one: models such
-    as OPENCV project directions beyond the turning point of their distortion into the image a
-    second time.
+    The pixel is approached along a line from the pixel of the optical axis, and the direction
+    follows by Gauss-Newton. The direction therefore stays in the region where the projection is one
+    to one. Models such as OPENCV also project directions beyond the turning point of their
+    distortion into the image.
     """
     direction = np.array([0.0, 0.0, 1.0])
     start = project(model, params, direction[None])[0][0]
@@ -151,7 +151,7 @@ def direction_of(model: str, params: Array, xy: Array) -> Array | None:
 
 
 def _followed(model: str, params: Array, xy: Array, start: Array) -> Array | None:
-    """Return the direction near another one that projects to a pixel."""
+    """Return the direction that projects to a pixel, found from a nearby start direction."""
     direction = start
     with np.errstate(all="ignore"):
         for _ in range(MAX_STEPS):
@@ -214,7 +214,7 @@ def _refined(
     sigma: Array,
     position: Array,
 ) -> tuple[Array, Array]:
-    """Return the point of least weighted residuals, and its normal matrix."""
+    """Return the point with the least weighted residuals, and its normal matrix."""
 
     def at(point: Array) -> tuple[Array, Array, float]:
         residual, jacobian, _ = _reprojected(problem, images, rotations, translations, xy, point)

@@ -1,4 +1,4 @@
-"""Base class of priors that marginalisation makes: factors about linearization points."""
+"""Base class of priors from marginalization: factors about linearization points."""
 
 from __future__ import annotations
 
@@ -28,10 +28,9 @@ class AnchoredFactor(Factor):
     manifolds: Mapping[Key, str]
 
     cost_jump = 0.0
-    """1/2 d^T Lambda d - eta^T d at the step d of the last re-anchoring.
+    """Value of 1/2 d^T Lambda d - eta^T d at the step d of the last re-anchoring.
 
-    This is the constant that the quadratic form about the new points leaves out. At the new values
-    the form falls from this to 0.
+    The quadratic form about the new points omits this constant: at the new values it is 0.
     """
 
     _sources: Iterable[Factor] = ()
@@ -45,7 +44,7 @@ class AnchoredFactor(Factor):
 
     @property
     def sources(self) -> tuple[Factor, ...]:
-        """Factors that were marginalised into this prior, as far as they still exist.
+        """Factors that were marginalized into this prior and still exist.
 
         A graph refuses to hold a prior together with a factor that the prior contains. Pickles and
         deep copies lose their sources.
@@ -91,7 +90,7 @@ class AnchoredFactor(Factor):
         return size
 
     def _keys_first(self) -> None:
-        """Make a tuple of the given keys before any message names the factor by them."""
+        """Convert the given keys to a tuple, because messages name the factor by its keys."""
         self._set("keys", as_keys(f"{type(self).__name__}: keys", self.keys))
 
     def _step_to(self, values: Mapping[Key, Any]) -> tuple[dict[Key, Array], Array]:
@@ -115,7 +114,7 @@ class AnchoredFactor(Factor):
         return points, np.concatenate(steps)
 
     def _moved(self, moved: Self, jump: float) -> Self:
-        """Complete the prior that :meth:`reanchor` returns."""
+        """Complete the re-anchored prior with its cost jump and sources."""
         moved._set("cost_jump", jump)
         if self._sources:
             moved.made_of(self._sources)
@@ -137,9 +136,9 @@ class AnchoredFactor(Factor):
         return self._spectrum
 
     def alarm(self, largest: int) -> str:
-        """Return the warning of the spectrum.
+        """Return the warning of the spectrum, or "".
 
-        Above `largest` columns only if it is already known.
+        The spectrum of a prior with more than `largest` columns is not computed for this.
         """
         if self._spectrum is None and len(self._matrix()) > largest:
             return ""

@@ -39,11 +39,11 @@ RELATIVE = {"between", "relative_pose", "reprojection"}
 """Kinds of factors that are invariant under a motion of everything."""
 
 LARGE = 300
-"""Most columns of a prior for which the spectrum takes a millisecond or two."""
+"""Largest number of columns of a prior for which the spectrum takes a millisecond or two."""
 
 
 def find_parts(variables: Mapping[Key, Variable], factors: Sequence[Factor]) -> dict[Key, Key]:
-    """Return for each variable the first one of its connected component."""
+    """Return for each variable the first variable of its connected component."""
     parent = {key: key for key in variables}
 
     def root(key: Key) -> Key:
@@ -124,7 +124,7 @@ def about_free_directions(
 def _floating(
     variables: Mapping[Key, Variable], parts: Mapping[Key, Key], factors: Sequence[Factor]
 ) -> list[Key]:
-    """Return components that certainly float, each once per free direction."""
+    """Return the components that are certainly not anchored, each once per free direction."""
     kinds: dict[Key, set[str]] = {}
     for factor in factors:
         for key in factor.keys[:1]:
@@ -162,7 +162,7 @@ Conditioning = tuple[float, float, int, list[int]]
 MOST_SECONDS = 0.03
 LARGEST_SHARE = 0.015
 MOST_COLUMNS = 300
-"""Most columns of a Jacobian whose QR factorisation takes only a few milliseconds."""
+"""Largest number of columns of a Jacobian whose QR factorisation takes a few milliseconds."""
 
 ADVICE = "FactorGraph.check_gradients"
 
@@ -189,7 +189,7 @@ def checked(output: Mapping[str, Any], graph: SolvedGraph) -> dict[str, Any]:
     ends = dict(zip(graph.variables, output["values"], strict=True))
     parts = find_parts(graph.variables, graph.factors)
     sentences = {
-        # A projected step may miss the model's prediction as one with a wrong Jacobian does.
+        # A step projected onto bounds may miss the model's prediction, as if a Jacobian were wrong.
         "suspicious_steps": ""
         if has_bounds
         else _core.watch_convergence(output["iterations"], f"{ADVICE} finds out"),

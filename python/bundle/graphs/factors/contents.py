@@ -58,9 +58,9 @@ class GraphContents(Displayed):
                 but 0.
             manifold: "euclidean", "so2", "so3", "se2" or "se3".
             fixed: True to hold the variable constant, or the tangent coordinates to hold constant.
-            lower: lower bound of each number of a Euclidean variable, or one for all. A step that
-                would cross a bound ends on it; equal bounds hold the number constant.
-            upper: upper bounds, likewise.
+            lower: lower bound of each number of a Euclidean variable, or one bound for all. A step
+                that would cross a bound ends on it; equal bounds hold the number constant.
+            upper: upper bounds in the same form.
 
         Raises:
             InputError: the key is taken, the value does not lie on the manifold, or the bounds
@@ -75,11 +75,11 @@ class GraphContents(Displayed):
         """Add a factor of variables that are in the graph.
 
         Raises:
-            InputError: this is no factor, a key is unknown, or its numbers do not fit the
+            InputError: the object is not a factor, a key is unknown, or its numbers do not fit the
                 variables: a wrong size, or an information matrix that is asymmetric, singular or
-                indefinite. Or information would count twice: a prior of
-                :meth:`bundle.FactorGraph.marginalize` beside a factor that it contains, or two
-                priors that contain the same factor.
+                indefinite. Or information would count twice: the graph would have a prior of
+                :meth:`bundle.FactorGraph.marginalize` together with a factor that it contains, or
+                two priors that contain the same factor.
         """
         check_type("factor", factor, Factor)
         position = len(self._factors)
@@ -94,7 +94,7 @@ class GraphContents(Displayed):
                         f"{self._variables[key].manifold}, found {manifold}; give manifolds="
                     )
         self._refuse_double_counting(name, factor)
-        if factor.kind != "function":  # it is first called when its values are needed
+        if factor.kind != "function":  # a function is first called when its values are needed
             variables, (given,) = self._core(factor.keys, [position], [factor])
             _core.factor_function(variables, given)
         self._factors.append(factor)
@@ -117,14 +117,14 @@ class GraphContents(Displayed):
 
     @property
     def values(self) -> Mapping[Key, Array]:
-        """Values of the variables, where a solve starts; the view follows changes of the graph."""
+        """Values of the variables, the start of a solve; the view follows changes of the graph."""
         return Values(self._variables)
 
     def with_values(self, values: Mapping[Key, ArrayLike]) -> Self:
         """Return the graph with other values, such as the result of a solve.
 
         Args:
-            values: values by key; missing variables keep theirs.
+            values: values by key; missing variables keep their values.
 
         Raises:
             InputError: a key is unknown, or a value does not lie on its manifold.
@@ -148,7 +148,7 @@ class GraphContents(Displayed):
         return graph
 
     def without(self, keys: Iterable[Key]) -> Self:
-        """Return the graph without some variables and without every factor of them.
+        """Return the graph without some variables and without all factors of these variables.
 
         Raises:
             InputError: a key is unknown.
@@ -194,7 +194,7 @@ class GraphContents(Displayed):
                 self._in_priors[source] = factor.name
 
     def _tuples(self) -> tuple[tuple[Key, ...], tuple[Factor, ...]]:
-        """Return keys and factors; cached until some are added (none is ever removed)."""
+        """Return keys and factors, cached until a graph grows (it never shrinks)."""
         keys, factors = self._as_tuples
         if len(factors) != len(self._factors):
             factors = tuple(self._factors)
@@ -209,7 +209,7 @@ class GraphContents(Displayed):
         positions: Iterable[int] | None = None,
         factors: Iterable[Factor] | None = None,
     ) -> tuple[list[Any], list[Any]]:
-        """Return variables and factors in the format of ``_core``; all if none are given."""
+        """Return variables and factors in the format of ``_core``; by default all."""
         factors = list(self._factors if factors is None else factors)
         members = list(self._variables if keys is None else keys)
         positions = range(len(factors)) if positions is None else positions

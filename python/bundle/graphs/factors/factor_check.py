@@ -1,12 +1,13 @@
 """Jacobians of factors against finite differences, by the general checker of residuals.
 
-A factor's Jacobian J at X is with respect to the tangent coordinates at X. At each of its samples X
-the checker gets the residual as a function of s with the value X Exp(s - c) and a constant c. Its
-Jacobian at s = c is J itself, including any mistake. Euclidean variables are passed unchanged.
+A factor's Jacobian J at X is with respect to the tangent coordinates at X. At each sample X, the
+checker gets the residual as a function of s, evaluated at X Exp(s - c) with a constant c. The
+Jacobian of this function at s = c is J itself, including any mistake. Euclidean variables are
+passed unchanged.
 
-The checker's first steps are proportional to the size of a parameter, so a parameter must not be
-zero. Therefore c is 1 for an angle, and for a translation the length of the variable's own
-translation (1 if that is zero).
+The checker's first steps are proportional to the size of a parameter, so that a parameter must not
+be zero. Therefore c is 1 for an angle. For a translation, c is the length of the variable's
+translation, or 1 if this length is zero.
 
 Common mistakes are derivatives with respect to other tangent coordinates. A variable X moves by
 delta to X Exp(delta). A derivative with respect to another motion d is J M with delta = M d. With R
@@ -94,7 +95,7 @@ def _se2(values: Array) -> Conventions:
 
 
 def _also_reordered(plain: Conventions, order: list[int], first: str) -> Conventions:
-    """Add the same conventions with reordered columns: column j holds that of order[j]."""
+    """Add the same conventions with reordered columns: new column j is old column order[j]."""
     size = len(order)
     count = len(next(iter(plain.values())))
     words = _ORDER.format(first)

@@ -36,8 +36,8 @@ ENOUGH = 4
 class DigitsLeft(Displayed):
     """Digits of a step by normal equations and by a QR factorisation.
 
-    J is the whitened Jacobian with its columns scaled to norm 1, so units have no effect. Normal
-    equations square its condition number and lose twice as many digits.
+    J is the whitened Jacobian with its columns scaled to norm 1, so that units have no effect.
+    Normal equations square the condition number of J and lose twice as many digits as QR.
 
     Attributes:
         condition_number: kappa(J), the ratio of the largest and the smallest singular value,
@@ -60,12 +60,12 @@ class DigitsLeft(Displayed):
 
     @property
     def normal_equations(self) -> int:
-        """16 - 2 log10 kappa, at least 0."""
+        """Digits of a step by normal equations: 16 - 2 log10 kappa, at least 0."""
         return self._digits(2)
 
     @property
     def square_root(self) -> int:
-        """16 - log10 kappa, at least 0."""
+        """Digits of a step by QR: 16 - log10 kappa, at least 0."""
         return self._digits(1)
 
     @property
@@ -92,7 +92,7 @@ class DigitsLeft(Displayed):
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GraphResult(SolveRecord):
-    """Values that a solve found, with its summary.
+    """Values at the end of a solve, with its summary.
 
     Attributes:
         values: one array per variable, by key, in the manifold's representation.
@@ -188,10 +188,10 @@ class FactorGraph(GraphMarginals):
             options: solve options. Options of reconstructions must have their defaults;
                 trust_region_strategy_type may also be "gauss_newton".
             progress: called after each iteration, as by :func:`bundle.solve`.
-            square_root: True for QR, False for normal equations. By default, QR if normal equations
-                would leave fewer than 4 digits; this is checked for graphs of at most 3000 free
-                coordinates without bounds and functions in Python, if options leave linear solver
-                and backend open.
+            square_root: True for QR, False for normal equations. By default, QR is used if normal
+                equations would leave fewer than 4 digits. The default checks the digits only for
+                graphs of at most 3000 free coordinates, without bounds and functions in Python,
+                and only if linear solver and backend have their defaults.
             **changes: options by name, which replace those in ``options``.
 
         Raises:
@@ -212,7 +212,7 @@ class FactorGraph(GraphMarginals):
         cores = _core.hardware_threads()
         options = options.replace(num_threads=min(options.num_threads or cores, cores))
         as_core = options.asdict() | {"gauge": "none", "cheirality": "algebraic"}
-        # taken before the variables, because the graph may grow meanwhile
+        # read before the variables, because another thread may add some
         factors = list(self._factors)
         variables = dict(self._variables)
         keys = list(variables)
@@ -240,7 +240,7 @@ class FactorGraph(GraphMarginals):
     def _choose_square_root(
         self, wanted: bool | None, options: SolveOptions, core: Any, factors: list[Factor]
     ) -> tuple[bool, str, Conditioning | None]:
-        """Return whether to solve by QR, the reason if chosen here, and the conditioning used."""
+        """Return True to solve by QR, the reason if chosen here, and the conditioning used."""
         if wanted is not None:
             by_root = as_flag("square_root", wanted)
             for option in ("backend", "linear_solver_type"):
@@ -305,7 +305,7 @@ class FactorGraph(GraphMarginals):
         )
 
     def _one(self, position: int) -> tuple[list[Variable], Any]:
-        """Return the variables of a factor, and its function of their values."""
+        """Return the variables of a factor, and the factor as a function of their values."""
         factor = self._factors[position]
         variables, (given,) = self._core(factor.keys, [position], [factor])
         return (

@@ -69,7 +69,7 @@ class Factor(Displayed):
         return f"{type(self).__name__}({', '.join(brief(key) for key in self.keys)})"
 
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:
-        """Return the arguments of ``_core`` beside name, variables and loss.
+        """Return the arguments of ``_core`` in addition to name, variables and loss.
 
         Args:
             name: name of the factor within its graph.
@@ -100,7 +100,7 @@ def as_information(name: str, information: Array, size: int) -> Array:
     """Return an information matrix; a number is multiplied by the identity.
 
     Raises:
-        InputError: it has another shape.
+        InputError: the matrix has another shape.
     """
     if information.ndim == 0 or information.shape == (1,):
         return float(information.reshape(())) * np.eye(size)
@@ -160,9 +160,9 @@ class ScalarPriorFactor(Factor):
         key: the variable.
         index: index of the number in the variable.
         value: measured value.
-        sigma: standard deviation; if ``relative``, as a share of the value: 0.02 is two percent.
-        relative: the logarithm is measured, as for a focal length: half and twice the value are
-            equally far. The number then keeps its sign.
+        sigma: standard deviation; if ``relative``, a fraction of the value: 0.02 is two percent.
+        relative: True if the logarithm is measured, as for a focal length. Half and twice the value
+            then have the same residual, and the number keeps its sign.
 
     Raises:
         InputError: an argument is not numeric, sigma is not above 0, or a relative value is 0.

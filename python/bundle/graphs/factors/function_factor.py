@@ -49,7 +49,7 @@ class FunctionFactor(Factor):
             that is not finite rejects the step.
 
     Raises:
-        InputError: keys is no list, or the function is not callable. A solve raises it if the
+        InputError: keys is not a list, or the function is not callable. A solve raises it if the
             function returns other shapes; the message names factor and variable.
     """
 
@@ -59,7 +59,7 @@ class FunctionFactor(Factor):
     kind = "function"
 
     seconds_a_call = np.inf
-    """Fastest call within solves."""
+    """Duration of the fastest call within solves."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "keys", as_keys("FunctionFactor: keys", self.keys))
@@ -75,7 +75,7 @@ class FunctionFactor(Factor):
 
 
 class _CheckedFunction:
-    """Wrapper of the user's function that checks its return values for ``_core``."""
+    """Wrapper of the user's function that checks the returned values for ``_core``."""
 
     def __init__(self, factor: FunctionFactor, name: str, sizes: tuple[int, ...]) -> None:
         self.factor, self.name, self.sizes = factor, name, sizes

@@ -52,7 +52,7 @@ class IncrementalUpdate:
 
     @property
     def share_reeliminated(self) -> float:
-        """num_reeliminated / num_variables."""
+        """Fraction of re-eliminated variables, num_reeliminated / num_variables."""
         return self.num_reeliminated / self.num_variables
 
 
@@ -112,7 +112,8 @@ class IncrementalSmoother(Displayed):
         """Add a factor for the next update; see :meth:`bundle.FactorGraph.add_factor`.
 
         Raises:
-            InputError: as there, or iSAM2 does not support this kind of factor or loss.
+            InputError: for the reasons of :meth:`bundle.FactorGraph.add_factor`, or iSAM2 does not
+                support this kind of factor or loss.
         """
         if isinstance(factor, Factor):
             if type(factor) not in (PriorFactor, BetweenFactor):
@@ -128,7 +129,7 @@ class IncrementalSmoother(Displayed):
         self._graph.add_factor(factor)
 
     def update(self) -> IncrementalUpdate:
-        """Solve with all additions since the last update; without additions, make one more step.
+        """Solve with all additions since the last update. Without additions, do one more step.
 
         Raises:
             InputError: the factors do not determine a variable, which the message names; the
@@ -175,11 +176,13 @@ class IncrementalSmoother(Displayed):
 
     @property
     def graph(self) -> FactorGraph:
-        """All variables and factors at the estimate, as a graph for batch solves."""
+        """Graph of all variables and factors at the estimate, for batch solves."""
         return self._graph.with_values(dict(self._estimate))
 
     def statistics(self) -> dict[str, float]:
-        """Return p50, p95 and max of seconds, and the mean share re-eliminated, over all updates.
+        """Return p50, p95 and max of seconds, and the mean fraction of re-eliminated variables.
+
+        All values are over all updates.
 
         Raises:
             InputError: there was no update.

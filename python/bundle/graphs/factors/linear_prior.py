@@ -1,4 +1,4 @@
-"""Quadratic priors on several variables, as marginalisation leaves them.
+"""Quadratic priors on several variables, the results of marginalization.
 
 ``LinearPrior`` stores the information matrix, ``SquareRootPrior`` its square root from QR.
 """
@@ -25,7 +25,7 @@ __all__ = ["LinearPrior", "SquareRootPrior"]
 class LinearPrior(AnchoredFactor):
     """Quadratic cost 1/2 d^T Lambda d - eta^T d of d = Log(X*^-1 X) over several variables.
 
-    As a factor, it costs this plus a constant that makes its minimum 0. Lambda may be singular;
+    The cost of the factor is this plus a constant that makes its minimum 0. Lambda may be singular;
     gauge directions then stay free.
 
     Attributes:
@@ -68,9 +68,9 @@ class LinearPrior(AnchoredFactor):
         """Return the same prior about other values: eta - Lambda d, Lambda unchanged.
 
         On Euclidean variables the cost is the same function up to the constant 1/2 d^T Lambda d -
-        eta^T d, which is ``cost_jump`` of the result. As a factor, whose minimum is 0 about any
-        point, the prior costs the same before and after. On curved manifolds the quadratic form is
-        kept, with the Jacobians of the first linearization point (first-estimate Jacobians).
+        eta^T d, which is ``cost_jump`` of the result. The cost of the factor, whose minimum is 0
+        about any point, does not change. On curved manifolds the quadratic form is kept, with the
+        Jacobians of the first linearization point (first-estimate Jacobians).
 
         Args:
             values: new linearization points by key; other keys are ignored.
@@ -105,7 +105,7 @@ class SquareRootPrior(AnchoredFactor):
     """Quadratic cost 1/2 ||R d - b||^2 of d = Log(X*^-1 X) over several variables.
 
     The information R^T R is positive semidefinite for any R, and has twice the digits of a
-    :class:`bundle.LinearPrior`. ``spectrum``, ``cost_jump`` and ``sources`` are as there.
+    :class:`bundle.LinearPrior`, which explains ``spectrum``, ``cost_jump`` and ``sources``.
 
     Attributes:
         root: R, (rows, n), n the sum of the tangent sizes, variables in the order of ``keys``.

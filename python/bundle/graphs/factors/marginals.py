@@ -1,4 +1,4 @@
-"""Marginalisation: information of the factors on some variables, all others eliminated.
+"""Marginalization: information of the factors on some variables after elimination of the others.
 
 Dense elimination runs in single or double precision, by QR (square-root marginalisation) or by
 normal equations. Let J_a and J_b be the eliminated and the kept columns of the whitened Jacobian.
@@ -9,10 +9,10 @@ Householder reflections give
                         [ 0    0     e ],
 
 so that the cost minimised over d_a is 1/2 ||R_b d_b + r_b||^2 + 1/2 e^2. R_b is a square root of
-the Schur complement Lambda' = R_b^T R_b, and eta' = -R_b^T r_b. No difference of large numbers is
-formed and no product squares the condition of J: Lambda' cannot become indefinite, even in single
-precision (N. Demmel, D. Schubert, C. Sommer, D. Cremers, V. Usenko: Square Root Marginalization for
-Sliding-Window Bundle Adjustment, ICCV 2021).
+the Schur complement Lambda' = R_b^T R_b, and eta' = -R_b^T r_b. The elimination forms no difference
+of large numbers and no product that squares the condition number of J. Therefore Lambda' cannot
+become indefinite, even in single precision (N. Demmel, D. Schubert, C. Sommer, D. Cremers, V.
+Usenko: Square Root Marginalization for Sliding-Window Bundle Adjustment, ICCV 2021).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ __all__ = ["GraphMarginals", "UndeterminedError", "schur_complement", "square_ro
 
 
 class UndeterminedError(Exception):
-    """Eliminated column that depends on columns before it; its index is the argument."""
+    """Error for an eliminated column that depends on earlier columns; the argument is its index."""
 
 
 def square_root_of_marginal(
@@ -83,7 +83,7 @@ def schur_complement(
 
 
 def _scaled(columns: Array) -> Array:
-    """Return columns of norm 1, which makes pivots comparable in any units."""
+    """Scale columns to norm 1, so that pivots can be compared in any units."""
     norms = np.linalg.norm(columns, axis=0)
     return columns / np.where(norms > 0, norms, 1.0)
 
@@ -102,10 +102,10 @@ class GraphMarginals(GraphContents):
     """Part of :class:`bundle.FactorGraph` that eliminates variables."""
 
     def information(self, keys: Iterable[Key] | None = None) -> tuple[Array, Array]:
-        """Return the joint information of all factors on some variables, all others eliminated.
+        """Return the joint marginal information of all factors on some variables.
 
-        The result is the marginal information at the variables' values. With a the free coordinates
-        of all other variables and b those of ``keys``,
+        All other variables are eliminated, at the variables' present values. With a the free
+        coordinates of the other variables and b the coordinates of ``keys``,
 
             Lambda = L_bb - L_ba L_aa^-1 L_ab,    eta = e_b - L_ba L_aa^-1 e_a
 
@@ -131,7 +131,7 @@ class GraphMarginals(GraphContents):
     def marginalize(
         self, keys: Iterable[Key], *, square_root: bool = False, precision: str = "double"
     ) -> LinearPrior | SquareRootPrior:
-        """Return the prior that eliminating variables leaves on the neighbours of their factors.
+        """Eliminate variables; return the prior on the other variables of their factors.
 
         Only the factors of these variables are used, linearised at the variables' values.
         :meth:`without` drops the same factors, so ``graph.without(keys)`` and the prior together
@@ -145,7 +145,7 @@ class GraphMarginals(GraphContents):
                 use dense matrices.
 
         Raises:
-            InputError: a key is unknown, the factors have no other variables, or do not determine
+            InputError: a key is unknown, or the factors have no other variables or do not determine
                 the eliminated variables.
         """
         precision = choice("precision", precision, tuple(PRECISIONS))
@@ -184,7 +184,7 @@ class GraphMarginals(GraphContents):
         square_root: bool = False,
         precision: str = "double",
     ) -> Self:
-        """Return the graph without some variables, as a fixed-lag smoother drops its oldest.
+        """Return the graph without some variables, as in a fixed-lag smoother.
 
         Args:
             keys: variables to remove.
@@ -196,7 +196,7 @@ class GraphMarginals(GraphContents):
             precision: as in :meth:`marginalize`.
 
         Raises:
-            InputError: as by :meth:`marginalize`, or ``how`` is unknown.
+            InputError: for the reasons of :meth:`marginalize`, or ``how`` is unknown.
         """
         how = choice("how", how, ("marginalize", "drop", "keep"))
         keys = self._checked_keys(keys)

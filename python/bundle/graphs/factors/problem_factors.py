@@ -1,4 +1,4 @@
-"""Factors beside the observations of a reconstruction, with keys for its parts.
+"""Factors of a reconstruction in addition to its observations, with keys for its variables.
 
 =====================================  =========  ===========================================
 key                                    manifold   value
@@ -51,8 +51,8 @@ def check_factors(problem: Problem, factors: Iterable[Factor], **settings: Any) 
         Report that is true if all Jacobians are right, and readable when printed.
 
     Raises:
-        InputError: this is no list of factors, a key is not in the problem, a factor does not fit
-            its variables, or a function returns wrong shapes.
+        InputError: the argument is not a list of factors, a key is not in the problem, a factor
+            does not fit its variables, or a function returns wrong shapes.
     """
     check_type("problem", problem, Problem)
     return ProblemFactors(problem, factors).graph.check_gradients(**settings)
@@ -91,8 +91,8 @@ class ProblemFactors:
     """Checked factors whose variables are those of a problem.
 
     Raises:
-        InputError: this is no list of factors, a key is not in the problem, or a factor does not
-            fit its variables.
+        InputError: the argument is not a list of factors, a key is not in the problem, or a factor
+            does not fit its variables.
     """
 
     def __init__(self, problem: Problem, factors: Iterable[Factor]) -> None:
@@ -127,12 +127,12 @@ class ProblemFactors:
 
     @property
     def factors(self) -> tuple[Factor, ...]:
-        """The factors."""
+        """Factors in the order given."""
         return self._graph.factors
 
     @property
     def locate(self) -> bool:
-        """True if some factors determine where images or points are."""
+        """True if some factors determine positions of images or points."""
         return any(kind != "camera" for kind, _ in self._places)
 
     def information(self) -> tuple[list[tuple[str, int, int]], Array]:
@@ -149,10 +149,7 @@ class ProblemFactors:
         return variables, self._graph.information()[0]
 
     def core(self) -> tuple[list[Any], list[Any], list[tuple[str, int]]] | None:
-        """Return the arguments of ``_core.solve``.
-
-        Variables, factors, and identity of the variables.
-        """
+        """Return arguments of ``_core.solve``: variables, factors, and ids of the variables."""
         if not self._graph.factors:
             return None
         return (*self._graph.core(), self._places)

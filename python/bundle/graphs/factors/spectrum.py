@@ -25,8 +25,8 @@ class PriorSpectrum(Displayed):
     Attributes:
         min_eigenvalue: smallest eigenvalue; rounding error if the prior has a null space.
         max_eigenvalue: largest eigenvalue.
-        nullity: dimension of the null space: eigenvalues that are rounding errors once the diagonal
-            is scaled to 1.
+        nullity: dimension of the null space: number of eigenvalues that are rounding errors after
+            the diagonal is scaled to 1.
         ratio: smallest eigenvalue outside the null space relative to the largest.
         asymmetry: largest difference of two symmetric entries relative to the largest entry.
     """
@@ -51,7 +51,7 @@ class PriorSpectrum(Displayed):
         scaled = np.linalg.eigvalsh(scale[:, None] * symmetric * scale)
         nullity = int((np.abs(scaled) <= rounding * np.abs(scaled).max(initial=0.0)).sum())
         largest = float(eigenvalues[-1]) if n else 0.0
-        # Null directions have the eigenvalues nearest to 0.
+        # The null space has the eigenvalues nearest to 0.
         others = np.sort(eigenvalues[np.argsort(np.abs(eigenvalues), kind="stable")[nullity:]])
         return PriorSpectrum(
             float(eigenvalues[0]) if n else 0.0,

@@ -14,13 +14,14 @@ of |R|. An entry of J agrees with it if
 
 where the last term is half the difference of the one-sided slopes; at a kink, any slope between
 them is valid. A conclusive step that agrees proves the entry right. Two conclusive steps, at least
-100 times apart, that agree with each other and not with J prove it wrong. Otherwise the entry is
-undecided. A wrong verdict would need a residual that misleads at every scale. Errors of less than
-0.1 % are left to :meth:`bundle.FactorGraph.check_gradients`.
+100 times apart, that agree with each other and not with J prove the entry wrong. Otherwise the
+entry is undecided. The verdict itself could only be wrong for a residual whose differences are
+misleading at every scale. Only :meth:`bundle.FactorGraph.check_gradients` finds errors of less than
+0.1 %.
 
-Factors with the same code and the same kinds of variables are one kind. As many of each kind are
-checked as time allows, spread evenly, starting with one of every kind. If a function is too slow
-for all columns, one combined direction of all columns is checked.
+Factors with the same code and the same kinds of variables are one kind. One factor of every kind is
+checked first, then more factors of each kind, evenly distributed, until the time is used. If a
+function is too slow for all columns, one combined direction of all columns is checked.
 """
 
 from __future__ import annotations
@@ -107,7 +108,7 @@ def code_of(function: Any) -> Any:
 
 
 def spot_check(kinds: Sequence[Kind], seconds: float, advice: str) -> str:
-    """Return a sentence about the first kind of factor with wrong Jacobians; "" if there is none.
+    """Return a sentence about the first kind of factor with wrong Jacobians; "" without any.
 
     Args:
         kinds: the factors by kind.
@@ -182,7 +183,7 @@ class _Line:
         self.noise = np.finfo(float).eps * moved
 
     def compare(self, column: tuple[int, int]) -> tuple[bool, bool, float | None]:
-        """Return whether a column agrees, whether it is wrong, and by which factor."""
+        """Return flags for a correct and for a wrong column, and the ratio to the right value."""
         step = self._step(column)
         claimed = np.zeros_like(self.residual)
         for matrix, part in zip(self.jacobians, step, strict=True):

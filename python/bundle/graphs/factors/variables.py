@@ -46,13 +46,13 @@ class Variable:
     """Variable of a graph.
 
     Attributes:
-        key: its name in the graph.
+        key: name of the variable in the graph.
         manifold: one of MANIFOLDS.
         value: (n,) in the manifold's representation; quaternions have norm 1.
-        coordinates: names of its tangent coordinates.
-        held: one flag per tangent coordinate, or () if all are free.
-        lower: (n,), or (0,) without bounds.
-        upper: likewise.
+        coordinates: names of the tangent coordinates.
+        held: flag per tangent coordinate, True if constant; () if all are free.
+        lower: lower bounds (n,), or (0,) without bounds.
+        upper: upper bounds in the same shape.
     """
 
     key: Key
@@ -83,7 +83,8 @@ class Variable:
         """Return a checked variable.
 
         Raises:
-            InputError: its parts do not fit each other; the message names the variable.
+            InputError: value, manifold and bounds do not fit each other; the message names the
+                variable.
         """
         name = variable_name(key)
         manifold = choice(f"{name}: manifold", manifold, MANIFOLDS)
@@ -152,7 +153,7 @@ def as_row(name: str, value: Any) -> Array:
     """Return numbers as an array (n,); one number has n = 1.
 
     Raises:
-        InputError: these are no real numbers, or not one-dimensional.
+        InputError: the value does not consist of real numbers, or is not one-dimensional.
     """
     row = np.atleast_1d(as_array(name, value))
     if row.ndim != 1:
@@ -169,7 +170,7 @@ def as_keys(argument: str, keys: Any, *, ordered: bool = True) -> tuple[Key, ...
         ordered: refuse sets, because the order matters.
 
     Raises:
-        InputError: this is no list of keys, or a key occurs twice.
+        InputError: the argument is not a list of keys, or a key occurs twice.
     """
     listed = as_list(argument, "keys", keys)
     if ordered and isinstance(keys, Set):
@@ -184,10 +185,10 @@ def as_keys(argument: str, keys: Any, *, ordered: bool = True) -> tuple[Key, ...
 
 
 def as_list(argument: str, things: str, given: Any) -> tuple[Any, ...]:
-    """Return the members of an iterable that is no text.
+    """Return the members of an iterable other than text.
 
     Raises:
-        InputError: it is not iterable.
+        InputError: the argument is text or not iterable.
     """
     try:
         if not isinstance(given, str | bytes):

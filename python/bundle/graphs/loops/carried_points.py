@@ -1,8 +1,8 @@
-"""Points moved by the images that observe them, after each image got a similarity of the world.
+"""Motion of points with the images that observe them, after each image got a similarity.
 
-A point moves to the mean of the positions to which its observing images carry it. Only images count
-whose observation the model explains; if there is none, the one with the least error counts. Points
-without observations, and points of images that stay, do not move.
+A point moves to the mean of the positions to which its observing images carry it. Only images whose
+observation fits the model count. If no observation fits, the one with the smallest error counts.
+Points without observations, and points of images that do not move, stay in place.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def carry(
         node_of: (num_images,) node of each image.
         mounts: (num_images, 7) node_from_camera.
         nodes: nodes before and after.
-        fitting: (num_observations,) observations that the model explains.
+        fitting: (num_observations,) mask of observations that fit the model.
 
     Returns:
         Moved problem, and the number of moved points.

@@ -1,32 +1,32 @@
 """Covisibility edges: information of a model on the relative poses of its images.
 
-A point X observed by images i and j, x = R_j X + t_j in the frame of j, is carried by one and
-observed by the other. If j moves relative to i by d = (w, t, l), rotation, translation and log
-scale in its own frame, x moves by G d, G = [-[x]x, I, x]. An image observes this as an angle. With
-u the direction of the point from the image, r its distance and f the focal length, pixels move by f
-/ r (I - u u^T) times the motion of the point: exactly in the centre of the image and approximately
-elsewhere. So
+Let images i and j observe a point X, with x = R_j X + t_j in the frame of j. One image carries the
+point, the other observes it. If j moves relative to i by d = (w, t, l), rotation, translation and
+log scale in its own frame, x moves by G d, G = [-[x]x, I, x]. An image observes this motion as an
+angle. Let u be the direction of the point from the image, r its distance and f the focal length.
+Pixels move by f / r (I - u u^T) times the motion of the point: exactly in the centre of the image
+and approximately elsewhere. The information is
 
     W = sum over points  w_X G^T (f_i^2 / r_i^2 (I - u_i u_i^T) + f_j^2 / r_j^2 (I - u_j u_j^T)) G,
 
-all in the frame of j. An image cannot observe a scaling about its own centre, but both together
-observe all seven numbers: a scaling about one centre is a scaling about the other plus a shift
-along the baseline. W therefore says little about scale where the parallax is small, which is where
-a monocular model drifts.
+all in the frame of j. An image cannot observe a scaling about its own centre, but both images
+together observe all seven numbers: a scaling about one centre is a scaling about the other plus a
+shift along the baseline. W therefore has little information on scale if the parallax is small. This
+is the case in which a monocular model drifts.
 
 A track of n images has 2 n - 3 more measurements than coordinates of its point, but pairs of images
-would count them repeatedly. With p pairs in use, 4 p numbers, each is weighted by
+would count them repeatedly. p pairs have 4 p numbers, so that each is weighted by
 
     w_X = (2 n - 3) / (4 p).
 
-This holds a point fixed while it is carried, so W is somewhat too large. :mod:`.loop_graph`
-estimates the excess from the closures.
+This assumes that a point is constant while it is carried, so that W is somewhat too large.
+:mod:`.loop_graph` estimates the excess from the closures.
 
-Where a drifted model returns to a place, points observed in both passes fit at most one of them. If
-two images do not both fit a point, the intersection of their own rays is used, if they intersect.
-Images of one pass are thus connected by their common points. Images of different passes have skew
-rays, so drift does not connect them. An edge requires that at least half of the shared points
-count.
+If a drifted model returns to a place, points observed in both passes fit at most one pass. If two
+images do not both fit a point, the intersection of their rays is used instead, if they intersect.
+In this way, common points connect images of the same pass. The rays of images of different passes
+are skew, so that these images are not connected by mistake. An edge requires that at least half of
+the shared points are usable.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ __all__ = ["MIN_SHARED", "CovisibilityEdges", "covisibility_edges", "fitting_obs
 Array = NDArray[np.float64]
 
 MIN_SHARED = 6
-"""Fewest points that two images must share for an edge."""
+"""Smallest number of points that two images must share for an edge."""
 MOST_NEIGHBOURS = 10
-"""Next images on a point's track with which an image forms pairs, in the order of images."""
+"""Number of following images on a point's track with which an image forms pairs."""
 MAX_ERROR = 4.0
-"""Largest error in pixels of an observation in use, or this many medians if that is more."""
+"""Largest error in pixels of an observation in use; MEDIANS times the median if that is larger."""
 MEDIANS = 5.0
 LEAST_SINE = 0.02
 """Smallest sine of the angle of two rays that are intersected."""
@@ -65,7 +65,7 @@ class CovisibilityEdges:
 
     Attributes:
         pairs: (m, 2) indices of images, ascending.
-        num_shared: (m,) points that count.
+        num_shared: (m,) number of shared points in use.
         information: (m, 7, 7) information of the second image relative to the first, in the frame
             of the second: rotation, translation, log scale; observations have a sigma of 1 px, or
             their own.
@@ -77,7 +77,7 @@ class CovisibilityEdges:
 
 
 def fitting_observations(problem: Problem) -> NDArray[np.bool_]:
-    """Return the mask (num_observations,) of observations that the model explains."""
+    """Return the mask (num_observations,) of observations that fit the model."""
     errors, unseen = reprojection_errors(problem)
     known = np.isfinite(errors) & ~unseen
     fits: NDArray[np.bool_] = known & (errors <= _limit(errors[known]))
@@ -89,7 +89,7 @@ def covisibility_edges(problem: Problem, fitting: NDArray[np.bool_]) -> Covisibi
 
     Args:
         problem: the model; not modified.
-        fitting: (num_observations,) observations that the model explains.
+        fitting: (num_observations,) mask of observations that fit the model.
     """
     views = _views(problem, fitting)
     point, image = views.point, views.image
@@ -158,7 +158,7 @@ def _views(problem: Problem, fitting: NDArray[np.bool_]) -> _Views:
 def _information(
     views: _Views, i: NDArray[np.int64], j: NDArray[np.int64]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return information (n, 7, 7) of pairs of observations, and the mask of pairs that count."""
+    """Return information (n, 7, 7) of pairs of observations, and the mask of pairs in use."""
     both = views.fits[i] & views.fits[j]
     met, of_i, of_j = _meet(views, i, j)
     from_i = np.where(both[:, None], views.to_point[i], of_i)
@@ -234,7 +234,7 @@ def _summed(
 
 
 def _limit(errors: Array) -> float:
-    """Return the error in pixels above which the model does not explain an observation."""
+    """Return the error in pixels above which an observation does not fit the model."""
     return max(MAX_ERROR, MEDIANS * float(np.median(errors))) if len(errors) else MAX_ERROR
 
 

@@ -29,17 +29,17 @@ class LoopClosure:
 
     Attributes:
         image_ids: ids of its two images.
-        line: line of its file; 0: none.
+        line: line in the file of closures; 0: not from a file.
         used: False if the closure was rejected.
         rotation_before: angle to the measured rotation in the given model, in degrees.
-        rotation_after: the same after solving the graph.
+        rotation_after: the same angle after solving the graph.
         translation_before: distance to the measured translation in the given model, in the model's
             length unit around the first image.
-        translation_after: the same after solving the graph, in the same unit.
+        translation_after: the same distance after solving the graph, in the same unit.
         chi2_before: r^T Omega r in the given model.
         chi2_after: the same after solving the graph.
-        is_factor: True if bundle adjustment also needs it as a factor, because its images share few
-            points.
+        is_factor: True if bundle adjustment also needs the closure as a factor, because its images
+            share few points.
     """
 
     image_ids: tuple[int, int]
@@ -59,15 +59,15 @@ class LoopClosing(Displayed):
     """Problem with closed loops, ready for bundle adjustment.
 
     Attributes:
-        problem: images moved by the graph, points with them.
+        problem: the problem with images moved by the graph, and points moved with their images.
         initial_problem: the given problem.
         closures: results in the given order.
         factors: used closures whose images share too few points to stay connected, for bundle
             adjustment: ``bundle.solve(closed.problem, factors=closed.factors)``.
         num_nodes: nodes of the graph: images, or frames of rigs.
         num_edges: pairs of images that share points.
-        num_components: connected components; the first image of each stays.
-        has_free_scales: True if images could change their scale, which is so without rigs.
+        num_components: number of connected components; the first image of each does not move.
+        has_free_scales: True if images could change their scale; True without rigs.
         scale_range: smallest and largest scale of an image relative to the first of its component.
         variance_factor: divisor of the information of the model's own edges.
         cost_before: half the sum of chi2 in the given model, without rejected closures.
@@ -131,7 +131,7 @@ def as_closures(closures: Closures) -> PoseGraph:
     """Return the checked pose graph, read from a path if necessary.
 
     Raises:
-        InputError: it is planar, has no edges, or an information matrix is invalid.
+        InputError: the graph is planar, has no edges, or an information matrix is invalid.
         OSError: the path cannot be read.
     """
     graph = closures
@@ -156,8 +156,8 @@ def images_of(
     """Return the indices (m, 2) of the images of closures.
 
     Raises:
-        InputError: an id is that of no image, or both images belong to one frame, whose relative
-            poses are those of the rig; the message names the edge, with file and line if known.
+        InputError: the image of an id does not exist, or both images belong to one frame, in which
+            the rig defines relative poses. The message names the edge, with file and line if known.
     """
     index = {image_id: at for at, image_id in enumerate(problem.image_ids.tolist())}
     ids = closures.ids[closures.edges]

@@ -5,26 +5,26 @@ pair of images that share points (:mod:`.covisibility_edges`), which measures th
 the model. Without rigs, nodes may change their scale (:mod:`.similarity_graph`): a closure measures
 a translation in the model's unit around its first image, and no scale.
 
-The information of the model's edges is divided by a variance factor. A drifted model is wrong by
-more than its reprojection errors indicate, because they do not contain the cause of the drift
-(outliers, calibration, a tracker that lost half its points). With the information of these errors,
-the graph would be so stiff that every closure is rejected. Factors of 1, 10, ... 10^6 are tried in
-turn.
+The information of the model's edges is divided by a variance factor. The error of a drifted model
+is larger than its reprojection errors indicate, because these do not contain the cause of the drift
+(outliers, calibration, a tracker that lost half its points). With the information of reprojection
+errors alone, the graph would be so stiff that every closure is rejected. Factors of 1, 10, ... 10^6
+are tried in turn.
 
-First the graph is solved with a robust loss on the closures, with the least factor for which at
-least half of them end within the 99.95 % quantile of correct ones. The others are rejected. Then it
-is solved from the start without them and without a loss, with the least factor for which three
-quarters of the remaining closures fit: the stiffest graph stays closest to the model. Rejected
-closures that now fit are used again, and the graph is solved once more. (Graduated non-convexity,
-which is better for pose graphs, starts at the solution without a loss. A soft graph has already
-been bent by the wrong closures there.)
+First the graph is solved with a robust loss on the closures. The factor is the smallest one for
+which at least half of the closures end within the 99.95 % quantile of correct closures. The other
+closures are rejected. Then the graph is solved from the start without these closures and without a
+loss. The factor is the smallest one for which three quarters of the remaining closures fit, because
+the stiffest graph stays closest to the model. Rejected closures that now fit are used again, and
+the graph is solved once more. (Graduated non-convexity, which is better for pose graphs, starts at
+the solution without a loss. In a soft graph, wrong closures have already deformed this solution.)
 
 Then every image has a similarity from the old world to the new one, which moves the points
 (:mod:`.carried_points`).
 
-Bundle adjustment starts there. If the two images of a closure share points, this start is
-sufficient. If they share fewer than ``MIN_SHARED``, no observation would keep the loop closed, and
-the closure is passed on as a factor.
+Bundle adjustment starts at this result. If the two images of a closure share points, this start is
+sufficient. If they share fewer than ``MIN_SHARED`` points, no observation would keep the loop
+closed, and the closure is passed to bundle adjustment as a factor.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ Array = NDArray[np.float64]
 
 VARIANCE_FACTORS = tuple(10.0**power for power in range(7))
 MOST_FIT = 0.75
-"""Share of the correct closures that must fit in the end."""
+"""Fraction of the correct closures that must fit at the end."""
 ROUGH, FINE = 1e-6, 1e-10
 
 
@@ -78,28 +78,30 @@ def close_loops(
     """Close the loops of a model before bundle adjustment.
 
     Bundle adjustment of a model with drift around a loop ends in a wrong local minimum, because it
-    starts too far from the right one. A graph of the images' poses with measured relative poses at
-    the ends of the loop gets close to it. Images without rigs also change their scale, because
-    monocular models drift in scale. Images of a rig move with their frame, and scales stay.
+    starts too far from the correct minimum. A graph of the images' poses, with measured relative
+    poses at the ends of the loop, provides a close start. Images without rigs also change their
+    scale, because monocular models drift in scale. Images of a rig move with their frame and keep
+    their scale.
 
     Args:
         problem: Problem, path of one, or pycolmap.Reconstruction; not modified.
-        closures: a :class:`bundle.PoseGraph` or a g2o file. All its edges are used, and none of its
-            poses. Its ids are ids of images, and edge i j measures the pose of camera j in the
-            frame of camera i (camera_i_from_camera_j: x right, y down, z forward; translation in
-            the model's length unit around image i).
+        closures: a :class:`bundle.PoseGraph` or a g2o file. All its edges are used; its poses are
+            ignored. Its ids are ids of images. Edge i j measures the pose of camera j in the frame
+            of camera i (camera_i_from_camera_j: x right, y down, z forward; translation in the
+            model's length unit around image i).
         loss: robust loss that separates correct from wrong closures: "huber", "soft_l1" or
-            "cauchy"; at least half of them must be correct. "trivial" uses all. The model's own
-            edges have no loss.
-        loss_scale: sigmas beyond which the loss is robust. A closure is correct within 4.9 times as
-            many (the norm that 99.95 % of correct ones have).
+            "cauchy"; at least half of them must be correct. "trivial" uses all closures. The
+            model's own edges have no loss.
+        loss_scale: length of a residual in sigmas beyond which the loss is robust. A closure counts
+            as correct up to 4.9 times this length, which 99.95 % of correct closures do not exceed.
 
     Returns:
         Moved problem, and the result for each closure.
 
     Raises:
-        InputError: an edge names no image, or two of one frame, with file and line; the graph is
-            planar or without edges; an information matrix or an option is invalid.
+        InputError: the image of an edge does not exist, or both images belong to one frame (with
+            file and line); the graph is planar or without edges; an information matrix or an option
+            is invalid.
         OSError: a path cannot be read.
 
     Example:
@@ -125,7 +127,7 @@ class _Closing:
         self.node_of, nodes = _nodes(problem, cameras)
         self.mounts = multiply_poses(inverse_poses(nodes[self.node_of]), cameras)
         pairs = model.pairs
-        if problem.num_frames:  # images of one frame get no edge
+        if problem.num_frames:  # no edges between images of one frame
             between = self.node_of[pairs[:, 0]] != self.node_of[pairs[:, 1]]
         else:
             between = np.ones(len(pairs), bool)
@@ -183,7 +185,7 @@ class _Closing:
         return SimilarityGraph(**{**vars(self.graph), "information": information})
 
     def _right_closures(self) -> NDArray[np.bool_]:
-        """Return the closures (m,) that end within the limit under the loss."""
+        """Return the mask (m,) of closures that end within the limit in a solve with the loss."""
         right = np.ones(len(self.ends), bool)
         if self.loss == "trivial":
             return right
@@ -268,9 +270,9 @@ class _Closing:
     def _factors(
         self, nodes: Nodes, records: tuple[LoopClosure, ...]
     ) -> tuple[RelativePoseFactor, ...]:
-        """Return the closures to pass on, as cam_b_from_cam_a in the new unit of image a.
+        """Return factors of closures, as cam_b_from_cam_a in the new length unit of image a.
 
-        With B A^-1 = (Z E)^-1 the factor's error Log(Z B A^-1) is -Ad(Z) Log E, to first order.
+        With B A^-1 = (Z E)^-1, the factor's error Log(Z B A^-1) is -Ad(Z) Log E to first order.
         """
         factors = []
         for closure, record in enumerate(records):
@@ -300,7 +302,7 @@ class _Closing:
 
 
 def _nodes(problem: Problem, cameras: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return the node of each image, and the poses of nodes: frames, or images without one."""
+    """Return the node of each image, and the poses of nodes (frames, or images without a frame)."""
     if not problem.num_frames:
         return np.arange(problem.num_images), cameras
     own = problem.image_frame < 0

@@ -1,14 +1,14 @@
 """Graph of similarities: poses with free scale, and measurements between pairs of them.
 
-The pose graph of a monocular model must also correct scale: each image has its own unit of the
-world, and rigid edges cannot undo the drift of this unit (Strasdat, Montiel and Davison, "Scale
+The pose graph of a monocular model must also correct scale: each image has its own length unit, and
+rigid edges cannot correct the drift of this unit (Strasdat, Montiel and Davison, "Scale
 drift-aware large scale monocular SLAM", RSS 2010). A node is therefore X = (R, c, s), which maps a
 point x of its own frame to
 
     X x = s R x + c,
 
-and an edge states that X_i M_i and X_j M_j differ by Z = (R_z, t_z, 1), with M the mounts of two
-cameras on their nodes. With A = X_i M_i, B = X_j M_j, P = A^-1 B = (R_p, t_p, s_p) and
+and an edge measures the difference Z = (R_z, t_z, 1) of X_i M_i and X_j M_j, with M the mounts of
+two cameras on their nodes. With A = X_i M_i, B = X_j M_j, P = A^-1 B = (R_p, t_p, s_p) and
 
     E = Z^-1 P = (R_e, t_e, s_e),    t_e = R_z^T (t_p - t_z),    s_e = s_p,
 
@@ -66,7 +66,7 @@ class Nodes:
     """Similarities world_from_node.
 
     Attributes:
-        poses: (n, 7) qx qy qz qw and the origin in the world.
+        poses: (n, 7) qx qy qz qw and the origin of the node in the world.
         scales: (n,) world units per node unit.
     """
 
@@ -121,7 +121,7 @@ class SimilarityGraph:
         return np.maximum(squared, 0.0)
 
     def solve(self, nodes: Nodes, weigh: Weigh, tolerance: float) -> Nodes:
-        """Return the nodes that minimise 1/2 sum rho of the edges' chi2.
+        """Return the nodes that minimise 1/2 sum rho(chi2) over the edges.
 
         Args:
             nodes: start.
@@ -237,7 +237,7 @@ class SimilarityGraph:
 
 
 def _within(weigh: Weigh, active: NDArray[np.bool_], chi2: Array) -> tuple[Array, Array]:
-    """Weigh some of the edges; the other edges count as exact."""
+    """Apply ``weigh`` with the chi2 of some edges; the chi2 of other edges counts as 0."""
     whole = np.zeros(len(active))
     whole[active] = chi2
     rho, weights = weigh(whole)

@@ -1,8 +1,8 @@
 """Quantiles of the chi-square distribution, by degrees of freedom.
 
-Tables hold exact values (SciPy's ``chi2.isf``), so that solves need no SciPy. For many degrees of
-freedom E. Wilson and M. Hilferty (1931) have the approximation: the cube root of chi2 / k is nearly
-normal, with mean 1 - 2 / (9 k) and variance 2 / (9 k).
+Tables hold exact values (SciPy's ``chi2.isf``), so that solves do not need SciPy. For many degrees
+of freedom, the approximation of E. Wilson and M. Hilferty (1931) is used: the cube root of chi2 / k
+is nearly normal, with mean 1 - 2 / (9 k) and variance 2 / (9 k).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 __all__ = ["MEDIANS", "ONE_IN_2000", "ONE_IN_A_MILLION", "chi2_quantile"]
 
 ONE_IN_2000 = {3: 17.72999622894616, 6: 24.102798994983747}
-"""99.95 % quantiles: limit of a squared error that one right edge in 2000 exceeds."""
+"""99.95 % quantiles: limit of a squared error that one correct edge in 2000 exceeds."""
 
 ONE_IN_A_MILLION = {
     1: 23.928126976934827,
@@ -20,7 +20,7 @@ ONE_IN_A_MILLION = {
     5: 35.888186879672865,
     6: 38.25833637720969,
 }
-"""Quantiles at 1 - 1e-6: limit of a squared error that one right edge in a million exceeds."""
+"""Quantiles at 1 - 1e-6: limit of a squared error that one correct edge in a million exceeds."""
 
 MEDIANS = {
     1: 0.454936423119572,

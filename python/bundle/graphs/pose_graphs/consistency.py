@@ -14,22 +14,22 @@ w_t of ``odometry_chain``, Log(D) is the sum of
     Ad(O_l) e_b - Ad(O_j) e_a                               of the closures,
     (([t <= k] - [t <= i]) P + ([t <= j] - [t <= l])) w_t,  P = Ad(B^-1), of odometry step t.
 
-where A may replace B in P, because they are equal at D = I. Of the two covariances, the one with
-the larger chi2 counts, so that a wrong closure far away is not excused by its own lever. The first
-bracket is s on the steps between i and k, the second r on those between l and j, with signs s, r =
-+1, -1 by direction. Where these stretches overlap, a step counts in both, and the sum is s P + r I,
-nearly zero where B is near I. With W from ``odometry_chain``
+where A may replace B in P, because they are equal at D = I. This gives two covariances. The one
+with the larger chi2 counts, so that the long lever of a wrong closure far away does not inflate its
+covariance. The first bracket is s on the steps between i and k, the second is r on the steps
+between l and j, with signs s, r = +1, -1 by direction. If these stretches overlap, a step counts in
+both, and the sum is s P + r I, which is nearly zero if B is near I. With W from ``odometry_chain``
 
     Cov = S_a + S_b + P W_first P^T + W_second + (P + s r I) W_both (P + s r I)^T,
 
-S_b = Ad(O_l) Sigma_b Ad(O_l)^T, W_first of the steps of the first stretch alone, and so on. The
-pair is consistent if Log(D)^T Cov^-1 Log(D) is below the quantile of chi2 that one correct pair in
-a million exceeds: among 2000 correct closures, two million pairs, a stricter quantile would reject
-many.
+where S_b = Ad(O_l) Sigma_b Ad(O_l)^T, and W_first is the sum over steps in the first stretch only.
+The pair is consistent if Log(D)^T Cov^-1 Log(D) is below the quantile of chi2 that one correct pair
+in a million exceeds. 2000 correct closures have two million pairs, of which a stricter quantile
+would reject many.
 
-Closures of one odometry form one set: correct closures at different places agree within the noise
-between them, so the largest set covers all places. A file of several trajectories has gaps in its
-odometry and is refused.
+The correct closures of one odometry form one set: closures at different places agree within the
+noise between them, so that the largest set covers all places. A file with several trajectories has
+gaps in its odometry and is refused.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ __all__ = [
 PAIRS_AT_ONCE = 20_000
 
 MOST_CLOSURES = 10_000
-"""50 million pairs: minutes, and 2 GB."""
+"""Largest number of closures: 50 million pairs take minutes and 2 GB."""
 
 Floats = NDArray[np.float64]
 
@@ -66,10 +66,10 @@ class LeftOutEdge:
     """Closure outside the largest consistent set.
 
     Attributes:
-        edge: position in the graph.
+        edge: index of the edge in the graph.
         chi2: largest chi2 of a pair with a closure of the set; 3 or 6 degrees of freedom if both
-            are correct.
-        num_contradicted: closures of the set with which it is inconsistent.
+            closures are correct.
+        num_contradicted: number of closures in the set that are inconsistent with this edge.
     """
 
     edge: int
@@ -110,7 +110,7 @@ def closure_consistency(graph: PoseGraph, num_threads: int = 1) -> ClosureConsis
             f"consistency: expected at most {MOST_CLOSURES} closures, found {len(closures)}"
         )
     chi2 = pair_chi2(graph, closures, odometry_chain(graph, num_threads))
-    # values that are not finite are in conflict
+    # values that are not finite count as conflicts
     conflicts = ~(chi2 <= ONE_IN_A_MILLION[graph.tangent_size])
     kept, proven = largest_set(conflicts)
     out = np.flatnonzero(~kept)
@@ -165,7 +165,7 @@ def _odometry_noise(
     to_start: tuple[NDArray[np.intp], NDArray[np.intp]],
     to_end: tuple[NDArray[np.intp], NDArray[np.intp]],
 ) -> Floats:
-    """Return the part of Cov that is odometry's, over stretches from place to place."""
+    """Return the contribution of odometry to Cov, over stretches from place to place."""
     low, high = np.minimum(*to_start), np.maximum(*to_start)
     low_end, high_end = np.minimum(*to_end), np.maximum(*to_end)
     below = np.maximum(low, low_end)

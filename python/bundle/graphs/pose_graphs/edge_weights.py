@@ -31,7 +31,7 @@ class WeightedGraph:
         given: the given graph.
         graph: the weighted graph, without edges of weight 0.
         edges: (k,) positions in ``given`` of the edges of ``graph``.
-        weights: (m,) of the edges of ``given``.
+        weights: (m,) weights of the edges of ``given``.
         options: options as used.
     """
 
@@ -61,12 +61,12 @@ def refuse_for_graphs(**given: Any) -> None:
 def weighted_graph(
     source: Any, options: PoseGraphOptions | None, changes: dict[str, Any], caller: str
 ) -> WeightedGraph:
-    """Return a graph at its poses, with the edge weights of a loss.
+    """Return a graph at its poses, with the weights of a loss on its edges.
 
     Args:
-        source: graph, path of one, or result of a solve, which has its own weights and options
-            unless others are given.
-        options: options, of which error, information and loss count.
+        source: graph, path of a graph, or result of a solve. A result provides its own weights and
+            options unless others are given.
+        options: options; only error, information and loss have an effect.
         changes: options by name, which replace those in ``options``.
         caller: name of the caller for messages.
 

@@ -1,4 +1,4 @@
-"""Truncated least squares over poses: GNC from several starts, of which the least cost counts.
+"""Truncated least squares over poses: GNC from several starts, of which the smallest cost wins.
 
 Graduated non-convexity (GNC) decides which edges are inliers and which are outliers. The truncated
 loss min(x, c^2), x = ||r||^2, is x for an inlier and a constant for an outlier. It has so many
@@ -15,7 +15,7 @@ the truncated loss. For given residuals the optimal weights are
     w = c sqrt(mu (mu + 1) / x) - mu   in between.
 
 c^2 is the 99.95 % quantile of chi2 with the degrees of freedom of an edge, multiplied by the square
-of the requested scale: one correct edge in 2000 is lost.
+of the requested scale: one correct edge in 2000 is classified as an outlier.
 
 GNC starts where the truncated loss is convex for the largest error. Errors after a solve with all
 edges do not show this error: where odometry is weak, wrong closures have bent it and their own
@@ -24,8 +24,8 @@ errors are small. The largest errors are those of closures at the poses of the t
 with first weights from these errors, and with first weights from a solve with all edges.
 
 If the solve with all edges gives no reason for doubt, all edges are inliers. Otherwise a third set
-starts with the trusted edges alone, and the caller may propose more sets. All are improved by
-single edges (``truncated_search``), and the one with the least truncated cost is used.
+starts with the trusted edges alone, and the caller may propose more sets. All sets are improved by
+moving single edges in or out (``truncated_search``). The set with the smallest truncated cost wins.
 """
 
 from __future__ import annotations
@@ -101,13 +101,13 @@ def graduate(
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Proposal = tuple[Flags, Floats]
-"""Mask of inliers, and poses."""
+"""Mask of the inlier edges, and poses."""
 
 HOPELESS = 2.0
-"""A set with more than this multiple of the least cost is not improved."""
+"""Multiple of the smallest cost above which a set is not improved further."""
 
 
-class _Interrupted(Exception):  # noqa: N818  (a way out, no error)
+class _Interrupted(Exception):  # noqa: N818  (control flow, not an error)
     """Solve interrupted by the user."""
 
 
@@ -156,7 +156,7 @@ def solve_gnc(
     progress: Progress | None,
     proposals: Iterable[Proposal] = (),
 ) -> dict[str, Any]:
-    """Solve with graduated weights, then once more with edges in or out.
+    """Solve with graduated weights, then once more with weights of 0 or 1.
 
     Args:
         graph: graph with the information for the solve, at the poses of the start.
@@ -220,7 +220,7 @@ def _best_set(
 def _graduated(
     search: TruncatedSearch, solves: _Solves, poses: Floats, chi2: Floats, largest: float
 ) -> Settled:
-    """Return the set at which graduated weights end, from these errors at these poses."""
+    """Return the final set of graduated weights, started from these errors and poses."""
 
     def solve(weights: Floats) -> Floats:
         nonlocal poses, chi2

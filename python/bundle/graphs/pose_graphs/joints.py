@@ -1,22 +1,24 @@
 """Directions that the edges of a pose graph leave undetermined, exact for graphs of any length.
 
-The normal equations of a long chain have valid eigenvalues near 1e-16, so their spectrum does not
-reveal what is undetermined. The information of the edges does. An edge of full rank fixes its two
-poses relative to each other. Poses connected by such edges, and fixed poses, form one rigid
-cluster. Usually a component is one cluster and everything is determined. Weak joints are found in
-the same way, with clusters of edges whose information has eigenvalues of at least ``WEAK`` in units
-of typical sigmas (medians over the edges, one for rotations and one for translations).
+The normal equations of a long chain have valid eigenvalues near 1e-16, so that their spectrum does
+not reveal undetermined directions. The information of the edges does. An edge of full rank fixes
+its two poses relative to each other. Poses connected by such edges, and fixed poses, form one rigid
+cluster. Usually a component is one cluster, and all directions are determined. Weak joints are
+found in the same way. Their clusters are connected by edges whose information has eigenvalues of at
+least ``WEAK`` in units of typical sigmas (medians over the edges, one for rotations and one for
+translations).
 
-Otherwise clusters move by d_c, the right perturbation of one of their poses, X_c. A pose X of the
-cluster moves by Ad(X^-1 X_c) d_c, and an edge between clusters a and b measures
+If a component has several clusters, a cluster moves by d_c, the right perturbation of one of its
+poses, X_c. A pose X of the cluster moves by Ad(X^-1 X_c) d_c. An edge between clusters a and b
+measures
 
     r + sqrt(Omega) E (Ad(X_j^-1 X_b) d_b - Ad(X_j^-1 X_a) d_a),    E as in ``relative_pose.h``,
 
 because a cluster moves as a rigid body. The rows of these edges form a small problem per component.
-With the cluster of the gauge or of a fixed pose left out, its null space is all that the edges
-leave undetermined. To name its directions, a cluster with one neighbour is compared with this
-neighbour and then merged into it, repeatedly, like leaves of a tree. In the remaining graph, each
-cluster is compared with all others held constant.
+The cluster of the gauge or of a fixed pose has no columns. The null space of this problem contains
+exactly the directions that the edges leave undetermined. To name these directions, a cluster with
+one neighbour is compared with this neighbour and then merged into it, repeatedly, like leaves of a
+tree. In the remaining graph, each cluster is compared with all others held constant.
 """
 
 from __future__ import annotations
@@ -33,18 +35,18 @@ from bundle.model.pose_graph_arrays import PoseGraph
 __all__ = ["Joint", "Joints", "find_joints", "typical_sigmas"]
 
 WEAK = 1e-4
-"""Relative to the information of a typical edge: sigmas a hundred times as large."""
+"""Weak information relative to that of a typical edge: sigmas are 100 times as large."""
 
 OPEN = 1e-13
-"""Relative to the largest eigenvalue: smaller values count as zero."""
+"""Threshold of zero eigenvalues, relative to the largest eigenvalue."""
 
 MOST_CLUSTERS = 100
-"""Clusters of a component that are analysed together; larger components are analysed cluster by
-cluster.
+"""Largest number of clusters of a component that are analysed together; larger components are
+analysed cluster by cluster.
 """
 
 MOST_CARRIED = 1000
-"""Most clusters that a joint lists as moving."""
+"""Largest number of clusters that a joint lists as moving."""
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -52,13 +54,14 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Joint:
-    """Poses that move as a rigid body, with edges to other poses that do not fix it.
+    """Poses that move as a rigid body, with edges to other poses that do not fix this body.
 
     Attributes:
         poses: positions of the poses, the reference pose first.
         edges: positions of the edges to other poses.
-        eigenvalues: (d,) ascending, of the information of these edges on the cluster with the
-            others held constant, in units of typical sigmas; a typical edge has about 1.
+        eigenvalues: (d,) ascending eigenvalues of the information of these edges on the cluster,
+            with the other clusters held constant, in units of typical sigmas. A typical edge has
+            eigenvalues of about 1.
         vectors: (d, d), one column each, in the frame of the reference pose, in typical sigmas.
     """
 
@@ -85,11 +88,11 @@ class Joints:
     Attributes:
         opened: joints with undetermined directions.
         weak: joints with weakly determined directions.
-        directions: (n d, k) right perturbations of all poses that change no error, beside the
+        directions: (n d, k) right perturbations of all poses that change no error, without the
             gauge; zero at constant poses.
-        is_exact: False if a component has more clusters than are analysed together; ``num_open``
-            then counts those of single clusters, and ``directions`` has none of them.
-        num_open: dimension of the null space beside the gauge.
+        is_exact: False if a component has too many clusters to be analysed together. ``num_open``
+            then counts directions of single clusters, and ``directions`` does not contain them.
+        num_open: dimension of the null space without the gauge.
     """
 
     opened: tuple[Joint, ...]
@@ -202,7 +205,7 @@ def _joints(clusters: _Clusters) -> list[Joint]:
 
 
 def _of_component(clusters: _Clusters, rows: list[_Rows]) -> list[Joint]:
-    """Return every cluster but one with what its edges say of it, leaves first."""
+    """Return the joint of every cluster except the reference cluster, leaves first."""
     touching: dict[int, list[tuple[_Rows, int]]] = {}
     for row in rows:
         for side, cluster in enumerate(row.clusters):
@@ -211,7 +214,7 @@ def _of_component(clusters: _Clusters, rows: list[_Rows]) -> list[Joint]:
     fixed = set(clusters.of_pose[clusters.graph.fixed].tolist())
     # What is fixed stays; else the largest cluster is what the others are seen from.
     base = max(touching, key=lambda cluster: (cluster in fixed, sizes[cluster], -cluster))
-    carried = {cluster: [cluster] for cluster in touching}  # and what hangs on it
+    carried = {cluster: [cluster] for cluster in touching}  # with the clusters merged into it
     neighbours = {
         cluster: {row.clusters[1 - side] for row, side in own} for cluster, own in touching.items()
     }

@@ -1,15 +1,16 @@
 """Largest independent set of vertices (largest clique of the complement).
 
-The integer programme max sum x, x_u + x_v <= 1 for each edge, x in {0, 1}, has a relaxation to 0 <=
-x <= 1 whose corners are in {0, 1/2, 1}, and some largest set contains every vertex of value 1 and
-none of value 0 (Nemhauser and Trotter, "Vertex packings: structural properties and algorithms",
-1975). The relaxation is a matching in the graph that has each vertex twice, u on the left and on
-the right, with edges u-v' and v-u'. A smallest vertex cover of it by Koenig's theorem counts the
-copies of u, and x_u is 1 - half of that count. Vertices of value 1/2, usually none, are left to
-HiGHS.
+The integer programme is max sum x, x_u + x_v <= 1 for each edge, x in {0, 1}. Its relaxation to 0
+<= x <= 1 has corners in {0, 1/2, 1}. There is a largest set that contains every vertex of value 1
+and no vertex of value 0 (Nemhauser and Trotter, "Vertex packings: structural properties and
+algorithms", 1975). The relaxation is a matching in a bipartite graph. This graph has each vertex
+twice, u on the left and u' on the right, with edges u-v' and v-u'. Koenig's theorem gives a
+smallest vertex cover of this graph, and x_u is 1 minus half the number of copies of u in the cover.
+HiGHS decides the vertices of value 1/2, which are rare.
 
-Sets of correct closures have few edges inside and many to the wrong ones, so the relaxation usually
-decides all of thousands of vertices. A search for cliques in the dense complement would enumerate.
+Correct closures have few edges between each other and many edges to wrong closures. Therefore the
+relaxation usually decides all vertices, even thousands. A search for cliques in the dense
+complement would have to enumerate them.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ Flags = NDArray[np.bool_]
 
 
 def largest_set(conflicts: Flags) -> tuple[Flags, bool]:
-    """Return the largest set of vertices without a conflict, and whether this is proven.
+    """Return the largest set of vertices without a conflict, and True if this is proven.
 
     Args:
         conflicts: (n, n) symmetric, its diagonal False.
@@ -84,7 +85,7 @@ def _smallest_cover(pattern: Any) -> tuple[Flags, Flags]:
 def _by_integers(conflicts: Flags) -> tuple[Flags, bool]:
     """Solve the integer programme.
 
-    At the time limit, return the better of its best and a greedy set.
+    At the time limit, return the larger of its best set and a greedy set.
     """
     from scipy.optimize import Bounds, LinearConstraint, milp  # optional dependency
     from scipy.sparse import csr_array  # optional dependency
@@ -110,7 +111,7 @@ def _by_integers(conflicts: Flags) -> tuple[Flags, bool]:
 
 
 def _greedy(conflicts: Flags) -> Flags:
-    """Take the vertex with the fewest conflicts and drop its neighbours, repeatedly."""
+    """Repeatedly add the vertex with the fewest conflicts and drop its neighbours."""
     chosen, left = np.zeros(len(conflicts), bool), np.ones(len(conflicts), bool)
     count = conflicts.sum(axis=1)
     while left.any():

@@ -1,4 +1,4 @@
-"""Operations of SE(2) and SE(3) on many poses at once, (n, 3) or (n, 7), as in ``rigid_motion.h``.
+"""Operations of SE(2) and SE(3) on arrays of poses, (n, 3) or (n, 7), as in ``rigid_motion.h``.
 
 The adjoint Ad_X moves a perturbation from the right to the left: X Exp(d) X^-1 = Exp(Ad_X d).
 """
@@ -30,7 +30,8 @@ def adjoints(poses: Floats) -> Floats:
 def adjoint_between(poses: Floats, reference: Floats) -> Floats:
     """Return Ad(X^-1 X_ref) of poses (n, ...) and one reference pose: (n, d, d).
 
-    Translations are subtracted before they are rotated, so no digits are lost far from the origin.
+    Translations are subtracted before they are rotated, so that no digits are lost far from the
+    origin.
     """
     rotation, translation = _parts(poses)
     base, origin = _parts(reference[None])

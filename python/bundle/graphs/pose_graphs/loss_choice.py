@@ -1,16 +1,17 @@
 """Choice of a pose graph's loss: ``auto`` tries losses for wrong closures and compares them.
 
 No loss finds every set of wrong closures: dynamic covariance scaling (DCS) ends in local minima
-where graduated non-convexity (GNC) does not, and vice versa. Both search for poses that most
-closures agree with. The truncated cost measures this independently of the loss:
+that graduated non-convexity (GNC) avoids, and vice versa. Both search for poses with which most
+closures agree. The truncated cost measures this agreement independently of the loss:
 
     1/2 sum over trusted edges x + 1/2 sum over doubted edges min(x, c^2),    x = r^T Omega r,
 
 with c^2 the 99.95 % quantile of chi2 multiplied by the square of the scale. A solve without a loss
 comes first. It is kept if it gives no reason for doubt: every closure is below c^2, chi2 does not
 exceed its degrees of freedom, and no closure has shifted its error to other edges
-(``truncated_search``). Otherwise the solution of the least truncated cost is used. GNC also tries
-the closures that DCS keeps, and the largest set of consistent closures (``consistency``).
+(``truncated_search``). Otherwise the solution with the smallest truncated cost is used. GNC also
+tries the set of closures that DCS keeps, and the largest set of consistent closures
+(``consistency``).
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
 """Odometry chain: composed poses, and their uncertainty relative to each other.
 
-Pose q of the chain is O_q = O_{q-1} Z_q, with an error on the right of each measurement, Z_t
-Exp(e_t) with e_t ~ N(0, Sigma_t), Sigma_t the inverse of its information. Because X Exp(d) =
-Exp(Ad_X d) X, an error of step t moves every later pose as one rigid body, by w_t in the frame of
-the chain:
+Pose q of the chain is O_q = O_{q-1} Z_q. Each measurement has an error on its right, Z_t Exp(e_t)
+with e_t ~ N(0, Sigma_t), Sigma_t the inverse of its information. Because X Exp(d) = Exp(Ad_X d) X,
+an error of step t moves all later poses together as one rigid body, by w_t in the frame of the
+chain:
 
     O_q -> Exp(w_t) O_q  for q >= t,     w_t = Ad(O_t) e_t.
 
-Steps are independent, so covariances of w add up, and those of the steps between p and q are
+Steps are independent, so that covariances of w add up. The sum over the steps between p and q is
 
     sum_{p < t <= q} Cov(w_t) = W_q - W_p,     W_q = sum_{t <= q} Ad(O_t) Sigma_t Ad(O_t)^T,
 
@@ -32,7 +32,7 @@ __all__ = ["OdometryChain", "edge_covariance", "odometry_chain"]
 Floats = NDArray[np.float64]
 
 SINGULAR = 1e-14
-"""Least eigenvalue of invertible information with a unit diagonal."""
+"""Smallest eigenvalue of information with a unit diagonal that counts as invertible."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class OdometryChain:
     Attributes:
         poses: (n, 3) or (n, 7) in the order of the graph's poses.
         place: (n,) place of each pose along the chain, from 0.
-        accumulated: (n, d, d) W by place; zero at the first.
+        accumulated: (n, d, d) matrices W by place; zero at the first place.
     """
 
     poses: Floats
@@ -51,7 +51,7 @@ class OdometryChain:
 
 
 def odometry_chain(graph: PoseGraph, num_threads: int) -> OdometryChain:
-    """Compose the first edges between consecutive ids.
+    """Compose the odometry chain from the first edge between each two consecutive ids.
 
     Raises:
         InputError: ids are missing, two consecutive ids have no edge, or the information of such an

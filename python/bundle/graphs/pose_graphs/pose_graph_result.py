@@ -27,12 +27,12 @@ class PoseGraphSummary(Summary):
         chi2_final: the same at the end.
         init: start of the solve: "file", "odometry", "spanning_tree" or "chordal".
         init_choice: reason for that start; "" if it was requested.
-        loss: loss of the final solve: for "auto" the chosen one.
+        loss: loss of the final solve; the chosen loss for "auto".
         loss_choice: reason for that loss; "" if it was requested.
         num_components: connected components of the graph.
-        num_gauge_freedoms: gauge degrees of freedom removed by holding poses constant that no FIX
-            fixes: 3 or 6 per component without one.
-        held_pose_ids: ids of these poses.
+        num_gauge_freedoms: gauge degrees of freedom that the solve removes by holding poses
+            constant: 3 or 6 per component without a FIX.
+        held_pose_ids: ids of these constant poses.
         num_rejected_edges: edges that the loss has rejected.
         num_left_out_edges: closures that ``consistency`` has left out of the solve.
     """
@@ -52,7 +52,7 @@ class PoseGraphSummary(Summary):
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class PoseGraphResult(SolveRecord):
-    """Poses that a solve found, with its summary.
+    """Poses at the end of a solve, with its summary.
 
     Attributes:
         problem: graph with the final poses.
@@ -62,10 +62,10 @@ class PoseGraphResult(SolveRecord):
         iterations: one array per field of Ceres' IterationSummary, one entry per iteration.
         chi2_before: (m,) r^T Omega r of each edge at the start, without loss.
         chi2_after: the same at the end.
-        weights: (m,) final factor of the loss on the information of each edge: rho'; 0 or 1 for
+        weights: (m,) final factor rho' of the loss on the information of each edge; 0 or 1 for
             gnc_tls; 0 for edges left out.
-        rejected: edges that the loss has rejected, by position, worst first: weight below 1/2 and a
-            chi2 that one correct edge in a million has (gnc_tls: weight 0).
+        rejected: indices of edges that the loss has rejected, worst first. Their weight is below
+            1/2 and their chi2 is exceeded by one correct edge in a million (gnc_tls: weight 0).
         left_out: closures that ``consistency`` has left out, by descending chi2 of a pair.
         build_time_in_seconds: time outside the solver.
         solve_time_in_seconds: time inside the solver.

@@ -48,7 +48,7 @@ def solve_consistent(graph: PoseGraph, options: PoseGraphOptions, solve: Solve) 
             at the start.
 
     Raises:
-        InputError: as by :func:`closure_consistency`; errors of ``solve``.
+        InputError: for the reasons of :func:`closure_consistency` or of ``solve``.
     """
     begun = perf_counter()
     weighed = checked_information(graph, options.information)
@@ -114,7 +114,8 @@ LOCAL_MINIMUM = "local_minimum"
 BETTER_START = "better_start"
 
 MOST_CHECKED = 2500
-"""Most closures for which ``auto`` checks consistency: three million pairs, some seconds."""
+"""Largest number of closures for which ``auto`` checks consistency: three million pairs, some
+seconds."""
 
 
 def solve_pose_graph(
@@ -126,9 +127,9 @@ def solve_pose_graph(
 ) -> PoseGraphResult:
     """Refine a pose graph: minimise 1/2 sum rho(r^T Omega r) over its edges.
 
-    Fixed poses stay. A connected component without one would float, so its first pose is held
-    constant, which removes exactly 3 degrees of freedom in the plane and 6 in space. The summary
-    counts these poses and lists them. The GIL is released; Ctrl-C keeps the best state.
+    Fixed poses stay. A connected component without a fixed pose would have gauge freedom. Its first
+    pose is held constant, which removes exactly 3 degrees of freedom in the plane and 6 in space.
+    The summary counts and lists these poses. The GIL is released; Ctrl-C keeps the best state.
 
     Args:
         graph: graph to solve; not modified.
@@ -231,14 +232,14 @@ def _refined(
 
 
 def initial_poses(graph: PoseGraph, init: str = "chordal") -> NDArray[np.float64]:
-    """Return poses from edges alone, relative to fixed poses or the first of each component.
+    """Return poses from edges alone, relative to the fixed or first pose of each component.
 
     Args:
         graph: pose graph; not modified.
         init: "odometry", "spanning_tree" or "chordal".
 
     Raises:
-        InputError: as by :func:`solve_pose_graph`.
+        InputError: for the reasons of :func:`solve_pose_graph`.
     """
     check_type("graph", graph, PoseGraph)
     init = choice("init", init, ("odometry", "spanning_tree", "chordal"))
@@ -262,7 +263,7 @@ def pose_graph_chi2(graph: PoseGraph, error: str = "log") -> NDArray[np.float64]
 
 
 def _consistent_set(graph: PoseGraph, num_threads: int) -> NDArray[np.bool_] | None:
-    """Return the edges without contradicting closures; None if that cannot be determined."""
+    """Return the mask of edges without contradicting closures; None if it cannot be computed."""
     if int(graph.is_closure.sum()) > MOST_CHECKED:
         return None
     try:
@@ -280,9 +281,9 @@ def _rejected(
     doubted: NDArray[np.bool_],
     options: PoseGraphOptions,
 ) -> tuple[int, ...]:
-    """Return the edges that the loss rejects: weight below 1/2 and error beyond doubt.
+    """Return the edges that the loss rejects: weight below 1/2 and a certainly too large error.
 
-    The weight alone is not sufficient: some losses reduce the weight of every edge.
+    The weight alone is not sufficient, because some losses reduce the weight of every edge.
     """
     if options.loss == "trivial":
         return ()

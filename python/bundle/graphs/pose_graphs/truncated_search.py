@@ -1,20 +1,22 @@
 """Search for edge sets of low truncated cost: solve, classify, and test single edges.
 
-Let S be the doubted edges that are in. The truncated cost of ``loss_choice`` is the minimum, over
-sets S and poses, of the sum of chi2 over trusted edges and S, plus c^2 for each edge outside.
+Let S be the set of doubted edges that are in use ("in"). The truncated cost of ``loss_choice`` is
+the minimum, over sets S and poses, of the sum of chi2 over trusted edges and S, plus c^2 for each
+doubted edge that is not in S ("out").
 
 *Settling* a set solves with it, puts each edge in or out by its chi2, and repeats: the cost never
-rises. A settled set may still contain a wrong closure whose error has shifted to weak edges: its
-own chi2 is small, and that of the edges around it is large. Covariances predict the decrease of the
-sum without it. With A the whitened Jacobian of an edge with respect to the relative pose that it
-measures, C_ij the covariance of that pose and r the whitened error, to first order
+rises. A settled set may still contain a wrong closure whose error has shifted to weak edges. The
+chi2 of this closure is small, and the chi2 of the edges around it is large. Covariances predict the
+decrease of the sum without this closure. Let A be the whitened Jacobian of an edge with respect to
+the relative pose that it measures, C_ij the covariance of this pose and r the whitened error. To
+first order
 
     an edge that is in   lowers the sum by  r^T K^+ r,   K = I - A C_ij A^T,   if it is taken out;
     an edge that is out  raises the sum by  r^T P^-1 r,  P = I + A C_ij A^T,   if it is put in
 
-(the first is Baarda's test, ``graph_covariance.cpp``). An edge with a test above c^2 should be out,
-and one whose price is below c^2 in. *Improving* tries such edges, the largest gain first, settles
-each resulting set, and keeps it if its truncated cost is lower.
+(the first is Baarda's test, ``graph_covariance.cpp``). An edge with a test value above c^2 should
+be out. An edge whose price r^T P^-1 r is below c^2 should be in. *Improving* tries such edges, the
+largest gain first, settles each resulting set, and keeps the set if its truncated cost is lower.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ __all__ = ["Settled", "TruncatedSearch", "find_doubt", "flip_gains"]
 MOST_SETTLES = 10
 MOST_FLIPS = 20
 MOST_TRIES = 4
-"""Number of edges to try before a set counts as improved."""
+"""Number of edges to try in each step of an improvement."""
 
 LOWER = 1e-6
 """Relative decrease of the truncated cost below which a set has not improved."""
@@ -51,7 +53,7 @@ class Settled:
     Attributes:
         cost: sum of chi2, limited to c^2 for doubted edges (twice the truncated cost).
         poses: poses in the format of a graph.
-        chi2: (m,) of all edges at these poses.
+        chi2: (m,) chi2 of all edges at these poses.
         used: (m,) True where an edge is in.
     """
 
@@ -183,7 +185,7 @@ def flip_gains(
     c_squared: float,
     num_threads: int = 1,
 ) -> Floats:
-    """Return the first-order decrease of the sum if a doubted edge changes sides.
+    """Return the first-order decrease of the sum if a doubted edge is put in or out.
 
     Args:
         graph: graph at a minimum of the used edges.
