@@ -79,7 +79,7 @@ def options_given(
         arguments: parsed command line.
         kind: class of the options.
         names_follow: leave out images given by name; :func:`with_named_images` adds them.
-        beside: fields that have an effect without the options that they require.
+        beside: fields that also have an effect without the options that they usually require.
 
     Raises:
         InputError: a value is out of range, or an option requires another one; the message names

@@ -30,7 +30,7 @@ class _Formatter(argparse.HelpFormatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """Argument parser whose errors are InputErrors.
+    """Argument parser that raises InputErrors.
 
     An unknown flag is reported before a missing one. A user who misspells ``--output`` sees the
     misspelling, not that ``--output`` is required.

@@ -1,6 +1,6 @@
 """Path arguments of a command, and a check of all of them together.
 
-The type of an argument declares if its path is read, or what is written to it. Before a command
+The type of an argument declares its use: reading, or writing of a named content. Before a command
 runs, the check compares all paths. A written path must differ from all read paths and all other
 written paths, and from the files of models and sequences at these paths. Existing files are
 compared by identity, so links and different spellings are detected. Outputs that do not exist yet

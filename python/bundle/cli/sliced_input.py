@@ -26,8 +26,9 @@ def sliced_input(
 ) -> SlicedRefinement | None:
     """Return the refinement of INPUT in slices; None if one process must read it all.
 
-    It is None for a single process, for COLMAP text models, for an output that is compressed or has
-    another format than the input, and for options that do not support a distributed solve.
+    One process reads everything if it is the only one, if INPUT is a COLMAP text model, or if the
+    output is compressed or has another format than INPUT. It also does so for options that do not
+    support a distributed solve.
 
     Raises:
         InputError: INPUT has no observations, or is not in its declared format.

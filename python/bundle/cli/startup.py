@@ -19,7 +19,7 @@ import signal
 import sys
 import threading
 
-TYPE_CHECKING = False  # replaces typing's, whose import takes longer than the rest of this file
+TYPE_CHECKING = False  # as in typing, but without its slow import
 if TYPE_CHECKING:
     from types import FrameType
 

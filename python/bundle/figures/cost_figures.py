@@ -27,7 +27,7 @@ WIDE = 30.0
 
 
 def iteration_figure(cost: Array) -> Figure:
-    """Return the cost by iteration; if it hardly falls, the difference to the final cost."""
+    """Return the cost by iteration; for a small decrease, the difference to the final cost."""
     count = float(len(cost))
     last = cost[np.isfinite(cost)][-1:]
     positive = cost[np.isfinite(cost) & (cost > 0)]

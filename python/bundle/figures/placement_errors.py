@@ -26,7 +26,7 @@ class PlacedImage:
             has no image of this name.
         residual: (3,) model minus measurement, east, north, up [m]; NaN if unknown.
         sigmas: length of the residual in standard deviations; NaN if unknown.
-        used: whether it had an influence.
+        used: True if the measurement had an influence.
     """
 
     name: str
@@ -48,7 +48,7 @@ class PlacedTarget:
         left_out: (3,) the same if only the other points georeference the model.
         sigma: (3,) standard deviation of the survey [m]; NaN for an unknown height.
         pixels: root mean square of its reprojection errors.
-        suspect: whether a gross error is likely.
+        suspect: True if a gross error is likely.
     """
 
     name: str

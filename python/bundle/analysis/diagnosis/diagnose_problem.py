@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 __all__ = ["diagnose"]
 
 FEW_OBSERVATIONS = 10
-"""Number of observations below which an image hardly determines its pose."""
+"""Number of observations below which the pose of an image is poorly determined."""
 
 
 @overload
@@ -83,7 +83,7 @@ def diagnose(
     constraints: Constraints | Iterable[str | Rule] | Applied = (),
     **changes: Any,
 ) -> Diagnosis | GraphDiagnosis:
-    """Find what the observations determine and what they do not, at the values of a problem.
+    """Find the determined and undetermined parameters of a problem at its current values.
 
     The points are eliminated; points without parallax are removed exactly. The resulting reduced
     camera system is scaled to a unit diagonal. Its null directions are compared with moving,

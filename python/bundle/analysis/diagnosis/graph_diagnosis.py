@@ -72,7 +72,7 @@ class SuspiciousEdge:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GraphDiagnosis(Conditioned, Displayed):
-    """Directions that the edges of a pose graph determine at its poses, and those that they do not.
+    """Determined and undetermined directions of a pose graph at its poses.
 
     Attributes:
         nullity: number of directions of the poses that change no error.

@@ -2,9 +2,9 @@
 
 A solver returns an arbitrary basis of the null space. Two unknowns belong together if the projector
 onto the null space couples them. The blocks of the projector are independent deficiencies, and the
-trace of a block is the dimension of its deficiency, for any basis. The kind of a deficiency follows
-from the moving unknowns (camera parameters, poses or both), from the viewing geometry of its images
-(viewing.py), and from the points that connect them (track_table.py).
+trace of a block is the dimension of its deficiency, for any basis. Three things determine
+the kind of a deficiency: the moving unknowns (camera parameters, poses or both), the viewing
+geometry of its images (viewing.py), and the points that connect them (track_table.py).
 """
 
 from __future__ import annotations

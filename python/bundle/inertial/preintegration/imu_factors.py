@@ -26,9 +26,10 @@ __all__ = ["BiasWalkFactor", "ImuFactor"]
 class ImuFactor(Factor):
     """IMU measurement between two states i and j.
 
-    With R, p, v of i (world_from_imu) and R', p', v' of j, T seconds apart, g gravity, and dR, dp,
-    dv the preintegrated motion corrected to the biases of i, the error is, in this order,
-    Log(dR^T R^T R'), R^T (p' - p - v T - 1/2 g T^2) - dp and R^T (v' - v - g T) - dv.
+    Let R, p, v be the state of i (world_from_imu) and R', p', v' that of j, T seconds later. Let g
+    be gravity, and dR, dp, dv the preintegrated motion corrected to the biases of i. The error is,
+    in this order, Log(dR^T R^T R'), R^T (p' - p - v T - 1/2 g T^2) - dp and
+    R^T (v' - v - g T) - dv.
 
     Attributes:
         pose_i: key of the pose world_from_imu of i, on se3; positions in metres.
@@ -46,8 +47,8 @@ class ImuFactor(Factor):
 
     Raises:
         InputError: a key occurs twice, or gravity is not three finite numbers.
-            :meth:`bundle.FactorGraph.add_factor` refuses what does not fit the variables, and a
-            motion without a positive definite covariance.
+            :meth:`bundle.FactorGraph.add_factor` raises it if sizes do not fit the variables, or
+            if the covariance of the motion is not positive definite.
     """
 
     pose_i: Key

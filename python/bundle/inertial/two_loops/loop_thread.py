@@ -123,7 +123,7 @@ class SolveLoop(Displayed):
         return self._worker.settle(timeout)
 
     def close(self, timeout: float | None = None) -> bool:
-        """Solve what is queued and end the thread; return False after a time-out.
+        """Solve all queued input and end the thread; return False after a time-out.
 
         Args:
             timeout: seconds to wait for it; None: without limit.

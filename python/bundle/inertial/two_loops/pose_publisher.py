@@ -48,7 +48,7 @@ class _Sample(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """State that a window has solved.
+    """Solved state of a window.
 
     Attributes:
         timestamp_ns: stamp of the frame.

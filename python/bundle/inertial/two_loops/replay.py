@@ -1,7 +1,7 @@
 """Replay of a sequence through two loops: a pose per IMU sample, a window, a closure graph.
 
 Samples are replayed in order, and an image follows the last sample before it. In real time, samples
-come at the sensors' rate, each loop takes its time, and the latency of a pose is the time from its
+come at the sensors' rate, and slow solves delay results. The latency of a pose is the time from its
 sample to its return. Otherwise the next sample waits until both loops are idle: results are then
 reproducible, as if the sensors waited for the solver.
 """
@@ -138,7 +138,7 @@ def run_two_loops(
     Args:
         sequence: IMU samples, tracks and calibration.
         options: options of the window, or some of its fields by name.
-        closures: loop closures at any times of the sequence; each becomes known with the first
+        closures: loop closures at any times of the sequence; each is added with the first
             keyframe at or after its later end.
         real_time: samples come at the sensors' rate, otherwise as fast as the loops permit.
         num_shares: poses over which a correction is spread.

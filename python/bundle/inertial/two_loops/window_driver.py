@@ -72,7 +72,7 @@ class WindowDriver:
 
     @property
     def num_closures_left(self) -> int:
-        """Number of closures whose later end is after the newest keyframe."""
+        """Number of closures with a later end after the newest keyframe."""
         return len(self._closures)
 
     def _put_keyframe(self, place: int) -> None:

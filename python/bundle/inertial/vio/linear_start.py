@@ -11,8 +11,8 @@ linear system thus determines everything but b, in metres. A vision-only reconst
 fitted afterwards is not needed (Dong-Si and Mourikis, IROS 2012; Martinelli, IJCV 2014).
 
 * Points are eliminated (Schur complement). Gravity has its known length and moves on its sphere by
-  two coordinates, in a few iterations. A prior constrains a, which a second of motion hardly
-  determines.
+  two coordinates, in a few iterations. A prior constrains a, which a second of motion
+  determines poorly.
 * The first system has the observed coordinates in its rows. The next ones are linearised at the
   previous solution, so that their errors are in pixels; the last ones have Cauchy weights.
 * The initial b makes rays coplanar. For a pair of images with the right rotation, the normals of

@@ -90,9 +90,9 @@ class StaticStart(NamedTuple):
 def find_static_start(images: SequenceImages, gravity: float = 9.81) -> StaticStart | None:
     """Return the rest at the start of a sequence, or None if it begins in motion.
 
-    Rest is as in :func:`rest_at_start`, for at least half a second, with standard deviations of at
-    most 0.06 rad/s (gyroscope) and 0.8 m/s^2 (accelerometer), and a mean force within 1 m/s^2 of
-    gravity.
+    Rest is defined as in :func:`rest_at_start` and must last at least half a second. Standard
+    deviations must be at most 0.06 rad/s (gyroscope) and 0.8 m/s^2 (accelerometer). The mean force
+    must be within 1 m/s^2 of gravity.
     """
     sequence, stamps = images.sequence, images.stamps
     first = int(np.argmax(images.covered))

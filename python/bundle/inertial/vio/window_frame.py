@@ -86,7 +86,7 @@ class WindowFrame:
 
 
 def repropagate(frames: Sequence[WindowFrame]) -> int:
-    """Repropagate intervals with biases too far for first order; return how many there were.
+    """Repropagate intervals with biases too far for first order; return their number.
 
     The first-order error is at most a sixth of the squared angle by which the bias change rotates
     the interval; below NEGLIGIBLE_ANGLE the closed form is skipped.

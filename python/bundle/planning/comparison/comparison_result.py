@@ -155,7 +155,7 @@ class Run(Displayed):
         message: reason in one sentence, unless the outcome is "done".
         measurements: one per completed repeat, in order; empty unless "done" or "failed".
         unfinished: iterations that an incomplete run sent, by the names of Ceres' IterationSummary.
-        prediction: None if nothing is predicted.
+        prediction: predicted cost; None without a prediction.
     """
 
     problem: int

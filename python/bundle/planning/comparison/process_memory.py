@@ -91,7 +91,7 @@ def go_first_when_memory_ends() -> None:
 
 
 def _reserve(num_threads: int) -> int:
-    """Return bytes that threads reserve without touching: stacks and buffers."""
+    """Return the number of bytes that threads reserve but do not use: stacks and buffers."""
     stack, _ = resource.getrlimit(resource.RLIMIT_STACK)
     stack = _SOME_STACK if stack == resource.RLIM_INFINITY else stack
     cores = max(num_threads, os.cpu_count() or 1)  # OpenBLAS starts one thread per core

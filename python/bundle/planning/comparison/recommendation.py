@@ -135,7 +135,7 @@ def _speed(run: Run) -> tuple[bool, float]:
 
 
 def _behind(comparison: Comparison, winner: Run, rival: Run, tolerance: float) -> str:
-    """Return text about a rival: how much slower it is, and how much higher its final cost."""
+    """Return text about a rival: its additional time and its higher final cost."""
     ratio = rival.total_time_in_seconds / winner.total_time_in_seconds
     name = _told_apart(winner.method, rival.method)
     verb = "take" if name.endswith("threads") else "takes"

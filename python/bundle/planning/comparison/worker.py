@@ -1,7 +1,7 @@
 """Worker of one run: ``python -m bundle.planning.comparison.worker FOLDER REQUEST CHANNEL``.
 
-FOLDER holds the problem (see ``hand_over``), REQUEST is a JSON file of options and limits, CHANNEL
-is the number of an open file that receives one JSON object per line:
+FOLDER contains the problem (see ``hand_over``). REQUEST is a JSON file of options and limits.
+CHANNEL is the number of an open file that receives one JSON object per line:
 
 - ``{"resident": bytes}`` once the problem is loaded,
 - ``{"iterations": [...]}`` regularly, by the names of Ceres' IterationSummary,

@@ -43,7 +43,7 @@ class MethodInspection(Displayed):
         fits_in_memory: True if the memory is at most 90 % of the free memory.
         is_taken: True if options can select this method. The fused backend always takes the
             cheapest of three orders.
-        note: remark on the numbers; "" if there is none.
+        note: remark on the numbers; may be "".
     """
 
     name: str

@@ -95,7 +95,7 @@ def _run(graph: GraphInspection) -> dict[str, Any]:
 
 
 def _labels(names: Sequence[str]) -> list[str]:
-    """Return the text of each circle: short names, else numbers, else nothing."""
+    """Return the text of each circle: short names, or numbers, or no text."""
     if len(names) > LARGEST_LABELLED:
         return [""] * len(names)
     if all(len(name) <= LONGEST_LABEL for name in names):

@@ -71,7 +71,7 @@ class _Edge:
 def refined_graph(
     path: str, solved: PoseGraphResult, wall: WallTime, output: dict[str, str] | None
 ) -> Report:
-    """Return the report on one solve; `output` is None where nothing was written."""
+    """Return the report on one solve; `output` is None if nothing was written."""
     summary, graph = solved.summary, solved.initial_problem
     facts = [
         *graph_facts(path, graph),
