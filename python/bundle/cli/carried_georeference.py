@@ -1,8 +1,8 @@
 """georeference.json next to an output; it always describes the model next to it.
 
 A command that georeferences a model writes the file. A command that keeps the frame of its input
-copies the input's file. Without such a file, a file of an earlier model at the output is replaced
-together with that model (``bundle.io``).
+copies the input's file. If the input has no such file, the file of an earlier model at the output
+is removed with that model (``bundle.io``).
 """
 
 from __future__ import annotations

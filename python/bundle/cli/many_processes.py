@@ -62,7 +62,7 @@ def run_command(main: Callable[[], int]) -> int:
     finally:
         signal.signal(signal.SIGUSR1, signal.SIG_IGN)
         if code != EXIT_DONE:
-            take_the_word()  # which main has had
+            take_the_word()  # main has already printed the error
         crew.end(code)
     return code
 

@@ -38,7 +38,7 @@ class Certainty:
         num_null_points: points without parallax, left out along their undetermined direction.
         images: (n,) indices.
         centers: (n, 3, 3) covariances of camera centres [length unit squared].
-        angles: (n,) standard deviation of the rotation about its worst axis [degrees].
+        angles: (n,) standard deviation of the rotation about its least certain axis [degrees].
         points: (m,) indices.
         point_covariance: (m, 3, 3) [length unit squared].
         cameras: (k, k) covariance of the parameters by camera index, NaN for constant parameters.

@@ -108,7 +108,7 @@ class LineFigure:
         }
 
     def figure(self) -> Figure:
-        """Return the figure with axes over all lines and bands; limits are grey with own dashes."""
+        """Return the figure with axes over all lines and bands; limits are grey and dashed."""
         limits = [line for line in self.lines if line.is_limit]
         marks = tuple(
             replace(line, colour=GREY, dash=1 + limits.index(line))

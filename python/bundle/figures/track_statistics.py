@@ -31,7 +31,6 @@ class TrackStatistics:
         angles: (len(angle_limits) + 1,) points by the largest angle between two of their rays:
             below the first limit, between consecutive limits, and above the last one. Only points
             with at least two observations count.
-            first limit, between each two, from the last on. Only points with two observations.
     """
 
     lengths: NDArray[np.int64]

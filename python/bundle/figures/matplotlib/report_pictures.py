@@ -140,7 +140,7 @@ def draw_lens_curves(ax: Axes, curves: Sequence[LensCurve]) -> None:
 
     Args:
         ax: axis to draw on.
-        curves: curves of cameras, from ``bundle.figures.lens_curve``; with a sigma also a band.
+        curves: curves of cameras, from ``bundle.figures.lens_curve``; those with sigmas get a band.
     """
     for curve in curves:
         check_type("curves", curve, LensCurve)

@@ -4,8 +4,8 @@ A marginal prior is indexed by the stamps of its frames, because their positions
 change as it slides.
 
 At constant velocity nothing measures the scale: a wrong pitch with a wrong accelerometer bias, or
-drift of the monocular scale, changes the speed like a true acceleration. An assumption remains:
-where |a| does not vary, the platform keeps its speed,
+drift of the monocular scale, changes the speed like a true acceleration. The prior assumes that
+the platform keeps its speed while |a| does not vary,
 
     r = (|v_j| - |v_i|) / (sigma T)
 

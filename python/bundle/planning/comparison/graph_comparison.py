@@ -78,7 +78,7 @@ class GraphRun:
         chi2_final: sum of squares without 1/2 and without loss; NaN after a failure.
         num_steps: number of attempted steps.
         termination_type: as in a summary, or "TIMEOUT".
-        failure: reason why there is no usable solution, as a sentence; else "".
+        failure: reason for a missing solution, as a sentence; "" with a solution.
         warnings: warnings of the solve.
     """
 

@@ -13,7 +13,7 @@ from bundle.reports.sections import Table
 
 __all__ = ["Notes", "convention", "declared", "rounded", "table"]
 
-# Length in characters from which a sentence wraps.
+# Length in characters from which a cell counts as a sentence, which wraps.
 LONG = 20
 # Columns that fit on a page of 800 pixels.
 MOST_COLUMNS = 7
