@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-TYPE_CHECKING = False  # as of typing, whose import takes longer than all that is here
+TYPE_CHECKING = False  # as typing.TYPE_CHECKING; importing typing would be slower than this module
 if TYPE_CHECKING:
     from typing import Any
 
@@ -331,9 +331,9 @@ _DEFERRED = {
     "synthetic.flight.synthetic_flight": ("SyntheticFlight", "synthesize_flight"),
     "synthetic.synthesis": ("SyntheticScene", "synthesize"),
 }
-"""Modules, by the names that they give; imported when first asked for (PEP 562).
+"""Modules by the names that they define. Each is imported on first use of a name (PEP 562).
 
-The command line starts here, and its first act must be to take care of Ctrl-C.
+The command line imports this module first and must handle Ctrl-C before slow imports.
 """
 
 _MODULES = {
@@ -346,7 +346,7 @@ _MODULES = {
     "two_loops": "inertial.two_loops",
     "warning_kinds": "interface.warning_kinds",
 }
-"""Public modules, by the place where they stand in the package."""
+"""Public modules, with their location in the package."""
 
 
 class _OtherNames:
@@ -362,7 +362,7 @@ class _OtherNames:
 
 
 class _BelowPublicNames:
-    """Finder of what is in a public module, before Python looks there and loads it once more."""
+    """Finder of submodules of public modules; without it, Python would load them a second time."""
 
     @staticmethod
     def find_spec(name: str, *_: object) -> Any:

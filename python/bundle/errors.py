@@ -1,4 +1,4 @@
-"""The exception for bad input, and values as its messages show them."""
+"""Exception for invalid input, and formatting of values in its messages."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ LONGEST_VALUE = 60
 
 
 def shown(path: str | os.PathLike[str]) -> str:
-    """Return the path as one line of printable text, whatever bytes its name has."""
+    """Return the path as one line of printable text, even if its name has invalid bytes."""
     return _printable(os.fspath(path))
 
 
 def brief(value: Any) -> str:
     """Return any value as one short line of printable text: its repr, or its type.
 
-    A long repr is cut; its type comes first, unless it is a string.
+    A long repr is cut. Except for strings, the type is then written first.
     """
     try:
         text = " ".join(repr(value).split())[: LONGEST_VALUE + 1]
-    except Exception:  # a user's __repr__, or an object that was not built completely
+    except Exception:  # from a user's __repr__, or an incompletely built object
         return f"an object of type {type(value).__name__}"
     text = _printable(text)
     if len(text) <= LONGEST_VALUE:
@@ -45,12 +45,12 @@ def brief(value: Any) -> str:
 
 
 def first_line(error: Exception) -> str:
-    """Return the first line of an exception's message, or its type where it has none."""
+    """Return the first line of an exception's message; the type if the message is empty."""
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def nearest(found: str, spellings: Mapping[str, str] | Iterable[str]) -> str:
-    """Return "; did you mean X?", or "" where no name is similar.
+    """Return "; did you mean X?", or "" if no valid name is similar.
 
     Case, hyphens and underscores are ignored.
 
@@ -71,7 +71,7 @@ def nearest(found: str, spellings: Mapping[str, str] | Iterable[str]) -> str:
 
 
 def check_keywords(caller: str, given: Iterable[str], spellings: Mapping[str, str]) -> None:
-    """Refuse unknown keywords, and suggest the most similar one.
+    """Raise an error for an unknown keyword, and suggest the most similar valid keyword.
 
     Args:
         caller: function that takes the keywords.

@@ -1,1 +1,1 @@
-"""Checked arguments, wording, tables, paths: what every room may use."""
+"""Checks of arguments, wording, tables, paths: utilities that every package may use."""

@@ -1,7 +1,7 @@
-"""Limits of memory, checked before libraries are loaded.
+"""Check of memory limits before libraries are loaded.
 
-Under `ulimit -v` or `ulimit -d`, OpenBLAS and others abort or hang while they are loaded. This
-module imports the standard library only, and even that only where there is a limit.
+Under `ulimit -v` or `ulimit -d`, OpenBLAS and other libraries abort or hang while they are loaded.
+This module imports only the standard library, and only if a limit is set.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from pathlib import Path
 
 __all__ = ["LIBRARIES", "PYCOLMAP", "require"]
 
-# Measured with 2 cores, with a margin: NumPy, the core and their threads on Debian 13, whose
-# OpenBLAS takes 130 MB more than that of Debian 12; then pycolmap. Each further core adds a stack
-# and an arena of the heap.
+# Measured with 2 cores, plus a margin. LIBRARIES: NumPy, the C++ core and their threads on Debian
+# 13, whose OpenBLAS takes 130 MB more than that of Debian 12. The second constant: pycolmap. Each
+# further core adds a stack and an arena of the heap.
 LIBRARIES = (520e6, 400e6)
 """Bytes of address space and of data that `import bundle` takes."""
 
@@ -25,15 +25,15 @@ _MEASURED_CORES = 2
 
 
 def require(what: str, sizes: tuple[float, float]) -> None:
-    """Raise MemoryError if the limits of this process leave less than ``sizes``.
+    """Raise MemoryError if the limits of this process leave less memory than ``sizes``.
 
     Args:
-        what: library that is loaded next, for the message.
-        sizes: bytes of address space and of data that it takes.
+        what: library to be loaded next, for the message.
+        sizes: bytes of address space and of data that the library takes.
     """
     try:
         import resource
-    except ImportError:  # no such limits here
+    except ImportError:  # the system has no such limits
         return
     kinds = ((resource.RLIMIT_AS, 0, "ulimit -v"), (resource.RLIMIT_DATA, 5, "ulimit -d"))
     for (kind, field, option), size in zip(kinds, sizes, strict=True):
@@ -54,7 +54,7 @@ def _cores() -> int:
 
 
 def _pages(field: int) -> int:
-    """Return a field of /proc/self/statm: 0 all pages, 5 data and stack. Without the file, 0."""
+    """Return a field of /proc/self/statm (0: all pages, 5: data and stack); 0 without the file."""
     try:
         return int(Path("/proc/self/statm").read_text().split()[field])
     except OSError:

@@ -1,4 +1,4 @@
-"""Arguments of public functions: converted, or refused in one line."""
+"""Conversion of arguments of public functions, with one-line errors for invalid values."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = [
 
 
 def as_array(name: str, value: Any) -> NDArray[np.float64]:
-    """Convert real numbers to a C-contiguous array of doubles, without a copy where possible.
+    """Convert real numbers to a C-contiguous array of doubles, if possible without a copy.
 
     Raises:
         InputError: numbers are complex, masked, ragged or missing; the message begins with the
@@ -54,8 +54,8 @@ def real_numbers(name: str, value: Any) -> NDArray[Any]:
 
 
 def is_masked(value: Any) -> bool:
-    """Tell whether a value is a masked array, without importing ``numpy.ma``, which is slow."""
-    masked = sys.modules.get("numpy.ma")  # without it there is no masked array
+    """Return True for a masked array; does not import ``numpy.ma``, which is slow."""
+    masked = sys.modules.get("numpy.ma")  # None: no masked array can exist
     return masked is not None and isinstance(value, masked.MaskedArray)
 
 
@@ -63,7 +63,7 @@ def check_function(name: str, value: Any) -> None:
     """Check that a value is callable, or None.
 
     Raises:
-        InputError: it is not callable.
+        InputError: the value is neither callable nor None.
     """
     if value is not None and not callable(value):
         raise InputError(f"{name}: expected a function, found {brief(value)}")
@@ -73,7 +73,7 @@ def as_integers(argument: str, values: Any) -> NDArray[np.int64]:
     """Convert values to an array of 64-bit integers; an empty list has shape (0,).
 
     Raises:
-        InputError: a value is no 64-bit integer; the message begins with the argument.
+        InputError: a value is not a 64-bit integer; the message begins with the argument.
     """
     try:
         array = np.asarray(values if isinstance(values, np.ndarray) else list(values))
@@ -99,7 +99,7 @@ def as_flag(name: str, value: Any) -> bool:
     """Return a flag as a bool.
 
     Raises:
-        InputError: it is neither True nor False.
+        InputError: the value is neither True nor False.
     """
     if not isinstance(value, bool | np.bool_):
         raise InputError(f"{name}: expected True or False, found {brief(value)}")
@@ -110,7 +110,7 @@ def check_type(name: str, value: Any, kind: type) -> None:
     """Check that a value is an instance of a class.
 
     Raises:
-        InputError: it is not.
+        InputError: the value is not an instance of the class.
     """
     if not isinstance(value, kind):
         raise InputError(f"{name}: expected a {kind.__name__}, found {brief(value)}")

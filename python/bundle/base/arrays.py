@@ -1,10 +1,10 @@
 """Immutable arrays.
 
-Indices are checked once, when a problem is made; a solve trusts them. The memory of a problem's
-arrays must therefore not change later. The read-only flag alone does not ensure this: the memory
-may belong to a writable array, to a mapped file, to another library, or to an array whose flag can
-be reset. An array that is not immutable in the sense of ``cpp/bindings/immutable_array.h`` is
-copied.
+Indices are checked only once, when a problem is created. A solve does not check them again, so the
+memory of a problem's arrays must not change later. The read-only flag alone does not ensure this:
+the memory may belong to a writable array, to a mapped file, to another library, or to an array
+whose flag can be reset. An array that is not immutable in the sense of
+``cpp/bindings/immutable_array.h`` is copied.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = ["filled", "freeze", "immutable", "refrozen"]
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:
-    """Return an immutable array on the memory of an array without other references."""
+    """Return an immutable array on the memory of ``array``, which must have no other references."""
     return _core.freeze(array)
 
 
@@ -33,7 +33,7 @@ def filled(shape: tuple[int, ...], value: float, dtype: type) -> NDArray[Any]:
 
 
 def refrozen(state: Mapping[str, Any]) -> dict[str, Any]:
-    """Return attributes with immutable arrays; pickles and deep copies have writable ones."""
+    """Return attributes with immutable arrays; arrays from pickles and deep copies are writable."""
 
     def again(value: Any) -> Any:
         if isinstance(value, np.ndarray):
@@ -44,10 +44,10 @@ def refrozen(state: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def immutable(name: str, value: Any, dtype: type) -> NDArray[Any]:
-    """Convert a value to an immutable C-contiguous array, without a copy where it already is one.
+    """Convert a value to an immutable C-contiguous array; copy only if necessary.
 
     Raises:
-        InputError: the value is no array of real numbers, or of whole numbers for an integer type;
+        InputError: the value is not an array of real numbers (whole numbers for an integer type);
             the message begins with the name.
     """
     given = real_numbers(name, value)

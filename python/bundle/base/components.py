@@ -1,9 +1,9 @@
 """Connected components of the graph of images and points.
 
 Two images are connected if they observe a common point. The algorithm is that of Shiloach and
-Vishkin (1982): every image starts as its own tree; in each round the root of every tree hooks onto
-the smallest root that a common point reaches, then all paths are compressed. It ends after about
-log(num_images) rounds, even for long chains.
+Vishkin (1982). Every image starts as its own tree. In each round, the root of every tree is linked
+to the smallest root among the images with a common point. Then all paths are compressed. The
+algorithm ends after about log(num_images) rounds, even for long chains.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["component_roots"]
 def component_roots(
     images: NDArray[Any], starts: NDArray[np.int64], num_images: int
 ) -> NDArray[np.int64]:
-    """Return for each image the smallest image of its component, (num_images,).
+    """Return, for each image, the smallest image index in its component, (num_images,).
 
     Args:
         images: (num_observations,) image of each observation, sorted by point.

@@ -1,4 +1,4 @@
-"""The repr of public objects: a few lines of text, and a table in a notebook."""
+"""Representation of public objects: lines of text, and a table in a notebook."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ __all__ = ["Display", "Displayed"]
 
 @dataclass(frozen=True, kw_only=True)
 class Display:
-    """The content of a repr.
+    """Content of a repr.
 
     Attributes:
-        title: the first line.
-        facts: (label, fact), one per line.
-        head: titles of a table, whose first column is text and the others are numbers.
-        rows: its cells.
+        title: first line.
+        facts: pairs (label, fact), one per line.
+        head: column titles of a table; its first column is text, the other columns are numbers.
+        rows: cells of the table.
     """
 
     title: str
@@ -24,7 +24,7 @@ class Display:
     rows: tuple[tuple[str, ...], ...] = ()
 
     def text(self) -> str:
-        """Return lines of text."""
+        """Return the content as lines of text."""
         width = max((len(label) for label, _ in self.facts), default=0)
         lines = [f"  {label:<{width}}  {fact}".rstrip() for label, fact in self.facts]
         if self.rows:
@@ -37,8 +37,8 @@ class Display:
         return "\n".join([self.title, *lines])
 
     def html(self) -> str:
-        """Return the same as HTML, with everything escaped."""
-        from html import escape  # its tables take a while to import
+        """Return the content as HTML, with all text escaped."""
+        from html import escape  # slow to import
 
         facts = "".join(
             f'<tr><th style="text-align:left">{escape(label)}</th>'
@@ -62,7 +62,7 @@ class Display:
 
 
 class Displayed:
-    """An object that shows itself by :meth:`_display`."""
+    """Base of objects whose repr is defined by :meth:`_display`."""
 
     def _display(self) -> Display:
         raise NotImplementedError

@@ -1,7 +1,7 @@
-"""Public and former names of modules: ``import bundle.losses``, pickles of earlier versions.
+"""Public and former names of modules, for ``import bundle.losses`` and pickles of old versions.
 
-A pickle names the module of each class. This table loads pickles that were written before the
-modules moved to their present folders.
+A pickle contains the module name of each class. With this table, pickles can be loaded that were
+written before the modules moved to their present folders.
 """
 
 from __future__ import annotations
@@ -135,15 +135,15 @@ FORMER = {
     "vio.window_options": "interface.window_options",
     "worst_images": "model.worst_images",
 }
-"""Former modules of public classes and of their attributes, without the name of the package."""
+"""Former modules of public classes and of their attributes, without the package's name."""
 
 
 def spec_of(name: str, public_modules: dict[str, str]) -> ModuleSpec | None:
-    """Return the spec of a module by its public or former name; None: there is no such name.
+    """Return the spec of a module by its public or former name; None for an unknown name.
 
     Args:
-        name: as in an import.
-        public_modules: the place of each, without the package's name.
+        name: module name, as in an import.
+        public_modules: location of each public module, without the package's name.
     """
     short = name.removeprefix("bundle.")
     place = public_modules.get(short) or FORMER.get(short)
@@ -154,7 +154,7 @@ def spec_of(name: str, public_modules: dict[str, str]) -> ModuleSpec | None:
             return None
     if place is not None:
         return ModuleSpec(name, _SameModule(f"bundle.{place}"))
-    if any(former.startswith(f"{short}.") for former in FORMER):  # the package of one
+    if any(former.startswith(f"{short}.") for former in FORMER):  # package of a former module
         return ModuleSpec(name, _EmptyPackage(), is_package=True)
     return None
 
@@ -177,10 +177,10 @@ class _SameModule(Loader):
 
 
 class _EmptyPackage(Loader):
-    """Loader of a package with nothing but former modules."""
+    """Loader of a package that contains only former modules."""
 
     def create_module(self, _spec: ModuleSpec) -> None:
-        """Let the import system make one."""
+        """Return None, so that the import system creates the module."""
 
     def exec_module(self, module: ModuleType) -> None:
         """Do nothing."""

@@ -1,9 +1,9 @@
-"""Ctrl-C deferred during short critical blocks.
+"""Deferral of Ctrl-C during short critical blocks.
 
-Two kinds of blocks must not be left halfway:
+Two kinds of blocks must not be interrupted:
 
-* renames of files that belong together: the folder would hold a mixture of two models;
-* the import of pycolmap, which does not survive an interruption.
+* renames of files that belong together: the folder would contain a mixture of two models;
+* the import of pycolmap, which fails after an interruption.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ __all__ = ["interrupts_deferred"]
 def interrupts_deferred() -> Iterator[None]:
     """Defer SIGINT until the block has ended; an exception of the block takes precedence.
 
-    Use it for blocks of milliseconds only. Python runs signal handlers in the main thread: in other
-    threads this does nothing. A handler that is not a function (SIG_IGN, SIG_DFL) stays.
+    Use this only for blocks that take milliseconds. In threads other than the main thread it has no
+    effect, because Python runs signal handlers in the main thread. A handler that is not a function
+    (SIG_IGN, SIG_DFL) stays.
 
     Example:
         >>> with interrupts_deferred():

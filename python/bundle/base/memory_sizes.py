@@ -1,4 +1,4 @@
-"""Sizes of memory in text, such as "500 MB"."""
+"""Parsing and formatting of memory sizes, such as "500 MB"."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bundle.errors import InputError
 __all__ = ["SHARE_OF_FREE_MEMORY", "format_size", "parse_size"]
 
 SHARE_OF_FREE_MEMORY = 0.9
-"""Share of the free memory that a solve may take."""
+"""Fraction of the free memory that a solve may use."""
 
 _UNITS = {"": 1, "B": 1}
 for _power, _letter in enumerate("KMGT", start=1):
@@ -21,7 +21,7 @@ def parse_size(text: str) -> int:
     """Parse a size such as "500MB", "2 GiB" or "1000000"; return bytes.
 
     Raises:
-        InputError: the text is no size, or less than one byte.
+        InputError: the text is not a size, or is less than one byte.
     """
     match = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?) *([A-Za-z]*)", text.strip())
     unit = _UNITS.get(match[2].upper()) if match else None
@@ -32,7 +32,7 @@ def parse_size(text: str) -> int:
 
 
 def format_size(size: float) -> str:
-    """Format bytes as "500 MB", in powers of 1000 with three digits; "-" if there are none."""
+    """Format bytes as "500 MB", in powers of 1000 with three digits; "-" if not positive."""
     if not math.isfinite(size) or size <= 0:
         return "-"
     for unit in ("B", "kB", "MB", "GB"):

@@ -1,4 +1,4 @@
-"""Paths that users give, the lines of text files, and the path of the C++ headers."""
+"""Paths from users, the lines of text files, and the path of the C++ headers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def as_path(path: Any, name: str = "path") -> Path:
     """Convert a path to a ``pathlib.Path``.
 
     Raises:
-        InputError: it is no path, is empty, or has characters that no path can have.
+        InputError: the value is not a path, is empty, or has characters that paths cannot have.
     """
     if not is_path(path):
         raise InputError(f"{name}: expected a path, found {brief(path)}")
@@ -35,7 +35,7 @@ def as_path(path: Any, name: str = "path") -> Path:
 
 
 def is_path(value: Any) -> TypeGuard[str | os.PathLike[str]]:
-    """Tell whether a value has the type of a path; bytes are none."""
+    """Return True if a value has the type of a path; False for bytes."""
     return isinstance(value, str) or (
         isinstance(value, os.PathLike) and isinstance(os.fspath(value), str)
     )
@@ -44,11 +44,11 @@ def is_path(value: Any) -> TypeGuard[str | os.PathLike[str]]:
 def numbered_lines(path: str | os.PathLike[str]) -> list[tuple[int, str]]:
     """Return the lines of a text file with their numbers from 1.
 
-    Byte order marks, UTF-16 and the line ends of any system are read.
+    Byte order marks, UTF-16 and the line ends of all systems are supported.
 
     Raises:
-        InputError: the file is no text.
-        OSError: it cannot be read.
+        InputError: the file is not text.
+        OSError: the file cannot be read.
     """
     content = Path(path).read_bytes()
     try:
@@ -61,8 +61,8 @@ def numbered_lines(path: str | os.PathLike[str]) -> list[tuple[int, str]]:
 
 
 def get_include() -> str:
-    """Return the folder that a compiler needs to find ``#include <bundle/check.h>``.
+    """Return the include folder with which a compiler finds ``#include <bundle/check.h>``.
 
-    The header makes compiled Ceres cost functions checkable with ``bundle.check_gradients``.
+    With this header, ``bundle.check_gradients`` can check compiled Ceres cost functions.
     """
     return str(Path(__file__).resolve().parents[1] / "include")

@@ -1,4 +1,4 @@
-"""Layout of tables, facts and notes, the same on a terminal and in a pipe."""
+"""Layout of tables, facts and notes, with the same text on a terminal and in a pipe."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ NARROWEST_BAR, BAR_WIDTH = 8, 40
 
 
 def console(file: TextIO) -> Console:
-    """Return a console that colours only a terminal and never interprets what it prints."""
+    """Return a console that uses colours only on a terminal and prints text without markup."""
     probe = Console(file=file, force_jupyter=False)
     width = probe.width if probe.is_terminal or "COLUMNS" in os.environ else WIDEST
     return _literal_console(file, min(max(width, NARROWEST), WIDEST))
 
 
 def render(*renderables: RenderableType, width: int = WIDEST) -> str:
-    """Return renderables as plain lines, without colours or trailing blanks."""
+    """Return renderables as plain lines, without colours or trailing spaces."""
     file = io.StringIO()
     plain = _literal_console(file, width, color_system=None)
     for renderable in renderables:
@@ -53,13 +53,13 @@ def _literal_console(file: TextIO, width: int, **settings: Any) -> Console:
         markup=False,
         emoji=False,
         highlight=False,
-        force_jupyter=False,  # in a notebook rich would display what it is to write
+        force_jupyter=False,  # in a notebook rich would display it instead
         **settings,
     )
 
 
 def facts(rows: Iterable[tuple[str, str]]) -> Table:
-    """Return labels at the left, facts at the right; long facts wrap under themselves."""
+    """Return a table with labels at the left and facts at the right; long facts are wrapped."""
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(style="bold", no_wrap=True, min_width=LABEL_WIDTH)
     table.add_column(overflow="fold")
@@ -69,10 +69,11 @@ def facts(rows: Iterable[tuple[str, str]]) -> Table:
 
 
 class Columns:
-    """A table without frames: columns of text, then numbers flush right.
+    """A table without frames: columns of text, then right-aligned columns of numbers.
 
-    Where it is wider than the terminal, text wraps between words. Where that is not enough, columns
-    move below, each group of them behind the `keys` first columns: nothing is cut.
+    If it is wider than the terminal, text wraps between words. If that is not enough, the table is
+    divided into several tables below each other. Each repeats the first `keys` columns. No text is
+    cut.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class Columns:
         self._keys = keys
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield the table, divided where it is wider than the terminal."""
+        """Yield the table, divided if it is wider than the terminal."""
         limit = options.max_width
         sizes = self._sizes(console, options)
         narrowest = [min(size.minimum, limit) for size in sizes]
@@ -103,7 +104,7 @@ class Columns:
             yield self._table(widths)
 
     def _sizes(self, console: Console, options: ConsoleOptions) -> list[Measurement]:
-        """Return the narrowest width of each column without cut words, and that without breaks."""
+        """Return, for each column, its width with all line breaks and its width without any."""
         unlimited = options.update_width(10_000)
         sizes = []
         for index, cells in enumerate(zip(self.head, *self.rows, strict=True)):
@@ -127,7 +128,7 @@ class Columns:
 
 
 def _groups(widths: Sequence[int], limit: int, keys: int) -> list[list[int]]:
-    """Return the columns of each table, the `keys` first columns in every one."""
+    """Return the columns of each table; every table has the first `keys` columns."""
     first = list(range(keys))
     keys_width = sum(widths[:keys]) + GUTTER * (keys - 1)
     groups, used = [[*first]], keys_width
@@ -145,25 +146,24 @@ def columns(
 ) -> Columns:
     """Return a table of `left` columns of text, then numbers; see :class:`Columns`.
 
-    The `keys` first columns say what a row is about.
-
-    A row whose first cell starts with "total" stands out.
+    The first `keys` columns identify a row. A row whose first cell starts with "total" is
+    highlighted.
     """
     return Columns(head, rows, left, keys)
 
 
 class Bar:
-    """A bar of at most `BAR_WIDTH` characters, shorter where the terminal is narrow."""
+    """A bar of at most `BAR_WIDTH` characters; shorter on a narrow terminal."""
 
     def __init__(self, share: float) -> None:
         self._share = share
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield the bar; what is more than nothing has at least one character."""
+        """Yield the bar; a positive share has at least one character."""
         yield Text("#" * math.ceil(self._share * min(options.max_width, BAR_WIDTH)))
 
     def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
-        """Return the narrowest and the widest that a bar can be."""
+        """Return the smallest and the largest width of a bar."""
         return Measurement(NARROWEST_BAR, BAR_WIDTH)
 
 

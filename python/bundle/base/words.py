@@ -1,4 +1,4 @@
-"""Numbers and counts in sentences of terminal, notebook and page."""
+"""Formatting of numbers and counts for sentences on terminal, notebook and page."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def number(value: float) -> str:
 
 
 def amount(value: float) -> str:
-    """Format a count in full up to seven digits, else with three; "-" if it is not finite."""
+    """Format a count with all digits up to seven, else with three; "-" if it is not finite."""
     if not math.isfinite(value):
         return "-"
     return f"{value:,.0f}" if abs(value) < 1e7 else f"{value:.2e}"
 
 
 def distinct(one: float, other: float) -> tuple[str, str]:
-    """Format two numbers with enough digits, at least six, to differ."""
+    """Format two numbers with at least six digits, and enough digits that the texts differ."""
     for digits in range(6, 18):
         texts = f"{one:.{digits}g}", f"{other:.{digits}g}"
         if texts[0] != texts[1]:
@@ -48,7 +48,7 @@ def distinct(one: float, other: float) -> tuple[str, str]:
 
 
 def not_converged(percent: float, without_loss: bool) -> str:
-    """Return a verdict and an advice where one more step would lower the cost by a percentage."""
+    """Return the verdict "not converged", and advice: one more step would lower the cost."""
     sentence = (
         f"Not converged under these options: one more step would lower the cost by about "
         f"{number(percent)} %. "
@@ -59,24 +59,24 @@ def not_converged(percent: float, without_loss: bool) -> str:
 
 
 def pixels(value: float) -> str:
-    """Format pixels with four decimals; "-" if not finite."""
+    """Format pixels with four decimals; "-" if the value is not finite."""
     if not math.isfinite(value):
         return "-"
     return f"{value:.4f}" if value < 1e6 else f"{value:.4e}"
 
 
 def seconds(value: float) -> str:
-    """Format seconds with three decimals; "-" if not measured (Ceres' -1)."""
+    """Format seconds with three decimals; "-" if the time was not measured (Ceres' -1)."""
     return "-" if value < 0 or not math.isfinite(value) else f"{value:.3f}"
 
 
 def change(before: float, after: float) -> str:
-    """Return "40944.1 -> 22913", in six significant digits."""
+    """Return "40944.1 -> 22913", with six significant digits."""
     return f"{before:.6g} -> {after:.6g}"
 
 
 def duration(value: float) -> str:
-    """Format a duration as "55 ms" or "1.2 s", with three digits; "-" if there is none."""
+    """Format a duration as "55 ms" or "1.2 s", with three digits; "-" if it is unknown."""
     if not math.isfinite(value) or value < 0:
         return "-"
     if value < 0.9995:
@@ -85,7 +85,7 @@ def duration(value: float) -> str:
 
 
 def span(time: float) -> str:
-    """Format a duration from "5 ms" to "3 days"; "-" if there is none."""
+    """Format a duration from "5 ms" to "3 days"; "-" if it is unknown."""
     if not math.isfinite(time) or time < 0:
         return "-"
     if time >= 2 * 86400:

@@ -1,1 +1,1 @@
-"""Seeded scenes with ground truth, from toy to millions of observations."""
+"""Seeded synthetic scenes with ground truth, from tiny to millions of observations."""

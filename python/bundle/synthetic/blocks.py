@@ -1,10 +1,11 @@
-"""Scene in blocks: images and cameras first, then blocks of points with their observations.
+"""Generation of a scene in blocks: first images and cameras, then blocks of points.
 
-A scene of at most a million points is one block. A larger one has blocks of about equal size, each
-with its own random numbers. All images share points within each block. Blocks are made in parallel,
-and only the blocks in progress are in memory. The scene does not depend on the number of threads.
+Each block also has the observations of its points. A scene of at most a million points is one
+block. A larger scene has blocks of about equal size, each with its own random numbers. All images
+share points within each block. Blocks are generated in parallel, and only the blocks in progress
+are in memory. The scene does not depend on the number of threads.
 
-Measurements get noise and outliers as requested.
+Noise and outliers are added to measurements as requested.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ def measure(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Return measured positions (M, 2) in pixels, and the mask of outliers (M,).
 
-    Noise that would leave the image is reversed, which preserves its magnitude.
+    If noise would move an observation out of the image, its sign is reversed. This preserves its
+    magnitude.
 
     Args:
         rng: source of noise and outliers.
@@ -62,9 +64,9 @@ def measure(
 LARGEST_SINGLE = 1 << 20
 """Points of the largest scene that is a single block."""
 POINTS_PER_BLOCK = 1 << 18
-"""Points per block of larger scenes; more if many images need their own points in each."""
+"""Points per block of larger scenes; more if many images need their own points in each block."""
 _POINTS_PER_IMAGE = 40
-# Blocks take some hundred megabytes while they are made.
+# Largest number of blocks in progress. Each takes some hundred megabytes.
 _MOST_AT_A_TIME = 8
 _MAX_ROUNDS = 12
 
@@ -83,7 +85,7 @@ class Block:
         first_point: index of the first point in the scene.
         points: (n, 3) true positions.
         image: (M,) image index of each observation; sorted by point, then image.
-        point: (M,) index of its point in the scene.
+        point: (M,) index of each observation's point in the scene.
         xy: (M, 2) measured positions in pixels.
         is_outlier: (M,)
     """
@@ -102,12 +104,12 @@ class SceneInBlocks:
     Attributes:
         options: options of the scene.
         cameras: the true cameras.
-        start_seed: seed of the start.
+        start_seed: seed of the perturbed start values.
         num_blocks: number of blocks.
     """
 
     def __init__(self, options: SceneOptions) -> None:
-        # One independent stream per purpose: more noise does not change the structure.
+        # One independent random stream per purpose, so that noise does not change the structure.
         layout, structure, measurement, self.start_seed = np.random.SeedSequence(
             options.seed
         ).spawn(4)
@@ -149,7 +151,7 @@ class SceneInBlocks:
         )
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the blocks in order; some are made ahead on other threads.
+        """Yield the blocks in order; other threads generate the next blocks in advance.
 
         Raises:
             InputError: the scene is impossible, see ``synthesize``.
@@ -176,7 +178,7 @@ class SceneInBlocks:
 
     @staticmethod
     def part(images: Problem, block: Block) -> Problem:
-        """Return the images with only the points of a block and their observations."""
+        """Return a problem with all images, but only a block's points and observations."""
         return images.replace(
             points=block.points,
             point_ids=None,
@@ -218,7 +220,7 @@ def _observe(
     num_points: int,
     num_threads: int,
 ) -> tuple[Points, Pairs]:
-    """Draw points until enough are visible in two images, then choose observations."""
+    """Draw points until enough of them are visible in two images, then choose observations."""
     parts: list[tuple[Points, Array, Pairs]] = []
     found, drawn = 0, 0
     while found < num_points:
@@ -257,11 +259,11 @@ def _draw_visible(
     count: int,
     num_threads: int,
 ) -> tuple[Points, Array, Pairs, int]:
-    """Draw ``count`` points; keep at most ``wanted`` of those that two images observe.
+    """Draw ``count`` points; keep at most ``wanted`` points that two images observe.
 
     Returns:
-        Kept points, their wanted track lengths, their possible observers, and the number of points
-        drawn for them.
+        Kept points, their wanted track lengths, their possible observations, and the number of
+        points drawn to get them.
     """
     points = scene.draw_points(rng, count)
     weights = scene.draw_lengths(rng, len(points))

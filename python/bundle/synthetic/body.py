@@ -9,7 +9,7 @@ the surface is the zero set of ``F(y) = |y| - radius(y / |y|)``, whose gradient
 
     d - (I - d d^T) grad radius(d) / |y|
 
-gives the normal; stretching divides a normal's components by the half axes.
+is the normal. Stretching divides the components of a normal by the half axes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _NUM_WAVES = 12
 
 
 class Body:
-    """Body with a center (3,), half axes (3,) in length units, and the exponent of its norm."""
+    """A body with center (3,), half axes (3,) in length units, and the exponent of its norm."""
 
     def __init__(
         self, rng: np.random.Generator, center: Array, half_axes: Array, exponent: int
@@ -67,7 +67,7 @@ class Body:
         return self.center + self.half_axes * d * radius[:, None], normals
 
     def toward(self, positions: Array) -> Array:
-        """Return directions (n, 3), not normalised, of the surface points below given positions."""
+        """Return directions (n, 3), not normalised, of the surface points below positions."""
         return (positions - self.center) / self.half_axes
 
 

@@ -1,4 +1,4 @@
-"""Intrinsics: true camera parameters of a scene, and reasonable distortion."""
+"""Intrinsics: true camera parameters of a scene, with realistic distortion."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ TANGENTIAL_PARAMS = ("p1", "p2")
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Cameras of a scene, all of one model.
+    """Cameras of a scene, which all have the same model.
 
     Attributes:
-        model: COLMAP's name.
+        model: COLMAP's name of the model.
         names: parameter names, in COLMAP's order.
-        params: (num_cameras, num_params)
+        params: (num_cameras, num_params) parameters.
         sizes: (num_cameras, 2) width and height in pixels.
         image_camera: (num_images,) camera index of each image.
     """
@@ -48,16 +48,16 @@ class Intrinsics:
 def draw_intrinsics(
     rng: np.random.Generator, images: Images, model: str, *, shared: bool
 ) -> Intrinsics:
-    """Draw one camera for all images (of equal size and focal length), or one each.
+    """Draw one camera for all images (of equal size and focal length), or one for each image.
 
-    The principal point is the centre of the image. Distortion is that of ordinary lenses: mild
-    barrel distortion, smaller for longer focal lengths, monotonic well beyond the corners of the
+    The principal point is the centre of the image. Distortion is as in ordinary lenses: mild barrel
+    distortion, smaller for longer focal lengths, and monotonic well beyond the corners of the
     image.
     """
     count = 1 if shared else len(images.focal)
     sizes, focal = images.sizes[:count], images.focal[:count]
     pixels = focal * sizes.max(axis=1)
-    # A coefficient multiplies the squared field angle, so it is scaled by that of the corner.
+    # A coefficient multiplies the squared field angle, so it is scaled by the corner's.
     corner = 0.25 * (sizes**2).sum(axis=1) / pixels**2
     k1 = rng.uniform(-0.05, -0.01, count) / np.maximum(corner, 0.3)
     k2 = rng.uniform(0.0, 0.01, count) / np.maximum(corner, 0.3) ** 2

@@ -1,9 +1,9 @@
 """Rings of cameras around an object.
 
-The object is a rough ball of about unit radius. Surface normals limit the cameras that see a point,
-so that it is observed over an arc of each ring. If tracks are much shorter than that arc, as with
-thousands of images around the object, points are recognised only under smaller changes of the
-viewing angle.
+The object is a rough ball of about unit radius. A point is seen only by cameras near the direction
+of its surface normal, which are an arc of each ring. With thousands of images, wanted tracks may be
+much shorter than this arc. Points are then recognised only for smaller changes of the viewing
+angle.
 
 Length unit: the mean radius of the object; z is up.
 """
@@ -30,7 +30,7 @@ LOWEST, HIGHEST = np.radians(8.0), np.radians(55.0)  # elevation of the rings
 
 
 class Orbit(Scene):
-    """Scene of this kind; see the head of the file."""
+    """Scene of this kind; see the module docstring."""
 
     min_cosine = float(np.cos(WIDEST_ANGLE))
 
@@ -52,7 +52,7 @@ class Orbit(Scene):
         )
 
     def draw_points(self, rng: np.random.Generator, count: int) -> Points:
-        """Draw points all over the object except its underside."""
+        """Draw points on the whole surface of the object except its underside."""
         directions = random_directions(rng, 2 * count)
         directions = directions[directions[:, 2] > -0.55][:count]
         positions, normals = self.body.surface(directions)
@@ -63,7 +63,7 @@ class Orbit(Scene):
         return rng.standard_gamma(2.0, count) / 2.0
 
     def preference(self, rng: np.random.Generator, points: Points, pairs: Pairs) -> Array:
-        """Prefer images that look straight at the surface."""
+        """Prefer images that view the surface perpendicularly."""
         cosine = dot(points.keys[pairs.point], self.images.ball_centers[pairs.image])
         return rng.uniform(0.0, 0.1, len(pairs)) - cosine
 
@@ -72,7 +72,7 @@ def _rings(rng: np.random.Generator, count: int, num_rings: int) -> Array:
     """Return unit directions (count, 3) on rings, in order around each ring, lowest ring first."""
     ring = np.arange(count) * num_rings // count
     first = np.searchsorted(ring, np.arange(num_rings + 1))
-    # A ring of few cameras is an arc: neighbours must see the same side of the object.
+    # A ring with few cameras is only an arc, so that neighbours see the same side of the object.
     step: Array = np.minimum(2 * np.pi / np.diff(first), WIDEST_STEP)
     azimuth = (np.arange(count) - first[ring]) * step[ring]
     azimuth += rng.uniform(0.0, 2 * np.pi, num_rings)[ring]

@@ -1,9 +1,9 @@
-"""Photographs of landmarks around a square, as tourists take them.
+"""Photographs by tourists of landmarks around a square.
 
-A few landmarks have most of the images. Visitors take a few shots each, from positions where their
-lens frames anything from the whole building to a detail through a telephoto lens. Some step back
-and take two neighbouring landmarks at once, which connects the clusters. Track lengths are
-heavy-tailed: most points are observed in few images, some in a large share of their cluster.
+A few landmarks have most of the images. Each visitor takes a few images. They show a whole building
+or a part of it, down to details through a telephoto lens. Some images show two neighbouring
+landmarks from farther away, which connects the clusters. Track lengths are heavy-tailed: most
+points are observed in few images, some points in a large part of their cluster's images.
 
 Length unit: metre; z is up; the square is at z = 0.
 """
@@ -40,7 +40,7 @@ _STEEPEST_AIM = 0.5
 
 @dataclass(frozen=True)
 class _Shots:
-    """Positions, targets, and visible radii around the targets, of images."""
+    """Positions and targets of images, and the radii around the targets that are visible."""
 
     centers: Array
     aims: Array
@@ -48,7 +48,7 @@ class _Shots:
 
 
 class PhotoCollection(Scene):
-    """Scene of this kind; see the head of the file."""
+    """Scene of this kind; see the module docstring."""
 
     min_cosine = 0.25
 
@@ -74,7 +74,7 @@ class PhotoCollection(Scene):
         )
 
     def draw_points(self, rng: np.random.Generator, count: int) -> Points:
-        """Draw points where images aim, so that popular places are densely reconstructed."""
+        """Draw points near the targets of images, so that popular places get many points."""
         close_ups = np.flatnonzero(~self._is_panorama)
         image = close_ups[rng.integers(0, len(close_ups), count)]
         spread = 0.5 * self.images.ball_radii[image, None]
@@ -89,7 +89,7 @@ class PhotoCollection(Scene):
         return rng.pareto(PARETO_SHAPE, count) * (PARETO_SHAPE - 1.0)
 
     def preference(self, rng: np.random.Generator, points: Points, pairs: Pairs) -> Array:
-        """Prefer images rich in observations, otherwise at random."""
+        """Prefer images with high ``richness``; the order is otherwise random."""
         del points
         return rng.standard_exponential(len(pairs)) / self.images.richness[pairs.image]
 
@@ -103,7 +103,7 @@ class PhotoCollection(Scene):
         )
 
     def _close_up(self, rng: np.random.Generator, focal: Array) -> _Shots:
-        """Aim at a landmark: first at all of it, then at random details."""
+        """Aim at a landmark: first at the complete landmark, then at random details."""
         count = len(focal)
         centers = np.array([body.center for body in self.bodies])[self._landmark]
         radius = np.array([body.radius for body in self.bodies])[self._landmark]
@@ -155,7 +155,7 @@ class PhotoCollection(Scene):
 
 
 def _landmarks(rng: np.random.Generator, count: int) -> list[Body]:
-    """Build landmarks on a circle about the origin, without contact between neighbours."""
+    """Build landmarks on a circle about the origin; neighbours do not touch."""
     circle = max(60.0, 5.0 * MEDIAN_RADIUS * count / (2 * np.pi))
     bodies = []
     for index in range(count):
@@ -172,14 +172,14 @@ def _subjects(
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
     """Return landmark (by Zipf's law), panorama flag, and time of each image (count,).
 
-    Panoramas visit every pair of neighbours in turn; images are in random order.
+    Panoramas show each pair of neighbours in turn. Images are in random order.
     """
     num_panoramas = 0 if num_landmarks == 1 else max(
         2 * (num_landmarks - 1), round(PANORAMA_SHARE * count)
     )  # fmt: skip
     popularity = 1.0 / (np.arange(num_landmarks) + 1.0)
     cumulative = np.cumsum(popularity / popularity.sum())
-    # Even quantiles instead of draws, so that every landmark has images.
+    # Use evenly spaced quantiles instead of random draws, so that every landmark has images.
     quantiles = (np.arange(count - num_panoramas) + 0.5) / (count - num_panoramas)
     landmark = np.searchsorted(cumulative[:-1], quantiles)
     pairs = np.arange(num_panoramas) % max(num_landmarks - 1, 1)
@@ -191,7 +191,10 @@ def _subjects(
 def _vary(
     rng: np.random.Generator, sizes: NDArray[np.int64], is_panorama: NDArray[np.bool_]
 ) -> NDArray[np.int64]:
-    """Return sizes of various devices: some much larger, a quarter upright except panoramas."""
+    """Return image sizes of various devices: some much larger, a quarter in portrait format.
+
+    Panoramas are never in portrait format.
+    """
     factor = np.clip(np.exp(rng.normal(0.0, 0.45, len(sizes))), 0.4, 4.0)
     varied = np.maximum(np.round(sizes * factor[:, None]), 64).astype(np.int64)
     upright = (rng.random(len(sizes)) < 0.25) & ~is_panorama

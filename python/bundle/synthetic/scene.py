@@ -1,9 +1,9 @@
 """Base of all kinds of scenes: images, points, and their possible observations.
 
-Visibility is tested approximately and then exactly. Approximately: every point has a *key* and
-every image a *ball*, and an image can only observe points with their key in its ball. Grid cells
-over the keys avoid testing every image with every point. Keys are chosen so that the balls are
-tight: positions in a street, surface normals around an object. Exactly: see :mod:`.visibility`.
+Visibility is first tested approximately. Every point has a *key* and every image a *ball*. An image
+can only observe points whose key is in its ball. A grid over the keys avoids testing every image
+with every point. Keys are chosen so that the balls are small: positions in a street, surface
+normals around an object. Then visibility is tested exactly, see :mod:`.visibility`.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class Images:
         rotations: (N, 3, 3) camera-from-world.
         focal: (N,) focal length relative to the longer side of the image.
         sizes: (N, 2) width and height in pixels.
-        richness: (N,) relative number of observations that an image tends to yield.
-        ball_centers: (N, 3) in the space of the points' keys.
-        ball_radii: (N,)
+        richness: (N,) relative number of observations that an image tends to have.
+        ball_centers: (N, 3) centres of the balls in the space of the points' keys.
+        ball_radii: (N,) radii of the balls.
     """
 
     centers: Array
@@ -47,10 +47,10 @@ class Points:
     """Points on surfaces.
 
     Attributes:
-        positions: (n, 3) in the world, length units.
+        positions: (n, 3) world coordinates, length units.
         normals: (n, 3) unit outward normals; zero for points visible from all sides.
         reach: (n,) distance beyond which a point is not recognised, length units.
-        keys: (n, 3)
+        keys: (n, 3) keys for the approximate test of visibility.
     """
 
     positions: Array
@@ -131,7 +131,7 @@ class Pairs:
 
     @property
     def ranks(self) -> NDArray[np.int32]:
-        """Position of each pair among those of its point."""
+        """Position of each pair among the pairs of its point."""
         ranks = np.arange(len(self), dtype=np.int64) - np.repeat(self.starts[:-1], self.counts)
         return ranks.astype(np.int32)
 
@@ -142,8 +142,9 @@ class Scene(ABC):
     Attributes:
         images: the true images.
         min_cosine: smallest cosine between a surface normal and the direction to the camera.
-        blocks: occluders: blocks of a town with a road along every multiple of the first number in
-            x and in y, at the distance of the second number from the middle of the roads. 0: none.
+        blocks: occluding blocks of a town, as two numbers. Roads run along every multiple of the
+            first number in x and in y. The second number is the distance of the blocks from the
+            middle of the roads. 0: no blocks.
     """
 
     images: Images
@@ -152,12 +153,12 @@ class Scene(ABC):
 
     @abstractmethod
     def draw_points(self, rng: np.random.Generator, count: int) -> Points:
-        """Draw about ``count`` points where images look; some may be occluded."""
+        """Draw about ``count`` points in the view of images; some may be occluded."""
 
     @abstractmethod
     def draw_lengths(self, rng: np.random.Generator, count: int) -> Array:
-        """Draw the wanted track lengths beyond 2 observations: (count,) with mean 1."""
+        """Draw relative track lengths beyond 2 observations: (count,) with mean 1."""
 
     @abstractmethod
     def preference(self, rng: np.random.Generator, points: Points, pairs: Pairs) -> Array:
-        """Return (M,): the possible observers of a point with the smallest values observe it."""
+        """Return a value for each pair (M,); images with the smallest values observe a point."""

@@ -1,8 +1,8 @@
-"""Start of a scene: the true problem with perturbed poses, points and cameras.
+"""Start values of a scene: the true problem with perturbed poses, points and cameras.
 
-One stream of random numbers is used: images, then points, then cameras. If points come in blocks,
-cameras are needed before the last point. Therefore two generators run over the stream, and the one
-for the cameras skips the numbers of the points.
+All random numbers come from one stream: first for images, then for points, then for cameras. If
+points come in blocks, cameras are needed before the last point. Therefore two generators read the
+stream, and the generator for the cameras skips the numbers of the points.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ __all__ = ["Start", "median_distance"]
 
 Array = NDArray[np.float64]
 
-# Numbers to draw and discard at a time.
+# Number of random numbers to draw and discard at a time.
 _SKIPPED = 1 << 20
 
 
 class Start:
-    """Perturbed images and cameras, and points as they arrive.
+    """Perturbed images and cameras, and perturbation of points block by block.
 
-    Rotations turn about the projection centre, so that rotation and translation noise are
+    Rotation noise rotates about the projection centre, so that rotation and translation noise are
     independent.
 
     Args:
@@ -43,8 +43,8 @@ class Start:
         options: amount of noise.
 
     Attributes:
-        cam_from_world: (num_images, 7)
-        camera_params: (num_cameras, num_params)
+        cam_from_world: (num_images, 7) perturbed poses.
+        camera_params: (num_cameras, num_params) perturbed parameters.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Start:
         self.camera_params = _perturbed_params(rng, cameras, options)
 
     def points(self, true_points: Array) -> Array:
-        """Return the start of the next points (n, 3) of the scene, in order."""
+        """Return the start values of the scene's next points (n, 3); call it in order."""
         shift: Array = self._point_sigma * self._of_points.standard_normal(true_points.shape)
         return true_points + shift
 
@@ -92,7 +92,7 @@ def _perturbed_params(
 ) -> Array:
     """Return start values (num_cameras, num_params) of the camera parameters.
 
-    All focal lengths of a camera change by the same factor, which is at least one half.
+    All focal lengths of a camera are multiplied by the same factor, which is at least 0.5.
     """
     params = cameras.params.copy()
     count = len(params)

@@ -1,8 +1,8 @@
-"""Scene written to BAL files while it is made, so that it is never in memory as a whole.
+"""Writing of a scene to BAL files block by block, so that it never needs memory for all of it.
 
 Both files, start and ground truth, have the same observations, which are formatted once. In a BAL
-file, points follow all observations: until then they wait in unnamed files in the folders of the
-output. Memory holds the images, the blocks in progress and their tally.
+file, points follow all observations. Until then, points are stored in unnamed files in the folders
+of the output. Memory contains the images, the blocks in progress and their statistics.
 
 Counts and errors of a scene are accumulated block by block.
 """
@@ -30,8 +30,8 @@ from bundle.synthetic.start import Start, median_distance
 __all__ = ["ErrorTally", "SceneTally", "write_bal_scene"]
 
 
-# Dropped bits of a nonnegative float32: the bits from 11 on distinguish numbers by 2^-12 of their
-# size and preserve their order.
+# Number of low bits of a nonnegative float32 that are dropped. The other bits preserve the order of
+# numbers and resolve 2^-12 of their size.
 _DROPPED_BITS = 11
 _NUM_BINS = 1 << (31 - _DROPPED_BITS)
 
@@ -40,7 +40,7 @@ _NUM_BINS = 1 << (31 - _DROPPED_BITS)
 class ErrorTally:
     """Statistics of reprojection errors, without storing the errors.
 
-    They equal those of ``bundle.reprojection_error``, except quantiles, which are accurate to
+    They equal the statistics of ``bundle.reprojection_error``. Only quantiles differ, by up to
     1/8000 of their size.
     """
 
@@ -88,7 +88,7 @@ class SceneTally:
         num_observations: number of observations so far.
         num_outliers: number of outliers so far.
         observations_per_image: (num_images,) counts so far.
-        errors: errors of "start" and "ground_truth", once the scene is complete.
+        errors: errors of "start" and "ground_truth", set when the scene is complete.
     """
 
     def __init__(self, num_images: int) -> None:
@@ -116,12 +116,12 @@ class SceneTally:
         return _distribution(self._lengths)
 
     def image_size(self) -> dict[str, float]:
-        """Return the same statistics of the observations per image."""
+        """Return "min", "mean", "median" and "max" of the observations per image."""
         return _distribution(np.bincount(self.observations_per_image))
 
 
 def _distribution(histogram: NDArray[np.int64]) -> dict[str, float]:
-    """Return statistics of values of which number k occurs histogram[k] times."""
+    """Return statistics of whole numbers in which k occurs histogram[k] times."""
     values = np.flatnonzero(histogram)
     ends = np.cumsum(histogram)
     count = int(ends[-1])
@@ -134,7 +134,7 @@ def _distribution(histogram: NDArray[np.int64]) -> dict[str, float]:
     }
 
 
-# Number of waiting points to read at a time.
+# Number of stored points to read at a time.
 _POINTS_AT_A_TIME = 1 << 20
 
 
@@ -149,8 +149,8 @@ def write_bal_scene(
     Args:
         scene: scene to write.
         path: path of the start, an uncompressed BAL file.
-        truth_path: path of the ground truth, likewise.
-        progress: called with the finished share of the points, after each block.
+        truth_path: path of the ground truth, also an uncompressed BAL file.
+        progress: called after each block with the fraction of finished points.
 
     Returns:
         Counts of the written scene.
@@ -165,7 +165,7 @@ def write_bal_scene(
     tally = SceneTally(truth.num_images)
     errors = {"start": ErrorTally(), "ground_truth": ErrorTally()}
     with ExitStack() as stack:
-        # The one entered last is moved into place first.
+        # The file that is entered last is moved into place first.
         paths = [stack.enter_context(atomic.replace_file(name)) for name in (path, truth_path)]
         waiting = [stack.enter_context(tempfile.TemporaryFile(dir=name.parent)) for name in paths]
         stream = _core.BalStream(list(paths), truth.num_images, options.num_points)

@@ -1,14 +1,13 @@
 """Drive of a vehicle with a forward-looking camera through a town of square blocks.
 
-Points lie on facades (many of them on the corners of windows), on the ground, and on objects on the
-pavement. Blocks occlude points behind them. A point is observed over a run of consecutive images,
-so covisibility is banded, except for places that the drive revisits.
+Points are on facades (many of them at the corners of windows), on the ground, and on objects on the
+pavement. Blocks occlude points behind them. A point is observed over a run of consecutive images.
+Covisibility is therefore banded, except for places that the drive revisits.
 
 Length unit: metre; z is up; the road is at z = 0.
 
-Roads form a grid.
-
-They run along both axes, one every ``pitch`` length units; their crossings are the nodes.
+Roads form a grid. They run along both axes with a distance of ``pitch`` length units. Their
+crossings are the nodes.
 """
 
 from __future__ import annotations
@@ -31,9 +30,9 @@ _POINTS_PER_CORNER = 12
 
 
 def drive_laps(rng: np.random.Generator) -> Iterator[Step]:
-    """Yield endless steps between nodes: laps around blocks, each closed and then left.
+    """Yield an endless sequence of steps between nodes: laps around blocks, one after the other.
 
-    The first lap goes around one block. Every lap ends by repeating its first road.
+    The first lap goes around one block. Every lap is closed: at its end it repeats its first road.
     """
     heading: Step = (1, 0)
     length, width = 1, 1
@@ -49,7 +48,7 @@ def drive_laps(rng: np.random.Generator) -> Iterator[Step]:
 
 
 def drive_one_way(rng: np.random.Generator) -> Iterator[Step]:
-    """Yield endless steps between nodes that never return: a staircase."""
+    """Yield an endless sequence of steps between nodes without revisits: a staircase."""
     heading: Step = (1, 0)
     while True:
         yield from [heading] * int(rng.integers(1, 4))
@@ -78,7 +77,7 @@ def waypoints(
     Returns:
         Positions (count, 2), and headings (count,) in radians from the x axis.
     """
-    # Headings need one and a half further steps; a corner shortens the path by at most 0.6 radii.
+    # Headings need 1.5 further steps. A corner shortens the path by at most 0.6 radii.
     needed = (count + 3) * spacing
     nodes: list[Step] = [(0, 0)]
     travelled = 0.0
@@ -104,7 +103,7 @@ def _turned(heading: Step, side: int) -> Step:
 
 
 def _round_corners(nodes: Array, radius: float) -> Array:
-    """Return a polyline in which quadratic Bezier curves replace the corners."""
+    """Return the polyline with its corners replaced by quadratic Bezier curves."""
     before = nodes[1:-1] + radius * _unit(nodes[:-2] - nodes[1:-1])
     after = nodes[1:-1] + radius * _unit(nodes[2:] - nodes[1:-1])
     t = np.linspace(0.0, 1.0, _POINTS_PER_CORNER)[None, :, None]
@@ -122,13 +121,13 @@ ROAD_WIDTH = 11.0  # from facade to facade
 CAMERA_HEIGHT = 1.9
 FACADE_REACH, GROUND_REACH, FURNITURE_REACH = 42.0, 20.0, 28.0
 FACADE_SHARE, GROUND_SHARE = 0.7, 0.2
-# Distance over which a point at the roadside stays in view, which determines the spacing of images.
+# Distance over which a point at the roadside stays in view. It determines the spacing of images.
 VIEW_LENGTH = 30.0
 FOCAL = 0.8
 
 
 class Street(Scene):
-    """Scene of this kind; see the head of the file."""
+    """Scene of this kind; see the module docstring."""
 
     min_cosine = 0.07
 
@@ -137,7 +136,7 @@ class Street(Scene):
         self.spacing = float(np.clip(VIEW_LENGTH / (2.4 * options.wanted_track_length), 0.3, 3.5))
         # Short drives get small blocks, so that they also turn and close a lap (4 block lengths).
         self.pitch = float(np.clip(count * self.spacing / 4.4, 20.0, 60.0))
-        # A line of sight may graze a facade.
+        # Extra distance for lines of sight that graze a facade.
         self.blocks = (self.pitch, 0.5 * ROAD_WIDTH + 0.6)
         self._block_heights = rng.uniform(6.0, 18.0, 512)
         where, heading = waypoints(
@@ -151,7 +150,7 @@ class Street(Scene):
         heading = heading + _wander(rng, count, 0.02)
         ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
         left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-        # Driving on the right.
+        # The vehicle drives on the right.
         where = where + left * (_wander(rng, count, 0.3) - 1.5)[:, None]
         height = CAMERA_HEIGHT + _wander(rng, count, 0.04)
         pitch = 0.02 + _wander(rng, count, 0.012)
@@ -169,7 +168,7 @@ class Street(Scene):
         self._heading = heading
 
     def draw_points(self, rng: np.random.Generator, count: int) -> Points:
-        """Draw points near the view of images, moved onto the nearest surface of their kind."""
+        """Draw points near the view of images, and move them onto the nearest suitable surface."""
         image = rng.integers(0, len(self._heading), count)
         bearing = self._heading[image] + rng.normal(0.0, 0.3, count)
         distance = rng.uniform(5.0, 36.0, count)
@@ -200,7 +199,7 @@ class Street(Scene):
         return rng.standard_exponential(count)
 
     def preference(self, rng: np.random.Generator, points: Points, pairs: Pairs) -> Array:
-        """Prefer a run of images about a random one in view, with some images skipped."""
+        """Prefer consecutive images around a random image in view; some images are skipped."""
         del points
         middle = np.floor(rng.random(len(pairs.counts)) * pairs.counts)
         away = np.abs(pairs.ranks - np.repeat(middle, pairs.counts))
@@ -222,15 +221,15 @@ class Street(Scene):
     def _onto_facades(
         self, rng: np.random.Generator, xy: Array
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Move positions (n, 2) onto facades: positions, normals (n, 3), and mask of success.
+        """Move positions (n, 2) onto facades; return positions, normals (n, 3), mask of success.
 
-        From a road to either side, from inside a block to its nearest side; crossings have no
-        facades.
+        A position on a road moves to either side; a position in a block moves to its nearest side.
+        Positions on crossings fail, because crossings have no facades.
         """
         offset, axes = self._from_axes(xy)
         half = 0.5 * ROAD_WIDTH
         in_road = np.abs(offset) <= half
-        # The coordinate to move: across the road, or the one closer to its facade.
+        # The coordinate to change: across the road, or the coordinate closer to its facade.
         closer = np.argmin(np.abs(offset), axis=1)
         across = np.where(in_road.any(axis=1), np.argmax(in_road, axis=1), closer)
         rows = np.arange(len(xy))
@@ -246,14 +245,14 @@ class Street(Scene):
 
     @staticmethod
     def _onto_windows(rng: np.random.Generator, xy: Array) -> Array:
-        """Move three of five positions to edges of windows, one every 3 m."""
+        """Move three of five positions to edges of windows; windows are 3 m apart."""
         edges = 3.0 * np.floor(xy / 3.0) + np.where(rng.random(xy.shape) < 0.5, 0.8, 2.2)
         edges += rng.normal(0.0, 0.06, xy.shape)
         return np.where(rng.random((len(xy), 1)) < 0.6, edges, xy)
 
     @staticmethod
     def _window_height(rng: np.random.Generator, top: Array) -> Array:
-        """Draw heights up to the roof, more of them low and at window sills and lintels."""
+        """Draw heights up to the roof, with more points low and at window sills and lintels."""
         height = 0.3 + (top - 0.3) * rng.random(len(top)) ** 1.4
         edges = 3.0 * np.floor(height / 3.0) + np.where(rng.random(len(top)) < 0.5, 0.9, 2.3)
         edges += rng.normal(0.0, 0.05, len(top))

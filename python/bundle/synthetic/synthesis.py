@@ -1,4 +1,4 @@
-"""Synthesis of a scene from options: structure, observations, ground truth, start."""
+"""Synthesis of a scene from options: structure, observations, ground truth, start values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class SyntheticScene(Displayed):
     """Problem with a known solution.
 
     Attributes:
-        problem: start: measured observations, perturbed poses, points and cameras.
+        problem: start of a solve: measured observations, perturbed poses, points and cameras.
         ground_truth: the same observations with the true poses, points and cameras. Its residuals
             are the noise and the outliers.
         is_outlier: (num_observations,) True for observations replaced by random pixels.
@@ -51,13 +51,14 @@ def synthesize(
 ) -> SyntheticScene:
     """Make a seeded synthetic scene with ground truth.
 
-    Every point is observed in at least two images, every image observes at least 20 points if the
-    scene permits, and everything is connected. Observations are sorted by point, then image. Ids
-    count from 1. World frames and length units are those of the kinds of scenes, see :mod:`.street`
-    (metres), :mod:`.orbit` (radii of the object) and :mod:`.photo_collection` (metres).
+    Every point is observed in at least two images. Every image observes at least 20 points if the
+    scene permits. All images are connected by common points. Observations are sorted by point, then
+    image. Ids start at 1. World frame and length unit depend on the kind of scene, see
+    :mod:`.street` (metres), :mod:`.orbit` (radii of the object) and :mod:`.photo_collection`
+    (metres).
 
-    Scenes of more than a million points are made in blocks (:mod:`.blocks`). ``bundle synth``
-    writes them to a BAL file without holding all of them in memory; the scene is the same.
+    Scenes of more than a million points are generated in blocks (:mod:`.blocks`). ``bundle synth``
+    writes the same scene to a BAL file without storing all of it in memory.
 
     Args:
         options: options of the scene; default ``SceneOptions()``.
@@ -77,7 +78,7 @@ def synthesize(
 
 
 def assemble(scene: SceneInBlocks) -> SyntheticScene:
-    """Make the blocks of a scene and return the whole scene.
+    """Generate all blocks of a scene and return the complete scene.
 
     Raises:
         InputError: the scene is impossible, see :func:`synthesize`.

@@ -1,4 +1,4 @@
-"""Choice of observations among the possible ones."""
+"""Selection of observations among the possible observations."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _ACCEPTED_SHARE = 0.75
 
 
 def wanted_lengths(weights: Array, scale: float) -> NDArray[np.int64]:
-    """Return whole track lengths of at least 2, whose part above 2 is weights * scale."""
+    """Return integer track lengths 2 + weights * scale (rounded)."""
     beyond = np.floor(weights * scale + 0.5)
     return MIN_TRACK_LENGTH + np.minimum(beyond, 1e9).astype(np.int64)
 
@@ -37,18 +37,18 @@ def select_observations(
     *,
     may_be_shorter: bool = False,
 ) -> Pairs:
-    """Choose the observations of every point among its possible images.
+    """Select the observations of every point among its possible observations.
 
     Args:
         pairs: possible observations; at least two images per point.
-        preference: (M,) every point takes the pairs with its smallest values.
-        weights: (num_points,) wanted length of each track beyond 2, relative to the others.
+        preference: (M,) values of the pairs; every point gets its pairs with the smallest values.
+        weights: (num_points,) wanted length of each track beyond 2, relative to other tracks.
         mean_length: mean track length to reach.
         num_images: number of images.
-        may_be_shorter: accept a smaller mean if images cannot observe more.
+        may_be_shorter: accept a smaller mean length if images cannot observe more points.
 
     Returns:
-        Chosen pairs; images with few observations get up to 20 if possible, and everything is
+        Selected pairs. Images with few observations get up to 20 if possible, and all images are
         connected.
 
     Raises:
@@ -72,7 +72,7 @@ def select_observations(
 def _fit_lengths(
     available: NDArray[np.int64], weights: Array, mean_length: float
 ) -> NDArray[np.int64]:
-    """Return track lengths, limited by the possible ones, with the requested mean."""
+    """Return track lengths with the requested mean, at most the available lengths."""
 
     def lengths(scale: float) -> NDArray[np.int64]:
         return np.minimum(wanted_lengths(weights, scale), available)
@@ -92,7 +92,7 @@ def _fit_lengths(
 def _fill_images(
     pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_images: int
 ) -> None:
-    """Give images with few observations the best of their other possible ones."""
+    """Add the best possible observations to images with few observations."""
     counts = np.bincount(pairs.image[chosen], minlength=num_images)
     poor = counts < MIN_OBSERVATIONS_PER_IMAGE
     spare = np.flatnonzero(poor[pairs.image] & ~chosen)
@@ -102,7 +102,7 @@ def _fill_images(
 
 
 def _connect(pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_images: int) -> None:
-    """Add observations between components until one component is left."""
+    """Add observations between components until only one component is left."""
     num_points = len(pairs.counts)
     while True:
         current = Pairs.from_sorted(pairs.point[chosen], pairs.image[chosen], num_points)
@@ -123,7 +123,7 @@ def _connect(pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_ima
 
 
 def components(pairs: Pairs, num_images: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Label the connected components of the graph of images and points with these pairs.
+    """Label the connected components of the graph of images and points; its edges are the pairs.
 
     Every point must have a pair.
 

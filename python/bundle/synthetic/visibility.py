@@ -1,12 +1,12 @@
 """Visibility: the points that an image can observe.
 
-A point is visible if its key lies in the ball of the image, it is within its reach, its surface
-faces the camera, it projects into the image, and nothing occludes it. If far more images see a
-point than its track needs, pairs are thinned at random before these tests, evenly within the
-image's ball, so that the work is proportional to the requested observations. The core does this
-(``cpp/core/synthetic``).
+A point is visible if its key is in the ball of the image, its distance is within its reach, its
+surface faces the camera, it projects into the image, and nothing occludes it. If far more images
+see a point than its track needs, pairs are thinned at random before these tests, evenly within the
+image's ball. The work is then proportional to the number of requested observations. The C++ core
+does this (``cpp/core/synthetic``).
 
-Points are sorted into a uniform grid, of which only occupied cells are stored.
+Points are sorted into a uniform grid. Only occupied cells are stored.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Cells:
     """Points by grid cell.
 
     Attributes:
-        centers: (num_cells, 3)
+        centers: (num_cells, 3) centres of the cells.
         half_diagonal: half the diagonal of a cell.
         order: (n,) points, cell by cell.
         starts: (num_cells + 1,) begin of each cell in ``order``.
@@ -60,7 +60,7 @@ _FIELD_MARGIN = 1.15
 
 
 class Visibility:
-    """Images of a scene with their true cameras, and their view."""
+    """Tests of visibility in the images of a scene, with their true cameras."""
 
     def __init__(self, scene: Scene, intrinsics: Intrinsics) -> None:
         images = scene.images
@@ -90,8 +90,8 @@ class Visibility:
         Args:
             rng: source of the thinning.
             points: the points.
-            lengths: (n,) wanted observations of each point.
-            num_threads: 0: all cores. The pairs do not depend on it.
+            lengths: (n,) wanted number of observations of each point.
+            num_threads: number of threads; 0: all cores. The pairs do not depend on it.
         """
         cells = Cells(points.keys, self._cell_size)
         by_cell = points.take(cells.order)
@@ -118,7 +118,7 @@ class Visibility:
         observation_point: NDArray[np.int32],
         num_threads: int = 0,
     ) -> Array:
-        """Return the exact projections (M, 2) of observations of positions (n, 3), in pixels."""
+        """Return the exact projections (M, 2) [pixels] of observed points at positions (n, 3)."""
         return self._images.exact_pixels(
             positions, observation_image, observation_point, num_threads
         )

@@ -1,10 +1,11 @@
 """Motions of a flight: splines of position and of yaw, pitch, roll, and exact IMU samples.
 
 The body's x axis points forward, y left, z up. Its rotation is R = Rz(yaw) Ry(pitch) Rx(roll), with
-positive pitch nose down. A motion starts at rest and accelerates over some seconds, so that no
-spline is discontinuous.
+positive pitch nose down. A motion starts at rest and accelerates over some seconds, so that all
+splines are continuous.
 
-Splines are uniform B-splines of degree five: four continuous derivatives, all exact.
+Splines are uniform B-splines of degree five. They have four continuous derivatives, which are
+computed exactly.
 
 The basis function of degree n is nonzero on [0, n + 1] and a polynomial q_k^n(u) on each [k, k +
 1], u = t - k. The recursion of Cox and de Boor is
@@ -12,10 +13,10 @@ The basis function of degree n is nonzero on [0, n + 1] and a polynomial q_k^n(u
     n q_k^n(u) = (u + k) q_k^{n-1}(u) + (n + 1 - k - u) q_{k-1}^{n-1}(u),   q_0^0 = 1.
 
 Between knots j and j + 1 the spline is sum_i q_{n-i}^n(u) c_{j+i} over the n + 1 control points of
-this interval. A control point has its largest influence, and is located, (n + 1) / 2 intervals
-after its support begins.
+this interval. The time of a control point is (n + 1) / 2 intervals after the start of its support,
+where its influence is largest.
 
-IMU samples follow from the states along the spline.
+IMU samples are computed from the states along the spline.
 
 With R = Rz(yaw) Ry(pitch) Rx(roll) the angular rate in the body's frame is
 
@@ -23,8 +24,8 @@ With R = Rz(yaw) Ry(pitch) Rx(roll) the angular rate in the body's frame is
          pitch' cos roll + yaw' sin roll cos pitch,
          yaw' cos roll cos pitch - pitch' sin roll)
 
-and the specific force f = R^T (p'' - g). These are the samples "instant". A sensor that integrates
-over the interval h to its next sample measures instead
+and the specific force is f = R^T (p'' - g). These are the samples of kind "instant". The kind
+"interval" is a sensor that integrates over the interval h to its next sample. It measures
 
     w_k = Log(R_k^T R_{k+1}) / h,    f_k = R_k^T ((v_{k+1} - v_k) / h - g)
 
@@ -74,12 +75,12 @@ def control_times(duration: float, spacing: float) -> Array:
 
 
 def spline_at(control: Array, spacing: float, times: Array, derivative: int = 0) -> Array:
-    """Return the spline, or a time derivative, at times within its duration.
+    """Return the values of a spline, or of a time derivative, at times within its duration.
 
     Args:
         control: (m, d) control points, at :func:`control_times`.
         spacing: seconds between knots.
-        times: (n,) seconds.
+        times: (n,) times in seconds.
         derivative: order of the derivative.
 
     Returns:
@@ -103,7 +104,7 @@ def spline_at(control: Array, spacing: float, times: Array, derivative: int = 0)
 
 
 def _basis(degree: int) -> Array:
-    """Return (degree + 1, degree + 1): row k has the coefficients of q_k, constant first."""
+    """Return the coefficients of q_k, constant first, in row k: (degree + 1, degree + 1)."""
     pieces = np.ones((1, 1))
     for n in range(1, degree + 1):
         raised = np.zeros((n + 1, n + 1))
@@ -191,7 +192,7 @@ def surroundings(motion: str, control: Array, rng: np.random.Generator) -> Surro
 
 
 def _distance(time: Array, speed: float, ramp: float) -> Array:
-    """Return the distance after accelerating evenly over `ramp` seconds."""
+    """Return the travelled distance; the acceleration is constant over the first `ramp` seconds."""
     result: Array = np.where(time < ramp, speed * time**2 / (2 * ramp), speed * (time - ramp / 2))
     return result
 
@@ -223,7 +224,7 @@ def imu_samples(control: Array, times: Array, kind: str) -> tuple[Array, Array]:
 
     Args:
         control: (m, 6) control points of the motion.
-        times: (n,) seconds; with "interval", the last sample repeats the previous one.
+        times: (n,) times in seconds; with "interval", the last sample repeats the previous sample.
         kind: "instant" or "interval".
     """
     if kind == "instant":

@@ -80,10 +80,10 @@ def follow(
 
     Args:
         poses: poses of the images.
-        camera_from_imu: (7,).
-        lens: camera.
+        camera_from_imu: (7,) pose.
+        lens: pinhole camera.
         around: points in the world.
-        num_tracks: tracks wanted per image.
+        num_tracks: wanted number of tracks per image.
         track_length: mean number of images of a track.
         rng: source of points and lengths.
     """
@@ -149,11 +149,11 @@ def synthesize_flight(
     """Make a visual-inertial sequence with ground truth.
 
     Args:
-        options: options of the flight; defaults if not given.
+        options: options of the flight; None: the defaults.
         **changes: fields of :class:`FlightOptions`, such as ``motion="motorway"``.
 
     Raises:
-        InputError: an option does not exist or is out of range, or no point is in view.
+        InputError: an option is unknown or out of range, or no point is in view.
     """
     options = FlightOptions.of(options, changes, "synthesize_flight")
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(options.seed).spawn(4)]
@@ -216,7 +216,7 @@ def save_flight(flight: SyntheticFlight, path: str | os.PathLike[str]) -> None:
 
 
 def _stamps(duration: float, rate: float) -> NDArray[np.int64]:
-    """Return stamps in ns from 0, one more than periods in the duration."""
+    """Return stamps in ns from 0; their number is one more than the periods in the duration."""
     count = int(np.floor(duration * rate + 1e-9)) + 1
     stamps: NDArray[np.int64] = np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64)
     return stamps
