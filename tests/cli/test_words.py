@@ -128,7 +128,7 @@ def test_text_without_lines_of_keypoints(run, tmp_path, which):
     (tmp_path / "m" / "images.txt").write_text("\n".join([*lines[:first], *left]) + "\n")
     place = first + (2 if which == "all" else 4)
     done = run("info", tmp_path / "m", "--quiet")
-    assert_refused(done, f"images.txt:{place}: expected the keypoints of the image before")
+    assert_refused(done, f"images.txt:{place}: expected the keypoints of the previous image")
 
 
 @pytest.mark.parametrize("kind", ["colmap", "colmap-text"])

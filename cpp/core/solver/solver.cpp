@@ -49,22 +49,13 @@ bool IsSupported(LinearSolverType type) {
 }
 
 bool IsSupported(PreconditionerType type) {
-  switch (type) {
-    case PreconditionerType::kAuto:
-    case PreconditionerType::kIdentity:
-    case PreconditionerType::kJacobi:
-    case PreconditionerType::kSchurJacobi:
-    case PreconditionerType::kSchurPowerSeriesExpansion:
-    case PreconditionerType::kTwoLevel:
-      return true;
-    case PreconditionerType::kClusterJacobi:
-    case PreconditionerType::kClusterTridiagonal:
-      break;
-  }
-  return false;
+  using Type = PreconditionerType;
+  return type == Type::kAuto || type == Type::kIdentity || type == Type::kJacobi ||
+         type == Type::kSchurJacobi || type == Type::kSchurPowerSeriesExpansion ||
+         type == Type::kTwoLevel;
 }
 
-/// A preconditioner that no one reads is no obstacle.
+/// True if the preconditioner is used.
 bool MayIterate(LinearSolverType type) {
   return type == LinearSolverType::kAuto || type == LinearSolverType::kIterativeSchur;
 }
@@ -82,7 +73,6 @@ Unsupported NothingBesidePoints() {
   return {"refine", "poses or intrinsics beside the points", "none that are refined"};
 }
 
-/// Whatever the problem is.
 std::optional<Unsupported> FindUnsupported(const SolveOptions& options) {
   if (!IsSupported(options.linear_solver_type)) {
     return Unsupported{"linear_solver_type", "auto, dense_schur, sparse_schur or iterative_schur",
