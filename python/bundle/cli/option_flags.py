@@ -127,7 +127,7 @@ def with_named_images(
 
 @contextmanager
 def naming_flags(*kinds: type[Any], **others: str) -> Iterator[None]:
-    """Make an InputError about an option use its flag, and values as on the command line.
+    """Rewrite an InputError about an option with its flag and its values on the command line.
 
     Option names are at the start of a message, and before "=" within it. ``others`` are flags of
     arguments that are not options.

@@ -120,7 +120,7 @@ class Diagnosis(Conditioned, Displayed):
 
     @property
     def rank_gap(self) -> float:
-        """Ratio of the smallest nonzero eigenvalue to the largest that counts as zero.
+        """Ratio of the smallest nonzero eigenvalue to the largest eigenvalue that counts as zero.
 
         Thousands or more if the rank is clear; infinite if no eigenvalue counts as zero; NaN if all
         do.

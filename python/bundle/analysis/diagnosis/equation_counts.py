@@ -1,4 +1,4 @@
-"""Numbers of equations and unknowns per component; with too few it is undetermined.
+"""Counts of equations and unknowns per component, which show undetermined components.
 
 An observation gives two equations. A point seen by two images has three unknowns, an image six, a
 camera one per refined parameter. Seven unknowns of a component belong to the gauge. If there are

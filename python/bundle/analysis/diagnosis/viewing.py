@@ -4,8 +4,8 @@ Let all images of a camera look along one direction d. Stretching the world alon
 with the focal length, changes no pinhole image: x = f X / Z. If images are only shifted against
 each other, along d or across it, no scene separates the focal length from the depth. Rotated images
 do separate them. Over a flat scene across d, stretching moves only the images ("height"). Then even
-slightly inclined images separate them poorly (Wu 2014: Critical configurations for radial
-distortion self-calibration; Sturm 1997: critical motion sequences).
+slightly inclined images separate focal length and depth poorly (Wu 2014: Critical configurations
+for radial distortion self-calibration; Sturm 1997: critical motion sequences).
 """
 
 from __future__ import annotations

@@ -120,8 +120,8 @@ class LandmarkDepths:
         """Return the landmarks in front of all cameras, with x, y, 1 / z of each.
 
         The solve's last estimate or a triangulation from the current poses is used, whichever is
-        better. The estimate alone could reject a landmark as an outlier: a landmark without
-        parallax so far, when it gets parallax.
+        better. With the last estimate alone, a landmark without parallax so far would be
+        rejected as an outlier as soon as it gets parallax.
         """
         rotations, centres = camera_poses(np.array([f.state for f in frames]), camera_from_imu)
         stamps = np.array([f.stamp for f in frames], np.int64)

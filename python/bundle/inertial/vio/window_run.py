@@ -139,7 +139,7 @@ class WindowRun:
         return self.lost or _lost_reason(self.window.records)
 
     def records(self) -> tuple[KeyframeRecord, ...]:
-        """Return the telemetry; a short run without excitation gets its alarm here."""
+        """Return the telemetry; for a short run without excitation, add its alarm."""
         found = list(self.window.records)
         is_quiet = all(record.excitation_verdict == "unobservable" for record in found)
         if 0 < len(found) < QUIET_KEYFRAMES and is_quiet:

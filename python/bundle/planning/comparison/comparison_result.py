@@ -99,7 +99,7 @@ class Measurement(Displayed):
 
     @property
     def total_time_in_seconds(self) -> float:
-        """Build and solve time: all time that depends on the method."""
+        """Sum of build and solve time, which is all time that depends on the method."""
         return self.build_time_in_seconds + self.solve_time_in_seconds
 
     @property

@@ -29,7 +29,7 @@ class MethodInspection(Displayed):
         num_unknowns: number of refined scalars.
         nnz_jacobian, nnz_information, nnz_reduced: nonzeros of J, J^T J and S; 0 where S is not
             formed.
-        nnz_factor: nnz(L). Without a factor this and the next four are 0.
+        nnz_factor: nnz(L). Without a factor, this and the next four values are 0.
         fill: fill-in: pairs of blocks that are nonzero in L and zero in the matrix.
         flops: sum of c^2 + 3 c over the columns of L with c entries below the diagonal.
         cholmod_flops: sum of (c + 1)^2, CHOLMOD's own estimate.

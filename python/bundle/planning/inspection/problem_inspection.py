@@ -136,7 +136,7 @@ class _Inspector:
         return every
 
     def auto_choice(self) -> str:
-        """Return the linear solver that the fused backend would choose; "" if it cannot."""
+        """Return the linear solver that the fused backend would choose; "" if it has no method."""
         if all(method.backend == "CERES" for method in self.methods()):
             return ""
         return _core.auto_choice(*self._pattern.reduced, self._num_threads)
