@@ -1,1 +1,1 @@
-"""Models changed before a solve: lenses, sharing, rigs, merging."""
+"""Edits of models before a solve: camera models, shared cameras, rigs, merging."""

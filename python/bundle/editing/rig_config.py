@@ -2,17 +2,18 @@
 
 A file is a list of rigs, each an object with a list ``cameras`` of
 
-* ``image_prefix``: how the names of the camera's images begin;
-* ``ref_sensor``: true for the reference sensor, of which each rig has one;
-* ``cam_from_rig_rotation`` (w x y z) and ``cam_from_rig_translation``: its pose on the rig;
-* ``camera_model_name`` and ``camera_params``: intrinsics in place of the model's.
+* ``image_prefix``: prefix of the names of the camera's images;
+* ``ref_sensor``: true for the reference sensor; each rig has exactly one;
+* ``cam_from_rig_rotation`` (w x y z) and ``cam_from_rig_translation``: pose of the camera on the
+  rig;
+* ``camera_model_name`` and ``camera_params``: intrinsics that replace those of the model.
 
 Images of a rig whose names differ only in their prefix form a frame. Missing values are computed
-from the poses, as in ``pycolmap.apply_rig_config``: a sensor's rotation is the mean of the
+from the poses, as in ``pycolmap.apply_rig_config``. A sensor's rotation is the mean of the
 rotations of its images relative to the reference images of their frames (the eigenvector of the
-largest eigenvalue of sum q q^T; Markley et al., "Averaging Quaternions", 2007), and its position on
-the rig is the mean of their positions. The pose of a frame comes from its reference image, or
-otherwise from the image of its camera with the smallest id.
+largest eigenvalue of sum q q^T; Markley et al., "Averaging Quaternions", 2007). Its position on the
+rig is the mean of the positions of its images on the rig. The pose of a frame comes from its
+reference image; without a reference image, from the image whose camera has the smallest id.
 """
 
 from __future__ import annotations
@@ -47,10 +48,10 @@ class SensorConfig:
     """Camera of a rig.
 
     Attributes:
-        image_prefix: prefix of the names of its images.
-        is_reference: True if the pose of the rig is that of this camera.
+        image_prefix: prefix of the names of the camera's images.
+        is_reference: True if the pose of the rig is the pose of this camera.
         sensor_from_rig: (7,) qx qy qz qw tx ty tz; None: computed from the poses of the images.
-        camera_model: COLMAP's name; None: that of the images.
+        camera_model: COLMAP's name of the model; None: the model of the images.
         camera_params: parameters of this model in COLMAP's order.
     """
 
@@ -63,7 +64,7 @@ class SensorConfig:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RigConfig:
-    """Rig: its cameras, one of which is the reference sensor."""
+    """Cameras of a rig, including one reference sensor."""
 
     sensors: tuple[SensorConfig, ...]
 
@@ -72,7 +73,8 @@ def read_rig_config(path: str | os.PathLike[str]) -> tuple[RigConfig, ...]:
     """Read COLMAP's rig_config.json; keys that COLMAP does not use are ignored.
 
     Raises:
-        InputError: the format is wrong; one line that gives rig and camera by position.
+        InputError: the format is wrong; the message is one line with the positions of rig and
+            camera.
         OSError: the file cannot be read.
     """
     try:
@@ -89,7 +91,7 @@ def read_rig_config(path: str | os.PathLike[str]) -> tuple[RigConfig, ...]:
 def apply_rig_config(
     problem: Problem, config: str | os.PathLike[str] | Sequence[RigConfig]
 ) -> Problem:
-    """Return the problem with its images in frames of the rigs of a file.
+    """Return the problem with its images assigned to frames of the rigs in a file.
 
     Existing rigs are removed; images without a matching prefix get their own poses. Rigs are
     numbered from 1, and a frame has the smallest id of its images.
@@ -197,7 +199,7 @@ class _Assembly:
         self._models = list(problem.camera_models)
         self._params = problem.camera_params.copy()
         self._taken: dict[int, str] = {}  # prefix of each image
-        self._poses: list[_Pose] = []  # of frames
+        self._poses: list[_Pose] = []  # poses of frames
         self._frame_ids: list[int] = []
         self._frame_rigs: list[int] = []
         self._arms: list[_Pose] = []
@@ -254,7 +256,7 @@ class _Assembly:
             self._frame_rigs.append(rig_id)
 
     def _frames(self, rig_id: int, rig: RigConfig) -> dict[str, dict[int, int]]:
-        """Return the images of each frame: by the rest of the name, then by sensor."""
+        """Return the images of each frame: by the name without the prefix, then by sensor."""
         frames: dict[str, dict[int, int]] = defaultdict(dict)
         order = np.argsort(self._problem.image_ids, kind="stable").tolist()
         for image in order:
@@ -285,7 +287,7 @@ class _Assembly:
     def _cameras(
         self, rig_id: int, rig: RigConfig, frames: Mapping[str, Mapping[int, int]]
     ) -> dict[int, int]:
-        """Return the row of each sensor's camera if it has images, and set its intrinsics."""
+        """Set the intrinsics of the cameras of sensors with images; return their rows by sensor."""
         ids, cameras = self._problem.camera_ids, dict[int, int]()
         for images in frames.values():
             for index, image in images.items():
@@ -342,6 +344,6 @@ class _Assembly:
 
 
 def _relative(arm: _Pose, pose: _Pose) -> _Pose:
-    """Return the frame whose sensor at `arm` has the pose `pose`."""
+    """Return the pose of the frame whose sensor at `arm` has the pose `pose`."""
     frame: _Pose = compose(inverse_poses(unit_poses(arm[None])), pose[None])[0]
     return frame

@@ -51,7 +51,7 @@ class Triangulated:
         position: (3,) in the model; nan if it could not be triangulated.
         covariance: (3, 3) of the position, in squared units of the model.
         residual: (m, 2) projection minus measurement, pixels.
-        reason: reason why there is no position; "" otherwise.
+        reason: reason why the position is missing; "" if it is known.
     """
 
     point: GroundControlPoint

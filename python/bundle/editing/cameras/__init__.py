@@ -1,1 +1,1 @@
-"""Cameras that change their model, are shared or split."""
+"""Edits of cameras: change of the camera model, sharing and splitting."""

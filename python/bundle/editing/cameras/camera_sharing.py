@@ -21,19 +21,19 @@ MAX_ID = 2**32 - 2
 
 
 def share_cameras(problem: Source, camera_ids: Iterable[int] | None = None) -> Problem:
-    """Merge several cameras into the one with the lowest id, which all of their images get.
+    """Merge several cameras into the camera with the lowest id, which all their images get.
 
-    Its parameters are the means of theirs, weighted by the numbers of observations (equally if
-    there are none). Poses and points do not change, so errors grow where cameras differed: solve
-    again.
+    The parameters of the merged camera are means, weighted by the numbers of observations (with
+    equal weights if the cameras have no observations). Poses and points do not change, so that
+    errors grow if the cameras differed. Solve again afterwards.
 
     Args:
         problem: Problem, path of one, or pycolmap.Reconstruction; not modified.
-        camera_ids: at least two; None: all.
+        camera_ids: ids of at least two cameras; None: all.
 
     Raises:
-        InputError: a camera does not exist, they differ in model or image size, there are fewer
-            than two, or one is a sensor of a rig of several.
+        InputError: a camera does not exist, cameras differ in model or image size, there are fewer
+            than two cameras, or a camera is a sensor of a rig with several sensors.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
@@ -54,17 +54,17 @@ def share_cameras(problem: Source, camera_ids: Iterable[int] | None = None) -> P
 
 
 def split_cameras(problem: Source) -> Problem:
-    """Give every image a camera of its own.
+    """Give every image its own camera.
 
-    The first image of a camera keeps it. Each other image gets a copy, whose id is the next above
-    all existing ids, or the lowest unused one if COLMAP allows none above. Cameras without an image
-    are kept.
+    The first image of a camera keeps this camera. Each other image gets a copy. The id of the copy
+    is the next id above all existing ids, or the lowest unused id if COLMAP's range is exhausted.
+    Cameras without an image are kept.
 
     Args:
         problem: Problem, path of one, or pycolmap.Reconstruction; not modified.
 
     Raises:
-        InputError: an image belongs to a rig of several sensors, whose sensors are cameras.
+        InputError: an image belongs to a rig with several sensors, in which sensors are cameras.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
@@ -137,7 +137,7 @@ def _check_alike(problem: Problem, cameras: NDArray[np.int64]) -> None:
 
 
 def _mean(problem: Problem, cameras: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the mean of parameters, bit for bit the same if all are equal."""
+    """Return the mean of parameters. The mean of equal parameters is exact bit for bit."""
     params = problem.camera_params[cameras]
     camera_of = problem.image_camera[problem.observation_image]
     weights = np.bincount(camera_of, minlength=problem.num_cameras)[cameras].astype(float)
@@ -153,13 +153,13 @@ def _mean(problem: Problem, cameras: NDArray[np.int64]) -> NDArray[np.float64]:
             f"same {' and '.join(names[index] for index in metadata)}, found different "
             "values"
         )
-    # Relative to the first, so that equal values are exact.
+    # Average differences to the first value, so that the mean of equal values is exact.
     mean: NDArray[np.float64] = first + weights @ (params - first) / weights.sum()
     return mean
 
 
 def _free_ids(taken: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """Return ids above all used ones; if there is no room, the lowest unused ones."""
+    """Return ids above all used ids; if the range is exhausted, the lowest unused ids."""
     start = int(taken.max(initial=0)) + 1
     if start + count - 1 <= MAX_ID:
         return np.arange(start, start + count, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Camera edits of the command line, which precede everything else."""
+"""Camera edits of the command line, which run before all other steps."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ class CameraEdits:
 
     Attributes:
         problem: the new problem.
-        model: model that all cameras got; None: unchanged.
+        model: new model of all cameras; None: unchanged.
         changes: results for the cameras that had another model.
-        shared_camera_id: camera into which others were merged; None: none were merged.
-        shared_camera_ids: all merged cameras, including that one.
-        num_copies: cameras created for single images; None: nothing was split.
+        shared_camera_id: id of the camera into which others were merged; None: no cameras were
+            merged.
+        shared_camera_ids: ids of all merged cameras, including this one.
+        num_copies: number of cameras created for single images; None: no camera was split.
         before: reprojection errors of the given problem.
         after: reprojection errors of the new problem.
-        warnings: bad fits, one sentence each.
+        warnings: one sentence for each bad fit.
     """
 
     problem: Problem
@@ -67,7 +68,7 @@ def edit_cameras(
         split: give each image its own camera.
 
     Raises:
-        InputError: see the functions that it calls.
+        InputError: for the reasons of the functions that it calls.
     """
     if model is None and share is False and not split:
         return None

@@ -1,20 +1,22 @@
-"""Exact conversions: lenses that one camera model has in common with another.
+"""Exact conversions: lenses that two camera models can both represent.
 
-Most models are a special case of larger ones. A lens is described here independently of its model:
-the mapping of rays to coordinates (``perspective``, u = X / Z, or ``equidistant``, u = theta X /
-r), two focal lengths, a principal point, and the coefficients that have an effect:
+Most models are a special case of larger models. This module describes a lens independently of its
+model. The description has the mapping of rays to coordinates (``perspective``, u = X / Z, or
+``equidistant``, u = theta X / r), two focal lengths, a principal point, and the coefficients that
+have an effect:
 
 - ``r1`` ... ``r6``: radial polynomial 1 + r1 s + r2 s^2 + ... with s = u^2 + v^2,
 - ``d1`` ... ``d3``: denominator of FULL_OPENCV,
 - ``p1, p2, sx, sy``: tangential and thin prism terms of (u, v),
-- ``P1, P2, Sx, Sx2, Sy, Sy2``: those of RAD_TAN_THIN_PRISM_FISHEYE, which are functions of the
-  coordinates after the radial polynomial; without a polynomial they are the same,
-- ``division``, ``omega``, ``alpha`` and ``beta``: those of models that no other model contains.
+- ``P1, P2, Sx, Sx2, Sy, Sy2``: the same terms of RAD_TAN_THIN_PRISM_FISHEYE, which are functions of
+  the coordinates after the radial polynomial; without a polynomial they equal the terms above,
+- ``division``, ``omega``, ``alpha`` and ``beta``: coefficients of models that no other model
+  contains.
 
-A model can represent this lens if it has the same rays and all of its coefficients. EUCM with alpha
-= 0 and the division models with k = 0 are perspective. FOV with omega = 0 is too, but its
-derivatives by omega are zero there, which would stall other solvers: perspective lenses become FOV
-by a fit.
+A model can represent this lens if it has the same mapping of rays and all its coefficients. EUCM
+with alpha = 0 and the division models with k = 0 are perspective. FOV with omega = 0 is perspective
+as well, but its derivatives by omega are zero there, which would stall other solvers. Therefore
+perspective lenses are converted to FOV by a fit.
 """
 
 from __future__ import annotations
@@ -62,7 +64,7 @@ _EXTRAS: dict[str, tuple[str, ...]] = {
 _WITHOUT_RADIAL = {"p1": "P1", "p2": "P2", "sx": "Sx", "sy": "Sy"}
 
 PERSPECTIVE = frozenset(model for model in _EXTRAS if "FISHEYE" not in model)
-"""Models that agree with u = X / Z near the axis; the others agree with theta X / r."""
+"""Models with u = X / Z near the axis; the other models have u = theta X / r."""
 
 
 class _Lens(NamedTuple):
@@ -101,12 +103,12 @@ def focal_and_center(model: str, params: NDArray[np.float64]) -> tuple[float, fl
 def exact_params(
     model: str, params: NDArray[np.float64], target: str
 ) -> NDArray[np.float64] | None:
-    """Return the parameters with which a model equals another lens; None if there are none.
+    """Return the parameters with which a model equals another lens; None if it cannot.
 
     Args:
-        model: model of the lens, any but EQUIRECTANGULAR.
-        params: its parameters, without padding.
-        target: new model, likewise.
+        model: model of the lens, any except EQUIRECTANGULAR.
+        params: parameters of this model, without padding.
+        target: new model, any except EQUIRECTANGULAR.
     """
     if model == target:
         return params

@@ -10,21 +10,21 @@ Each step is the least-squares solution of
     [J; sqrt(lambda) D] step = [-r; 0],
 
 by orthogonal factorisation, because polynomials of high degree are too ill-conditioned for the
-normal equations. Of [J r] only the triangle R of its QR factorisation is needed. A lens that is
-symmetric about its axis is fitted best by a symmetric lens, so the principal point and the
-asymmetric coefficients stay constant. Some models are strongly nonlinear, or have zero derivatives,
-at their neutral parameters. Therefore a fit starts from several lenses, and the best result counts.
+normal equations. A step needs only the triangle R of the QR factorisation of [J r]. The best fit to
+a lens that is symmetric about its axis is a symmetric lens; the principal point and the asymmetric
+coefficients then stay constant. Some models are strongly nonlinear, or have zero derivatives, at
+their neutral parameters. Therefore a fit starts from several lenses, and the best result counts.
 
-The fit is judged at the pixels of the observations. It uses a grid of pixels, so that crowded parts
-of the image do not dominate. The grid covers the image up to the distance of the farthest
-observation from the principal point, because nothing has determined the old lens farther out. If
-there are few observations it is the whole image; for a perspective lens, up to 80 degrees from the
-axis.
+The error of the fit is evaluated at the pixels of the observations. The fit itself uses a grid of
+pixels, so that regions with many observations do not dominate. The grid covers the image up to the
+distance of the farthest observation from the principal point, because no observation has determined
+the old lens farther out. With few observations, the grid covers the entire image; for a perspective
+lens, up to 80 degrees from the axis.
 
-The image is given by its size, and observations outside it are gross errors and do not count. If
-there is no size, or most observations are outside because the origin is elsewhere, the bounding box
-of the observations is used; with few observations, it is extended to half a focal length on each
-side of the principal point.
+The size of the image defines its borders. Observations outside the image are gross errors and do
+not count. The bounding box of the observations is used instead if the size is unknown, or if most
+observations are outside because of another origin. With few observations, this box is extended to
+half a focal length on each side of the principal point.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ _SEES_BEHIND = ("SIMPLE_DIVISION", "DIVISION")
 class LensRegion(NamedTuple):
     """Pixels (N, 2), and unit vectors (N, 3) of the old lens at these pixels.
 
-    There is one set for the grid and one for the observations, without those that have no ray.
+    There is one set for the grid and one for the observations. Pixels without a ray are left out.
     """
 
     grid: NDArray[np.float64]
@@ -85,8 +85,8 @@ def lens_region(
     Args:
         what: name of the camera for messages.
         old_model: model of the old lens.
-        old: its parameters.
-        model: of the new lens.
+        old: parameters of the old lens.
+        model: model of the new lens.
         size: width and height of the image, 0 if unknown.
         observed: (N, 2) pixels of the observations.
 
@@ -166,11 +166,11 @@ _STARTS: dict[str, tuple[tuple[float, ...], ...]] = {
     "division": ((0.0,), (-0.2,)),
     "alpha": ((0.2, 1.0), (0.5, 1.0), (0.7, 1.5)),
 }
-"""Start values of the coefficients, by the name of the first one."""
+"""Start values of a model's coefficients, by the name of its first coefficient."""
 
 _BOUNDS = {"omega": (0.0101, 3.1), "alpha": (0.0, 1.0), "beta": (1e-3, np.inf)}
-"""Bounds of parameters. COLMAP's formula of FOV is discontinuous at 0.01 and has other signs below
-(see ``fov.h``).
+"""Bounds of parameters. COLMAP's formula of FOV is discontinuous at omega 0.01, and its signs
+differ below this value (see ``fov.h``).
 """
 
 
@@ -190,13 +190,13 @@ def fit_lens(
     """Fit a lens to pixels of rays.
 
     Args:
-        model: model to fit, any but EQUIRECTANGULAR.
-        lens: model and parameters of the given lens, for the start.
+        model: model to fit, any except EQUIRECTANGULAR.
+        lens: model and parameters of the given lens, for the start values.
         rays: (N, 3) directions within the field of view of the model.
         xy: (N, 2) pixels of these rays.
 
     Returns:
-        Fit; None if no start projects all rays.
+        The fit; None if no start lens projects all rays.
     """
     free = np.arange(len(param_kinds(model)))
     if is_symmetric(*lens):
@@ -225,7 +225,7 @@ def _starts(
     starts = []
     for extras in choices:
         scale = 1.0
-        if names[:1] == ("omega",):  # focal length on the axis
+        if names[:1] == ("omega",):  # FOV: use the focal length on the axis
             scale = extras[0] / (2 * np.tan(extras[0] / 2))
         starts.append(np.array([*(scale * f for f in focal), cx, cy, *extras]))
     return starts
@@ -238,7 +238,7 @@ def _minimize(
     xy: NDArray[np.float64],
     free: NDArray[np.int64],
 ) -> tuple[float, LensFit]:
-    """Return the final cost and the fit; the cost is infinite if the start does not project."""
+    """Return the final cost and the fit; the cost is infinite if a ray does not project."""
     lower, upper = _bounds(model)
     cost, triangle = _linearized(model, params, rays, xy, free)
     smallest = len(xy) * SMALLEST**2

@@ -1,7 +1,7 @@
-"""Change of camera models with the same pixels as before.
+"""Change of camera models that preserves the pixels.
 
-The conversion is exact if the new model contains the old lens (``exact_image``). Otherwise its
-parameters are fitted (``lens_fit``) in the part of the image with observations (``lens_region``).
+The conversion is exact if the new model can represent the old lens (``exact_image``). Otherwise the
+new parameters are fitted (``lens_fit``) in the image region with observations (``lens_region``).
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ class CameraModelChange:
 
     Attributes:
         camera_id: id in the problem.
-        old_model: COLMAP's name.
-        new_model: likewise.
+        old_model: COLMAP's name of the old model.
+        new_model: COLMAP's name of the new model.
         before: old parameters by name.
-        after: new ones.
-        exact: the new lens equals the old one; otherwise it was fitted.
-        converged: the fit ended in a minimum; True for exact conversions.
-        rms: root mean square distance of old and new pixels at the camera's observations, or at the
-            fitted pixels if it has none. 0 if exact.
-        max: largest distance.
+        after: new parameters by name.
+        exact: True if the new lens equals the old one; False if it was fitted.
+        converged: True if the fit ended in a minimum, and for exact conversions.
+        rms: root mean square distance of old and new pixels at the camera's observations; without
+            observations, at the fitted pixels. 0 if exact.
+        max: largest distance of old and new pixels.
         num_observations: number of compared observations; 0: pixels of the grid were compared.
         num_without_ray: further observations at pixels where the old lens has no ray.
     """
@@ -70,9 +70,9 @@ class ChangedModels(Displayed):
     """Problem with other camera models.
 
     Attributes:
-        problem: new problem; the given one if no camera changed.
-        changes: one per camera that had another model.
-        warnings: one sentence for each of the worst fits that are off by more than a pixel or did
+        problem: new problem; the given problem if no camera changed.
+        changes: one record per camera that had another model.
+        warnings: one sentence for each of the worst fits whose error exceeds a pixel or that did
             not converge.
     """
 
@@ -99,10 +99,10 @@ def change_camera_model(
 ) -> ChangedModels:
     """Give cameras another model that reproduces the pixels of the old one as well as possible.
 
-    The conversion is exact if the new model contains the old lens: a larger model of the same
-    family, or a smaller one if the missing coefficients are zero. Otherwise it is fitted over the
-    image up to the farthest observation, and the error of the fit is reported. Poses and points do
-    not change. See docs/lenses.md.
+    The conversion is exact if the new model can represent the old lens: a larger model of the same
+    family, or a smaller model if the missing coefficients are zero. Otherwise the new lens is
+    fitted over the image up to the farthest observation, and the error of the fit is reported.
+    Poses and points do not change. See docs/lenses.md.
 
     Args:
         problem: Problem, path of one, or pycolmap.Reconstruction; not modified.
@@ -110,9 +110,9 @@ def change_camera_model(
         camera_ids: ids of the cameras to change; None: all.
 
     Raises:
-        InputError: a model or camera does not exist; a model is EQUIRECTANGULAR, which is no lens;
-            observations are 90 degrees or more from the axis, where the new model has no
-            projection; or no fit exists.
+        InputError: a model or camera does not exist; a model is EQUIRECTANGULAR, which does not
+            describe a lens; observations are 90 degrees or more from the axis, where the new model
+            has no projection; or no fit exists.
         OSError: the path cannot be read.
 
     Example:

@@ -10,10 +10,10 @@ which is regular on the axis and beyond 90 degrees. With e = (cos theta - S) / t
     dd/dw_j = (S e_j + e w_j w, -S w_j),
 
 where e_j is the j-th unit vector, and the chain rule gives the 2x2 Jacobian of the pixels. A step
-is halved until it reduces the distance to the pixel and stays where the lens is not folded. Beyond
-the fold the determinant of the Jacobian is not positive and images are mirrored; a pixel with only
-such rays counts as without a ray. The iteration starts at the angle of the undistorted lens, or
-nearer to the axis if that is beyond the fold.
+is halved until it reduces the distance to the pixel and ends where the lens is not folded. Beyond
+the fold, the determinant of the Jacobian is not positive and images are mirrored. A pixel that only
+has such rays counts as a pixel without a ray. The iteration starts at the angle of the undistorted
+lens, or nearer to the axis if this angle is beyond the fold.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ def pixel_rays(
     """Return the unit vectors of a camera at pixels.
 
     Args:
-        model: camera model, any but EQUIRECTANGULAR.
-        params: its parameters, without padding.
+        model: camera model, any except EQUIRECTANGULAR.
+        params: parameters of the model, without padding.
         xy: (N, 2) pixels.
 
     Returns:
-        Rays (N, 3), and mask of pixels that have one (N,); other rays have no meaning.
+        Rays (N, 3), and the mask (N,) of pixels that have a ray; other rays are undefined.
     """
     fx, fy, cx, cy = focal_and_center(model, params)
     chart = (xy - (cx, cy)) / (fx, fy)
@@ -85,7 +85,7 @@ def _newton_step(
     jacobian: NDArray[np.float64],
     active: NDArray[np.int64],
 ) -> bool:
-    """Move the rays of `active` pixels in place; return True if some came closer."""
+    """Move the rays of `active` pixels in place; return True if some errors became smaller."""
     active = active[_unfolded(error[active], jacobian[active])]
     step = -np.linalg.solve(jacobian[active], error[active][:, :, None])[:, :, 0]
     length = np.linalg.norm(step, axis=1)

@@ -1,1 +1,1 @@
-"""Two models that become one."""
+"""Merge of two models into one."""

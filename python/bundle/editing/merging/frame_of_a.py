@@ -1,21 +1,23 @@
 """Similarity from the frame of model B to that of model A, from shared images and points.
 
-Two models without a common gauge have 7 degrees of freedom each. One shared image determines 6 of
-the 7 between them: with its poses R_a, C_a and R_b, C_b (camera from world, and centre),
+Two models without a common gauge have 7 gauge degrees of freedom each. The similarity between them
+has 7 parameters, of which one shared image determines 6. With its poses R_a, C_a and R_b, C_b
+(camera from world, and centre),
 
-    R = R_a^T R_b,   t = C_a - s R C_b,
+    R = R_a^T R_b,   t = C_a - s R C_b.
 
-and the scale s is the median of |X_a - C_a| / |X_b - C_b| over all other common places: points that
-meet at a keypoint of a shared image, and centres of other shared images. Without such a pair the
-scale is undetermined.
+The scale s is the median of |X_a - C_a| / |X_b - C_b| over all other common places. These are
+points that meet at a keypoint of a shared image, and centres of other shared images. Without such a
+pair the scale is undetermined.
 
-Every shared image (of many, some) gives such a candidate. Another candidate is the weighted fit to
-consistent points and centres (``georeference.consensus``, ``georeference.similarity_fit``), unless
-they lie on one line. The candidate with the least median residual in sigmas wins. One sigma is the
-error of a point that appears as large as the width of an image, so far points count less. Unlike
-``pycolmap.align_reconstructions_via_reprojections`` this needs no third image, and unlike
-``..._via_points`` no threshold in length units of the model. Wrong tracks and misplaced images, up
-to half of all, have no influence.
+Every shared image gives such a candidate; of many images, a selection does. Another candidate is
+the weighted fit to consistent points and centres (``georeference.consensus``,
+``georeference.similarity_fit``), unless these lie on one line. The candidate with the smallest
+median residual in sigmas wins. One sigma is the error of a point that appears as large as the width
+of an image, so that distant points count less. This method needs no third image, unlike
+``pycolmap.align_reconstructions_via_reprojections``. It needs no threshold in length units of the
+model, unlike ``..._via_points``. Wrong tracks and misplaced images have no influence if they are at
+most half of all.
 """
 
 from __future__ import annotations
@@ -37,7 +39,7 @@ __all__ = ["DEGREES", "find_similarity"]
 DEGREES = 7
 MOST_CANDIDATES = 50
 SAME_PLACE = 1e-9
-"""Distance, relative to the largest, below which two places are the same."""
+"""Distance of two places, relative to the largest distance, below which they count as equal."""
 
 Array = NDArray[np.float64]
 
@@ -52,12 +54,12 @@ def find_similarity(
 
     Args:
         a: the first model.
-        b: the second.
+        b: the second model.
         images: (n, 2) indices in A and B of the shared images.
         meetings: (m, 3) row of ``images``, index of a point of A, index of a point of B.
 
     Raises:
-        InputError: the shared images and points leave the similarity undetermined.
+        InputError: the shared images and points do not determine the similarity.
     """
     centers_a, centers_b = a.projection_centers[images[:, 0]], b.projection_centers[images[:, 1]]
     _, first = np.unique(meetings[:, 1:], axis=0, return_index=True)

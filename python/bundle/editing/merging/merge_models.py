@@ -1,14 +1,15 @@
 """Merge of two reconstructions with common images into one.
 
-Each model has its own gauge of 7 degrees of freedom. Shared images and points determine the 7
-between them (``frame_of_a``), so that the merged model has one gauge. Models with rigs, whose scale
-may be known, are refused.
+Each model has its own gauge of 7 degrees of freedom. Shared images and points determine the
+similarity between the models (``frame_of_a``), so that the merged model has one gauge. Models with
+rigs, whose scale may be known, are refused.
 
-Two points that may be the same are compared in the images that observe either of them.
+Two points that may be the same point are compared in the images that observe either of them.
 
-The distance is between their projections, not to the keypoints: it shows if the points are the
-same, not if they were measured well. The median over the images of both tracks makes single
-misplaced images irrelevant. An image with only one of the points in front counts as infinitely far.
+The compared distance is between the two projections, not to the keypoints. It shows if the points
+are the same, and does not depend on the accuracy of the measurements. The median over the images of
+both tracks removes the influence of single misplaced images. If only one of the points is in front
+of an image, the distance there is infinite.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ def disagreements(a: Problem, b: Problem, pairs: Indices) -> Array:
 
     Args:
         a: the first model.
-        b: the second, in the frame of the first.
-        pairs: (n, 2) indices of a point of A and of one of B.
+        b: the second model, in the frame of the first.
+        pairs: (n, 2) indices of a point of A and of a point of B.
     """
     first, second = a.points[pairs[:, 0]], b.points[pairs[:, 1]]
     rows, distances = [], []
@@ -58,7 +59,7 @@ def disagreements(a: Problem, b: Problem, pairs: Indices) -> Array:
     row, distance = np.concatenate(rows), np.concatenate(distances)
     order = np.lexsort((distance, row))
     counts = np.bincount(row, minlength=len(pairs))
-    # The lower of the two middle values, because their mean may be infinite.
+    # Use the lower of the two middle values, because their mean may be infinite.
     middle = np.cumsum(counts) - counts + (counts - 1) // 2
     median: Array = distance[order][middle]
     return median
@@ -92,26 +93,27 @@ def _pixels(problem: Problem, image: Indices, points: Array) -> Array:
 
 
 MAX_ERROR = 8.0
-"""Pixels. Larger than in a filter, because both models are distorted where they meet."""
+"""Default in pixels. Larger than in a filter, because both models are distorted where they meet."""
 
 
 def merge(a: Source, b: Source, *, max_error: float = MAX_ERROR) -> Merge:
     """Merge two reconstructions with common images, without adjusting anything.
 
-    Images of the same name are the same. They keep A's pose and camera, and B's other images of
-    such a camera take that of A. B moves into the frame of A by the similarity on which shared
-    points and centres of shared images agree. Points that meet at a keypoint of a shared image are
-    joined at A's coordinates if their projections differ by at most ``max_error``; others stay
-    separate and leave such keypoints to A. Run bundle adjustment afterwards.
+    Images of the same name are the same image. They keep A's pose and camera. Other images of B
+    with the same camera as a shared image get the camera of A. B moves into the frame of A by the
+    similarity on which shared points and centres of shared images agree. Points that meet at a
+    keypoint of a shared image are joined at A's coordinates if their projections differ by at most
+    ``max_error``. Other points stay separate; such keypoints then belong to A's point. Run bundle
+    adjustment afterwards.
 
     Args:
         a: a Problem, the path of a COLMAP model, or a pycolmap.Reconstruction; not modified.
-        b: likewise; its ids change where A has the same ones.
+        b: the other model, in the same forms; not modified. Ids that A also uses are replaced.
         max_error: largest median distance in pixels over the images of both tracks.
 
     Raises:
-        InputError: a model is no COLMAP model or has rigs, the shared images leave the similarity
-            undetermined, or no shared points agree.
+        InputError: a model is not a COLMAP model or has rigs, the shared images do not determine
+            the similarity, or no shared points agree.
         OSError: a path cannot be read.
 
     Example:
@@ -222,8 +224,8 @@ def _indices(ids: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.in
 def _cameras(a: Problem, b: Problem, images: NDArray[np.int64]) -> tuple[dict[int, int], list[str]]:
     """Return the cameras of A for images of B, by ids, and notes on them.
 
-    A camera of B is replaced by the one that most of its shared images have in A (ties: the lowest
-    id), unless the image size differs.
+    A camera of B is replaced by the camera that most of its shared images have in A (if tied, the
+    one with the lowest id), unless the image size differs.
     """
     votes: dict[int, Counter[int]] = defaultdict(Counter)
     for row_a, row_b in images.tolist():

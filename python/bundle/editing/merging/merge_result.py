@@ -23,12 +23,13 @@ class Merge(Displayed):
         problem: merged model, ready for bundle adjustment.
         similarity: similarity from the frame of B to that of A.
         shared_images: names of the images in both models.
-        num_pairs: pairs of points that meet at keypoints of shared images.
+        num_pairs: number of pairs of points that meet at keypoints of shared images.
         free_before: gauge degrees of freedom of both models, 14.
         determined: degrees of freedom that the shared images remove, 7.
-        rms_points: rms distance of joined points, B's moved minus A's, in length units of A; nan
-            without.
-        rms_pixels: the same as projected into images, see ``disagreements``; nan without.
+        rms_points: rms distance between joined points of A and the moved points of B, in length
+            units of A; nan without joined points.
+        rms_pixels: rms of the same distances in pixels, see ``disagreements``; nan without joined
+            points.
         rms_centers: rms distance of the centres of shared images, in length units of A.
         counts: results for B's images, cameras, points and observations.
         notes: remarks, one sentence each.

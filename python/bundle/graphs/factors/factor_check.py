@@ -14,7 +14,7 @@ delta to X Exp(delta). A derivative with respect to another motion d is J M with
 and t the rotation and translation of X:
 
 - Exp(d) X: X^-1 Exp(d) X = Exp(Ad(X)^-1 d), so M = Ad(X)^-1;
-- t + d, in the frame of the world: M = R^T for the translation; likewise Exp(d) R of the rotation;
+- t + d, in the frame of the world: M = R^T for the translation, as for Exp(d) R of the rotation;
 - translation and rotation in the other order: M is a permutation.
 """
 

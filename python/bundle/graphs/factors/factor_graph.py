@@ -230,10 +230,10 @@ class FactorGraph(GraphMarginals):
         )
 
     def digits(self) -> DigitsLeft:
-        """Return how many digits of a step normal equations and a QR factorisation preserve.
+        """Return the digits of a step that normal equations and a QR factorisation preserve.
 
         Raises:
-            InputError: there is no free coordinate, or a factor has no finite value.
+            InputError: all coordinates are fixed, or a factor does not have a finite value.
         """
         return DigitsLeft.of(*_core.graph_conditioning(*self._core()))
 

@@ -82,7 +82,7 @@ def wrong_factor(start: Problem, factors: Iterable[Factor], output: Mapping[str,
 
 
 def _stayed(start: Array, end: Array, manifold: str) -> NDArray[np.bool_]:
-    """Return the numbers that a solve held constant; Jacobians must not be checked there."""
+    """Return the mask of numbers that a solve held constant and that must not be checked."""
     same = np.abs(end - start) <= 1e-12 * np.abs(start).max(initial=1e-300)
     return same if manifold == "euclidean" else np.full(6, same.all())
 

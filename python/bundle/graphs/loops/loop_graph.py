@@ -6,7 +6,7 @@ the model. Without rigs, nodes may change their scale (:mod:`.similarity_graph`)
 a translation in the model's unit around its first image, and no scale.
 
 The information of the model's edges is divided by a variance factor. The error of a drifted model
-is larger than its reprojection errors indicate, because these do not contain the cause of the drift
+is larger than its reprojection errors indicate. These do not contain the cause of the drift
 (outliers, calibration, a tracker that lost half its points). With the information of reprojection
 errors alone, the graph would be so stiff that every closure is rejected. Factors of 1, 10, ... 10^6
 are tried in turn.

@@ -1,8 +1,8 @@
-"""Truncated least squares over poses: GNC from several starts, of which the smallest cost wins.
+"""Truncated least squares over poses: GNC from several starts; the smallest cost wins.
 
 Graduated non-convexity (GNC) decides which edges are inliers and which are outliers. The truncated
 loss min(x, c^2), x = ||r||^2, is x for an inlier and a constant for an outlier. It has so many
-local minima that a solve hardly leaves its start. Yang, Antonante, Tzoumas and Carlone ("Graduated
+local minima that a solve ends close to its start. Yang, Antonante, Tzoumas and Carlone ("Graduated
 non-convexity for robust spatial perception", 2020) minimise
 
     sum_e  w_e x_e + mu (1 - w_e) / (mu + w_e) c^2
@@ -18,10 +18,11 @@ c^2 is the 99.95 % quantile of chi2 with the degrees of freedom of an edge, mult
 of the requested scale: one correct edge in 2000 is classified as an outlier.
 
 GNC starts where the truncated loss is convex for the largest error. Errors after a solve with all
-edges do not show this error: where odometry is weak, wrong closures have bent it and their own
+edges do not reveal this largest error: wrong closures deform weak odometry, so that their own
 errors are small. The largest errors are those of closures at the poses of the trusted edges alone
-(if these connect all poses; otherwise at the start). From there the weights are graduated twice:
-with first weights from these errors, and with first weights from a solve with all edges.
+(if these connect all poses; otherwise at the start). From these poses, the weights are graduated
+twice: once with first weights from these errors, and once with first weights from a solve with all
+edges.
 
 If the solve with all edges gives no reason for doubt, all edges are inliers. Otherwise a third set
 starts with the trusted edges alone, and the caller may propose more sets. All sets are improved by

@@ -212,7 +212,7 @@ def _of_component(clusters: _Clusters, rows: list[_Rows]) -> list[Joint]:
             touching.setdefault(cluster, []).append((row, side))
     sizes = np.bincount(clusters.of_pose, minlength=clusters.graph.num_poses)
     fixed = set(clusters.of_pose[clusters.graph.fixed].tolist())
-    # What is fixed stays; else the largest cluster is what the others are seen from.
+    # The reference is the fixed cluster, or else the largest cluster.
     base = max(touching, key=lambda cluster: (cluster in fixed, sizes[cluster], -cluster))
     carried = {cluster: [cluster] for cluster in touching}  # with the clusters merged into it
     neighbours = {

@@ -1,4 +1,4 @@
-"""The processes of a divided solve, and the data that they exchange."""
+"""Processes of a divided solve, and the data that they exchange."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Ranks(Protocol):
 
 
 class Crew(Protocol):
-    """The processes as rank 0 sees them.
+    """Interface of rank 0 to the other processes.
 
     Attributes:
         num_ranks: number of processes.
-        is_solving: True while the others solve; they accept no other job until the end.
+        is_solving: True while the other ranks solve; they accept no other job until the end.
         is_told_to_end: True after Ctrl-C; checked after each iteration.
     """
 

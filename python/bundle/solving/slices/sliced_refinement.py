@@ -47,7 +47,7 @@ class SliceJob:
 
 
 class SliceCrew(Crew, Protocol):
-    """The processes as rank 0 sees them."""
+    """Interface of rank 0 to the other processes."""
 
     def meeting(self) -> Meeting:
         """Return the communication of all ranks."""
