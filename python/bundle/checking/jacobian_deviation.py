@@ -35,9 +35,10 @@ class JacobianDeviation:
         """Divisor of the error of each entry, (K, 1, N).
 
         The divisor is the norm of the entry's column. If this norm is zero or unusually small,
-        relative errors are meaningless. (For example, the derivative by the distortion is zero for
-        a point on the camera's axis.) The divisor is then based on the column's usual size over all
-        points or, if the column is zero everywhere, on the usual size of the other columns.
+        relative errors are meaningless. For example, the derivative by the distortion is zero for a
+        point on the camera's axis. The divisor is then FLOOR times the column's usual size over all
+        points. If the column is zero at all points, the divisor is the usual size of the other
+        columns.
         """
         norms = np.linalg.norm(np.nan_to_num(self.reference), axis=1, keepdims=True)
         nonzero = np.where(norms > 0, norms, np.nan)

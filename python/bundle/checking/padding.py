@@ -1,6 +1,6 @@
 """Signature: tangent Jacobians padded with a column of zeros to the size of the block.
 
-Older solvers expect a Jacobian by the parameters of a block (4 for a quaternion), and multiply it
+Older solvers expect a Jacobian by the parameters of a block (4 for a quaternion). They multiply it
 by the Jacobian of the manifold's Plus. If the Plus Jacobian is (I, 0)^T, the tangent Jacobian with
 a zero column is correct. For any other manifold it is wrong.
 """

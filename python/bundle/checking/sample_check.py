@@ -30,7 +30,7 @@ SAME_RESIDUAL = 1e-9
 """Largest difference between residuals of two calls at one point, relative to the largest entry."""
 
 ROUGH = 1e-3
-"""Relative uncertainty of the reference at the given point above which rounding is no cause."""
+"""Largest relative uncertainty of the reference that rounding can cause at the given point."""
 
 _Probe = tuple[bool, Array | None, Array | None, str]
 

@@ -10,8 +10,8 @@ from bundle.interface.option_fields import option
 __all__ = ["LOOP_LOSSES", "LoopOptions"]
 
 LOOP_LOSSES = ("trivial", "huber", "soft_l1", "cauchy")
-"""Losses that do not ignore large errors. Before a loop is closed, the errors of all its closures
-are large."""
+"""Losses whose gradient does not vanish for large errors. Before a loop is closed, the errors of
+all its closures are large."""
 
 
 @documented

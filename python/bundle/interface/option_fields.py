@@ -44,7 +44,7 @@ def option(
 
     The type of the default is the type of the option: str with ``choices``, bool, int, float, or a
     tuple of whole numbers of that length. Whole numbers go up to 2^31 - 1 unless ``maximum`` is
-    given. A default of None or a text without choices is any text.
+    given. If the default is None or a text without choices, the option accepts any text.
 
     Args:
         default: default value.

@@ -1,8 +1,8 @@
 """COLMAP models on disk: text or binary, with rigs and frames or in the older format without them.
 
 This package does not use COLMAP's reader and writer. COLMAP's reader accepts some broken files
-silently, allocates memory by counts that may be corrupt, and does not report the line or byte of an
-error. COLMAP's writer does not check for write errors.
+silently and allocates memory by counts that may be corrupt. It does not report the line or byte of
+an error. COLMAP's writer does not check for write errors.
 
 A solve changes poses, camera parameters and points only. If the output has the format of the
 source, these numbers are replaced in the source's files, which

@@ -1,8 +1,8 @@
 """The problem: cameras, images, points and observations as read-only NumPy arrays.
 
 Conventions are COLMAP's. A world point ``X`` has the coordinates ``R(q) X + t`` in the camera frame
-of image ``i``, with ``cam_from_world[i] = (qx, qy, qz, qw, tx, ty, tz)``. In the camera frame, x is
-right, y down, z forward. The centre of the upper left pixel is (0.5, 0.5).
+of image ``i``. The pose is ``cam_from_world[i] = (qx, qy, qz, qw, tx, ty, tz)``. In the camera
+frame, x is right, y down, z forward. The centre of the upper left pixel is (0.5, 0.5).
 """
 
 from __future__ import annotations

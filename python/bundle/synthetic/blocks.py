@@ -87,7 +87,7 @@ class Block:
         image: (M,) image index of each observation; sorted by point, then image.
         point: (M,) index of each observation's point in the scene.
         xy: (M, 2) measured positions in pixels.
-        is_outlier: (M,)
+        is_outlier: (M,) True for outliers.
     """
 
     first_point: int

@@ -1,10 +1,10 @@
 """Visibility: the points that an image can observe.
 
-A point is visible if its key is in the ball of the image, its distance is within its reach, its
-surface faces the camera, it projects into the image, and nothing occludes it. If far more images
-see a point than its track needs, pairs are thinned at random before these tests, evenly within the
-image's ball. The work is then proportional to the number of requested observations. The C++ core
-does this (``cpp/core/synthetic``).
+A point is visible if all conditions hold: its key is in the ball of the image, the camera is within
+its reach, its surface faces the camera, it projects into the image, and nothing occludes it. Often
+far more images see a point than its track needs. Pairs are then thinned at random before these
+tests, evenly within the image's ball, so that the work is proportional to the requested
+observations. The C++ core does this (``cpp/core/synthetic``).
 
 Points are sorted into a uniform grid. Only occupied cells are stored.
 """

@@ -155,12 +155,13 @@ def is_same(path: Path, descriptor: int) -> bool:
 
 
 def holds_only_copies(path: Path) -> bool:
-    """Return True if a temporary folder can be removed without loss of user data.
+    """Return True if a temporary folder holds the only copies of some files and must be kept.
 
-    Model files in ``new`` are either unfinished or replaced, so they may go. Other files in ``new``
-    may go if they are hard links to files that also exist elsewhere. All else must stay: ``old``,
-    the folders of an unfinished replacement (see ``bundle.io.atomic.in_place``), and files that
-    another program wrote into a folder while it was exchanged.
+    Model files in ``new`` do not count, because they are either unfinished or replaced. Other files
+    in ``new`` do not count if they are hard links to files that also exist elsewhere. All other
+    content must be kept: files in ``old``, the folders of an unfinished replacement (see
+    ``bundle.io.atomic.in_place``), and files that another program wrote into a folder while it was
+    exchanged.
     """
     if not stat.S_ISDIR(path.lstat().st_mode):
         return False

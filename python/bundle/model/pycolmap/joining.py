@@ -72,7 +72,8 @@ def join(
         a: model A; changed in place.
         b: model B, in the coordinate frame of A.
         images: ids in A and in B of each shared image.
-        keypoints: for each shared image, table from observed keypoints of B to those of A or None.
+        keypoints: for each shared image, table from observed keypoints of B to keypoints of A; None
+            if A's image lacks the keypoint.
         meetings: for each point of B, number of meetings with each point of A.
         agreeing: pairs of ids, in B and in A, of points that agree.
         cameras: table from cameras of B to cameras of A that replace them.

@@ -166,7 +166,7 @@ def unpacked(source: Any) -> Any:
 
 
 def source_records(source: Any) -> SourceRecords | None:
-    """Return the records that a source has and its problem lacks; None for other than COLMAP.
+    """Return the records that a COLMAP source has and its problem lacks; None for other sources.
 
     Args:
         source: source in the form kept by the problem; may be a model that is not yet converted to

@@ -32,9 +32,9 @@ def check_imu_samples(
         accel_range: largest acceleration that the accelerometer measures, in m/s^2; None: unknown.
 
     Raises:
-        InputError: an array has another shape, a number is not finite, a sample is at the end of
-            the sensor's range (saturated), accelerations seem to be in g instead of m/s^2, or rates
-            seem to be in degrees.
+        InputError: an array has another shape, a number is not finite, or a sample is saturated (at
+            the end of the sensor's range). Also if accelerations seem to be in g instead of m/s^2,
+            or rates in degrees.
     """
     samples = {name: _rows(name, given) for name, given in (("gyro", gyro), ("accel", accel))}
     if len(samples["gyro"]) != len(samples["accel"]):

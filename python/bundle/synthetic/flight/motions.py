@@ -13,8 +13,8 @@ The basis function of degree n is nonzero on [0, n + 1] and a polynomial q_k^n(u
     n q_k^n(u) = (u + k) q_k^{n-1}(u) + (n + 1 - k - u) q_{k-1}^{n-1}(u),   q_0^0 = 1.
 
 Between knots j and j + 1 the spline is sum_i q_{n-i}^n(u) c_{j+i} over the n + 1 control points of
-this interval. The time of a control point is (n + 1) / 2 intervals after the start of its support,
-where its influence is largest.
+this interval. A control point has its largest influence (n + 1) / 2 intervals after the start of
+its support. This time is the time of the control point.
 
 IMU samples are computed from the states along the spline.
 

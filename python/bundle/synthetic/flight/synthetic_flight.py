@@ -1,12 +1,12 @@
 """Synthetic flights: a motion, its IMU and camera measurements, and ground truth.
 
-Options and seed determine a flight. Biases are random walks: between samples they change by the
-density of the walk times sqrt(h). Ground truth is given at the stamps of the images, on the IMU's
-clock.
+Options and seed determine a flight. Biases are random walks: the standard deviation of their change
+between samples with interval h is the density of the walk times sqrt(h). Ground truth is given at
+the stamps of the images, on the IMU's clock.
 
-Every image keeps the tracks of the previous image that are still in view and have not reached their
-length, and adds random points that are not tracked. A lost point returns under another id, as with
-any real tracker.
+Every image continues those tracks of the previous image that are still in view and have not reached
+their length. It starts new tracks at random points that are not tracked. A lost point returns with
+another id, as in a real tracker.
 """
 
 from __future__ import annotations
