@@ -1,6 +1,6 @@
 """Priors of a solve from ground control points, optionally with GPS positions of images.
 
-Gross errors are searched by predicting each point from the others through a similarity
+Gross errors are searched by predicting each point from the other points through a similarity
 (``leave_one_out``). The first search is in the given model, which no control point has deformed
 yet. If it finds no gross error, a second search is in the adjusted model, whose own distortions are
 removed. The adjusted model is not searched first, because a gross error deforms it, so that
@@ -52,8 +52,8 @@ __all__ = ["GcpPriors", "gcp_priors"]
 Array = NDArray[np.float64]
 
 LEVEL_AFTER = 1e-3
-"""Significance level of the test in the adjusted model. It allows for correlated errors of the
-cameras, which bend a model between and beyond its control points: covariances do not contain them.
+"""Significance level of the test in the adjusted model. It is small because covariances do not
+contain correlated errors of the cameras, which bend a model between and beyond its control points.
 """
 
 

@@ -90,8 +90,8 @@ def gps_priors(
     """Make priors of a problem's images from positions on the earth.
 
     Images without a position get no prior, and positions of unknown images are ignored; notes count
-    both. A position belongs to the image of the same name, or of the same last part of its name if
-    that is unique.
+    both. A position belongs to the image of the same name. If no such image exists, it belongs to
+    the image with the same last part of the name (without folders), if this part is unique.
 
     Args:
         problem: problem of the images.
@@ -108,8 +108,8 @@ def gps_priors(
 
     Raises:
         InputError: a file or an argument is wrong, the images have no names, fewer than ``fewest``
-            of them have a position, or these do not determine position, scale and attitude of the
-            problem.
+            images have a position, or the positions do not determine position, scale and attitude
+            of the problem.
         OSError: a path cannot be read.
     """
     default = parse_sigma("gps_sigma", gps_sigma)

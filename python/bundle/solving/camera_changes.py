@@ -20,7 +20,7 @@ class CameraChange:
         camera_id: id of the camera in the input.
         model: COLMAP's name of the camera model.
         before: parameters by name before the solve, in pixels; distortion has no unit.
-        after: the same after the solve.
+        after: parameters by name after the solve.
         movement: the largest change of a parameter. A change in pixels is divided by the focal
             length; a change of distortion is not scaled, for distortion acts on coordinates in
             focal lengths. This is about the angle in radians by which rays at 45 degrees from the

@@ -212,7 +212,7 @@ class FactorGraph(GraphMarginals):
         cores = _core.hardware_threads()
         options = options.replace(num_threads=min(options.num_threads or cores, cores))
         as_core = options.asdict() | {"gauge": "none", "cheirality": "algebraic"}
-        # read before the variables, because another thread may add some
+        # read before the variables, because the graph may grow in between
         factors = list(self._factors)
         variables = dict(self._variables)
         keys = list(variables)

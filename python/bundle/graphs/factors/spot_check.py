@@ -7,7 +7,7 @@ variable X with natural size s (a radian, the length of a translation, the numbe
 
 R = J e + O(h^4), and u = |D(h/2) - D(h)| + n / h s is far above the error of R wherever r is smooth
 at the scale of h. n = eps (|r| + sum |J| size) is the rounding error. Rows of a whitened residual
-have different sizes, so each row is tested alone. A step is *conclusive* if u is below a hundredth
+have different sizes. Each row is tested alone. A step is *conclusive* if u is below a hundredth
 of |R|. An entry of J agrees with it if
 
     |J - R| < 1e-3 max(|J|, |R|) + 4 u + |r(+h/2) - 2 r(0) + r(-h/2)| / h s,
@@ -125,7 +125,7 @@ def spot_check(kinds: Sequence[Kind], seconds: float, advice: str) -> str:
             for values in candidate.points:
                 try:
                     _check(kind, candidate, values, end - perf_counter())
-                except KeyboardInterrupt:  # the solve is done, so its result counts
+                except KeyboardInterrupt:  # the solve is complete: keep its result
                     return _sentence(kinds, advice)
                 except Exception:  # the user's function may fail at points off the solver's path
                     continue

@@ -37,7 +37,7 @@ class LoopClosure:
             length unit around the first image.
         translation_after: the same distance after solving the graph, in the same unit.
         chi2_before: r^T Omega r in the given model.
-        chi2_after: the same after solving the graph.
+        chi2_after: r^T Omega r after solving the graph.
         is_factor: True if bundle adjustment also needs the closure as a factor, because its images
             share few points.
     """
@@ -71,7 +71,7 @@ class LoopClosing(Displayed):
         scale_range: smallest and largest scale of an image relative to the first of its component.
         variance_factor: divisor of the information of the model's own edges.
         cost_before: half the sum of chi2 in the given model, without rejected closures.
-        cost_after: the same after solving the graph.
+        cost_after: the same sum after solving the graph.
         num_carried_points: points that moved with an image.
     """
 

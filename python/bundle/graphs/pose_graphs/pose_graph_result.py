@@ -24,7 +24,7 @@ class PoseGraphSummary(Summary):
 
     Attributes:
         chi2_initial: sum r^T Omega r at the start, without 1/2, loss and left-out edges.
-        chi2_final: the same at the end.
+        chi2_final: the same sum at the end.
         init: start of the solve: "file", "odometry", "spanning_tree" or "chordal".
         init_choice: reason for that start; "" if it was requested.
         loss: loss of the final solve; the chosen loss for "auto".
@@ -61,7 +61,7 @@ class PoseGraphResult(SolveRecord):
         summary: the solver's summary.
         iterations: one array per field of Ceres' IterationSummary, one entry per iteration.
         chi2_before: (m,) r^T Omega r of each edge at the start, without loss.
-        chi2_after: the same at the end.
+        chi2_after: (m,) r^T Omega r of each edge at the end, without loss.
         weights: (m,) final factor rho' of the loss on the information of each edge; 0 or 1 for
             gnc_tls; 0 for edges left out.
         rejected: indices of edges that the loss has rejected, worst first. Their weight is below

@@ -1,8 +1,8 @@
 """Processes of mpirun: the interface of rank 0, and the loop of the other ranks.
 
 The other ranks poll for jobs a hundred times per second, so that they take no CPU time from rank 0
-while it reads or writes. A process that fails ends all processes, because the others wait for its
-contribution to a sum.
+while it reads or writes. A process that fails ends all processes, because the other ranks wait for
+its contribution to a sum.
 """
 
 from __future__ import annotations

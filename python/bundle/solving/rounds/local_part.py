@@ -121,7 +121,7 @@ class LocalPart:
         return images
 
     def _split_factors(self) -> None:
-        """Split the factors into those that take part and those of the rest."""
+        """Split the factors into factors that take part and factors of the rest."""
         whole = self._whole
         near = self._observing(self.seen)
         cameras = set(whole.camera_ids[np.unique(whole.image_camera[near])].tolist())
@@ -239,7 +239,7 @@ def _held(
     part: _Indices,
     refined: NDArray[np.bool_],
 ) -> tuple[int, ...]:
-    """Return the constant ids of the part: those in the options, and those that are not refined."""
+    """Return the constant ids of the part: ids in the options, and ids that are not refined."""
     given = np.array(getattr(options, name), np.int64)
     unknown = ~np.isin(given, known)
     if unknown.any():

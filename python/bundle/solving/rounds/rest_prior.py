@@ -72,7 +72,7 @@ A rotation about the origin moves a camera by this ratio more than a rotation ab
 Its square enters the information matrix, where it would hide the information of the rest."""
 
 SMALLEST = 64 * np.finfo(float).eps
-"""Rounding of an eigenvalue of the scaled information, relative to its size."""
+"""Rounding error of an eigenvalue of the scaled information, relative to its size."""
 
 
 @dataclass(frozen=True)
