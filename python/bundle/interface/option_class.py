@@ -126,7 +126,7 @@ class Options:
 
 
 def documented(kind: type[AnyOptions]) -> type[AnyOptions]:
-    """Append a list of its options to the docstring of an option class, when it is first read."""
+    """Append a list of options to an option class's docstring; it is generated when it is read."""
     kind.__doc__ = _Documentation(kind.__doc__ or "")  # type: ignore[assignment]
     return kind
 

@@ -179,12 +179,12 @@ class Problem(Displayed):
 
     @property
     def num_rigs(self) -> int:
-        """Number of rigs of several sensors that have a frame."""
+        """Number of rigs with several sensors and at least one frame."""
         return len(np.unique(self.frame_rig_ids))
 
     @property
     def num_frames(self) -> int:
-        """Number of frames of rigs of several sensors."""
+        """Number of frames of rigs with several sensors."""
         return len(self.rig_from_world)
 
     @property

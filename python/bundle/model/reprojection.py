@@ -66,7 +66,7 @@ def resolve_cheirality(problem: Problem, cheirality: str) -> str:
     """Return the cheirality that "auto" means for this problem.
 
     "algebraic" for BAL, and if every lens formula is defined beyond 90 degrees. "zero" if no lens
-    formula is. "auto" if it depends on the lens or the angle; then the core decides.
+    formula is defined there. "auto" if it depends on the lens or the angle; the core then decides.
 
     Raises:
         InputError: the cheirality is unknown.
