@@ -24,7 +24,7 @@ namespace bundle {
 namespace {
 
 // Checking an observation takes 3 to 5 microseconds, about as long as a step of a solve spends on
-// it: a hundredth of them is a thousandth of a solve.
+// one. Checking a hundredth of them takes about a thousandth of a solve.
 constexpr int64_t kSmallestSample = 32;
 constexpr int64_t kLargestSample = 256;
 constexpr int64_t kObservationsPerSample = 100;
@@ -42,14 +42,14 @@ double Uniform(int counter) {
 std::vector<int64_t> SampleObservations(const ProblemView& problem, int64_t size) {
   std::vector<int64_t> observed(problem.num_images);
   for (int64_t i = 0; i < problem.num_observations; ++i) ++observed[problem.observation_image[i]];
-  std::map<const CameraModel*, int64_t> images;  // with observations
+  std::map<const CameraModel*, int64_t> images;  // number of images with observations
   const auto model_of = [&](int image) {
     return problem.camera_models[problem.image_camera[image]];
   };
   for (int i = 0; i < problem.num_images; ++i) {
     if (observed[i] > 0) ++images[model_of(i)];
   }
-  // Each image draws at even distances, beginning anywhere.
+  // Each image samples at equal distances, from a random start.
   std::vector<double> share(problem.num_images), due(problem.num_images);
   for (int i = 0; i < problem.num_images; ++i) {
     if (observed[i] == 0) continue;
@@ -95,7 +95,7 @@ bool RejectImpossibleSolution(const AdjustmentProblem& problem, SolveOutput* out
   refined.points = output->points.data();
   std::string found;
   try {
-    ValidateState(refined);  // the solver changes nothing else
+    ValidateState(refined);  // all other values are constant during a solve
   } catch (const InputError& error) {
     found = error.what();
   }
@@ -146,7 +146,7 @@ uint32_t SolutionUnderCheck::FreeColumns(int64_t observation) const {
   const int image = problem_.observation_image[observation];
   const int camera = problem_.image_camera[image];
   uint32_t free = layout_.RefinedColumns(problem_, image);
-  // In its local coordinates, all of an image moves with its rig.
+  // In local coordinates, all six pose numbers of a rig image may change.
   const bool has_sensor = layout_.blocks_of(image)[ParameterLayout::kSensorBlock] >= 0;
   const bool moves = has_sensor || (free & FreeParameters::kWholePose) != 0;
   if (problem_.FrameOf(image) >= 0 && moves) free |= FreeParameters::kWholePose;
@@ -212,7 +212,7 @@ std::string CheckSolution(const AdjustmentProblem& problem, const ParameterLayou
   return SpotCheck(solution.Sample(), std::cref(solution));
 }
 
-/// A gradient that is no number is below every tolerance for Ceres, which then has converged.
+/// A NaN gradient is below every tolerance for Ceres, which then reports convergence.
 void JudgeEnd(bool has_bounds, double function_tolerance, SolveRecord* record) {
   SolveSummary& summary = record->summary;
   const bool has_cost = std::isfinite(summary.final_cost);
@@ -246,7 +246,7 @@ void FinishSolve(const AdjustmentProblem& problem, const ParameterLayout& layout
          FirstOverRanks(problem.division.communicator, FindOverflow(problem, options.cheirality)));
   }
   if (options.check_solution) {
-    // A projected step misses what its model promised as one by a wrong Jacobian does.
+    // A projected step misses the predicted decrease, like a step with a wrong Jacobian.
     if (!has_bounds) {
       warn(WarningKind::kSuspiciousSteps,
            problem.factors == nullptr

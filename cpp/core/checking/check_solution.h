@@ -17,9 +17,9 @@
 
 namespace bundle {
 
-/// The indices, ascending, of about `size` observations, the same at each call: as many of each
-/// camera model that observes anything, and of each image with that model as far as it has them.
-/// Takes some 3 ns an observation of the problem.
+/// Returns the indices, ascending, of about `size` observations, the same at each call. The sample
+/// has equally many of each camera model with observations, and of each image with that model as
+/// far as it has enough. Takes some 3 ns per observation of the problem.
 std::vector<int64_t> SampleObservations(const ProblemView& problem, int64_t size);
 
 /// Reprojection residuals of a solve at its state and in its charts, for a spot check. Keeps
@@ -31,10 +31,10 @@ class SolutionUnderCheck {
                      const CameraStates& states, const std::vector<double>& points,
                      Cheirality cheirality);
 
-  /// Observations with something to refine, spread over camera models and images.
+  /// Observations with free parameters, spread over camera models and images.
   std::vector<ObservationAtPoint> Sample() const;
 
-  /// ClaimedDerivatives of EvaluateReprojection.
+  /// ClaimedDerivatives from EvaluateReprojection.
   bool operator()(int64_t observation, const double* x, double* residual, double* jacobian) const;
 
  private:
@@ -47,34 +47,34 @@ class SolutionUnderCheck {
   const Cheirality cheirality_;
 };
 
-/// The sentence of SpotCheck about a solution, "" if its Jacobians are right.
+/// The message of SpotCheck about a solution; "" if its Jacobians are right.
 std::string CheckSolution(const AdjustmentProblem& problem, const ParameterLayout& layout,
                           const CameraStates& states, const std::vector<double>& points,
                           Cheirality cheirality);
 
-/// Returns one sentence with the number of free points seen by one observation only; "" if there
-/// are none.
+/// Returns a message with the number of free points with one observation only; "" without such
+/// points.
 std::string CountPointsSeenOnce(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                 const std::vector<int64_t>& track_lengths);
 
 /// Rejects an impossible solution (a focal length that is not positive, a number that is not
 /// finite): restores the problem's own values, marks the solution as not usable, and warns. Returns
-/// true if it did so.
+/// true in this case.
 bool RejectImpossibleSolution(const AdjustmentProblem& problem, SolveOutput* output);
 
-/// Returns one sentence with the first observation whose squared residual is not finite at the
-/// problem's own values; "" if there is none.
+/// Returns a message with the first observation whose squared residual is not finite at the
+/// problem's own values; "" if all are finite.
 std::string FindOverflow(const ProblemView& problem, Cheirality cheirality);
 
-/// Judges the end of any solve by its record. A solve whose cost or gradient is not finite fails. A
-/// solve that ended by short steps on a slope gets a warning, but not with bounds, where the
-/// gradient may point out of them.
+/// Checks the end of a solve by its record, for any backend. A solve whose cost or gradient is not
+/// finite fails. A solve that ended by short steps on a slope gets a warning, except with bounds,
+/// where the gradient may point out of them.
 void JudgeEnd(bool has_bounds, double function_tolerance, SolveRecord* record);
 
 /// Last step of each backend. Checks the iterations and the solution in `output`, adds warnings to
-/// `warnings`, and drops a solution that is impossible. Without SolveOptions::check_solution it
-/// does not look for signs of a wrong Jacobian; it always looks for what makes a solution unusable.
-/// `states` are the camera parameters of the solution; `num_held` is the number of observations
+/// `warnings`, and rejects an impossible solution. Without SolveOptions::check_solution it does not
+/// search for signs of a wrong Jacobian, but always for errors that make a solution unusable.
+/// `states` are the camera parameters of the solution. `num_held` is the number of observations
 /// that hold a residual there (factors/reprojection.h).
 void FinishSolve(const AdjustmentProblem& problem, const ParameterLayout& layout,
                  const CameraStates& states, const SolveOptions& options,

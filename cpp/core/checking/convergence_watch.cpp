@@ -2,12 +2,12 @@
 
 /// The signature of a wrong Jacobian in the iterations of a solve.
 ///
-/// A wrong Jacobian rarely crashes: the cost still falls, only less than promised. Two things about
-/// a trust region method with true derivatives cannot be had with false ones, and both can be read
-/// off the trace alone. Notation: f the cost, g its gradient J^T r, G = J^T J, H the true Hessian
-/// of f, d a step, p = -g^T d - 1/2 d^T G d > 0 the decrease that the model predicts, q = (actual
-/// decrease) / p Ceres' relative_decrease, R the trust region radius, m = D / (R G) the damping of
-/// a direction.
+/// A wrong Jacobian rarely crashes: the cost still decreases, only less than predicted. Two
+/// properties of a trust region method with true derivatives do not hold with wrong ones, and both
+/// can be tested on the trace alone. Notation: f the cost, g its gradient J^T r, G = J^T J, H the
+/// true Hessian of f, d a step, p = -g^T d - 1/2 d^T G d > 0 the decrease that the model predicts,
+/// q = (actual decrease) / p Ceres' relative_decrease, R the trust region radius, m = D / (R G) the
+/// damping of a direction.
 ///
 /// 1. Shorter steps make the model right. To second order
 ///
@@ -41,10 +41,10 @@
 ///    fall by |l| too. Without that no error shrinks in proportion, as in a curved valley, or where
 ///    points go to infinity (r = 1 / z has q = 3/4 at l = 1/2, but steps that double).
 ///
-/// Changes of the cost near its rounding errors are no evidence. The bounds are set where several
-/// thousand honest solves, made as hard as one can, keep silent; some
-/// wrong Jacobians pass. Those that leave no signature (a column far too small makes damping
-/// oscillate as any badly scaled problem does) are for the spot check to find (SpotCheck).
+/// Changes of the cost near its rounding errors are no evidence. The bounds are chosen such that
+/// several thousand solves with right Jacobians, made as hard as possible, give no warning. So some
+/// wrong Jacobians pass. Some leave no signature: a column far too small makes damping oscillate,
+/// as in any badly scaled problem. SpotCheck finds these.
 
 #include <algorithm>
 #include <cmath>
@@ -60,10 +60,10 @@ namespace {
 constexpr double kLadderNoise = 1e-10;
 constexpr double kTailNoise = 1e-12;
 
-// A ladder: how often p has to fall by, over rejected and over accepted steps; how well it follows
-// R from rung to rung; how constant 1 - q is, which true derivatives make fall as p does; how wrong
-// q is at its end; and, on the way down accepted steps, how constant the gradient and how many
-// rungs.
+// Limits of a ladder: the factor by which p has to fall, over rejected and over accepted steps; how
+// closely p follows R from rung to rung; how constant 1 - q is, which with true derivatives falls
+// like p; how wrong q is at its end; and, over accepted steps, how constant the gradient is and the
+// number of rungs.
 constexpr double kRejectedShrink = 32;
 constexpr double kAcceptedShrink = 100;
 constexpr double kRejectedRungFollows = 1.75;
@@ -74,14 +74,14 @@ constexpr double kWrongAbove = -1.5;
 constexpr double kRadiusFalls = 0.8;
 constexpr size_t kAcceptedRungs = 6;
 
-// A tail: spread of |l| and q; how well steps and gradient keep to |l|; the margin inside what true
-// derivatives exclude.
+// Limits of a tail: spread of |l| and q; how closely steps and gradient follow |l|; the margin
+// inside the range that true derivatives exclude.
 constexpr double kTailSpread = 0.03;
 constexpr double kTailKeeps = 0.05;
 constexpr double kTailMargin = 0.1;
-// Limits for quick convergence, the sign of a column that is too large: steps; significant |l|; the
-// change of R that shows m = 0. And for slow convergence, the sign of a column that is too small:
-// more steps, with R falling.
+// Limits for quick convergence, the sign of a column that is too large: number of steps;
+// significant |l|; the change of R that shows m = 0. And for slow convergence, the sign of a column
+// that is too small: more steps, with R falling.
 constexpr size_t kQuickTail = 5;
 constexpr double kQuickFrom = 0.2;
 constexpr double kQuickTo = 0.7;
@@ -89,7 +89,7 @@ constexpr double kQuickRadiusChange = 1.5;
 constexpr size_t kSlowTail = 10;
 constexpr double kSlowTo = 0.85;
 
-/// A step that was tried; the first record is the start and no step.
+/// A tested step; the first record is the start, not a step.
 struct Step {
   int iteration;
   bool accepted;
@@ -97,7 +97,7 @@ struct Step {
   double decrease;
   double predicted;  ///< p, NaN if unknown
   double quality;    ///< q
-  double radius;     ///< R with which it was computed
+  double radius;     ///< R used to compute the step
   double length;
   double gradient_before;
   double gradient_after;
@@ -151,7 +151,7 @@ bool DownOneSlope(const std::vector<Step>& steps, size_t top, size_t bottom) {
                      [&](const Step& step) { return IsConstant(gradient, step.gradient_before); });
 }
 
-/// Looks for the ladder's signature between `bottom` and a rung from `first` on.
+/// Searches for the ladder's signature between `bottom` and a rung from `first` on.
 std::string DescribeLadder(const std::vector<Step>& steps, size_t first, size_t bottom) {
   for (size_t top = first; top < bottom; ++top) {
     const double shrink = steps[top].predicted / steps[bottom].predicted;
@@ -207,7 +207,7 @@ struct Tail {
   Range quality, rate, radius;
 };
 
-/// Measures `length` steps from `first` on; false if they are no linear convergence.
+/// Measures `length` steps from `first` on; false if their convergence is not linear.
 bool MeasureTail(const std::vector<Step>& steps, size_t first, size_t length, Tail* tail) {
   for (size_t k = first; k < first + length; ++k) {
     const Step& step = steps[k];

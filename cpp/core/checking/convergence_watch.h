@@ -9,8 +9,8 @@
 
 namespace bundle {
 
-/// Tests the iterations for the signature of a wrong Jacobian. Returns one sentence with the
-/// finding, which ends with `advice`; "" if there is no finding.
+/// Tests the iterations for the signature of a wrong Jacobian. Returns a message with the finding,
+/// which ends with `advice`; "" without a finding.
 std::string WatchConvergence(const std::vector<IterationRecord>& iterations,
                              const std::string& advice = "`bundle check` finds out");
 

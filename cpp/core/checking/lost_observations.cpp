@@ -1,6 +1,7 @@
 #include "core/checking/lost_observations.h"
 
-/// Observations that end behind their cameras, and the verdict on the solution.
+/// Observations behind their cameras at the end of a solve, and the resulting status of the
+/// solution.
 
 #include <cmath>
 #include <cstddef>
@@ -41,7 +42,7 @@ int64_t Count(const std::vector<uint8_t>& flags) {
   return std::accumulate(flags.begin(), flags.end(), int64_t{0});
 }
 
-/// Ids of the images that have observations and all of them behind.
+/// Ids of the images whose observations are all behind the camera.
 std::vector<int64_t> ImagesWithNoneInFront(const AdjustmentProblem& problem,
                                            const std::vector<uint8_t>& behind) {
   std::vector<uint8_t> seen(problem.num_images), in_front(problem.num_images);

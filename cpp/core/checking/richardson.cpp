@@ -8,19 +8,20 @@
 namespace bundle {
 namespace {
 
-constexpr int kRows = 8;             ///< rows of a tableau
-constexpr int kTableaux = 5;         ///< before we give up
-constexpr double kRestart = 64;      ///< by which the first step of the next tableau is smaller
-constexpr double kEnough = 1e-10;    ///< relative error that needs no further step
-constexpr double kErrorSafety = 4;   ///< on the estimated error
-constexpr int kProbes = 4;           ///< smaller steps against which a settled result is held
-constexpr double kNoise = 8;         ///< disagreement that rounding explains, in its estimates
+constexpr int kRows = 8;            ///< rows of a tableau
+constexpr int kTableaux = 5;        ///< maximum number of tableaux
+constexpr double kRestart = 64;     ///< ratio of first steps of consecutive tableaux
+constexpr double kEnough = 1e-10;   ///< relative error that needs no further step
+constexpr double kErrorSafety = 4;  ///< on the estimated error
+constexpr int kProbes = 4;          ///< number of smaller steps that verify a settled result
+constexpr double kNoise =
+    8;  ///< disagreement explained by rounding, in units of the estimated rounding
 constexpr double kSameSlopes = 0.1;  ///< relative change of s(h) from scale to scale at a kink
-constexpr int kKinkScales = 3;       ///< at which s(h) is the same
+constexpr int kKinkScales = 3;       ///< number of scales with equal s(h) that prove a kink
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 
-/// A derivative of each value, and what is known of its error.
+/// A derivative of each value, and the estimates of its error.
 struct Estimate {
   explicit Estimate(int num_values)
       : derivative(num_values),
@@ -36,12 +37,12 @@ struct Estimate {
   std::vector<int> row, order;    ///< k and m of the derivative T(k, m) in its tableau
 };
 
-/// Looks for a kink at step 0, from scale to scale.
+/// Searches for a kink at step 0, over several scales.
 class KinkFinder {
  public:
   explicit KinkFinder(int num_values) : last_(num_values), scales_(num_values), kink_(num_values) {}
 
-  /// `half_jump`: s(h) of value i, of which rounding explains as much as `rounding`.
+  /// `half_jump`: s(h) of value i; `rounding`: the part of it that rounding can explain.
   void Add(int i, double half_jump, double rounding) {
     const bool same =
         half_jump > rounding && std::abs(half_jump - last_[i]) <= kSameSlopes * half_jump;
@@ -50,7 +51,7 @@ class KinkFinder {
     if (scales_[i] >= kKinkScales) kink_[i] = std::max(kink_[i], half_jump);
   }
 
-  /// s of the kink, 0 if there is none.
+  /// s of the kink, 0 without a kink.
   double kink(int i) const { return kink_[i]; }
 
  private:
@@ -79,7 +80,7 @@ class Search {
   const Estimate& best() const { return best_; }
 
   /// Raises the noise to the resolution of values that do not change although rounding does not
-  /// explain it: values computed in single precision change in jumps.
+  /// explain it. For instance, values computed in single precision change in jumps.
   void FindResolution(double largest_step) {
     std::vector<char> stood_still(n_, 0), moves(n_, 0);
     double h = largest_step * std::pow(kRestart, -kTableaux);
@@ -87,7 +88,7 @@ class Search {
       if (!f_(h, plus_.data())) return;
       for (int i = 0; i < n_; ++i) {
         const double change = std::abs(plus_[i] - center_[i]);
-        // By the step before it should have moved by this.
+        // Expected change, from the previous step.
         const bool unexplained = stood_still[i] && change / kRestart > kNoise * noise_[i];
         if (!moves[i] && unexplained) noise_[i] = change;
         (change > 0 ? moves : stood_still)[i] = 1;
@@ -96,8 +97,8 @@ class Search {
     }
   }
 
-  /// Fills a tableau from step h on. Keeps entries that are more certain than the present ones, and
-  /// entries that contradict these: then larger steps crossed a discontinuity.
+  /// Fills a tableau from step h on. Replaces current entries by more certain ones, and by entries
+  /// that contradict them: then larger steps crossed a discontinuity.
   void Run(double h) {
     const Estimate found = Tableau(h);
     for (int i = 0; i < n_; ++i) {
@@ -109,8 +110,8 @@ class Search {
     }
   }
 
-  /// True if nothing is gained by smaller steps than h, unless Confirm finds otherwise: errors are
-  /// small beside the largest derivative, or are the rounding of the values.
+  /// True if steps smaller than h would not help, unless Confirm contradicts: errors are small
+  /// relative to the largest derivative, or equal to the rounding of the values.
   bool Enough(double h) const { return Enough(best_, h); }
 
   /// Compares the settled values at steps of h with smaller steps, and adds the disagreement to the
@@ -139,7 +140,7 @@ class Search {
     }
   }
 
-  /// At a kink any slope between those of both sides will do.
+  /// At a kink, any slope between those of both sides is valid.
   void AddKinks() {
     for (int i = 0; i < n_; ++i) {
       best_.uncertainty[i] = std::max(best_.uncertainty[i], (1 + kSameSlopes) * kinks_.kink(i));
@@ -153,7 +154,7 @@ class Search {
     int row = 0;
     for (int k = 0; k < kRows; ++k, h *= 0.5) {
       if (!CentralDifference(h)) {
-        row = 0;  // what was extrapolated from larger steps is worth nothing now
+        row = 0;  // extrapolation from larger steps is invalid now
         continue;
       }
       if (row == 0) {
@@ -199,14 +200,14 @@ class Search {
     return true;
   }
 
-  /// True if smaller steps have clearly settled on something else. Their bound alone is not enough:
-  /// among many differences of noise some agree by chance.
+  /// True if smaller steps clearly converge to another value. Their bound alone is not enough:
+  /// among many differences of noise, some agree by chance.
   bool Contradicts(const Estimate& finer, int i) const {
     const double change = std::abs(finer.derivative[i] - best_.derivative[i]);
     return change > kErrorSafety * finer.spread[i] + finer.uncertainty[i] + best_.uncertainty[i];
   }
 
-  /// With s(h) of the last central difference.
+  /// Uses s(h) of the last central difference.
   void LookForKinks(double h) {
     if (!has_center_ || h == last_kink_step_) return;
     last_kink_step_ = h;
@@ -216,12 +217,13 @@ class Search {
     }
   }
 
-  /// True if the value did not move at all: a step below its resolution, or a constant.
+  /// True if the value did not change at all: the step is below its resolution, or it is a
+  /// constant.
   bool IsPlateau(int i) const {
     return plus_[i] == minus_[i] && (!has_center_ || plus_[i] == center_[i]);
   }
 
-  /// Writes D(h) to the head of `next_`.
+  /// Writes D(h) to the first entries of `next_`.
   bool CentralDifference(double h) {
     if (!f_(h, plus_.data()) || !f_(-h, minus_.data())) return false;
     for (int i = 0; i < n_; ++i) {
@@ -274,8 +276,8 @@ class Search {
   double last_kink_step_ = 0;
   bool has_center_ = false;
   std::vector<double> center_, plus_, minus_;  ///< f(0), f(h), f(-h)
-  std::vector<double> table_, next_;  ///< the last row and the one being made, kRows x num_values
-  std::vector<double> differences_;   ///< D(h) of each row of a tableau; kNone where f stood still
+  std::vector<double> table_, next_;           ///< the last row and the new row, kRows x num_values
+  std::vector<double> differences_;  ///< D(h) of each row of a tableau; kNone if f did not change
 };
 
 }  // namespace

@@ -1,37 +1,39 @@
 #include "core/checking/spot_check.h"
 
-/// A spot check of the linearisation: at a sample of observations, each column of the claimed
-/// Jacobian is held against differences of the residual. The iterations of a solve do not tell a
-/// column that is far too small from bad scaling (WatchConvergence); this does.
+/// A spot check of the linearisation. At a sample of observations, each column of the claimed
+/// Jacobian is compared with differences of the residual. In the iterations of a solve, a column
+/// that is far too small looks like bad scaling (WatchConvergence); this check distinguishes the
+/// two.
 ///
 /// Along the axis of one number x_j, with D(h) = (r(x + h e_j) - r(x - h e_j)) / 2h,
 ///
 ///   R = D(h/2) + (D(h/2) - D(h)) / 3 = dr/dx_j + O(h^4),     u = ||D(h/2) - D(h)||,
 ///
-/// where u, of order h^2, is far above the error of R wherever r is smooth at the scale of h, and
-/// of the size of R where it is not: across a fold, a seam or the camera's plane. Rounding adds n /
-/// h to u, with n = eps (||r|| + sum_k |x_k| ||J_k||), what the last digits of x and r may change.
-/// A step is *conclusive* if u is below a hundredth of ||R||. The column J_j then agrees with it if
+/// where u, of order h^2, is far above the error of R if r is smooth at the scale of h. If r is not
+/// smooth (across a fold, a seam or the camera's plane), u has the size of R. Rounding adds n / h
+/// to u, with n = eps (||r|| + sum_k |x_k| ||J_k||), the possible effect of the last digits of x
+/// and r. A step is *conclusive* if u is below a hundredth of ||R||. The column J_j then agrees
+/// with it if
 ///
 ///   ||J_j - R|| < 1e-3 max(||J_j||, ||R||) + 4 u.
 ///
-/// h moves the residual by a given part of a pixel, as the largest claimed column of j's kind has
-/// it (rotation, translation, point, or the one parameter): for true columns that is a scale at
-/// which the residual is nearly linear, be coordinates 1e-9 or 1e9, and false ones, 1000 times too
-/// large or too small, are still seen at one of four such scales. Where nothing seems to move, the
-/// size of what is moved bounds h. A needle narrower than h may yet look smooth: near the pole of a
-/// panorama, say, or a camera's centre. So
+/// h moves the residual by a given part of a pixel, computed from the largest claimed column of j's
+/// kind (rotation, translation, point, or the one parameter). For true columns, the residual is
+/// nearly linear at this scale, for coordinates of 1e-9 as well as 1e9. False columns, 1000 times
+/// too large or too small, are still detected at one of four such scales. If no column moves the
+/// residual, the size of the moved variable bounds h. A feature narrower than h may yet look
+/// smooth, for instance near the pole of a panorama or at a camera's centre. So
 ///
 /// - any conclusive step that agrees acquits the observation's column,
 /// - two conclusive steps, 100 times apart or more, that agree and are not J_j convict it,
 /// - everything else leaves it undecided,
 ///
-/// and a column is reported where it is convicted in a quarter, and four, of the decided
-/// observations of a camera model, which must be a tenth of those tried: however hard a problem,
-/// the residual would have to mislead at every scale in many places. What this leaves to `bundle
-/// check`: columns that are wrong in a few observations or by less than one in a thousand, and
-/// columns that should be zero and are not, since a residual that lost its last digit does not move
-/// either.
+/// and a column is reported if it is convicted in at least four, and a quarter, of the decided
+/// observations of a camera model. These must be a tenth of the tested ones. For a false report,
+/// the residual would have to mislead at every scale in many places, however hard the problem.
+/// `bundle check` detects the remaining cases: columns that are wrong in a few observations or by
+/// less than one in a thousand, and columns that should be zero and are not, because a residual
+/// that lost its last digit does not move either.
 
 #include <algorithm>
 #include <array>
@@ -46,9 +48,9 @@
 namespace bundle {
 namespace {
 
-// How far a step moves the residual, in pixels; the first decides nearly everything.
+// Change of the residual by a step, in pixels; the first value decides nearly all cases.
 constexpr double kMoves[] = {1e-2, 1e-4, 1e-6, 1};
-constexpr double kStepCap = 0.1;  ///< a step for 1 pixel, beside the size of what it moves
+constexpr double kStepCap = 0.1;  ///< maximum step, relative to the size of the moved variable
 constexpr double kConclusive = 0.01;
 constexpr double kTolerance = 1e-3;
 constexpr double kSafety = 4;
@@ -57,7 +59,7 @@ constexpr double kSameDifferences = 0.02;
 constexpr int kFewestConvictions = 4;
 constexpr double kConvictedShare = 0.25;
 constexpr double kDecidedShare = 0.1;
-// A factor is named if nine in ten convictions have it within a hundredth.
+// The factor is reported if nine in ten convictions agree with it within a hundredth.
 constexpr double kSameFactor = 0.01;
 constexpr double kFactorShare = 0.9;
 
@@ -70,7 +72,7 @@ Pixels operator*(double a, Pixels b) { return {a * b.x, a * b.y}; }
 double Dot(Pixels a, Pixels b) { return a.x * b.x + a.y * b.y; }
 double Norm(Pixels a) { return std::sqrt(Dot(a, a)); }
 
-/// Columns whose steps have one scale.
+/// Columns whose steps have the same scale.
 struct Kind {
   const char* name;
   int first, size;
@@ -94,7 +96,7 @@ struct Comparison {
   bool is_multiple = false;
 };
 
-/// One observation, one column after the other.
+/// Checks one observation, one column after the other.
 class Differences {
  public:
   /// `noise`: rounding errors of the residual, pixels.
@@ -136,7 +138,7 @@ class Differences {
     return largest > 0 ? std::min(move / largest, cap) : cap;
   }
 
-  /// The scale of x_j: one radian, the distances about, the parameter itself.
+  /// The scale of x_j: one radian, the typical distance, or the parameter itself.
   double SizeOf(int j) const {
     if (j < 3) return 1;
     const int first_of_point = at_.size() - 3;
@@ -147,7 +149,7 @@ class Differences {
     return size > 0 ? size : 1;
   }
 
-  /// R and u; false where there is none.
+  /// Computes R and u; false without a value.
   bool Differentiate(int j, double h, Pixels* derivative, double* doubt) {
     Pixels coarse, fine;
     if (!Central(j, h, &coarse) || !Central(j, h / 2, &fine)) return false;
@@ -166,7 +168,7 @@ class Differences {
     valid = valid && derivatives_(at_.observation, x_, minus, nullptr);
     x_[j] = before;
     if (!valid || !(above > below)) return false;
-    // Their difference has no rounding error, unlike 2 h.
+    // The difference of these two has no rounding error, unlike 2 h.
     *derivative = 1 / (above - below) * Pixels{plus[0] - minus[0], plus[1] - minus[1]};
     return true;
   }
@@ -177,7 +179,7 @@ class Differences {
   double x_[ObservationAtPoint::kMaxSize];
 };
 
-/// Verdicts on one column over the observations of one camera model.
+/// Results for one column over the observations of one camera model.
 struct Tally {
   int tried = 0;
   int agrees = 0;
@@ -237,7 +239,7 @@ double Median(const std::vector<Comparison>& comparisons, Field field) {
   return *middle;
 }
 
-/// Error of the columns, as a part of a sentence.
+/// Error of the columns, as part of a message.
 std::string Deviation(const std::vector<Comparison>& convictions) {
   const double factor = Median(convictions, &Comparison::factor);
   const auto alike =
@@ -258,7 +260,7 @@ std::string Deviation(const std::vector<Comparison>& convictions) {
 /// The wrong columns of one kind.
 struct WrongKind {
   std::string name;
-  int observations = 0, decided = 0;  ///< counts for the column that most observations convict
+  int observations = 0, decided = 0;  ///< counts for the column that is convicted most often
   std::vector<Comparison> convictions;
 
   double share() const { return static_cast<double>(observations) / decided; }
@@ -309,7 +311,7 @@ std::string Describe(const CameraModel& model, const Tallies& tallies) {
 std::string SpotCheck(const std::vector<ObservationAtPoint>& sample,
                       const ClaimedDerivatives& derivatives) {
   std::map<std::string, std::pair<const CameraModel*, Tallies>>
-      models;  // by name, to be repeatable
+      models;  // sorted by name, to be repeatable
   for (const ObservationAtPoint& at : sample) {
     auto& [model, tallies] = models[at.model->name];
     model = at.model;

@@ -12,28 +12,28 @@
 
 namespace bundle {
 
-/// An observation and the numbers that its residual depends on: x = (v, t, parameters of the
-/// model, point), v as in factors/reprojection.h; of an image of a rig (v, t) are local
+/// An observation and the numbers on which its residual depends: x = (v, t, parameters of the
+/// model, point), with v as in factors/reprojection.h. For an image of a rig, (v, t) are local
 /// coordinates.
 struct ObservationAtPoint {
   static constexpr int kMaxSize = kPoseSize + kMaxCameraParams + 3;
 
   int64_t observation = 0;
   const CameraModel* model = nullptr;
-  uint32_t free = 0;  ///< bit j: x_j is refined; the others are not checked
+  uint32_t free = 0;  ///< bit j: x_j is refined; other columns are not checked
   double x[kMaxSize] = {};
 
   int size() const { return kPoseSize + model->num_params + 3; }
 };
 
-/// The residual (2) of an observation at x and, unless `jacobian` is nullptr, the derivatives that
-/// are claimed for it: 2 x size, row-major. False where the observation does not count.
+/// The residual (2) of an observation at x and, unless `jacobian` is nullptr, its claimed
+/// derivatives: 2 x size, row-major. Returns false if the observation does not count.
 using ClaimedDerivatives =
     std::function<bool(int64_t observation, const double* x, double* residual, double* jacobian)>;
 
-/// Compares the claimed Jacobian columns with differences of the residual. Returns one sentence
-/// with the kind of column that is wrong, its error, and a reference to `bundle check`; "" if no
-/// column is wrong. Takes about 5 microseconds per observation.
+/// Compares the claimed Jacobian columns with differences of the residual. Returns a message with
+/// the kind of the wrong column, its error, and a reference to `bundle check`; "" if no column is
+/// wrong. Takes about 5 microseconds per observation.
 std::string SpotCheck(const std::vector<ObservationAtPoint>& sample,
                       const ClaimedDerivatives& derivatives);
 

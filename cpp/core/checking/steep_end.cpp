@@ -1,12 +1,12 @@
 #include "core/checking/steep_end.h"
 
-/// The end of a solve whose steps became too short before its gradient became small.
+/// Detection of a solve whose steps became too short before its gradient became small.
 ///
-/// Parameter tolerance and trust region radius test the size of steps, not their decrease. If the
-/// cost jumps or bends away from its model, or if a unit of length makes every step look small,
-/// they end a solve far from a minimum, and Ceres calls that convergence.
+/// Parameter tolerance and trust region radius test the size of steps, not their decrease. They end
+/// a solve far from a minimum if the cost jumps or bends away from its model, or if a unit of
+/// length makes every step look small. Ceres calls that convergence.
 ///
-/// The decrease left is read off the predictions of the last steps. Notation as in
+/// The remaining decrease is estimated from the predictions of the last steps. Notation as in
 /// convergence_watch.cpp: p = -g^T d - 1/2 d^T G d is the predicted decrease, R the radius, D the
 /// scale of the columns. A damped step is d = -(G + D^2 / R)^-1 g, with
 ///
@@ -16,13 +16,13 @@
 ///
 ///   p max(1, 1 / R)
 ///
-/// is about what a step of radius 1 promises: with D_j^2 that of column j of J, each coordinate's
-/// own decrease, summed up. A dogleg step ends at |D d| = R, with p -> R |D^-1 g|, and a radius of
-/// 1 promises 1/2 (p / R)^2. Rejected steps all start from the last state; so does the step that
-/// met the parameter tolerance and was not taken.
+/// is about the predicted decrease of a step of radius 1. With D_j^2 that of column j of J, it is
+/// the sum of each coordinate's own decrease. A dogleg step ends at |D d| = R, with p -> R |D^-1
+/// g|, and a radius of 1 predicts 1/2 (p / R)^2. Rejected steps all start from the last state. So
+/// does the step that met the parameter tolerance and was not taken.
 ///
-/// The decrease counts if the function tolerance (at least 1e-5) would not have stopped for it, and
-/// if it is more than rounding: beyond kSmallestGain in the root mean square of the residuals.
+/// The decrease counts if it exceeds the function tolerance (at least 1e-5) and rounding errors:
+/// kSmallestGain in the root mean square of the residuals.
 
 #include <algorithm>
 #include <cmath>

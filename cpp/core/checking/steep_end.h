@@ -8,8 +8,8 @@
 
 namespace bundle {
 
-/// Returns one sentence if a solve ended by parameter tolerance or radius although its model still
-/// predicts a decrease; else "".
+/// Returns a message if a solve ended by parameter tolerance or radius although its model still
+/// predicts a decrease; otherwise "".
 std::string FindSteepEnd(const SolveRecord& record, double function_tolerance);
 
 }  // namespace bundle

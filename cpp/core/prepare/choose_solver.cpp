@@ -1,20 +1,21 @@
 #include "core/prepare/choose_solver.h"
 
-/// Choosing a linear solver.
+/// Choice of a linear solver.
 ///
-/// For Ceres, by the shape of the problem: with the points eliminated, what is left to solve is the
-/// reduced camera system S of n columns, of whose block pairs the share d is not zero. Its dense
+/// For Ceres, the choice depends on the shape of the problem. With the points eliminated, the
+/// reduced camera system S has n columns, and a share d of its block pairs is nonzero. Its dense
 /// factorisation takes n^3 / 3 multiply-adds at the full rate of the machine. The sparse one skips
 /// the zeros of S but has fill-in and runs at a lower rate, so that it pays only if S is large and
 /// sparse. If even the sparse factor becomes too large, conjugate gradients need only products with
 /// S.
 ///
-/// With the cameras eliminated instead, the reduced system is that of the points: 3 columns each,
-/// and nearly full, because all points that an image sees couple. It is factorised if it is small.
+/// With the cameras eliminated instead, the reduced system has 3 columns per point. It is nearly
+/// full, because all points that an image sees are coupled. It is factorised if it is small.
 ///
-/// Without a symbolic factorisation its cost is a guess: on synthetic streets, orbits and photo
-/// collections of 300 to 4000 images the factor had about 4 d n entries a column, hence n (4 d n)^2
-/// multiply-adds. The bounds below are where the measured times of the solvers crossed.
+/// Without a symbolic factorisation, the cost is an estimate. On synthetic streets, orbits and
+/// photo collections of 300 to 4000 images, the factor had about 4 d n entries per column, hence n
+/// (4 d n)^2 multiply-adds. The bounds below are where the measured times of the solvers were
+/// equal.
 ///
 /// For the fused backend, by predicted time. For S of n columns, s stored values and a factor of l
 /// entries and f flops (supernodes.cpp counts both exactly), one solve takes
@@ -33,10 +34,10 @@
 /// f from 2e6 to 3e10: within 30 % of f / 40 GFLOP/s + 7 ns l; products with S 8 GB/s. OpenBLAS'
 /// threads are counted where they are used, and bandwidth as that of at most four cores.
 ///
-/// Conjugate gradients with two levels took 2 to 100 products a step (streets of 50 to 1000 images
-/// and 1000 of a photo collection), more towards the end, and their steps gain a little less than
-/// exact ones: 80 are counted, and a direct solver that takes 15 % longer is preferred still. The
-/// coarse system took 10 ns a value.
+/// Conjugate gradients with two levels took 2 to 100 products per step (streets of 50 to 1000
+/// images and 1000 of a photo collection), more towards the end. Their steps gain a little less
+/// than exact ones. So 80 products are assumed, and a direct solver that takes up to 15 % longer is
+/// still preferred. The coarse system took 10 ns per value.
 
 #include <algorithm>
 #include <cmath>
@@ -54,8 +55,8 @@ namespace bundle {
 
 namespace {
 
-constexpr int64_t kSmallSystem = 1000;          // columns: below, dense costs milliseconds
-constexpr double kLargestFactorisation = 5e11;  // multiply-adds: above, iterating is faster
+constexpr int64_t kSmallSystem = 1000;  // columns: with fewer, a dense solve costs milliseconds
+constexpr double kLargestFactorisation = 5e11;  // multiply-adds: with more, iterating is faster
 constexpr double kDenseFill = 0.35;             // share of nonzero pairs that fills in to dense
 
 /// "The reduced camera system (5000 columns)"
@@ -76,7 +77,8 @@ constexpr double kSecondsPerFactorEntry = 7e-9;
 constexpr double kSupernodalPadding = 1.2;  // zeros that panels store, and upper triangles
 constexpr double kProductsPerStep = 80;
 constexpr double kSecondsPerCoarseValue = 10e-9;
-constexpr double kCoarseFactorShare = 0.05;  // of the entries of the whole factor
+constexpr double kCoarseFactorShare =
+    0.05;  // share of the coarse factor in the entries of the full factor
 constexpr double kExactStepsAreWorth = 1.15;
 constexpr double kShareOfMemory = 0.7;
 
@@ -104,11 +106,11 @@ BlockStructure StructureOf(const BlockPatternView& pattern) {
   return SparseStructure({pattern.size, pattern.size + pattern.num_blocks}, columns);
 }
 
-/// Beyond this many blocks a count takes longer than what it decides is worth.
+/// With more blocks, the count takes longer than the better choice saves.
 constexpr int kMaxBlocksToCount = 20000;
 
-/// Share of the block pairs of S that are not zero (both triangles and the diagonal). -1 where
-/// there are too many blocks to count it.
+/// Share of the nonzero block pairs of S (both triangles and the diagonal). -1 if there are too
+/// many blocks to count it.
 double CountSchurDensity(const AdjustmentProblem& problem, const ParameterLayout& layout) {
   const auto n = static_cast<int64_t>(layout.blocks().size());
   if (n == 0 || n > kMaxBlocksToCount) return -1;

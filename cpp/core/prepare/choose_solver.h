@@ -37,7 +37,7 @@ struct LinearSolverCosts {
   LinearSolverCost iterative;
 };
 
-/// `structure` is a sparse one, `ordering` the one that it would be factorised in.
+/// `structure` is sparse; `ordering` is the order in which it would be factorised.
 LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
                                            const FillOrdering& ordering, int num_threads);
 
@@ -46,12 +46,13 @@ LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
 SolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrdering& ordering,
                                 int num_threads, double available_bytes);
 
-/// Values that the panels of the factor of S hold (supernodal_cholesky.h), zeros and all, when the
-/// blocks are eliminated in this order. Any order will do; it is postordered first, as in a solve.
+/// Number of values in the panels of the factor of S (supernodal_cholesky.h), including zeros, if
+/// the blocks are eliminated in this order. Accepts any order; it is postordered first, as in a
+/// solve.
 double CountPanelValues(const BlockPatternView& pattern, const std::vector<int>& order);
 
-/// Choice of `auto` on this machine and now. Does not ask for the memory below a few hundred
-/// columns.
+/// The choice of `auto` on this machine, with the memory available now. Does not query the memory
+/// for fewer than a few hundred columns.
 SolverChoice ChooseByPattern(const BlockPatternView& pattern, int num_threads);
 
 }  // namespace bundle

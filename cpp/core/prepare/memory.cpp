@@ -18,7 +18,7 @@ namespace {
 
 constexpr double kUnlimited = std::numeric_limits<double>::max();
 
-/// The number in a file, or after `key` in it; `otherwise` where there is none, such as "max".
+/// The number in a file, or after `key` in it; `otherwise` if it has no number, such as "max".
 double ReadNumber(const std::string& path, const std::string& key, double otherwise) {
   std::ifstream file(path);
   std::string word;
@@ -40,8 +40,8 @@ double LeftByGroup(const std::string& group, const char* limit, const char* usag
   return most - used + std::min(used, ReadNumber(group + "/memory.stat", droppable, 0));
 }
 
-/// The groups around a group limit it, too. Within a container its path may not be mounted; then
-/// the root of the mounted ones is used.
+/// Parent groups of a group limit it, too. In a container, its path may not be mounted; then the
+/// root of the mounted groups is used.
 double LeftByControlGroups(const std::string& root) {
   const std::string mount = root + "/sys/fs/cgroup";
   double left = kUnlimited;
@@ -73,7 +73,7 @@ double LeftByLimit(int resource, double used) {
 
 double LeftByLimits(const std::string& root) {
   if (!HasMemoryLimit()) return kUnlimited;
-  // Pages of: everything, resident, shared, text, nothing, data and stack.
+  // Fields, in pages: total, resident, shared, text, unused, data and stack.
   std::ifstream file(root + "/proc/self/statm");
   double pages[6] = {};
   for (double& count : pages) file >> count;
@@ -120,11 +120,11 @@ double AvailableMemoryFor(double bytes) {
 double PredictFusedWorkingBytes(const ParameterLayout& layout,
                                 const std::vector<int64_t>& track_lengths, bool has_sigmas,
                                 int num_threads, double buffer_bytes) {
-  // Image, measurement and place in the chunk, and the lists of chunks (measured). While they are
-  // sorted, an observation takes more, but the rest is not allocated yet.
+  // Image, measurement and place in the chunk, and the lists of chunks (measured). During sorting,
+  // an observation takes more, but the other arrays are not allocated yet.
   const double bytes_per_observation = 22 + 5 + (has_sigmas ? 8 : 0);
-  // Two states, the scale of the columns, and where the point is in the plan. What is given back
-  // comes when steps are over, and only the last state is there.
+  // Two states, the scale of the columns, and the index of the point in the plan. The output is
+  // allocated after the last step, when only one state is left.
   constexpr double kBytesPerPoint = 3 * 24 + 8 + 4;
   constexpr double kBytesPerPair = 2;
   constexpr double kBuffersPerThread = 3;
@@ -160,7 +160,7 @@ std::string FormatBytes(double bytes) {
 
 namespace {
 
-/// The free memory where `bytes` are more than nine tenths of it; else -1.
+/// The free memory if `bytes` exceeds nine tenths of it; otherwise -1.
 double AvailableIfTooLittle(double bytes) {
   const double available = AvailableMemoryFor(bytes);
   return FitsIntoMemory(bytes, available) ? -1 : available;

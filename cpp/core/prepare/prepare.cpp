@@ -32,7 +32,7 @@ std::string FindFactorForCeres(const AdjustmentProblem& problem, const Parameter
   return "";
 }
 
-/// A gauge that takes degrees of freedom away although factors may hold them.
+/// A gauge that removes degrees of freedom although factors may fix them.
 std::string FindSuperfluousGauge(const AdjustmentProblem& problem, const FreeParameters& before,
                                  const FreeParameters& after) {
   const bool is_held = before.pose != after.pose || before.point != after.point ||
@@ -117,7 +117,7 @@ void RefuseTooLarge(const ProblemView& problem) {
   if (problem.num_observations > kMost / 2) {
     refuse("observation_xy", kMost / 2, problem.num_observations);  // two residuals each
   }
-  // Three parameters each, and up to so many per image and camera.
+  // Three parameters per point, and up to this many per image and camera.
   const int64_t camera_state =
       int64_t{kPoseSize} *
           (int64_t{problem.num_images} + problem.num_frames + problem.num_sensors) +

@@ -23,13 +23,14 @@ struct PreparedSolve {
   std::vector<int64_t> track_lengths;  ///< observations of each point
   int64_t num_free_points = 0;         ///< on all ranks
   int64_t longest_track = 0;           ///< on all ranks
-  /// Name and property of the first factor that couples a point with something else, or that only
-  /// Ceres evaluates; "": there is none.
+  /// Name and property of the first factor that couples a point with another free variable, or that
+  /// only Ceres evaluates; "" without such a factor.
   std::string factor_for_ceres;
 };
 
-/// Parameters that the options leave free and the gauge does not hold. The values of the problem
-/// matter only for the gauge. Warns if the gauge could not be held as asked, or need not be held.
+/// Parameters that the options leave free and the gauge does not hold constant. The values of the
+/// problem matter only for the gauge. Warns if the gauge could not be fixed as requested, or need
+/// not be fixed.
 FreeParameters ChooseFreeParameters(const AdjustmentProblem& problem, const SolveOptions& options,
                                     std::vector<Warning>* warnings);
 
@@ -38,21 +39,23 @@ FreeParameters ChooseFreeParameters(const AdjustmentProblem& problem, const Solv
 /// Throws InputError if a camera model is not supported or an id to be fixed does not exist.
 PreparedSolve PrepareSolve(const AdjustmentProblem& problem, const SolveOptions& options);
 
-/// True for the solvers that have a preconditioner and no exact steps.
+/// True for solvers that have a preconditioner and only inexact steps.
 bool IsIterative(LinearSolverType type);
 
-/// Throws InputError if the trust region needs exact steps and the linear solver, which is not
-/// kAuto, has none.
+/// Throws InputError if the trust region needs exact steps, but the linear solver, which is not
+/// kAuto, has only inexact ones.
 void CheckTrustRegion(const SolveOptions& options);
 
-/// One sentence if a preconditioner was asked for that the linear solver has no use for; else "".
+/// Returns a message if a preconditioner was requested that the linear solver does not use;
+/// otherwise "".
 std::string FindIdlePreconditioner(const SolveOptions& options);
 
-/// One sentence if an elimination ordering was asked for of a linear solver that has none; else "".
+/// Returns a message if an elimination ordering was requested that the linear solver does not use;
+/// otherwise "".
 std::string FindIdleOrdering(const SolveOptions& options);
 
-/// Throws InputError if there are more residuals or parameters than an int counts: Ceres numbers
-/// them so, and so do the reports of both backends.
+/// Throws InputError if the number of residuals or parameters exceeds the range of int, which Ceres
+/// and the reports of both backends use for them.
 void RefuseTooLarge(const ProblemView& problem);
 
 }  // namespace bundle

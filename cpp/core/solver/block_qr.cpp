@@ -69,7 +69,7 @@ void BlockQr::Factorize(std::vector<RowBlock> rows) {
 }
 
 BlockQr::Row BlockQr::Eliminate(int variable, std::vector<RowBlock> pending, RowBlock* rest) const {
-  std::map<int, Index> column;  // of each variable of the front, by its position
+  std::map<int, Index> column;  // first column of each variable of the front, by its position
   Index num_rows = 0;
   column[position_[variable]] = 0;
   for (const RowBlock& block : pending) {

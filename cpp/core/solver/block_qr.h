@@ -1,19 +1,20 @@
 #pragma once
 
 /// Sparse QR factorisation by blocks: variables are eliminated one after the other, each by
-/// Householder's reflections on the dense rows that touch it.
+/// Householder reflections of the dense rows that contain it.
 ///
-/// The rows that touch the first variable of the order, stacked, are reflected so that all but as
-/// many as it has columns are zero in these:
+/// The rows that contain the first variable of the order are stacked. Reflections make the
+/// variable's columns zero in all rows but the first ones, as many as it has columns:
 ///
 ///   Q^T [A_v  A_rest  b] = [R_v  R_rest  d],
 ///                          [ 0   A'_rest b']
 ///
-/// the first line is part of R, the second is rows of the remaining variables and waits for the
-/// next of them. That is the multifrontal method with a front a variable (J. W. H. Liu, The
-/// multifrontal method for sparse matrix solution, SIAM Review 34, 1992); fronts with over twice as
-/// many rows as columns are reduced to a triangle first. The order is that of approximate minimum
-/// degree on the variables. A variable may get fewer rows than columns: R_v is then singular.
+/// The first line is part of R. The second consists of rows of the remaining variables, and is
+/// stored until the next of these is eliminated. That is the multifrontal method with a front per
+/// variable (J. W. H. Liu, The multifrontal method for sparse matrix solution, SIAM Review 34,
+/// 1992). Fronts with more than twice as many rows as columns are first reduced to a triangle. The
+/// order is approximate minimum degree on the variables. If a variable has fewer rows than columns,
+/// R_v is singular.
 
 #include <Eigen/Core>
 #include <vector>
@@ -28,16 +29,16 @@ struct RowBlock {
 
 class BlockQr {
  public:
-  /// `sizes`: columns of each variable, which lie one after the other. Of `rows` the variables
-  /// count. `staying`: variables that are not eliminated.
+  /// `sizes`: columns of each variable, one after the other. Only the variables of `rows` are used.
+  /// `staying`: variables that are not eliminated.
   BlockQr(std::vector<int> sizes, const std::vector<RowBlock>& rows,
           const std::vector<int>& staying = {});
 
-  /// Factorises the rows, of the variables of the constructor.
+  /// Factorises the rows. They have the same variables as those of the constructor.
   void Factorize(std::vector<RowBlock> rows);
 
   int num_columns() const { return begin_.back(); }
-  /// x that minimises ||A x - b||. Not finite where R is singular.
+  /// x that minimises ||A x - b||. Not finite if R is singular.
   Eigen::VectorXd Solve() const;
   /// (R^T R)^-1 y
   Eigen::VectorXd SolveNormal(const Eigen::VectorXd& y) const;
@@ -48,7 +49,7 @@ class BlockQr {
 
  private:
   struct Row {
-    std::vector<int> variables;  ///< first the one that was eliminated
+    std::vector<int> variables;  ///< starts with the eliminated variable
     Eigen::MatrixXd matrix;      ///< its size x (columns of the variables, d)
   };
   Row Eliminate(int variable, std::vector<RowBlock> pending, RowBlock* rest) const;
@@ -57,7 +58,7 @@ class BlockQr {
 
   std::vector<int> sizes_, begin_;
   std::vector<int> order_, position_;
-  size_t num_eliminated_;  ///< variables that come first in the order
+  size_t num_eliminated_;  ///< number of eliminated variables; these come first in the order
   std::vector<Row> r_;     ///< in the order of the elimination
   std::vector<RowBlock> rest_;
 };

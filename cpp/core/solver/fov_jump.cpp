@@ -72,7 +72,8 @@ class SeveralSolves {
     return near;
   }
 
-  /// Notes the lenses that are near the jump in the last state; true if there are new ones.
+  /// Records the lenses that are near the discontinuity in the last state; true if there are new
+  /// ones.
   bool MeetMore() {
     const size_t before = met_.size();
     for (const int lens : Near(At(last_))) {
@@ -81,7 +82,8 @@ class SeveralSolves {
     return met_.size() > before;
   }
 
-  /// Goes on from the last state with other omegas of the lenses that met the jump. True if another
+  /// Continues from the last state with other omegas for the lenses near the discontinuity. True if
+  /// another solve may follow.
   /// solve may follow.
   bool SolveWith(const std::vector<double>& omegas) {
     from_ = std::move(last_);
@@ -108,7 +110,7 @@ class SeveralSolves {
       return record;
     };
     ProgressCallback progress;
-    if (progress_) {  // the start of a further solve is no iteration
+    if (progress_) {  // the start of a further solve is not an iteration
       progress = [&](const IterationRecord& record) {
         return (!is_first && record.iteration == 0) || progress_(in_sequence(record));
       };
@@ -129,7 +131,7 @@ class SeveralSolves {
       best_ = last_;
       best_path_size_ = path_.size();
     }
-    // Without iterations it was to evaluate the start.
+    // A solve without iterations only evaluates the start.
     const bool has_ended =
         summary.termination_type == "CONVERGENCE" || options.max_num_iterations == 0;
     return has_ended && summary.is_solution_usable && !summary.interrupted && !path_.empty();
@@ -137,14 +139,14 @@ class SeveralSolves {
 
   void AddToTotal() {
     const SolveSummary& more = last_.summary;
-    --total_.summary.num_successful_steps;  // the start of a further solve is none
+    --total_.summary.num_successful_steps;  // the start of a further solve is not a step
     for (const auto count : kCounts) total_.summary.*count += std::max(more.*count, 0);
     for (const auto time : kTimes) total_.summary.*time += std::max(more.*time, 0.0);
     total_.build_time_in_seconds += last_.build_time_in_seconds;
     total_.solve_time_in_seconds += last_.solve_time_in_seconds;
   }
 
-  /// The best state, with the way to it and the counts and times of everything.
+  /// The best state, with the iterations that led to it and the total counts and times.
   SolveOutput Finish() {
     if (met_.empty() && best_path_size_ == path_.size()) return std::move(best_);
     SolveOutput result = std::move(best_);
@@ -194,13 +196,13 @@ class SeveralSolves {
   const SolveOptions& options_;
   const ProgressCallback& progress_;
   const SolveOnce& solve_;
-  std::vector<int> met_;  ///< lenses that are near the jump at the start, or after a solve from it
+  std::vector<int> met_;  ///< lenses near the discontinuity at the start, or after a solve
   SolveOutput from_, last_;
-  SolveRecord total_;  ///< the first solve, and the counts and times of all
+  SolveRecord total_;  ///< record of the first solve, with the counts and times of all
   std::vector<double> factor_costs_before_;
   SolveOutput best_;
   std::vector<IterationRecord> path_;  ///< iterations of all solves, in sequence
-  size_t best_path_size_ = 0;          ///< up to the best state
+  size_t best_path_size_ = 0;          ///< number of iterations up to the best state
   bool was_interrupted_ = false;
 };
 

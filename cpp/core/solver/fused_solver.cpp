@@ -36,11 +36,10 @@ FusedSolver::FusedSolver(const AdjustmentProblem& problem, const SolveOptions& o
       track_lengths_(std::move(prepared.track_lengths)) {
   const Stopwatch time;
   ChooseSolver();
-  // It groups all observations by point, for which there is room as long as the problem is not
-  // built.
+  // Groups all observations by point. The memory for this is available until the problem is built.
   if (options_.check_solution) CountInformation();
   BuildProblem();
-  // Of a solver that is reused, no solve spends it.
+  // In a reused solver, no single solve spends this time.
   build_time_ = is_reused ? 0 : time.seconds();
   if (is_reused) factor_.symbolic_time_in_seconds = 0;
 }
@@ -103,7 +102,7 @@ void FusedSolver::ChooseSolver() {
   options_.num_threads = EffectiveNumThreads(options_.num_threads);
 }
 
-/// At most, of a chunk's buffer: a block for each pair of images.
+/// Maximum bytes of a chunk's buffer: a block for each pair of images.
 double FusedSolver::BufferBytes() const {
   double columns = 0;
   for (const CameraBlock& block : layout_.blocks()) columns = std::max<double>(columns, block.size);
@@ -112,7 +111,8 @@ double FusedSolver::BufferBytes() const {
                           sizeof(double) * columns * columns * images * (images + 1) / 2);
 }
 
-/// Below a few hundred columns even the structure costs more than a dense factorisation.
+/// With fewer than a few hundred columns, even building the structure takes longer than a dense
+/// factorisation.
 void FusedSolver::ChooseBySize(const ProblemShape& shape) {
   constexpr int64_t kColumnsWorthALook = 300;
   SolverChoice choice;
@@ -121,7 +121,7 @@ void FusedSolver::ChooseBySize(const ProblemShape& shape) {
                     " columns) is small: its dense factorisation costs less than a millisecond.";
   } else {
     FindSparseStructure();
-    // A choice that is to be the same for any number of threads must not know it.
+    // If results must be the same for any number of threads, the choice must not depend on it.
     const int num_threads = options_.deterministic ? 1 : options_.num_threads;
     const auto columns = static_cast<double>(shape.num_camera_columns);
     const double available = AvailableMemoryFor(sizeof(double) * columns * columns);
@@ -149,7 +149,7 @@ void FusedSolver::FindSparseStructure() {
   symbolic_time_ += symbolic.seconds();
 }
 
-/// Rank 0 looks for it.
+/// Only rank 0 searches for an ordering.
 FillOrdering FusedSolver::FindOrdering() const {
   Communicator* const communicator = problem_.division.communicator;
   FillOrdering ordering;
@@ -174,8 +174,8 @@ void FusedSolver::BuildProblem() {
     FindSparseStructure();
   }
   if (options_.linear_solver_type != LinearSolverType::kDenseSchur) {
-    // The order of the elimination becomes that of the blocks for everyone. Images that share
-    // points are near each other in it, which the passes over points like as well.
+    // All ranks use the order of the elimination as the order of the blocks. Images that share
+    // points are near each other in it, which also makes the passes over points faster.
     layout_.Reorder(ordering_.order);
     structure_ = Reorder(structure_, ordering_.order);
   }
@@ -198,7 +198,7 @@ void FusedSolver::BuildProblem() {
                                           solver_.get(), is_reused_);
 }
 
-/// Values of S, and of its error terms where its sums are double-doubles.
+/// Number of values of S, and of its error terms if its sums are double-doubles.
 double FusedSolver::NumSystemValues() const {
   const BlockStructure& s = structure_;
   auto values = static_cast<double>(s.num_values);
@@ -220,8 +220,8 @@ void FusedSolver::SummarizeFactor() {
   Warn(WarningKind::kFactorLargerThanPredicted, FindSwollenFactor(statistics), &warnings_);
 }
 
-/// Only the factorisations round by their number of threads, where these are OpenBLAS'. Doglegs,
-/// which hardly damp, would make the most of it.
+/// Only factorisations by OpenBLAS' threads have rounding that depends on their number. Doglegs,
+/// with nearly no damping, would amplify it most.
 std::unique_ptr<LinearSolver> FusedSolver::MakeSolver() {
   const bool is_dogleg =
       options_.trust_region_strategy_type != TrustRegionStrategy::kLevenbergMarquardt;
@@ -242,7 +242,7 @@ ProgressCallback FusedSolver::AddFixedCost(const ProgressCallback& progress) con
   return [this, &progress, fixed_cost = schur_->fixed_cost()](const IterationRecord& iteration) {
     IterationRecord record = iteration;
     record.cost += fixed_cost;
-    // One user decides for all ranks.
+    // The user's request on one rank ends the solve on all ranks.
     return BroadcastFirst(problem_.division.communicator, progress(record) ? 1.0 : 0.0) > 0;
   };
 }

@@ -19,14 +19,14 @@
 
 namespace bundle {
 
-/// Bundle adjustment by the fused backend, for one structure: the constructor chooses the linear
-/// solver, orders, analyses and plans; each Solve starts at the values that the problem then has.
+/// Bundle adjustment by the fused backend, for one structure. The constructor chooses the linear
+/// solver, orders, analyses and plans. Each Solve starts at the current values of the problem.
 class FusedSolver {
  public:
-  /// `prepared` is the output of PrepareSolve for the problem; ChooseBackend accepts options and
-  /// layout. Keeps a reference to the problem, whose values (poses, camera parameters, points,
-  /// measurements) may change between solves. `is_reused`: for more than one Solve; otherwise the
-  /// first frees S before it collects the result.
+  /// `prepared` is the output of PrepareSolve for the problem; ChooseBackend must accept options
+  /// and layout. Keeps a reference to the problem, whose values (poses, camera parameters, points,
+  /// measurements) may change between solves. `is_reused`: Solve will be called more than once;
+  /// otherwise the first Solve frees S before it collects the result.
   ///
   /// Throws InputError if options exclude each other or the dense matrices of the solver would not
   /// fit into memory.
@@ -52,22 +52,22 @@ class FusedSolver {
   double NumSystemValues() const;
   void SummarizeFactor();
   std::unique_ptr<LinearSolver> MakeSolver();
-  /// True if it has converged and may take further iterations.
+  /// True if the solve has converged and may take further iterations.
   bool MayGoOn(const MinimizerSummary& minimum) const;
   ProgressCallback AddFixedCost(const ProgressCallback& progress) const;
   void CollectState(SolveOutput* output);
   int64_t CountInformation();
 
   const AdjustmentProblem& problem_;
-  SolveOptions options_;  ///< with nothing left to choose
+  SolveOptions options_;  ///< without kAuto
   const bool is_reused_;
   std::vector<Warning> warnings_;  ///< warnings of the choices
   std::string linear_solver_choice_;
   ParameterLayout layout_;
-  std::vector<int64_t> track_lengths_;  ///< until the memory is predicted
-  BlockStructure structure_;            ///< until the problem has it
+  std::vector<int64_t> track_lengths_;  ///< freed once the memory is predicted
+  BlockStructure structure_;            ///< moved to the problem
   FillOrdering ordering_;               ///< ordering of the sparse structure
-  double working_bytes_ = 0;            ///< beside the system
+  double working_bytes_ = 0;            ///< bytes in addition to the system
   std::unique_ptr<LinearSolver> solver_;
   std::unique_ptr<SchurProblem> schur_;
   FactorSummary factor_;

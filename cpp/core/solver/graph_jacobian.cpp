@@ -14,7 +14,7 @@ using Eigen::VectorXd;
 
 constexpr double kNoFactorValue = std::numeric_limits<double>::quiet_NaN();
 
-/// The factor's J by rows, its variables one after the other, in `j`.
+/// The rows of the factor's J, with its variables one after the other, in `j`.
 bool EvaluateFactor(const Factor& factor, const GraphJacobian::Values& values,
                     std::vector<double>* j, std::vector<double>* r) {
   std::vector<const double*> pointers;

@@ -10,7 +10,7 @@
 
 namespace bundle {
 
-/// The free columns of a graph's Jacobian, and evaluations of it.
+/// The free columns of a graph's Jacobian, and its evaluation.
 class GraphJacobian {
  public:
   using Sparse = Eigen::SparseMatrix<double>;
@@ -24,14 +24,15 @@ class GraphJacobian {
   int num_columns() const { return num_columns_; }
   int num_rows() const { return num_rows_; }
 
-  /// The free columns of each factor's J, times a scale of each column, beside -r.
+  /// Columns of each factor's free Jacobian, multiplied by a scale per column, followed by -r.
   std::vector<RowBlock> Rows(const Sparse& jacobian, const Eigen::VectorXd& residual,
                              const Eigen::VectorXd& scale) const;
-  /// Cost at the values, NaN where a factor has none; J and r, losses applied, if both are wanted.
+  /// Cost at the values, NaN if a factor has no value; J and r, losses applied, if both are
+  /// requested.
   double Evaluate(const Values& values, Eigen::VectorXd* residual, Sparse* jacobian) const;
-  /// to = from moved by the step of the free columns.
+  /// to = `from` moved by the step of the free columns.
   void Move(const Values& from, const Eigen::VectorXd& step, Values* to) const;
-  /// ||x|| over the variables that are not held as a whole.
+  /// ||x|| over the variables that are not completely constant.
   double Norm(const Values& values) const;
 
  private:

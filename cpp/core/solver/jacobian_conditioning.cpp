@@ -14,7 +14,7 @@ namespace {
 
 using Eigen::VectorXd;
 
-/// A power iteration's estimate of the largest eigenvalue of `multiply`, from a fixed start.
+/// Estimates the largest eigenvalue of `multiply` by power iteration from a fixed start.
 template <typename Multiply>
 double LargestEigenvalue(int n, const Multiply& multiply) {
   constexpr int kMaxSteps = 60;

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Condition of the Jacobian of a factor graph: the digits that normal equations would lose.
+/// Condition of the Jacobian of a factor graph: a measure of the digits lost by normal equations.
 
 #include <vector>
 
@@ -8,18 +8,19 @@
 
 namespace bundle {
 
-/// Conditioning of J S, the free columns of a graph's Jacobian scaled to norm 1. Normal equations
-/// square it, whatever the units.
+/// Conditioning of J S, the free columns of a graph's Jacobian scaled to norm 1. It is independent
+/// of units. Normal equations square it.
 struct JacobianConditioning {
   double max_singular_value = 0;
-  double min_singular_value = 0;  ///< 0 where the columns depend on each other
+  double min_singular_value = 0;  ///< 0 if the columns are linearly dependent
   int num_columns = 0;
-  /// The variable of each column that depends on others: num_columns less the rank of them.
+  /// The variable of each column that depends on other columns; there are num_columns minus rank of
+  /// them.
   std::vector<int> dependent;
 };
 
 /// Estimates both singular values to a few percent, by QR factorisation, power iteration on J^T J
-/// and inverse iteration with R^T R. Throws InputError where nothing is free.
+/// and inverse iteration with R^T R. Throws InputError if no variable is free.
 JacobianConditioning EstimateConditioning(const FactorGraph& graph);
 
 }  // namespace bundle

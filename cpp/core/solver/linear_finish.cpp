@@ -1,19 +1,19 @@
 #include "core/solver/linear_finish.h"
 
-/// A trust region ends where another step would hardly change the cost. With the default tolerance
-/// and damping that is some 1e-4 standard deviations before the minimum: nothing where residuals
-/// are curved, as their linearisation is worth no more, but a wrong digit where they are linear and
-/// the minimum is one step away. A graph is taken for linear if
+/// A trust region method ends when another step would hardly change the cost. With the default
+/// tolerance and damping, this is some 1e-4 standard deviations before the minimum. With curved
+/// residuals this does not matter, because their linearisation is not more accurate. With linear
+/// residuals it is a wrong digit, although the minimum is one step away. A graph is considered
+/// linear if
 ///
 ///   its first step lowered the cost by what the model had promised, to rounding (not asked where
 ///   there are bounds, which cut steps), and
 ///   its Jacobian is the same, to rounding, before and after the step q of min ||J q + r||.
 ///
-/// q comes from a QR factorisation, J S = Q R with columns of norm 1 (S), and is repeated with R^T
-/// R, one more refinement each, as long as the gradient falls by half. The cost is no measure any
-/// more, because it changes by the square of the remaining step. Directions that no factor
-/// determines are damped by l = 1e-12, as are coordinates at a bound that the gradient pushes
-/// outwards.
+/// q comes from a QR factorisation, J S = Q R with columns of norm 1 (S). It is refined with R^T R
+/// as long as the gradient is at least halved. The cost cannot be used as a measure any more,
+/// because it changes by the square of the remaining step. Directions that no factor determines are
+/// damped by l = 1e-12, as are coordinates at a bound that the gradient pushes outwards.
 
 #include <algorithm>
 #include <cmath>
@@ -39,7 +39,7 @@ constexpr double kSameJacobian = 1e-12;
 constexpr double kRootOfDamping = 1e-6;
 constexpr double kRounding = std::numeric_limits<double>::epsilon();
 
-/// Residuals of positions and angles are the only linear ones.
+/// Only residuals of positions and angles are linear.
 bool MayBeLinear(const FactorGraph& graph) {
   for (const Block& block : graph.blocks) {
     const Manifold manifold = block.retraction.manifold();
@@ -50,7 +50,7 @@ bool MayBeLinear(const FactorGraph& graph) {
                      [](const auto& factor) { return factor->loss() == LossType::kTrivial; });
 }
 
-/// True also where bounds have cut steps, so that promises say nothing.
+/// Also true if bounds have cut steps, because predicted decreases are then meaningless.
 bool FirstStepWasPromised(const FactorGraph& graph,
                           const std::vector<IterationRecord>& iterations) {
   for (const Block& block : graph.blocks) {
@@ -58,7 +58,7 @@ bool FirstStepWasPromised(const FactorGraph& graph,
   }
   for (const IterationRecord& record : iterations) {
     if (record.iteration == 0 || !record.step_is_successful) continue;
-    // The cost before is known to its rounding.
+    // The cost before the step has a rounding error.
     const double noise = 100 * kRounding * (record.cost + std::abs(record.cost_change)) /
                          std::abs(record.cost_change);
     return std::abs(record.relative_decrease - 1) <= kAsPromised + noise;
@@ -66,20 +66,20 @@ bool FirstStepWasPromised(const FactorGraph& graph,
   return true;
 }
 
-/// The graph linearised somewhere.
+/// The graph, linearised at some values.
 struct Place {
   Values values;
   double cost = 0;
   VectorXd residual;
   Sparse jacobian;
-  VectorXd gradient;  ///< by columns of norm 1, zero at bounds that it pushes beyond
+  VectorXd gradient;  ///< for columns of norm 1; zero at active bounds
 };
 
 class LinearFinish {
  public:
   explicit LinearFinish(const FactorGraph& graph) : graph_(graph), evaluation_(graph) {}
 
-  /// The steps that were worth taking; false if none was, or the graph is not linear.
+  /// Takes all useful steps; false if no step was useful, or the graph is not linear.
   bool Run(const Values& values) {
     if (!Evaluate(values, &at_)) return false;
     scale_.resize(evaluation_.num_columns());
@@ -161,7 +161,7 @@ class LinearFinish {
     return is_within;
   }
 
-  /// With rows `root` for all columns, and 1 in place of those that are held.
+  /// With rows `root` for all columns, and 1 for the constant ones.
   void Factorize(double root) {
     VectorXd scale = scale_;
     VectorXd damping = VectorXd::Constant(scale.size(), root);

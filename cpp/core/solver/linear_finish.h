@@ -7,8 +7,8 @@
 
 namespace bundle {
 
-/// Moves a converged solve of a linear graph to its minimum, to rounding, and records that as one
-/// more iteration. Any other graph or solve is left as it is.
+/// Moves a converged solve of a linear graph to its minimum, up to rounding, and records this step
+/// as one more iteration. Other graphs and solves are not changed.
 void FinishLinearGraph(const FactorGraph& graph, GraphOutput* output);
 
 }  // namespace bundle

@@ -1,7 +1,7 @@
 #include "core/solver/marginal_by_root.h"
 
-/// Marginal information by a square root. With J_a and J_b the columns of the whitened Jacobian
-/// that are eliminated and kept, Householder's reflections give
+/// Marginal information by a square root. With J_a and J_b the columns of the whitened Jacobian for
+/// eliminated and kept variables, Householder reflections give
 ///
 ///   Q^T [J_a  J_b  -r] = [R_a  R_ab  d_a]
 ///                        [ 0    A     d ],
@@ -10,10 +10,11 @@
 ///
 ///   Lambda' = A^T A,        eta' = A^T d.
 ///
-/// No difference of large numbers is formed: Lambda' is positive semidefinite, and has lost log10
-/// of the condition of J_a where normal equations lose its square (graph/dense_marginals.py has the
-/// same by dense matrices). solver/block_qr.h does it sparsely. Columns have norm 1, so that a
-/// pivot that is rounding is seen whatever the units; Lambda' is scaled back.
+/// No difference of large numbers is formed, so that Lambda' is positive semidefinite. It loses
+/// log10 of the condition of J_a in digits; normal equations lose twice as many
+/// (graph/dense_marginals.py does the same with dense matrices). solver/block_qr.h has the sparse
+/// factorisation. Columns have norm 1, so that a pivot at rounding level is recognised in any
+/// units; Lambda' is scaled back.
 
 #include <Eigen/Core>
 #include <algorithm>
@@ -36,7 +37,7 @@ using Eigen::VectorXd;
 
 /// Column of each tangent coordinate of a graph within its variable; -1: it is constant.
 struct Columns {
-  std::vector<int> variable, place, size;  ///< the last one a variable
+  std::vector<int> variable, place, size;  ///< the last one has an entry per variable
   std::vector<double> scale;
 };
 
@@ -66,7 +67,7 @@ std::vector<RowBlock> MakeRows(const LinearizedGraph& graph, const Columns& colu
   std::vector<RowBlock> rows;
   for (size_t r = 0; r < graph.residual.size(); ++r) {
     RowBlock row;
-    std::vector<int> first;  // column of each of its variables
+    std::vector<int> first;  // first column of each variable
     int width = 0;
     std::vector<std::pair<int, double>> entries;
     for (int64_t k = graph.row_begin[r]; k < graph.row_begin[r + 1]; ++k) {
@@ -141,7 +142,7 @@ MarginalInformation MarginalizeByRoot(const std::vector<int>& kept,
   const MatrixXd products = MultiplyTransposed(root, root);
   MarginalInformation result;
   for (Index r = 0; r < n; ++r) {
-    // The lower triangle on both sides: symmetric to the last bit.
+    // Copies the lower triangle to the upper one, for exact symmetry.
     for (Index c = 0; c < n; ++c) {
       result.lambda.push_back(products(std::max(r, c), std::min(r, c)));
     }

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Marginal information by normal equations or, where these lose their digits, by a square root.
+/// Marginal information by normal equations or, if these lose too many digits, by a square root.
 
 #include <vector>
 
@@ -8,9 +8,9 @@
 
 namespace bundle {
 
-/// MarginalizeOnto (graph/factor_graph.h), or the same by square roots if that is not accurate.
-/// Throws InputError, with the variable, if an eliminated variable is not determined by its
-/// factors.
+/// Same as MarginalizeOnto (graph/factor_graph.h), or by square roots if that is not accurate.
+/// Throws InputError, with the variable, if the factors of an eliminated variable do not determine
+/// it.
 MarginalInformation FindMarginalInformation(const std::vector<int>& kept,
                                             const std::vector<Block>& blocks,
                                             const LinearizedGraph& graph);

@@ -88,14 +88,14 @@ void SolveByCeres(const PoseGraph& graph, const SolveOptions& options,
   }
 }
 
-/// A graph with nothing to refine.
+/// A graph without free poses.
 void ReportNothingToRefine(const SolveOptions& options, double cost, PoseGraphOutput* output) {
   SolveSummary& summary = output->summary;
   summary.initial_cost = summary.final_cost = summary.fixed_cost = cost;
   summary.termination_type = "CONVERGENCE";
   summary.message = "Function tolerance reached. No non-constant parameter blocks found.";
   summary.is_solution_usable = true;
-  summary.num_successful_steps = 1;  // the start, as Ceres counts
+  summary.num_successful_steps = 1;  // the start, which Ceres counts as successful
   summary.num_unsuccessful_steps = 0;
   for (int* size :
        {&summary.num_parameter_blocks, &summary.num_parameters, &summary.num_residual_blocks,

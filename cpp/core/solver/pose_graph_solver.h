@@ -10,19 +10,19 @@
 namespace bundle {
 
 struct PoseGraphOutput : SolveRecord {
-  std::vector<double> poses;        ///< held ones as they were given, the others normalised
-  std::vector<double> chi2_before;  ///< r^T Omega r of each edge, no loss
+  std::vector<double> poses;        ///< constant poses unchanged, all others normalised
+  std::vector<double> chi2_before;  ///< r^T Omega r of each edge, without the loss
   std::vector<double> chi2_after;
-  std::vector<double> weights;  ///< weight of each edge under the loss at the end
+  std::vector<double> weights;  ///< weight of each edge under the loss, at the end
 };
 
 /// Minimises 1/2 sum rho(||r||^2) over the edges of a pose graph. Uses these options: backend,
 /// trust region, stopping rules, and threads. `ordering` is that of the fused backend: "auto",
-/// "natural", "amd" or "metis". All poses that are not held are free: without a held pose in each
-/// component, only the damping makes the normal equations regular.
+/// "natural", "amd" or "metis". All poses that are not held are free. In a component without a held
+/// pose, only the damping makes the normal equations regular.
 ///
-/// Throws InputError if the graph's arrays contradict each other (MakePoseGraph), or Ceres is asked
-/// for a loss that factors do not have.
+/// Throws InputError if the graph's arrays contradict each other (MakePoseGraph), or if the Ceres
+/// backend is used with a loss that factors do not have.
 PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors,
                                const SolveOptions& options, const std::string& ordering,
                                const ProgressCallback& progress);

@@ -1,7 +1,7 @@
 #include "core/solver/solver.h"
 
-/// The fused backend does one thing: it eliminates the points and factorises or iterates on the
-/// reduced camera system. Whatever else can be asked for is Ceres'.
+/// The fused backend eliminates the points and factorises the reduced camera system, or solves it
+/// iteratively. Ceres handles all other options and problems.
 
 #if __has_include(<unistd.h>)
 #include <unistd.h>
@@ -36,7 +36,7 @@ namespace bundle {
 
 namespace {
 
-/// An option that the fused backend does not take as it is.
+/// An option value that the fused backend does not support.
 struct Unsupported {
   std::string option;
   std::string expected;
@@ -142,8 +142,8 @@ BackendChoice ChooseBackend(const SolveOptions& options, const PreparedSolve& pr
 
 namespace {
 
-/// Ceres adds costs and products up in the order in which its threads come by: the same bits for
-/// any number of threads are those of one.
+/// Ceres adds costs and products in an order that depends on its threads. Only with one thread are
+/// the bits the same for any number of threads requested.
 SolveOutput SolveWithCeresAsAsked(const AdjustmentProblem& problem, SolveOptions options,
                                   PreparedSolve prepared, const ProgressCallback& progress) {
   if (options.deterministic && options.num_threads != 1) {
@@ -177,7 +177,7 @@ void SetFactorCosts(const AdjustmentProblem& given, const ProblemFactors* factor
 
 }  // namespace
 
-/// A solver and the problem that it is at.
+/// A solver and the problem at its current values.
 class Solver::Impl {
  public:
   Impl(const AdjustmentProblem& problem, const SolveOptions& options, bool is_reused)
@@ -188,13 +188,13 @@ class Solver::Impl {
 
   ~Impl() { AbandonAfterFork(); }
 
-  /// Lays out everything for these values.
+  /// Lays out everything for the current values.
   void PrepareFor(const AdjustmentProblem& given) {
     const ScaledProblem scaled(given);
     const CenteredProblem centered(scaled.view(), scaled.frame());
     TakeValues(centered.view());
     Prepare();
-    if (fused_ == nullptr) prepared_.reset();  // Ceres' solves prepare themselves
+    if (fused_ == nullptr) prepared_.reset();  // solves by Ceres do their own preparation
   }
 
   void CheckStructure(const ProblemView& given) const { CheckSameStructure(problem_, given); }
@@ -242,11 +242,11 @@ class Solver::Impl {
     return output;
   }
 
-  /// One solve at a time.
+  /// Allows one solve at a time.
   class UseGuard {
    public:
     explicit UseGuard(std::atomic<int64_t>* user) : user_(user) {
-      // A process that was forked within a solve finds its parent there.
+      // In a process that was forked during a solve, the parent is stored here.
       int64_t found = user->load();
       if (found == ProcessId() || !user->compare_exchange_strong(found, ProcessId())) {
         throw InputError(
@@ -262,7 +262,7 @@ class Solver::Impl {
     std::atomic<int64_t>* const user_;
   };
 
-  /// Threads do not survive a fork: there is nobody to join, or to wait for.
+  /// Threads do not survive a fork: there are no threads to join.
   void AbandonAfterFork() {
     if (std::exchange(process_, ProcessId()) != ProcessId()) static_cast<void>(fused_.release());
   }
@@ -296,11 +296,11 @@ class Solver::Impl {
     prepared_.reset();
   }
 
-  /// True if the layout fits the values. Free parameters depend on values only by the gauge.
+  /// True if the layout fits the values. Free parameters depend on values only through the gauge.
   bool IsPreparedForValues() const {
     if (fused_ == nullptr) return false;
     if (options_.gauge == Gauge::kNone) return true;
-    std::vector<Warning> same_warnings;  // they follow from what is free
+    std::vector<Warning> same_warnings;  // warnings follow from the free parameters
     return ChooseFreeParameters(problem_, options_, &same_warnings) == fused_->layout().free();
   }
 
@@ -313,16 +313,17 @@ class Solver::Impl {
     return SolveWithCeresAsAsked(problem_, options, std::move(prepared), progress);
   }
 
-  /// The structure, bounds and factors of the first, the values of the last, about its centre.
+  /// The structure, bounds and factors of the constructor's problem, with the values of the last
+  /// one, about its centre.
   AdjustmentProblem problem_;
   const SolveOptions options_;
   const bool is_reused_;
   std::optional<PreparedSolve> prepared_;  ///< for the next solve by Ceres
   BackendChoice choice_;
   std::vector<Warning> warnings_;       ///< warnings of PrepareSolve
-  std::unique_ptr<FusedSolver> fused_;  ///< nullptr: not prepared, or Ceres'
-  int64_t process_ = ProcessId();       ///< where its threads are
-  std::atomic<int64_t> user_{kNobody};  ///< the process that solves
+  std::unique_ptr<FusedSolver> fused_;  ///< nullptr: not prepared, or solved by Ceres
+  int64_t process_ = ProcessId();       ///< the process that has its threads
+  std::atomic<int64_t> user_{kNobody};  ///< the process that currently solves
 };
 
 Solver::Solver(const AdjustmentProblem& problem, const SolveOptions& options)

@@ -12,7 +12,7 @@ namespace bundle {
 
 struct BackendChoice {
   Backend backend = Backend::kCeres;  ///< not kAuto
-  std::string reason;                 ///< one sentence; "" where the backend was asked for
+  std::string reason;                 ///< a sentence; "" if the backend was requested
 };
 
 /// Chooses the backend: the fused one if it supports the problem, unless the options name another.
@@ -21,7 +21,8 @@ struct BackendChoice {
 /// support them.
 BackendChoice ChooseBackend(const SolveOptions& options, const PreparedSolve& prepared);
 
-/// Returns why these options mean Ceres for any problem, in one sentence; "" where they do not.
+/// Returns the reason, in one sentence, if these options require Ceres for any problem; otherwise
+/// "".
 std::string ReasonForCeres(const SolveOptions& options);
 
 /// Repeated bundle adjustment of one structure: the observed points of each image, the camera
@@ -30,12 +31,12 @@ std::string ReasonForCeres(const SolveOptions& options);
 ///
 /// The fused backend keeps its threads, the layout, the order of the elimination, the analysed
 /// linear solver and all buffers. A solve does no symbolic work and has the same bits as that of a
-/// new solver. For these bits there are two exceptions: if new values make the gauge hold other
-/// numbers, the solve lays out everything anew; and the two-level preconditioner forms its clusters
-/// by values, in each solve. Ceres keeps nothing and starts from scratch.
+/// new solver. There are two exceptions. If the gauge has to hold other numbers because of the new
+/// values, the solve lays out everything anew. And the two-level preconditioner forms its clusters
+/// from the values of each solve. With Ceres, nothing is kept between solves.
 ///
-/// A process that was forked from the solver's lays out everything anew at its first solve, as
-/// threads do not survive a fork.
+/// In a forked process, the first solve lays out everything anew, because threads do not survive a
+/// fork.
 class Solver {
  public:
   /// Lays out everything. The problem is valid (problem_view.h). Its arrays, bounds and factors
@@ -72,12 +73,12 @@ class Solver {
   std::unique_ptr<Impl> impl_;
 };
 
-/// Bundle adjustment by the backend that the options ask for. The problem is valid
+/// Bundle adjustment by the backend that the options select. The problem must be valid
 /// (problem_view.h).
 ///
-/// Throws InputError if a camera model is not supported, an id to be fixed does not exist, options
-/// exclude each other or the backend, or the dense matrices of the solver would not fit into
-/// memory. Anything else that keeps the solve from converging is in the summary.
+/// Throws InputError if a camera model is not supported, if an id to be fixed does not exist, if
+/// options exclude each other or the backend, or if the dense matrices of the solver would not fit
+/// into memory. Other reasons why a solve does not converge are in the summary.
 SolveOutput Solve(const AdjustmentProblem& problem, const SolveOptions& options,
                   const ProgressCallback& progress);
 

@@ -5,10 +5,10 @@
 ///   || [ J        ]     [ -r ] ||
 ///   || [ l^1/2 D  ] q - [  0 ] ||,
 ///
-/// which Householder's reflections solve by [J; l^1/2 D] = Q R, R q = Q^T [-r; 0]. The error of q
-/// is eps kappa(J) beside that of normal equations, eps kappa(J)^2, as long as the residual at the
-/// solution is small (G. H. Golub, C. F. Van Loan: Matrix Computations, 5.3.8). Columns are scaled
-/// by s_j = 1 / (1 + ||J e_j||) first. solver/block_qr.h has the factorisation.
+/// which Householder reflections solve by [J; l^1/2 D] = Q R, R q = Q^T [-r; 0]. The error of q is
+/// eps kappa(J) if the residual at the solution is small; with normal equations it is eps
+/// kappa(J)^2 (G. H. Golub, C. F. Van Loan: Matrix Computations, 5.3.8). Columns are scaled by s_j
+/// = 1 / (1 + ||J e_j||) first. solver/block_qr.h has the factorisation.
 
 #include <Eigen/SparseCore>
 #include <algorithm>
@@ -136,7 +136,7 @@ class SquareRootProblem final : public LeastSquares {
 
   const GraphJacobian evaluation_;
   Values values_, candidate_;
-  bool is_current_ = false;  ///< the members below are those of values_
+  bool is_current_ = false;  ///< true if the members below belong to values_
   double cost_ = 0, damping_ = 0;
   VectorXd residual_, gradient_, scale_, diagonal_, newton_, steepest_;
   Sparse jacobian_;

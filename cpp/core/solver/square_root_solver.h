@@ -9,8 +9,8 @@
 
 namespace bundle {
 
-/// SolveGraph (ceres/solve_graph.h) without normal equations. Uses the trust region and the
-/// stopping rules of the options. Throws InputError for bounds, which it does not support.
+/// Same as SolveGraph (ceres/solve_graph.h), without normal equations. Uses the trust region and
+/// the stopping rules of the options. Throws InputError for bounds, which are not supported.
 GraphOutput SolveGraphBySquareRoot(const FactorGraph& graph, const SolveOptions& options,
                                    const ProgressCallback& progress);
 

@@ -14,8 +14,8 @@
 namespace bundle {
 namespace {
 
-/// Sizes of a residual that meets a point, a point and the camera blocks, "2,3,9"; "d" where
-/// they differ.
+/// Sizes of a residual with a point, of the point and of the camera blocks, "2,3,9"; "d" for sizes
+/// that differ.
 std::string SchurStructure(const ParameterLayout& layout, bool has_other_rows) {
   const std::vector<CameraBlock>& blocks = layout.blocks();
   const bool equal = std::all_of(blocks.begin(), blocks.end(), [&](const CameraBlock& block) {
@@ -27,7 +27,7 @@ std::string SchurStructure(const ParameterLayout& layout, bool has_other_rows) {
 
 void SetLinearSolver(const SolveOptions& options, SolveSummary* result) {
   result->linear_solver_type_used = result->linear_solver_type_given;
-  // Ceres' default stands where nothing is preconditioned.
+  // Keeps Ceres' default if there is no preconditioner.
   if (IsIterative(options.linear_solver_type)) {
     result->preconditioner_type_given =
         UpperName(options.preconditioner_type, kPreconditionerTypes);
@@ -53,7 +53,7 @@ void SummarizeChoices(const SolveOptions& options, SolveSummary* result) {
 void SummarizeMinimum(const MinimizerSummary& minimum, double fixed_cost, Counted counted,
                       SolveSummary* result) {
   result->fixed_cost = fixed_cost;
-  if (!minimum.iterations.empty()) {  // else the start could not be evaluated
+  if (!minimum.iterations.empty()) {  // otherwise the start could not be evaluated
     double least = minimum.iterations.front().cost;
     for (const IterationRecord& record : minimum.iterations) {
       if (counted == Counted::kAccepted && !record.step_is_successful) continue;
@@ -103,7 +103,7 @@ SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layou
   SummarizeChoices(options, &result);
   SummarizeMinimum(minimum, schur.fixed_cost(), Counted::kAll, &result);
   result.held_cost = schur.held_cost();
-  // Nothing constant is ever part of the problem.
+  // The problem never includes constant parameters.
   SetSizes(num_points + num_blocks, 3 * num_points + layout.state_size(),
            num_observations + num_factors, 2 * num_observations + num_factor_residuals, &result);
   SetLinearSolver(options, &result);
@@ -140,7 +140,7 @@ FactorSummary SummarizeFactor(const BlockStructure& structure, const FactorStati
 }
 
 std::string FindSwollenFactor(const FactorStatistics& statistics) {
-  // Panels take in at most a fifth of zeros (supernodes.cpp): beyond this, a count is wrong.
+  // Panels have at most a fifth of zeros (supernodes.cpp); with more, the count is wrong.
   constexpr double kFar = 1.5;
   if (!(statistics.stored > kFar * statistics.predicted)) return "";
   char text[160];

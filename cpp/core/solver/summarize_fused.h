@@ -23,18 +23,19 @@ struct SolveTimes {
   double total = 0;
 };
 
-/// Summary of a minimum as in ceres::Solver::Summary. `options` contains no kAuto.
+/// Summary of a minimisation as in ceres::Solver::Summary. `options` contains no kAuto.
 ///
-/// Three of Ceres' times name other work here, because linearisation and elimination are one pass:
-/// the Jacobian evaluation includes the elimination of the points, the linear solver's time is that
-/// of the reduced camera system alone, and the residual evaluation includes the back-substitution.
+/// Three of Ceres' times have a different meaning here, because linearisation and elimination are
+/// one pass. The Jacobian evaluation includes the elimination of the points, the linear solver's
+/// time is that of the reduced camera system alone, and the residual evaluation includes the
+/// back-substitution.
 SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layout,
                        const SchurProblem& schur, const MinimizerSummary& minimum,
                        const SolveTimes& times);
 
-/// Steps whose least cost is the final cost: all, as in Ceres, or the accepted ones. If steps
-/// change which observations count, costs are sums over different observations, and the final cost
-/// is that of the last accepted step.
+/// Steps whose minimum cost is the final cost: all steps, as in Ceres, or the accepted ones. If
+/// steps change the set of observations that count, costs are sums over different observations.
+/// Then the final cost is that of the last accepted step.
 enum class Counted { kAll, kAccepted };
 
 /// Common parts of the summaries of our own solvers: options, the minimum (without the constant
@@ -49,7 +50,7 @@ void SetSizes(int num_blocks, int num_parameters, int64_t num_residual_blocks,
 FactorSummary SummarizeFactor(const BlockStructure& structure, const FactorStatistics& statistics,
                               double symbolic_time_in_seconds);
 
-/// One sentence if the factor takes far more than its ordering predicted; else "".
+/// Returns a message if the factor takes far more than its ordering predicted; otherwise "".
 std::string FindSwollenFactor(const FactorStatistics& statistics);
 
 }  // namespace bundle
