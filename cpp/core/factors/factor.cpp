@@ -14,7 +14,7 @@ namespace {
 
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-/// Two entries that should be equal may differ by this, relative to the diagonal's.
+/// Tolerance for two entries that should be equal, relative to the diagonal's.
 constexpr double kAsymmetry = 1e-9;
 
 [[noreturn]] void RefuseIndefinite(const std::string& subject, const std::vector<double>& matrix,
@@ -36,7 +36,7 @@ std::string ShortNumber(double value) {
 
 namespace {
 
-/// Both numbers with as many digits as are needed to distinguish them.
+/// Both numbers with enough digits to distinguish them.
 std::pair<std::string, std::string> DistinctNumbers(double one, double other) {
   char texts[2][32];
   for (int digits = 6; digits <= 17; ++digits) {

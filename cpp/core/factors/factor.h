@@ -2,10 +2,10 @@
 
 /// A factor: a residual of some variables, with its Jacobians and a loss.
 ///
-/// A problem's cost is the sum of 1/2 rho(||r||^2) over its factors. Residuals are whitened: of a
-/// measurement with information Omega, r^T r = e^T Omega e for its error e (Whitening). Jacobians
-/// are by the tangent coordinates of each variable's manifold (geometry/retraction.h), so that a
-/// factor does not depend on how a solver stores its variables.
+/// A problem's cost is the sum of 1/2 rho(||r||^2) over its factors. Residuals are whitened: for a
+/// measurement with information Omega and error e, r^T r = e^T Omega e (Whitening). Jacobians are
+/// by the tangent coordinates of each variable's manifold (geometry/retraction.h), so that a factor
+/// does not depend on how a solver stores its variables.
 
 #include <cmath>
 #include <string>
@@ -20,7 +20,7 @@ namespace bundle {
 
 /// Base class of factors.
 struct FactorHead {
-  std::string name;         ///< names the factor and its variables in messages
+  std::string name;         ///< name in messages about the factor and its variables
   std::vector<int> blocks;  ///< the variables, by their places in a graph
   LossType loss = LossType::kTrivial;
   double loss_scale = 1;  ///< in sigmas: of the whitened residual's norm
@@ -40,13 +40,13 @@ class Factor {
   const std::vector<Retraction>& retractions() const { return retractions_; }
   int num_residuals() const { return num_residuals_; }
 
-  /// The residual at `values`, one pointer a variable, and its Jacobians, row-major, num_residuals
-  /// x tangent size. `jacobians` may be nullptr, as may each of them. False where the residual has
-  /// no value. May throw; a solve ends then and throws the same.
+  /// Computes the residual at `values`, one pointer per variable, and its Jacobians, row-major,
+  /// num_residuals x tangent size. `jacobians` may be nullptr, as may each of them. Returns false
+  /// if the residual has no value. May throw; a solve then ends and rethrows the exception.
   virtual bool Evaluate(const double* const* values, double* residual,
                         double* const* jacobians) const = 0;
 
-  /// False if Evaluate must not run on two threads at once.
+  /// False if Evaluate must not run on two threads at the same time.
   virtual bool IsThreadSafe() const { return true; }
 
  protected:
@@ -66,14 +66,14 @@ class Factor {
 class Whitening {
  public:
   /// Reads n x n numbers, row-major. Throws InputError, beginning with `subject`, unless they are
-  /// finite, symmetric and positive definite. Pivots are judged beside their diagonal entries:
-  /// coordinates may have any units.
+  /// finite, symmetric and positive definite. Pivots are compared with their diagonal entries, so
+  /// that coordinates may have any units.
   Whitening(const std::string& subject, std::vector<double> information, int n);
 
   int size() const { return n_; }
   /// m <- L^T m, n x columns, row-major.
   void Apply(double* m, int columns) const;
-  /// The residual, and each Jacobian of `columns` entries a row that is wanted.
+  /// Whitens the residual, and each requested Jacobian with its number of `columns`.
   void Apply(double* residual, double* const* jacobians, const std::vector<int>& columns) const;
 
  private:
@@ -87,8 +87,8 @@ void CheckSymmetric(const std::string& subject, const std::vector<double>& matri
 /// "1.5", "-6.2e+06": a number in a message.
 std::string ShortNumber(double value);
 
-/// The value as the manifold stores it, quaternions of norm 1. Throws InputError, beginning with
-/// `subject`, if it has another size, is not finite, or its quaternion is zero.
+/// Returns the value as the manifold stores it, with quaternions of norm 1. Throws InputError,
+/// beginning with `subject`, if it has another size, is not finite, or its quaternion is zero.
 inline std::vector<double> CheckedValue(const std::string& subject, const Retraction& retraction,
                                         std::vector<double> value) {
   if (static_cast<int>(value.size()) != retraction.ambient_size()) {

@@ -22,7 +22,7 @@ std::vector<Retraction> RetractionsOfImu(const Retraction* gravity, bool has_sca
   return out;
 }
 
-/// The state of a pose and a velocity, positions times the scale, without biases.
+/// The state from a pose and a velocity, with positions times the scale, without biases.
 ImuState StateOfPose(const double* pose, const double* velocity, double scale) {
   ImuState state = {};
   QuaternionToRotation(pose, state.rotation);
@@ -33,7 +33,8 @@ ImuState StateOfPose(const double* pose, const double* velocity, double scale) {
   return state;
 }
 
-/// Columns of a Jacobian of 15 as those of a pose: rotation, position times scale R.
+/// Converts columns of a Jacobian by 15 coordinates to those of a pose: rotation, position times
+/// scale R.
 void PoseColumns(const double* by_state, const double* rotation, double scale, double* out) {
   for (int r = 0; r < kRows; ++r) {
     double by_position[3];

@@ -1,12 +1,13 @@
 #include "core/factors/linear_prior.h"
 
-/// A dense quadratic prior on several variables, as marginalisation leaves it:
+/// A dense quadratic prior on several variables, from marginalisation:
 ///
 ///   1/2 d^T Lambda d - eta^T d,        d = (Log(X_1*^-1 X_1), Log(X_2*^-1 X_2), ...),
 ///
-/// about linearization points X*, with Lambda symmetric and positive semidefinite: what a gauge
-/// leaves free stays free. As a residual it needs a square root. With D = diag(Lambda)^(1/2), so
-/// that units do not matter, and the eigenvalues and eigenvectors of D^-1 Lambda D^-1 = V S V^T,
+/// about linearization points X*, with Lambda symmetric and positive semidefinite: free gauge
+/// directions stay free. For a residual, a square root is needed. With D = diag(Lambda)^(1/2),
+/// which makes it independent of units, and the eigenvalues and eigenvectors of D^-1 Lambda D^-1 =
+/// V S V^T,
 ///
 ///   A = S^(1/2) V^T D,        b = S^(-1/2) V^T D^-1 eta        give
 ///   A^T A = Lambda,           A^T b = eta,
@@ -15,8 +16,8 @@
 ///
 ///   r = A d - b,        1/2 ||r||^2 = 1/2 d^T Lambda d - eta^T d + 1/2 ||b||^2,
 ///
-/// and dr/dX_k = A_k J_r(d_k)^-1. The constant makes the least cost 0. eta must not point along a
-/// direction that Lambda leaves free: the cost would have no minimum.
+/// and dr/dX_k = A_k J_r(d_k)^-1. The constant makes the minimum cost 0. eta must not have a
+/// component along a direction that Lambda leaves free: the cost would have no minimum.
 
 #include <Eigen/Core>
 #include <cmath>
@@ -31,10 +32,12 @@ namespace {
 
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-/// Largest share of eta outside the range of Lambda, both scaled: rounding errors of their maker.
+/// Maximum share of eta outside the range of Lambda, both scaled: rounding errors of their
+/// computation.
 constexpr double kOutsideRange = 1e-6;
 
-/// Most negative eigenvalue of the scaled Lambda, relative to the largest, for the same reason.
+/// Most negative allowed eigenvalue of the scaled Lambda, relative to the largest, for the same
+/// reason.
 constexpr double kNegative = 1e-9;
 
 int TotalTangentSize(const std::vector<Retraction>& retractions) {

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Gaussian prior on several variables, as marginalisation leaves it (derived in linear_prior.cpp).
+/// Gaussian prior on several variables, from marginalisation (derived in linear_prior.cpp).
 
 #include <string>
 #include <vector>
@@ -19,12 +19,13 @@ class LinearPrior final : public Factor {
     std::vector<double> b;
   };
 
-  /// `lambda` is n x n, row-major, and `eta` n, n the sum of the tangent sizes. Throws InputError
-  /// unless Lambda is symmetric, positive semidefinite, not zero, and eta in its range.
+  /// `lambda` is n x n, row-major, and `eta` n, where n is the sum of the tangent sizes. Throws
+  /// InputError unless Lambda is symmetric, positive semidefinite and not zero, and eta is in its
+  /// range.
   LinearPrior(FactorHead head, std::vector<Retraction> retractions,
               std::vector<std::vector<double>> linearization_point,
               const std::vector<double>& lambda, const std::vector<double>& eta);
-  /// Prior from a root with rows and as many columns as the tangent sizes sum to.
+  /// Prior from a square root; its number of columns is the sum of the tangent sizes.
   LinearPrior(FactorHead head, std::vector<Retraction> retractions,
               std::vector<std::vector<double>> linearization_point, Root root);
 

@@ -19,17 +19,17 @@
 ///   1/2 alpha^2 - alpha - s rho'' / rho' = 0,
 ///   alpha = 1 - sqrt(D),   D = 1 + 2 s rho'' / rho'.
 ///
-/// Across r the block's curvature is rho' >= 0, along r it is rho' D. Where the loss bends over,
-/// seen as a function of ||r||, D is negative: the block is indefinite and no real alpha exists. D
-/// near zero is hardly better: r~ grows without bound, J~ loses its rank along r.
+/// Across r the block's curvature is rho' >= 0, along r it is rho' D. D is negative if the loss is
+/// concave as a function of ||r||: the block is indefinite and no real alpha exists. A D near zero
+/// is also bad: r~ grows without bound, and J~ loses its rank along r.
 ///
 /// Ceres (internal/ceres/corrector.cc) therefore takes alpha = 0 wherever rho'' <= 0, which leaves
 ///
 ///   J~ = sqrt(rho') J,     r~ = sqrt(rho') r,     J~^T J~ = rho' J^T J,
 ///
 /// the block of iteratively reweighted least squares: same gradient, never indefinite. Every loss
-/// that a solve offers has rho'' <= 0 everywhere, so only losses of a user's own get more than
-/// that.
+/// that a solve offers has rho'' <= 0 everywhere. Only user-defined losses have a second-order
+/// term.
 
 #include <cmath>
 #include <limits>
@@ -40,11 +40,11 @@ namespace bundle {
 /// ceres/loss_function.h has the formulae.
 enum class LossType { kTrivial, kHuber, kSoftL1, kCauchy, kArctan, kTukey };
 
-/// rho, rho', rho'' at s, in this order, as ceres::LossFunction::Evaluate has them.
+/// rho, rho', rho'' at s, in this order, as in ceres::LossFunction::Evaluate.
 using LossValue = const double*;
 
-/// The loss of this type at s = ||r||^2, with the residual's norm in units of `scale` as
-/// options.h has them.
+/// The loss of this type at s = ||r||^2. The residual's norm is in units of `scale`, as in
+/// options.h.
 inline void ValueOfLoss(LossType type, double scale, double s, double rho[3]) {
   constexpr double kTiny = std::numeric_limits<double>::min();
   const double b = scale * scale;
@@ -100,8 +100,8 @@ struct TriggsCorrection {
   double alpha;
 };
 
-/// The correction at s = `squared_norm`; nothing where it does not exist: where the block has no
-/// real square root, or, with alpha = 1, the residual no finite scale.
+/// The correction at s = `squared_norm`; empty if it does not exist: if the block has no real
+/// square root, or, with alpha = 1, the residual has no finite scale.
 inline std::optional<TriggsCorrection> SolveTriggs(LossValue rho, double squared_norm,
                                                    SecondOrderTerm term) {
   const double scale = std::sqrt(rho[1]);
@@ -128,7 +128,7 @@ inline double ResidualTimesColumn(const double* residual, const double* jacobian
   return sum;
 }
 
-/// Turns r (rows) and J (rows x columns, row-major) into r~ and J~.
+/// Replaces r (rows) and J (rows x columns, row-major) by r~ and J~.
 inline void ApplyTriggs(const TriggsCorrection& correction, int rows, int columns, double* residual,
                         double* jacobian) {
   const double squared_norm = SquaredNorm(residual, rows);

@@ -1,7 +1,7 @@
 #pragma once
 
 /// Factors of a graph: priors, positions, relative motions, observed points, and the dense priors
-/// that marginalisation leaves (linear_prior.cpp).
+/// from marginalisation (linear_prior.cpp).
 
 #include <vector>
 
@@ -13,12 +13,12 @@ namespace bundle {
 
 /// Prior on one variable: r = W Log(Z^-1 X), X near Z with information W^T W.
 ///
-/// The manifold may be any; on a Euclidean one r = W (x - z), a prior on a point or on a camera's
-/// parameters. With e = Log(Z^-1 X), Log(Z^-1 X Exp(d)) = e + J_r(e)^-1 d + O(|d|^2), so that
-/// J = W J_r(e)^-1.
+/// The variable may be on any manifold. On a Euclidean one r = W (x - z), a prior on a point or on
+/// a camera's parameters. With e = Log(Z^-1 X), Log(Z^-1 X Exp(d)) = e + J_r(e)^-1 d + O(|d|^2), so
+/// that J = W J_r(e)^-1.
 class PriorFactor final : public Factor {
  public:
-  /// Throws InputError if the value is none of the manifold or the information is not positive
+  /// Throws InputError if the value is not on the manifold or the information is not positive
   /// definite.
   PriorFactor(FactorHead head, const Retraction& retraction, std::vector<double> value,
               std::vector<double> information);
@@ -35,12 +35,12 @@ class PriorFactor final : public Factor {
 ///
 ///   r = (x - z) / sigma,            dr/dx = 1 / sigma,
 ///
-/// or, relative, of its logarithm, so that half and twice the value are as far from it and sigma is
+/// or, if relative, on its logarithm. Then half and twice the value have equal errors, and sigma is
 /// a share (0.02: two percent):
 ///
 ///   r = (log x - log z) / sigma,    dr/dx = 1 / (sigma x).
 ///
-/// The second has a value where x is on the side of zero that z is on.
+/// The relative prior has a value only if x has the same sign as z.
 class ScalarPriorFactor final : public Factor {
  public:
   /// Throws InputError unless `index` is one of the variable's coordinates, the variable Euclidean,
@@ -60,9 +60,9 @@ class ScalarPriorFactor final : public Factor {
 
 /// A measured position of an antenna on a camera: r = W (R^T (a - t) - z).
 ///
-/// (R, t) is the pose cam_from_world, a the lever arm, which is the antenna's place in the frame of
-/// the camera, and z its measured place in the world; for a = 0 it is the camera's centre, -R^T t.
-/// The antenna is at y = X^-1 a. Moving X to X Exp(d), d = (w, v), makes it
+/// (R, t) is the pose cam_from_world. The lever arm a is the antenna's position in the camera's
+/// frame; for a = 0 it is the camera's centre, -R^T t. z is its measured position in the world. The
+/// antenna is at y = X^-1 a. Moving X to X Exp(d), d = (w, v), moves it to
 ///
 ///   Exp(-d) y = y - w x y - v + O(|d|^2),        J = W [ [y]x  -I ].
 class PositionFactor final : public Factor {
@@ -83,9 +83,9 @@ class PositionFactor final : public Factor {
 
 /// A relative measurement of two variables on one manifold: r = W Log(Z^-1 X_i^-1 X_j).
 ///
-/// Z is X_j in the frame of X_i: the error of an edge of a pose graph, with the full logarithm in
-/// SE(2) and SE(3); on Euclidean variables r = W (x_j - x_i - z). Differences of angles are taken
-/// by the logarithm, never beyond pi.
+/// Z measures X_j in the frame of X_i. This is the error of an edge of a pose graph, with the full
+/// logarithm in SE(2) and SE(3). On Euclidean variables r = W (x_j - x_i - z). Differences of
+/// angles are computed by the logarithm and never exceed pi.
 ///
 /// With e = Log(Z^-1 X_i^-1 X_j), moving X_j to X_j Exp(d) multiplies Exp(e) by Exp(d) on the
 /// right. Moving X_i to X_i Exp(d) puts Exp(-d) before X_j, and with B = X_j^-1 X_i
@@ -96,7 +96,7 @@ class PositionFactor final : public Factor {
 class BetweenFactor final : public Factor {
  public:
   /// Measurement between two variables on the same manifold. Throws InputError if the measurement
-  /// is no value of it or the information is not positive definite.
+  /// is not on it or the information is not positive definite.
   BetweenFactor(FactorHead head, const Retraction& retraction, std::vector<double> measurement,
                 std::vector<double> information);
 
@@ -110,11 +110,11 @@ class BetweenFactor final : public Factor {
 
 /// A measured relative pose of two images: r = W Log(Z^-1 X_j X_i^-1).
 ///
-/// X_i and X_j are cam_from_world, so that X_j X_i^-1 is cam_j_from_cam_i, which Z is as measured
-/// and which no motion of the world changes. (A BetweenFactor of them would have the world's motion
-/// from one camera to the other, X_i^-1 X_j.)
+/// X_i and X_j are cam_from_world, so that X_j X_i^-1 is cam_j_from_cam_i. Z measures it, and no
+/// motion of the world changes it. (A BetweenFactor would have the world's motion from one camera
+/// to the other, X_i^-1 X_j.)
 ///
-/// With e = Log(Z^-1 X_j X_i^-1), moving X_j to X_j Exp(d) makes it
+/// With e = Log(Z^-1 X_j X_i^-1), moving X_j to X_j Exp(d) changes the argument to
 ///
 ///   Z^-1 X_j Exp(d) X_i^-1 = Exp(e) X_i Exp(d) X_i^-1 = Exp(e) Exp(Ad_{X_i} d),
 ///
@@ -123,7 +123,7 @@ class BetweenFactor final : public Factor {
 ///   J_j = W J_r(e)^-1 Ad_{X_i},        J_i = -J_j.
 class RelativePoseFactor final : public Factor {
  public:
-  /// Throws InputError if the measurement is no pose or the information (6 x 6) is not positive
+  /// Throws InputError if the measurement is not a pose or the information (6 x 6) is not positive
   /// definite.
   RelativePoseFactor(FactorHead head, std::vector<double> measurement,
                      std::vector<double> information);
@@ -146,7 +146,7 @@ class RelativePoseFactor final : public Factor {
 ///
 ///   dr/dw = dr/du R,        dr/dv = dr/ds R.
 ///
-/// A point behind the camera keeps the residual that the formula gives.
+/// A point behind the camera keeps the residual of the formula.
 class ReprojectionFactor final : public Factor {
  public:
   /// `observation` is x and y in pixels. Throws InputError if it is not finite or the information

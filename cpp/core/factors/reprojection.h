@@ -58,7 +58,7 @@ struct PoseAnchor {
   double rotation[9];    ///< R_a
 };
 
-/// The largest |v| at which derivatives are taken.
+/// Limit of |v| at which derivatives are computed.
 inline constexpr double kMaxChartAngle = M_PI;
 
 /// The pose at (v, t), six numbers, about an anchor with rotation R_a.
@@ -94,7 +94,7 @@ Projection ProjectWorldPoint(const PoseState& pose, const double* params, const 
   return Model::Project(params, camera_point, xy, nullptr, nullptr);
 }
 
-/// True if an observation contributes.
+/// True if an observation counts.
 inline bool Counts(Projection projection, Cheirality cheirality) {
   return projection == Projection::kValid ||
          (projection == Projection::kBeyond && cheirality != Cheirality::kZero) ||

@@ -19,13 +19,13 @@
 ///         |          R_s |            | -[c]x J_s          I |
 ///
 /// An image of the reference sensor has R_s = I, t_s = 0 and no M_s. The fused backend linearises
-/// by the chart of the frame, as it costs no more than that of an image's own pose. There the
-/// sensor moves the image as the frame would by
+/// by the chart of the frame, which costs the same as the chart of an image's own pose. A step of
+/// the sensor then moves the image like a step of the frame multiplied by
 ///
 ///   K = M_f^-1 M_s = | J_f^-1 A         |      with A = R_s^T J_s,
 ///                    | -[t_f]x A   R_s^T|
 ///
-/// for which J_f^-1 exists, as |v| is at most pi where derivatives are taken.
+/// where J_f^-1 exists, because |v| is at most pi where derivatives are computed.
 
 #include <algorithm>
 
@@ -35,7 +35,7 @@
 namespace bundle {
 
 /// Frame and sensor from which an image's pose follows. Both are nullptr if the pose is a variable
-/// of its own. The sensor is nullptr for a reference sensor.
+/// itself. The sensor is nullptr for a reference sensor.
 struct RigPose {
   const PoseState* frame = nullptr;
   const PoseState* sensor = nullptr;
@@ -43,7 +43,7 @@ struct RigPose {
 
 inline constexpr double kIdentity3[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
 
-/// The pose of an image. Its left Jacobian is that of its local coordinates: the identity.
+/// The pose of an image. Its left Jacobian is the one of local coordinates: the identity.
 inline void ComposePose(const RigPose& rig, PoseState* image) {
   std::copy_n(kIdentity3, 9, image->left_jacobian);
   if (rig.sensor == nullptr) {
@@ -56,7 +56,7 @@ inline void ComposePose(const RigPose& rig, PoseState* image) {
   for (int i = 0; i < 3; ++i) image->translation[i] += rig.sensor->translation[i];
 }
 
-/// A row-major 6 x 6 matrix [a b; c d] of 3 x 3 ones; nullptr: zero.
+/// A row-major 6 x 6 matrix [a b; c d] of 3 x 3 blocks; nullptr: zero block.
 inline void JoinBlocks(const double* a, const double* b, const double* c, const double* d,
                        double* out) {
   const double* const blocks[4] = {a, b, c, d};
@@ -100,7 +100,7 @@ inline void FrameMap(const RigPose& rig, double map[36]) {
   JoinBlocks(turned, nullptr, nullptr, rotation, map);
 }
 
-/// A row of six, by local coordinates of an image, to one by the unknowns of a map.
+/// Converts a row of six by local coordinates of an image to a row by the unknowns of a map.
 inline void RowTimesMap(const double* row, const double map[36], double* out) {
   for (int j = 0; j < 6; ++j) {
     out[j] = 0;
@@ -108,7 +108,7 @@ inline void RowTimesMap(const double* row, const double map[36], double* out) {
   }
 }
 
-/// M_s, where there is a sensor.
+/// M_s, if the image has a sensor.
 inline void SensorMap(const RigPose& rig, double map[36]) {
   double lever[3], moved[9];
   MatrixVector3(rig.sensor->rotation, rig.frame->translation, lever);
@@ -116,7 +116,7 @@ inline void SensorMap(const RigPose& rig, double map[36]) {
   JoinBlocks(rig.sensor->left_jacobian, nullptr, moved, kIdentity3, map);
 }
 
-/// K, where there is a sensor.
+/// K, if the image has a sensor.
 inline void SensorByFrameMap(const RigPose& rig, double map[36]) {
   double back[9], a[9], turned[9], moved[9], inverse[9];
   for (int i = 0; i < 9; ++i) back[i] = rig.sensor->rotation[3 * (i % 3) + i / 3];

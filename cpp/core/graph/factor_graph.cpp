@@ -28,7 +28,7 @@ void CheckBounds(const Block& block) {
                      std::to_string(std::min(block.lower.size(), block.upper.size())));
   }
   for (size_t i = 0; i < n; ++i) {
-    // A bound that is no number fails both comparisons.
+    // A NaN bound fails both comparisons.
     if (block.lower[i] <= block.value[i] && block.value[i] <= block.upper[i]) continue;
     throw InputError(block.name + ": expected a start within its bounds, found " +
                      ShortNumber(block.value[i]) + " at [" + std::to_string(i) + "], bounds " +
@@ -132,16 +132,16 @@ using Sparse = Eigen::SparseMatrix<double>;
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using Factorization = Eigen::SimplicialLDLT<Sparse, Eigen::Lower, Eigen::AMDOrdering<int>>;
 
-/// An eigenvalue or a pivot beside the diagonal's 1 below which differences leave fewer than some
-/// ten digits.
+/// Limit for an eigenvalue or a pivot, with a diagonal of 1. Below it, differences leave fewer than
+/// about ten digits.
 constexpr double kLeastCertain = 1e-6;
 
-/// A pivot beside the diagonal's 1 below which it is rounding.
+/// Limit for a pivot, with a diagonal of 1. Below it, a pivot is rounding.
 double SmallestPivot(Eigen::Index n) {
   return 16 * static_cast<double>(n) * std::numeric_limits<double>::epsilon();
 }
 
-/// The columns of J that are eliminated and kept, and the rows that touch any.
+/// The eliminated and the kept columns of J, and the rows that contain any of them.
 struct Split {
   Sparse eliminated, kept;
 };
@@ -181,7 +181,7 @@ Split SplitColumns(const std::vector<int>& kept, const std::vector<Block>& block
   return split;
 }
 
-/// An estimate, from above, of the least eigenvalue of a matrix with a diagonal of ones.
+/// An upper estimate of the smallest eigenvalue of a matrix with a diagonal of ones.
 double SmallestEigenvalue(const Factorization& factorization) {
   constexpr int kSteps = 4;
   Eigen::VectorXd x(factorization.rows());
@@ -196,8 +196,8 @@ double SmallestEigenvalue(const Factorization& factorization) {
   return 1 / inverse;
 }
 
-/// The least eigenvalue of what is left of a matrix, or its least diagonal entry where eigenvalues
-/// take long, once the diagonal before is scaled to ones.
+/// The smallest eigenvalue of the remaining matrix, with the earlier diagonal scaled to ones; its
+/// smallest diagonal entry if eigenvalues would take too long.
 double SmallestLeft(const RowMajor& left, const Eigen::VectorXd& diagonal) {
   constexpr Eigen::Index kMostOfEigenvalues = 300;
   const Eigen::VectorXd scale =
@@ -232,7 +232,7 @@ MarginalInformation MarginalizeOnto(const std::vector<int>& kept, const std::vec
                         factorization.vectorD().minCoeff() > SmallestPivot(m) &&
                         SmallestEigenvalue(factorization) > kLeastCertain;
     if (!result.is_certain) return result;
-    // The columns kept and eta side by side: solved by the same triangle.
+    // The kept columns and eta are solved together, with the same triangle.
     Eigen::MatrixXd sides(m, n + 1);
     sides.leftCols(n) = Eigen::MatrixXd(Sparse(scaled.transpose() * split.kept));
     sides.col(n) = -(scaled.transpose() * residual);

@@ -23,7 +23,7 @@ struct FactorGraph {
 void CheckBlock(const Block& block);
 
 /// Throws InputError, naming factor and variable, if the factor's variables do not exist, are not
-/// different, or are of another manifold than it takes them for.
+/// distinct, or are on another manifold than the factor expects.
 void CheckVariables(const Factor& factor, const std::vector<Block>& blocks);
 
 /// Evaluates the factor at the variables' values. Throws InputError, naming factor and variable,
@@ -39,11 +39,11 @@ void CheckEvaluation(const Factor& factor, const std::vector<Block>& blocks);
 /// - a residual or Jacobian without a finite value.
 void ValidateGraph(const FactorGraph& graph);
 
-/// One pointer a variable of the factor.
+/// One pointer per variable of the factor.
 std::vector<const double*> ValuesOf(const Factor& factor, const std::vector<Block>& blocks);
 
-/// A graph linearised at its values: r(x + d) ~ r + J d over all tangent coordinates, held or not,
-/// the variables one after the other. With losses r and J are those that a solver sees.
+/// A graph linearised at its values: r(x + d) ~ r + J d over all tangent coordinates, free or
+/// constant, the variables one after the other. With losses, r and J are the corrected ones.
 struct LinearizedGraph {
   double cost = 0;  ///< 1/2 sum rho(||r||^2)
   std::vector<double> residual;
@@ -53,7 +53,7 @@ struct LinearizedGraph {
   std::vector<double> values;
 };
 
-/// The information that a linearised graph holds of some of its variables.
+/// The information of a linearised graph on some of its variables.
 ///
 /// The graph's cost is 1/2 d^T Lambda d - eta^T d + const with Lambda = J^T J and eta = -J^T r. Let
 /// a be the eliminated and b the kept coordinates. Minimising over d_a leaves the Schur complement
@@ -61,18 +61,19 @@ struct LinearizedGraph {
 ///   Lambda' = Lambda_bb - Lambda_ba Lambda_aa^-1 Lambda_ab,
 ///   eta'    = eta_b - Lambda_ba Lambda_aa^-1 eta_a,
 ///
-/// for which one sparse factorisation serves, P (S Lambda_aa S) P^T = L D L^T with S a diagonal
-/// that gives Lambda_aa a unit one: with Y = D^(-1/2) L^-1 P S Lambda_ab and y likewise of eta_a,
+/// which takes one sparse factorisation, P (S Lambda_aa S) P^T = L D L^T, with S a diagonal matrix
+/// that scales the diagonal of Lambda_aa to 1. With Y = D^(-1/2) L^-1 P S Lambda_ab and y likewise
+/// from eta_a,
 ///
 ///   Lambda' = Lambda_bb - Y^T Y,        eta' = eta_b - Y^T y.
 ///
-/// Lambda' is symmetric to the last bit. If the graph has no information along a direction of b,
-/// nor has Lambda' (up to rounding).
+/// Lambda' is exactly symmetric. If the graph has no information along a direction of b, neither
+/// has Lambda' (up to rounding).
 struct MarginalInformation {
   std::vector<double> lambda;  ///< n x n, row-major, symmetric
   std::vector<double> eta;     ///< n
-  /// False where the differences above leave too few digits; Lambda' may then be empty, or even
-  /// indefinite. solver/marginal_by_root.h has the way out.
+  /// False if the differences above leave too few digits. Lambda' may then be empty, or even
+  /// indefinite; solver/marginal_by_root.h handles this case.
   bool is_certain = true;
 };
 

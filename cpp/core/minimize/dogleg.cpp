@@ -2,13 +2,13 @@
 
 #include "core/minimize/strategy.h"
 
-/// The radius R bounds ||D d||. It is halved by a rejected step and by one of a quality below 1/4,
-/// and becomes at least three times the length of a step of a quality above 3/4. The directions
-/// depend on x alone: a rejected step costs one more candidate and no solution of the normal
-/// equations.
+/// The radius R bounds ||D d||. It is halved by a rejected step and by a step with a quality below
+/// 1/4. After a step with a quality above 3/4, it becomes at least three times the step's length.
+/// The directions depend on x alone: a rejected step costs one more candidate and no solution of
+/// the normal equations.
 ///
-/// Damping is there for normal equations that are nearly singular, and independent of R: 1e-8, ten
-/// times more after a failure or an invalid step, up to 1; a fifth after each accepted step.
+/// The damping is only for nearly singular normal equations and is independent of R. It is 1e-8,
+/// ten times more after a failure or an invalid step, up to 1; a fifth after each accepted step.
 
 #include <algorithm>
 #include <cmath>
@@ -22,7 +22,7 @@ constexpr double kMaxDamping = 1;
 constexpr double kDampingFactor = 10;
 constexpr double kPoorQuality = 0.25;
 constexpr double kGoodQuality = 0.75;
-constexpr double kExactly = 0;  // the forcing term: a path needs the whole Newton direction
+constexpr double kExactly = 0;  // the forcing term: a path needs the exact Newton direction
 
 }  // namespace
 
@@ -38,7 +38,7 @@ Step Dogleg::ComputeStep(LeastSquares* problem) {
 
 void Dogleg::FindDirections(LeastSquares* problem, Step* step) {
   step->status = LinearStatus::kFailure;
-  step->num_iterations = -1;  // as Ceres has it where even the largest damping has failed before
+  step->num_iterations = -1;  // as in Ceres, if even the largest damping has already failed
   while (damping_ < kMaxDamping && step->status == LinearStatus::kFailure) {
     if (damping_has_changed_) problem->Linearize(damping_);
     damping_has_changed_ = false;
@@ -73,8 +73,8 @@ void Dogleg::StepIsInvalid() {
   directions_are_known_ = false;
 }
 
-/// Both doglegs in two dimensions. Every step is d = a p + b q, so that its length and what the
-/// model m(d) = (J^T r)^T d + 1/2 d^T J^T J d makes of it need the inner products of p and q only.
+/// Both doglegs in two dimensions. Every step is d = a p + b q, so that its length and the value of
+/// the model m(d) = (J^T r)^T d + 1/2 d^T J^T J d depend only on the inner products of p and q.
 /// Write <u, v> = u^T D^2 v and [u, v] = u^T J^T J v:
 ///
 ///   ||D d||^2 = a^2 <p,p> + 2 a b <p,q> + b^2 <q,q>,
@@ -83,7 +83,7 @@ void Dogleg::StepIsInvalid() {
 /// the linear term because p = D^-2 J^T r makes (J^T r)^T d = <p, d>. Ceres keeps D p and D q as
 /// vectors, its gradient_ and gauss_newton_step_.
 ///
-/// Newton step. If <q,q> <= R^2 it is inside the radius and taken whole, by both.
+/// Newton step. If <q,q> <= R^2 it is inside the radius, and both methods take it unchanged.
 ///
 /// Cauchy point. Along -p the model is -t <p,p> + 1/2 t^2 [p,p], with its minimum at
 /// t = alpha = <p,p> / [p,p].
@@ -93,8 +93,8 @@ void Dogleg::StepIsInvalid() {
 ///
 ///   beta^2 <q-c,q-c> + 2 beta <c,q-c> + <c,c> - R^2 = 0,
 ///
-/// whose positive root is written such that nothing cancels where <c,q-c> >= 0. But for the damping
-/// in q that is always so, by Kantorovich's inequality: the path leads outwards.
+/// whose positive root is written such that nothing cancels if <c,q-c> >= 0. Without damping in q,
+/// this is always true by Kantorovich's inequality: the path leads outwards.
 ///
 /// Subspace dogleg. In the orthonormal basis (of D-lengths)
 ///
@@ -111,22 +111,22 @@ void Dogleg::StepIsInvalid() {
 ///   det = (A + z) (C + z) - B^2,                       x^2 + y^2 = R^2.
 ///
 /// Ceres multiplies the last equation out, to a quartic polynomial in z, and tries all four roots.
-/// The curvature being positive semidefinite, there is but one z > 0, and it is the minimum's.
-/// Write w = (C + z, -B), so that the length is n = P ||w|| / det. 1/n is concave and increasing in
-/// z (J. J. More, D. C. Sorensen: Computing a Trust Region Step, 1983): Newton's method for 1/n =
-/// 1/R, started left of the solution, converges to it from the left. Its step is
+/// Because the curvature is positive semidefinite, there is only one z > 0, and it belongs to the
+/// minimum. Write w = (C + z, -B), so that the length is n = P ||w|| / det. 1/n is concave and
+/// increasing in z (J. J. More, D. C. Sorensen: Computing a Trust Region Step, 1983). So Newton's
+/// method for 1/n = 1/R, started left of the solution, converges to it from the left. Its step is
 ///
 ///   z += (n - R) / R * (x, y)^2 / ((x, y) M^-1 (x, y)),     M = [[A + z, B], [B, C + z]],
 ///      = (P ||w|| / R - det) ||w||^2 / (w^T adj(M) w),
 ///
-/// the determinant multiplied out: M may be singular at z = 0. Left of the solution lies
-/// max(0, P / R - e), e the larger eigenvalue of the curvature, since n >= P / (e + z); that is
-/// above zero where w is zero at z = 0.
+/// with the determinant multiplied out, because M may be singular at z = 0. A start left of the
+/// solution is max(0, P / R - e), with e the larger eigenvalue of the curvature, since n >= P / (e
+/// + z). It is positive if w is zero at z = 0.
 ///
-/// The products give the sine of the angle between p and q to half of the digits only. Below that,
-/// p and q count as parallel and the step goes along -p: the angle between -p and (x, y), whose
-/// tangent is B / (C + z), only falls from the Newton step to z, so that the error is below half of
-/// the digits as well.
+/// The products give the sine of the angle between p and q only to half of the digits. Below that,
+/// p and q count as parallel and the step goes along -p. The angle between -p and (x, y), whose
+/// tangent is B / (C + z), only decreases from the Newton step to z. So this error is also below
+/// half of the digits.
 
 namespace {
 

@@ -13,14 +13,14 @@ struct Combination {
   double length = 0;  ///< ||D d||
 };
 
-/// End of the path from x to the minimum of the model along the gradient and on to the Newton step,
-/// or the point where the path leaves the radius.
+/// End of the path from x to the minimum of the model along the gradient and then to the Newton
+/// step, or the point where the path leaves the radius.
 Combination TraditionalDogleg(const DoglegProducts& products, double radius);
 
 /// The minimum of the model among all combinations within the radius.
 Combination SubspaceDogleg(const DoglegProducts& products, double radius);
 
-/// Powell's dogleg: the Newton step within the radius, bent towards the gradient.
+/// Powell's dogleg: the Newton step, limited by the radius and bent towards the gradient.
 class Dogleg final : public Strategy {
  public:
   /// Finds the best combination of the two directions within a radius.
@@ -44,7 +44,7 @@ class Dogleg final : public Strategy {
   const Path path_;
   double radius_;
   double damping_ = kMinDamping;
-  bool damping_has_changed_ = false;  ///< since the linearisation
+  bool damping_has_changed_ = false;  ///< since the last linearisation
   bool directions_are_known_ = false;
   DoglegProducts products_;
   double length_ = 0;  ///< ||D d|| of the last step d

@@ -1,12 +1,13 @@
 #pragma once
 
-/// Interface of a least-squares problem to a trust region: f(x) = 1/2 sum rho(||r_i(x)||^2), in
-/// passes over all residuals. The problem keeps the state x, a candidate next to it, and the two
-/// directions that every step is made of; the trust region sees numbers only.
+/// Interface of a least-squares problem for a trust region method: f(x) = 1/2 sum
+/// rho(||r_i(x)||^2), in passes over all residuals. The problem stores the state x, a candidate,
+/// and the two directions that are combined to every step. The trust region method only sees
+/// scalars.
 ///
 /// J and r are corrected for the loss (factors/loss.h). s_j = 1 / (1 + ||J e_j||) at the first
-/// linearisation is the Jacobi scaling of column j, which stays for the whole solve. With
-/// c_j = ||J e_j||^2 at x, the trust region measures steps in units of D^-1,
+/// linearisation is the Jacobi scaling of column j, which is constant during a solve. With c_j =
+/// ||J e_j||^2 at x, the trust region method measures steps in units of D^-1,
 ///
 ///   D_j^2 = clamp(s_j^2 c_j, min_diagonal, max_diagonal) / s_j^2,
 ///
@@ -16,12 +17,11 @@
 ///   Newton direction     q: (J^T J + damping D^2) q = -J^T r.
 ///
 /// A problem may have a held cost, which is constant near a state but may differ between states. It
-/// is added to the cost when a step is judged, and nowhere else (derived in
-/// factors/reprojection.h).
+/// is added to the cost only when a step is judged (derived in factors/reprojection.h).
 ///
-/// A problem may have bounds on coordinates of x. Its candidates are then P(x + d), P moving each
-/// coordinate to the nearest value within its bounds; both directions disregard them. x itself is
-/// within them.
+/// A problem may have bounds on coordinates of x. Its candidates are then P(x + d), where P moves
+/// each coordinate to the nearest value within its bounds. Both directions ignore the bounds. x
+/// itself satisfies them.
 
 #include <string>
 
@@ -43,8 +43,8 @@ struct NewtonResult {
   std::string message;
 };
 
-/// Inner products of the two directions. Those with J^T r are among them: p^T J^T r = d_pp and
-/// q^T J^T r = d_pq.
+/// Inner products of the two directions. They include those with J^T r: p^T J^T r = d_pp and q^T
+/// J^T r = d_pq.
 struct DoglegProducts {
   double d_pp = 0, d_pq = 0, d_qq = 0;  ///< p^T D^2 p and so on
   double j_pp = 0, j_pq = 0, j_qq = 0;  ///< p^T J^T J p and so on
@@ -53,15 +53,15 @@ struct DoglegProducts {
 struct Candidate {
   double model_cost_change = 0;  ///< -(J d)^T (r + J d / 2) for the step d
   double step_norm = 0;          ///< ||d||; with bounds ||P(x + d) - x||
-  double cost = 0;               ///< at the candidate; not finite where a residual is not
+  double cost = 0;               ///< at the candidate; not finite if a residual is not finite
   double held_cost = 0;          ///< at the candidate
-  /// Other residuals than at x count, so that the model is of another function.
+  /// True if other residuals count than at x, so that the model belongs to another function.
   bool changes_what_counts = false;
-  /// Bound on the effect of the order of summation on the difference of costs, with a margin. 0:
-  /// the difference is the same in all orders that occur.
+  /// Bound on the effect of the summation order on the difference of costs, with a margin. 0: the
+  /// difference is the same for all orders that occur.
   double cost_uncertainty = 0;
-  bool has_factors = false;  ///< beside the observations
-  /// Largest change of the cost of one kind of these, relative to its own cost.
+  bool has_factors = false;  ///< factors other than observations
+  /// Largest change of the cost of one kind of these factors, relative to its own cost.
   double factors_change = 0;
 };
 
@@ -75,33 +75,34 @@ class LeastSquares {
  public:
   virtual ~LeastSquares() = default;
 
-  /// Cost and gradient at x, and the normal equations with `damping` eliminated as far as
-  /// SolveNewton needs them. Called again at the same x when only the damping changed.
+  /// Computes cost and gradient at x, and the normal equations with `damping`, eliminated as far as
+  /// SolveNewton needs them. Called again at the same x if only the damping changed.
   virtual Linearization Linearize(double damping) = 0;
 
-  /// Finds q. `eta`: forcing term for iterative solvers.
+  /// Computes q. `eta`: forcing term for iterative solvers.
   virtual NewtonResult SolveNewton(double eta) = 0;
 
-  /// The candidate x + q: the step of LevenbergMarquardt.
+  /// Evaluates the candidate x + q: the step of LevenbergMarquardt.
   virtual Candidate EvaluateNewtonStep() = 0;
 
-  /// Products of p and q after SolveNewton; for doglegs only.
+  /// Products of p and q; call after SolveNewton, for doglegs only.
   virtual DoglegProducts Products() = 0;
 
-  /// The candidate x + a p + b q, after Products; again for another a and b after a rejected step.
+  /// Evaluates the candidate x + a p + b q. Call after Products, and again with other a and b after
+  /// a rejected step.
   virtual Candidate EvaluateDoglegStep(double a, double b) = 0;
 
-  /// Swaps x and the last candidate. A second call takes the first back.
+  /// Swaps x and the last candidate. A second call undoes the first.
   virtual void Accept() = 0;
 
-  /// ||x|| over all that is refined.
+  /// ||x|| over all refined parameters.
   virtual double StateNorm() const = 0;
 
-  /// True where a coordinate has a bound. The three passes below are for such problems, along the d
-  /// of the last EvaluateNewtonStep or EvaluateDoglegStep.
+  /// True if a coordinate has a bound. The three passes below are for such problems, along the d of
+  /// the last EvaluateNewtonStep or EvaluateDoglegStep.
   virtual bool HasBounds() const { return false; }
   virtual StepLine LineAlongStep() { return {}; }
-  /// The candidate P(x + a d); without its model cost change.
+  /// Evaluates the candidate P(x + a d), without its model cost change.
   virtual Candidate EvaluateAlongStep(double /*a*/) { return {}; }
   /// d^T J^T r at the last candidate.
   virtual double SlopeAtCandidate() { return 0; }

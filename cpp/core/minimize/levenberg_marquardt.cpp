@@ -3,14 +3,14 @@
 #include "core/minimize/strategy.h"
 
 /// Levenberg-Marquardt: the step is q with damping 1 / R. R is called the radius, although D q may
-/// be longer. An accepted step of quality t (actual decrease over predicted decrease) makes
+/// be longer. An accepted step of quality t (actual decrease over predicted decrease) sets
 ///
 ///   R = R / max(1/3, 1 - (2 t - 1)^3),
 ///
-/// three times R if the model was right, R if it predicted twice the actual decrease, about half of
-/// R if there was hardly any decrease. Rejected and invalid steps divide R by 2, 4, 8, ... until
-/// one is accepted. (K. Madsen, H. B. Nielsen, O. Tingleff: Methods for Non-Linear Least Squares
-/// Problems, 2004, with Ceres' inverted damping.)
+/// three times R if the model was right, R if it predicted twice the actual decrease, and about
+/// half of R if there was hardly any decrease. Rejected and invalid steps divide R by 2, 4, 8, ...
+/// until a step is accepted. (K. Madsen, H. B. Nielsen, O. Tingleff: Methods for Non-Linear Least
+/// Squares Problems, 2004, with Ceres' inverted damping.)
 
 #include <algorithm>
 #include <cmath>

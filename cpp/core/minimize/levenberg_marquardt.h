@@ -22,7 +22,7 @@ class LevenbergMarquardt final : public Strategy {
  private:
   double radius_;
   double decrease_factor_ = 2;
-  bool damping_has_changed_ = false;  ///< since the linearisation
+  bool damping_has_changed_ = false;  ///< since the last linearisation
 };
 
 }  // namespace bundle

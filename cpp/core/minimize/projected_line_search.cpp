@@ -1,24 +1,24 @@
 #include "core/minimize/projected_line_search.h"
 
-/// A step d that disregards the bounds leads to P(x + d), with P the projection onto them. The
-/// model of the cost does not include the projection, so that P(x + d) may have a higher cost than
+/// A step d that ignores the bounds leads to P(x + d), with P the projection onto them. The model
+/// of the cost does not include the projection, so that P(x + d) may have a higher cost than
 /// predicted. The search goes back along the path
 ///
 ///   phi(a) = f(P(x + a d)),  a <= 1,
 ///
 /// to the first a with phi(a) <= f(x) + 1e-4 a s, s = d^T J^T r at x (Armijo's condition). The next
-/// a is the minimum, between a/1000 and 0.6 a, of the polynomial through phi(0), phi at the last a
-/// and at the one before, and their slopes: of degree 3, from the second search step on of degree
-/// 5. Where phi(a) is not finite, the next is a/2. It gives up, and the whole step counts, after 20
-/// values or where a ||d||_inf < 1e-9.
+/// a is the minimum, between a/1000 and 0.6 a, of a polynomial. It interpolates phi(0), phi at the
+/// last two values of a, and their slopes: of degree 3, from the second search step on of degree 5.
+/// If phi(a) is not finite, the next value is a/2. The search gives up, and the full step is used,
+/// after 20 values or if a ||d||_inf < 1e-9.
 ///
 /// This is ceres::internal::TrustRegionMinimizer::DoLineSearch, with its conventions:
 ///
 /// * The slope at a is d^T J^T r at P(x + a d), with the d from before the projection.
-/// * The quality of a shortened step is measured by the model cost change of the whole one.
+/// * The quality of a shortened step is measured by the model cost change of the full step.
 ///
-/// Ceres searches along every step. Where the trust region would accept d, the search ends at a = 1
-/// (so that ours is for the other steps only, and costs nothing in most iterations). Neither
+/// Ceres searches along every step. If the trust region would accept d, the search ends at a = 1.
+/// So the search here is only for the other steps, and costs nothing in most iterations. Neither
 /// strategy goes beyond the minimum of the model m(t) = t s + t^2 c / 2 along its own step, so that
 /// -s / c >= 1, and the model cost change -s - c / 2 is at least -s / 2. An accepted step lowers
 /// the cost by more than a thousandth of that: by more than 1e-4 (-s).
@@ -104,8 +104,8 @@ std::vector<double> SignChanges(const Polynomial& polynomial, double low, double
   return changes;
 }
 
-/// Minimum of a polynomial in [low, high]: at an end or at a root of its derivative. The middle if
-/// its values are NaN.
+/// Minimum of a polynomial in [low, high]: at an end or at a root of its derivative. Returns the
+/// middle if its values are NaN.
 double Minimum(const Polynomial& polynomial, double low, double high) {
   std::vector<double> candidates = SignChanges(Derivative(polynomial), low, high);
   candidates.push_back(low);

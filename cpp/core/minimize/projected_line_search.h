@@ -8,9 +8,9 @@ namespace bundle {
 
 /// Shortens a step whose projection onto the bounds does not lower the cost enough.
 ///
-/// `cost` is that at x, held cost included. `candidate` is the candidate of the whole step. If a
-/// shorter step was found, it becomes the candidate of that step, with the model cost change of the
-/// whole step; the candidate of `problem` is then the same.
+/// `cost` is the cost at x, held cost included. `candidate` is the candidate of the full step. If a
+/// shorter step was found, `candidate` becomes the candidate of that step, with the model cost
+/// change of the full step. The candidate of `problem` is then the same.
 void SearchAlongStep(double cost, LeastSquares* problem, Candidate* candidate);
 
 }  // namespace bundle

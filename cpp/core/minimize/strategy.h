@@ -1,6 +1,6 @@
 #pragma once
 
-/// Strategies: how a trust region finds a step for its radius, and the next radius.
+/// Strategies: computation of a step for the current radius, and of the next radius.
 
 #include <string>
 
@@ -13,7 +13,7 @@ struct Step {
   LinearStatus status = LinearStatus::kSuccess;
   int num_iterations = 0;  ///< iterations of the linear solver; 0 if it did not run
   std::string message;
-  Candidate candidate;  ///< where `status` is kSuccess
+  Candidate candidate;  ///< valid if `status` is kSuccess
 };
 
 class Strategy {
@@ -27,16 +27,16 @@ class Strategy {
   /// Linearises again if a failed step requires another damping.
   virtual Step ComputeStep(LeastSquares* problem) = 0;
 
-  /// One of these follows each ComputeStep. `quality`: actual decrease over predicted decrease.
+  /// Call one of these after each ComputeStep. `quality`: actual decrease over predicted decrease.
   virtual void StepAccepted(double quality) = 0;
   virtual void StepRejected() = 0;
-  /// There was no step, or one without a predicted decrease.
+  /// For a missing step, or a step without a predicted decrease.
   virtual void StepIsInvalid() = 0;
 
   virtual double Radius() const = 0;
 
-  /// Removes nearly all damping from the following steps, beginning at this x. False if there was
-  /// hardly any.
+  /// Removes nearly all damping from the following steps, beginning at this x. False if the damping
+  /// was already that small.
   virtual bool Widen() { return false; }
 };
 

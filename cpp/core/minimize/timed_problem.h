@@ -1,6 +1,6 @@
 #pragma once
 
-/// Part of trust_region.cpp, which alone includes it.
+/// Included only by trust_region.cpp.
 
 #include <chrono>
 
@@ -59,7 +59,7 @@ class TimedProblem final : public LeastSquares {
  private:
   using Clock = std::chrono::steady_clock;
 
-  /// Adds the seconds that it lives.
+  /// Adds the seconds of its lifetime.
   class Timer {
    public:
     explicit Timer(double* seconds) : seconds_(seconds) {}

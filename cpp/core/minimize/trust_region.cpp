@@ -1,8 +1,8 @@
 #include "core/minimize/trust_region.h"
 
 /// The outer loop of a trust region method: a step that lowers the cost by more than a thousandth
-/// of the predicted decrease is taken; any other step shrinks the trust region. The order of
-/// everything is that of ceres::internal::TrustRegionMinimizer, for monotonic steps, and so are the
+/// of the predicted decrease is taken; any other step shrinks the trust region. The order of all
+/// operations is that of ceres::internal::TrustRegionMinimizer, for monotonic steps. So are the
 /// conventions:
 ///
 /// * The start is iteration 0 and counts as a successful step.
@@ -14,7 +14,7 @@
 ///   candidate whose cost is not finite costs DBL_MAX. That of an invalid step has the cost at x,
 ///   and zeros. The radius in a record is that of the next step.
 ///
-/// One thing is not Ceres': factors beside the observations settle (interface/settling.h).
+/// One difference from Ceres: factors other than observations settle (interface/settling.h).
 
 #include <algorithm>
 #include <array>
@@ -37,7 +37,7 @@
 namespace bundle {
 namespace {
 
-// Ceres' defaults, but for the third: ceres/translate_options.cpp says why.
+// Ceres' defaults, except for the third: see ceres/translate_options.cpp.
 constexpr double kMinRelativeDecrease = 1e-3;
 constexpr double kMinRadius = 1e-32;
 constexpr int kMaxConsecutiveInvalidSteps = 10;
@@ -59,7 +59,7 @@ double RoundTo(double spacing, double value) {
   return unit * std::round(value / unit);
 }
 
-/// "VALUE <= BOUND", as Ceres' messages have it.
+/// "VALUE <= BOUND", as in Ceres' messages.
 std::string AtMost(double value, double bound) {
   std::array<char, 64> text;
   std::snprintf(text.data(), text.size(), "%e <= %e", value, bound);
@@ -116,7 +116,7 @@ class TrustRegion {
     return true;
   }
 
-  /// Records the iteration; true if another is to follow.
+  /// Records the iteration; true if another one follows.
   bool FinishIteration() {
     ++(record_.step_is_successful ? minimum_.num_successful_steps
                                   : minimum_.num_unsuccessful_steps);
@@ -128,11 +128,11 @@ class TrustRegion {
            !GradientToleranceReached() && !MinRadiusReached();
   }
 
-  /// Tries a step; true if there is an iteration to record.
+  /// Tests a step; true if there is an iteration to record.
   bool Iterate() {
     try {
       return TryStep();
-    } catch (const Interrupted&) {  // before a step was taken: x is the best state
+    } catch (const Interrupted&) {  // no step was taken yet: x is the best state
       minimum_.interrupted = true;
       return TerminateByUser();
     }
@@ -208,7 +208,7 @@ class TrustRegion {
         problem_.Accept();
         return Terminate("FAILURE", "Residual and Jacobian evaluation failed.");
       }
-    } catch (const Interrupted&) {  // the step stays; its record has the gradient of before
+    } catch (const Interrupted&) {  // the step was taken; its record has the previous gradient
       minimum_.interrupted = true;
       return true;
     }
@@ -226,7 +226,7 @@ class TrustRegion {
     return true;
   }
 
-  /// Both parts are differences of numbers of one size; what is held hardly changes.
+  /// Both parts are differences of numbers of similar size; the held cost hardly changes.
   static double Decrease(const Costs& from, const Candidate& to) {
     return (from.cost - to.cost) + (from.held - to.held_cost);
   }
@@ -236,8 +236,8 @@ class TrustRegion {
     return Decrease(current_, candidate) / candidate.model_cost_change;
   }
 
-  /// The digits of a step's quality that do not depend on the order of sums: with the others, the
-  /// next radius would, and all that follows from it.
+  /// The digits of a step's quality that do not depend on the order of summation. With the other
+  /// digits, the next radius and all further results would depend on it.
   double CertainQuality(const Candidate& candidate) const {
     return RoundTo(candidate.cost_uncertainty / candidate.model_cost_change,
                    record_.relative_decrease);
@@ -305,10 +305,10 @@ class TrustRegion {
                     AtMost(std::abs(record_.cost_change) / x_.cost, options_.function_tolerance));
   }
 
-  /// True, to be returned by a test of convergence.
+  /// Returns true, for a test of convergence.
   bool Converge(std::string message) { return !Terminate("CONVERGENCE", std::move(message)); }
 
-  /// False, to be returned by what cannot go on.
+  /// Returns false, for a solve that cannot continue.
   bool Terminate(const char* type, std::string message) {
     minimum_.termination_type = type;
     minimum_.message = std::move(message);
@@ -325,10 +325,10 @@ class TrustRegion {
   IterationRecord record_;
   double seconds_before_ = 0;
   Costs x_;        ///< costs of the linearisation at x
-  Costs current_;  ///< at x too, as the candidate's: what a decrease is measured from
+  Costs current_;  ///< also at x, by the candidate's evaluation; the reference for decreases
   bool has_succeeded_ = false;
-  bool is_settling_ = false;          ///< met a tolerance, with factors beside the observations
-  bool factors_are_settled_ = false;  ///< by the step that was taken last
+  bool is_settling_ = false;          ///< met a tolerance, with factors other than observations
+  bool factors_are_settled_ = false;  ///< by the last step taken
   int num_consecutive_invalid_steps_ = 0;
 };
 

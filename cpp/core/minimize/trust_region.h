@@ -21,18 +21,19 @@ struct MinimizerSummary {
   int num_linear_solves = 0;
   int num_linearizations = 0;
   int num_candidates = 0;
-  double linearization_time_in_seconds = 0;  ///< Linearize
-  double solve_time_in_seconds = 0;          ///< SolveNewton
-  double candidate_time_in_seconds = 0;      ///< all passes that evaluate steps
-  std::vector<IterationRecord> iterations;   ///< costs without `fixed_cost` of the problem
+  double linearization_time_in_seconds = 0;  ///< time of Linearize
+  double solve_time_in_seconds = 0;          ///< time of SolveNewton
+  double candidate_time_in_seconds = 0;      ///< time of all passes that evaluate steps
+  std::vector<IterationRecord> iterations;   ///< costs do not include the problem's `fixed_cost`
 };
 
 /// Minimises as ceres::internal::TrustRegionMinimizer does, step by step: same strategies, same
-/// radius, same three stopping tests. The state of `problem` is the best one at the end.
+/// radius, same three stopping tests. At the end, the state of `problem` is the best one.
 ///
-/// `before`: the summary that led to the state of `problem`, if this continues from there because
-/// other residuals count now. Everything restarts, but the iterations continue those of `before`
-/// (the first is the evaluation of the state), and `options` are for all of them.
+/// `before`: the summary of the solve that led to the state of `problem`, if this continues from
+/// there because other residuals count now. Everything restarts, but the iterations continue those
+/// of `before` (the first is the evaluation of the state), and `options` limit all of them
+/// together.
 MinimizerSummary Minimize(const SolveOptions& options, const ProgressCallback& progress,
                           LeastSquares* problem, MinimizerSummary before = {});
 

@@ -5,8 +5,9 @@
 namespace bundle {
 namespace {
 
-/// METIS takes some ten microseconds a pose and saves a third of the flops at best: below so many
-/// flops a pose with AMD it costs more than the few factorisations of a solve.
+/// METIS takes some ten microseconds per pose and saves at most a third of the flops. With fewer
+/// flops per pose with AMD than this, METIS costs more than it saves in the few factorisations of a
+/// solve.
 constexpr double kFlopsWorthMetis = 1e4;
 
 FillOrdering FindOrdering(const BlockStructure& structure, const std::string& ordering) {

@@ -12,14 +12,14 @@
 namespace bundle {
 
 struct EdgePattern {
-  BlockStructure structure;   ///< a block a free pose, in the order of the elimination
-  FillOrdering ordering;      ///< cost of the elimination; `order` is by free poses
+  BlockStructure structure;   ///< one block per free pose, in the order of the elimination
+  FillOrdering ordering;      ///< cost of the elimination; `order` refers to free poses
   std::vector<int> block_of;  ///< block per pose; -1: the pose is constant
   std::vector<int> pose_of;   ///< pose per block
 };
 
-/// `ordering`: "auto" for AMD's or, where a factorisation takes long, the cheapest; "natural",
-/// "amd" or "metis".
+/// `ordering`: "natural", "amd", "metis", or "auto". "auto" is AMD or, if a factorisation takes
+/// long, the cheapest ordering.
 EdgePattern PatternOfEdges(const PoseGraph& graph, int block_size, const std::string& ordering);
 
 }  // namespace bundle

@@ -15,20 +15,21 @@
 
 /// Chordal relaxation (Martinec and Pajdla, Robust rotation and translation estimation in multiview
 /// reconstruction, 2007; Carlone, Tron, Daniilidis, Dellaert, Initialization techniques for 3D
-/// SLAM, 2015). First the rotations, of which the distance along the chord is linear:
+/// SLAM, 2015). The first stage computes the rotations, with the chordal distance, which is linear:
 ///
 ///   minimise  sum k_ij || R_j - R_i Z_ij ||_F^2     over all d x d matrices R,
 ///
-/// k_ij the mean of the information's diagonal over the rotation; each R is then replaced by the
-/// nearest rotation. A row x of R and its neighbour's obey x_j = Z^T x_i, whatever the row: one
-/// factorisation with blocks of d serves all d rows. Then the translations at these rotations:
+/// with k_ij the mean of the information's diagonal over the rotation. Each R is then replaced by
+/// the nearest rotation. A row x of R and the same row of its neighbour satisfy x_j = Z^T x_i: one
+/// factorisation with blocks of d is enough for all d rows. The second stage computes the
+/// translations at these rotations:
 ///
 ///   minimise  sum || Z_R^T (R_i^T (t_j - t_i) - z_t) ||^2_Omega_tt,
 ///
-/// Omega_tt the information of the translation, which stands in the frame of M (relative_pose.h).
+/// with Omega_tt the information of the translation, in the frame of M (relative_pose.h).
 ///
-/// Edges whose information of the rotation is zero would leave a rotation undetermined: a billionth
-/// of the mean weight is added to every diagonal.
+/// Edges without information on the rotation would leave a rotation undetermined. So a billionth of
+/// the mean weight is added to every diagonal.
 
 namespace bundle {
 namespace {
@@ -48,8 +49,8 @@ const double* TranslationOf(int dimension, const double* pose) {
   return dimension == 3 ? pose + 4 : pose;
 }
 
-/// Sets the rotation of a pose to the one nearest to a matrix: that which maximises tr(R^T M). Of a
-/// quaternion q = (v, s), R = (s^2 - v^T v) I + 2 v v^T + 2 s [v]x, so tr(R^T M) = q^T K q with
+/// Sets the rotation of a pose to the rotation nearest to a matrix, which maximises tr(R^T M). For
+/// a quaternion q = (v, s), R = (s^2 - v^T v) I + 2 v v^T + 2 s [v]x, so tr(R^T M) = q^T K q with
 ///
 ///   K = [ M + M^T - tr(M) I   a     ]
 ///       [ a^T                 tr(M) ],      a = (M_21 - M_12, M_02 - M_20, M_10 - M_01)
@@ -74,7 +75,7 @@ void SetNearestRotation(int dimension, const double* m, double* pose) {
   for (int i = 0; i < 4; ++i) pose[i] = eigen.vectors(i, 3);
 }
 
-/// The linear least-squares problem of one stage: a block of d unknowns a free pose, some
+/// The linear least-squares problem of one stage: a block of d unknowns per free pose, and several
 /// right-hand sides.
 class ChordalStage {
  public:
@@ -183,7 +184,7 @@ class Chordal {
     return edge;
   }
 
-  /// The mean of the rotation's diagonal: the rotation comes first in space, last in the plane.
+  /// The mean of the diagonal for the rotation, which comes first in space and last in the plane.
   double RotationWeight(const double* information) const {
     if (d_ == 2) return information[8];
     return (information[0] + information[7] + information[14]) / 3;
@@ -215,7 +216,7 @@ class Chordal {
     }
   }
 
-  /// x_j = Z^T x_i where one of the two is held.
+  /// x_j = Z^T x_i if one of the two is constant.
   void AddKnownRotation(const ChordalEdge& edge, double weight, ChordalStage* stage) const {
     const int i = stage->BlockOf(edge.i), j = stage->BlockOf(edge.j);
     double known[9];

@@ -7,8 +7,8 @@
 ///
 ///   H_jj += N,      H_ij -= Ad^T N,      H_ii += Ad^T N Ad,      g_j += n,      g_i -= Ad^T n,
 ///
-/// which takes three products of matrices in place of five. A loss multiplies all of it by rho'
-/// (factors/loss.h: no loss at hand has rho'' > 0).
+/// which takes three matrix products instead of five. A loss multiplies all terms by rho'
+/// (factors/loss.h: no available loss has rho'' > 0).
 
 #include <cstdint>
 
@@ -18,7 +18,7 @@
 
 namespace bundle {
 
-/// m <- U m of kColumns columns, row-major, in place.
+/// m <- U m for kColumns columns, row-major, in place.
 template <int kSize, int kColumns>
 void ApplyRoot(const double* root, double* m) {
   for (int r = 0; r < kSize; ++r) {
@@ -33,7 +33,7 @@ void ApplyRoot(const double* root, double* m) {
   }
 }
 
-/// out = A^T B of kSize x kSize matrices, row-major.
+/// out = A^T B for kSize x kSize matrices, row-major.
 template <int kSize>
 void TransposedProduct(const double* a, const double* b, double* out) {
   for (int r = 0; r < kSize; ++r) {
@@ -60,7 +60,7 @@ const double* RootOf(const PoseGraph& graph, int64_t edge) {
   return graph.roots.data() + edge * (Group::kTangent * (Group::kTangent + 1) / 2);
 }
 
-/// The whitened residual; with `a` and `adjoint` also A and Ad.
+/// The whitened residual; A and Ad are also computed unless `a` and `adjoint` are nullptr.
 template <typename Group>
 void EvaluateWhitened(const PoseGraph& graph, int64_t edge, const double* poses, double* residual,
                       double* a = nullptr, double* adjoint = nullptr) {

@@ -1,9 +1,9 @@
 #pragma once
 
-/// Losses of edges: those of all factors (factors/loss.h), and two for wrong closures.
+/// Losses of edges: those of all factors (factors/loss.h), and two for wrong loop closures.
 ///
-/// Both come from a switch s in [0, 1] that each closure has as a variable of its own, eliminated
-/// in closed form. With x = ||r||^2 and b the squared scale:
+/// Both come from a switch variable s in [0, 1] for each loop closure, eliminated in closed form.
+/// With x = ||r||^2 and b the squared scale:
 ///
 ///   switchable constraints (Suenderhauf and Protzel, 2012) minimise s^2 x + b (1 - s)^2, which
 ///   s = b / (b + x) does. What is left is
@@ -17,9 +17,9 @@
 ///
 ///     rho(x) = x up to b,    b (3 x - b) / (b + x) beyond:
 ///
-///   inliers are left alone.
+/// inliers are not changed.
 ///
-/// Neither grows without bound: a closure that is far off costs at most b, or 3 b.
+/// Both are bounded: a loop closure that is far off costs at most b, or 3 b.
 
 #include "core/factors/loss.h"
 

@@ -1,15 +1,15 @@
 #include "core/pose_graph/graph_covariance.h"
 
 /// Poses move by X Exp(d). At a minimum the covariance of all d is G = H^-1 with H = J^T W J, the
-/// undamped normal equations with held poses left out; weights of a loss are part of W. Blocks of
-/// pairs that share an edge lie in the pattern of H, hence among those that the selected inverse of
-/// the factor has (linear/selected_inverse.cpp); other pairs take d right-hand sides.
+/// undamped normal equations without held poses; W includes the weights of a loss. Blocks of pairs
+/// that share an edge are in the pattern of H, and therefore in the selected inverse of the factor
+/// (linear/selected_inverse.cpp). Other pairs take d right-hand sides.
 ///
 /// A relative pose B = X_i^-1 X_j moves by B Exp(d_ij) with d_ij = d_j - Ad d_i, Ad = Ad(B^-1), so
 ///
 ///   C_ij = G_jj - Ad G_ij - G_ij^T Ad^T + Ad G_ii Ad^T,
 ///
-/// whatever pose is held.
+/// for any choice of the held pose.
 ///
 /// Inner constraints. Moving a component by Exp(e) from the left, X to Exp(e) X = X Exp(Ad(X^-1)
 /// e), changes no error: N with blocks N_i = Ad(X_i^-1) spans the null space of the component's H.
@@ -18,8 +18,8 @@
 ///   H^+ = P G P,  P = I - N N^T,    (H^+)_ii = G_ii - N_i Y_i^T - Y_i N_i^T + N_i (N^T Y) N_i^T,
 ///
 /// Y = G N, is the pseudo-inverse: the covariance of least trace (W. Baarda's S-transformation).
-/// Components have no unknown in common: one N of d columns serves all, and one solve. Lever arms
-/// are taken about the mean position of the component, which spans the same space and keeps digits.
+/// Components share no unknown: one N of d columns, and one solve, is enough for all. Lever arms
+/// are relative to the mean position of the component, which spans the same space and keeps digits.
 ///
 /// Redundancy (W. Baarda: A testing procedure for use in geodetic networks, 1968). With A = U E the
 /// whitened Jacobian by d_ij (edge_kernel.h), the whitened error of a least-squares fit has the
@@ -28,9 +28,9 @@
 /// with rank(K) degrees of freedom. Far from the constant pose, large numbers cancel in C_ij.
 /// Rounding errors of these count as unchecked, and edges with no more than that are not judged.
 ///
-/// Poses are eliminated in the order of a solve (block_pattern_of_edges.h). The selected inverse
-/// multiplies the rounding errors of a level of the elimination tree on its way down. FindInflation
-/// therefore looks for variances below those with all else known.
+/// Poses are eliminated in the order of a solve (block_pattern_of_edges.h). In the selected
+/// inverse, rounding errors grow from level to level down the elimination tree. FindInflation
+/// therefore looks for variances below those with all other unknowns known.
 
 #include <Eigen/Core>
 #include <algorithm>
@@ -46,9 +46,10 @@
 namespace bundle {
 namespace {
 
-/// Eigenvalues of K below which an error is not checked, and what of G's size is rounding.
+/// Eigenvalue of K below which an error counts as unchecked, and rounding limit relative to the
+/// size of G.
 constexpr double kUnchecked = 1e-6, kCancelled = 1e-13;
-/// Rounding of K beyond which an edge is not judged.
+/// Rounding error of K above which an edge is not judged.
 constexpr double kLost = 1e-2;
 
 template <typename Group>
@@ -125,7 +126,7 @@ class GraphCovariance {
   void FindInflation(GraphCovarianceOutput* output) const {
     problem_->structure().ForDiagonal([&](int column, int64_t at) {
       const double inflation = problem_->system().values[at] * diagonal_[column];
-      // Never below 1 but by rounding; not a number, or negative, where nothing is left.
+      // Below 1 only by rounding; NaN or negative if no digit is left.
       output->inflation = inflation > 0.5 ? std::max(output->inflation, inflation)
                                           : std::numeric_limits<double>::infinity();
     });
@@ -149,7 +150,7 @@ class GraphCovariance {
     return bi == row ? block : Matrix(block.transpose());
   }
 
-  /// G_ij of any two poses, by a solve.
+  /// G_ij of any two poses, computed by a solve.
   Matrix SolveAcross(int i, int j) {
     const int bi = block_of_[i], bj = block_of_[j];
     if (bi < 0 || bj < 0) return Matrix::Zero();
@@ -278,7 +279,7 @@ class GraphCovariance {
   const HeldPoses held_;
   const GraphCovarianceOptions& options_;
   const Retraction retraction_;
-  std::unique_ptr<PoseGraphProblem> problem_;  ///< none where all poses are held
+  std::unique_ptr<PoseGraphProblem> problem_;  ///< nullptr if all poses are held
   std::vector<int> block_of_;
   std::vector<double> diagonal_;  ///< diagonal of H
   std::vector<Matrix> n_, y_;     ///< N and Y per pose

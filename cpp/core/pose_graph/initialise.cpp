@@ -40,7 +40,7 @@ void Compose(const PoseGraph& graph, const Retraction& retraction, int64_t edge,
   const int32_t to = graph.edges[2 * edge + (forward ? 1 : 0)];
   const double* const x = poses->data() + int64_t{from} * n;
   double* const out = poses->data() + int64_t{to} * n;
-  // X Z = (X^-1)^-1 Z and X Z^-1 = (Z X^-1)^-1, by what a retraction has.
+  // X Z = (X^-1)^-1 Z and X Z^-1 = (Z X^-1)^-1, with the operations of a retraction.
   const double identity[7] = {0, 0, 0, graph.dimension == 3 ? 1.0 : 0.0, 0, 0, 0};
   double inverse[7], moved[7];
   if (forward) {
@@ -101,8 +101,8 @@ std::vector<double> SpanningTreePoses(const PoseGraph& graph) {
 
 namespace {
 
-/// For each pair of poses with consecutive ids, in the order of ids: the lower, the upper, and the
-/// first edge that joins them, or -1.
+/// For each pair of poses with consecutive ids, in the order of ids: the lower pose, the upper
+/// pose, and the first edge between them, or -1.
 struct OdometryEdge {
   int32_t from, to;
   int64_t edge;
@@ -145,7 +145,7 @@ std::vector<double> OdometryPoses(const PoseGraph& graph, const int64_t* ids) {
     Compose(graph, retraction, link.edge, link.from, &poses);
     reached[link.to] = 1;
   }
-  // Backwards from a held pose that does not come first.
+  // Backwards from the first held pose, if it is not the first pose.
   for (auto link = chain.rbegin(); link != chain.rend(); ++link) {
     if (link->edge < 0 || reached[link->to] == 0 || reached[link->from] != 0) continue;
     Compose(graph, retraction, link->edge, link->to, &poses);

@@ -3,7 +3,7 @@
 /// Initial poses of a pose graph, from its edges alone.
 ///
 /// Odometry and spanning tree compose measurements along a path from a held pose: the chain of
-/// consecutive ids, or a tree of as few edges from the root as there can be.
+/// consecutive ids, or a tree with the shortest paths (in edges) from the root.
 ///
 /// Chordal (chordal.cpp) uses all edges, in two linear least-squares problems.
 
@@ -20,20 +20,20 @@ namespace bundle {
 struct HeldPoses {
   std::vector<uint8_t> held;
   int num_components = 0;
-  std::vector<int32_t> for_gauge;  ///< those held besides the fixed ones
+  std::vector<int32_t> for_gauge;  ///< held poses in addition to the fixed ones
 };
 HeldPoses HoldPoses(int64_t num_poses, int64_t num_edges, const int32_t* edges,
                     const uint8_t* fixed);
 
-/// Poses from the held ones, breadth first along the edges.
+/// Poses computed from the held ones, breadth first along the edges.
 std::vector<double> SpanningTreePoses(const PoseGraph& graph);
 
-/// The first two poses of consecutive ids, by position, that no edge joins; {-1, -1} if odometry
+/// The first two poses with consecutive ids, by position, that no edge joins; {-1, -1} if odometry
 /// joins all.
 std::pair<int32_t, int32_t> FindOdometryGap(const PoseGraph& graph, const int64_t* ids);
 
-/// Poses from the held ones along edges between consecutive ids, in the order of ids. Where
-/// several edges join the two, the first counts. Poses that it does not reach keep theirs.
+/// Poses computed from the held ones along edges between consecutive ids, in the order of ids. If
+/// several edges join two poses, the first is used. Poses that it does not reach do not change.
 std::vector<double> OdometryPoses(const PoseGraph& graph, const int64_t* ids);
 
 }  // namespace bundle

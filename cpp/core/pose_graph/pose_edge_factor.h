@@ -1,6 +1,6 @@
 #pragma once
 
-/// An edge of a pose graph as a factor of any problem (factors/factor.h): Ceres takes it so.
+/// An edge of a pose graph as a general factor (factors/factor.h), for the Ceres backend.
 
 #include <cstdint>
 #include <string>
@@ -14,8 +14,8 @@ namespace bundle {
 template <typename Group>
 class PoseEdgeFactor final : public Factor {
  public:
-  /// Keeps a reference to the graph, whose loss is one of factors. Its variables are the poses, by
-  /// position.
+  /// Keeps a reference to the graph, whose loss must be one of factors. Its variables are the
+  /// poses, by position.
   PoseEdgeFactor(const PoseGraph& graph, int64_t edge)
       : Factor({"edge " + std::to_string(edge),
                 {graph.edges[2 * edge], graph.edges[2 * edge + 1]},

@@ -13,7 +13,7 @@
 namespace bundle {
 namespace {
 
-/// Two entries that should be equal may differ by this, relative to the diagonal's.
+/// Tolerance for two entries that should be equal, relative to the diagonal's.
 constexpr double kAsymmetry = 1e-9;
 
 bool IsSymmetric(const double* matrix, int n) {
@@ -30,8 +30,8 @@ bool IsSymmetric(const double* matrix, int n) {
 }
 
 /// U with U^T U = A, its upper triangle by rows; false if A is not positive semidefinite. U_kk^2 is
-/// the pivot that the rows above leave of A_kk. A pivot that is rounding beside A_kk is 0, and so
-/// is its row: coordinates without information are allowed.
+/// the pivot: A_kk after subtracting earlier rows. A pivot at rounding level relative to A_kk is
+/// set to 0, with its row: coordinates without information are allowed.
 bool FindRoot(const double* matrix, int n, double* root) {
   double upper[36];
   for (int k = 0; k < n; ++k) {
@@ -67,7 +67,7 @@ void CheckView(const PoseGraphView& view) {
   }
 }
 
-/// Quaternions of norm 1.
+/// Normalises quaternions.
 std::vector<double> Normalized(const Retraction& retraction, const char* name, int64_t count,
                                const double* values) {
   const int n = retraction.ambient_size();

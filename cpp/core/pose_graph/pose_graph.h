@@ -1,6 +1,6 @@
 #pragma once
 
-/// A pose graph, checked and made ready for a solve: unit quaternions, square roots of information.
+/// A pose graph, validated and prepared for a solve: unit quaternions, square roots of information.
 
 #include <cstdint>
 #include <vector>
@@ -17,12 +17,13 @@ struct PoseGraphView {
   int64_t num_poses = 0;
   int64_t num_edges = 0;
   const double* poses = nullptr;         ///< num_poses x 3 or 7
-  const uint8_t* held = nullptr;         ///< num_poses: 1 where a pose stays
+  const uint8_t* held = nullptr;         ///< num_poses: 1 if a pose is constant
   const int32_t* edges = nullptr;        ///< num_edges x 2
   const double* measurements = nullptr;  ///< num_edges x 3 or 7
-  /// num_edges x d x d, by tangent coordinates; nullptr where no error is to be evaluated.
+  /// num_edges x d x d, by tangent coordinates; nullptr if errors are not evaluated.
   const double* information = nullptr;
-  const uint8_t* robust = nullptr;  ///< num_edges: 1 where the loss applies; nullptr: nowhere
+  const uint8_t* robust =
+      nullptr;  ///< num_edges: 1 if the loss applies; nullptr: it applies to no edge
 
   int ambient() const { return dimension == 2 ? Se2::kAmbient : Se3::kAmbient; }
   int tangent() const { return dimension == 2 ? Se2::kTangent : Se3::kTangent; }
@@ -31,7 +32,7 @@ struct PoseGraphView {
   }
 };
 
-/// Kind of the errors of a graph.
+/// The error function of a graph, and its loss.
 struct PoseErrorOptions {
   PoseError error = PoseError::kLog;
   EdgeLoss loss;
@@ -55,18 +56,18 @@ struct PoseGraph {
   EdgeLoss LossOf(int64_t edge) const { return robust[edge] != 0 ? errors.loss : EdgeLoss(); }
 };
 
-/// Throws InputError if arrays contradict each other: an edge of a pose that does not exist or with
-/// itself, a number that is not finite, a quaternion of norm 0, an information matrix that is not
-/// one (FindBadInformation).
+/// Throws InputError if arrays contradict each other: an edge of a pose that does not exist or from
+/// a pose to itself, a number that is not finite, a quaternion of norm 0, or an invalid information
+/// matrix (FindBadInformation).
 PoseGraph MakePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors);
 
 /// Edges whose information matrix is asymmetric, not positive semidefinite or not finite.
 std::vector<int64_t> FindBadInformation(int64_t num_edges, int tangent, const double* information);
 
-/// Connected components: of each pose the smallest position in its component.
+/// Connected components: for each pose, the smallest position in its component.
 std::vector<int32_t> FindComponents(int64_t num_poses, int64_t num_edges, const int32_t* edges);
 
-/// r^T Omega r of each edge at `poses`, no loss, no 1/2.
+/// r^T Omega r of each edge at `poses`, without the loss and without 1/2.
 std::vector<double> EdgeChi2(const PoseGraph& graph, const double* poses);
 
 /// Weight rho' of the loss on the information of each edge, with r^T Omega r as in EdgeChi2.

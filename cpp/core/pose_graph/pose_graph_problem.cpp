@@ -18,7 +18,8 @@ namespace bundle {
 namespace {
 
 constexpr int64_t kEdgesAtATime = 4096;
-/// Edges, each the square of its coordinates, below which waking a thread takes longer than a pass.
+/// With fewer edges than this, weighted by the square of their coordinates, waking a thread takes
+/// longer than a pass.
 constexpr int64_t kWorkOfAThread = 70000;
 
 double DotOf(const std::vector<double>& a, const std::vector<double>& b) {
@@ -173,7 +174,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
     return 0.5 * rho[0];
   }
 
-  /// The share of a thread in [begin, end).
+  /// The portion of a thread in [begin, end).
   std::pair<int64_t, int64_t> Share(int64_t begin, int64_t end, int thread) const {
     const int64_t count = end - begin, threads = pool_.num_threads();
     return {begin + count * thread / threads, begin + count * (thread + 1) / threads};

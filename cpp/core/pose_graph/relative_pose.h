@@ -2,11 +2,11 @@
 
 /// The error of a relative pose, and its Jacobians.
 ///
-/// Poses X are world_from_body, an edge from i to j measures Z = X_i^-1 X_j. With
+/// Poses X are world_from_body; an edge from i to j measures Z = X_i^-1 X_j. With
 ///
 ///   B = X_i^-1 X_j,      M = Z^-1 B,
 ///
-/// M is the identity where the measurement is met. Three errors are in use:
+/// M is the identity if the poses agree with the measurement. There are three errors:
 ///
 ///   log   r = Log(M), the logarithm of SE(2) or SE(3) as a whole (rigid_motion.h), which couples
 ///         translation and rotation; GTSAM's BetweenFactor, in the plane included.
@@ -19,15 +19,15 @@
 ///         measurement.
 ///
 /// All are in the order of the tangent coordinates (geometry/retraction.h): in space the rotation
-/// comes first. Poses move by the right perturbation X Exp(d). Of X_j,
+/// comes first. Poses move by the right perturbation X Exp(d). For X_j,
 ///
 ///   M -> M Exp(d):      dr = E d + O(|d|^2),
 ///
-/// and of X_i, with B^-1 = X_j^-1 X_i and X Exp(d) X^-1 = Exp(Ad_X d),
+/// and for X_i, with B^-1 = X_j^-1 X_i and X Exp(d) X^-1 = Exp(Ad_X d),
 ///
 ///   M -> Z^-1 Exp(-d) X_i^-1 X_j = M Exp(-Ad(B^-1) d).
 ///
-/// So one matrix has both Jacobians, J_j = E and J_i = -E Ad(B^-1), where
+/// So one matrix gives both Jacobians, J_j = E and J_i = -E Ad(B^-1), where
 ///
 ///   log   E = J_r(r)^-1, the inverse right Jacobian;
 ///   g2o   in the plane, from t -> t + R_M v and theta -> theta + a, E = diag(R_M, 1);
@@ -36,8 +36,9 @@
 ///   ceres in the plane E = diag(R_B, 1); in space, from q_Z (q_B Exp(w))^-1 = d Exp(-R_B w),
 ///         E = diag(-(d_w I + [d_v]x) R_B, R_B).
 ///
-/// The angle of M is in [-pi, pi] whatever turns the poses' angles have: errors do not jump where
-/// angles wrap, but at half a turn between prediction and measurement, where no error is smooth.
+/// The angle of M is in [-pi, pi] for any number of turns of the poses' angles. So errors do not
+/// jump where angles wrap. They jump only at half a turn between prediction and measurement, where
+/// no error is smooth.
 
 #include <cmath>
 
