@@ -46,7 +46,7 @@ VectorXd EigenvaluesOfSymmetric(const MatrixXd& matrix) {
   return Eigen::SelfAdjointEigenSolver<MatrixXd>(matrix, Eigen::EigenvaluesOnly).eigenvalues();
 }
 
-// Jacobi's rotations find small singular values to the last digit, and compile in half the time of
+// Jacobi rotations compute small singular values to the last digit, and compile in half the time of
 // Eigen's divide and conquer.
 RightSingularVectors DecomposeSingular(const MatrixXd& matrix) {
   const Eigen::JacobiSVD<MatrixXd> solver(matrix, Eigen::ComputeFullV);

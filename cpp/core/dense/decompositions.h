@@ -1,20 +1,20 @@
 #pragma once
 
 /// Decompositions and products of dense matrices, compiled once: Eigen's templates for them take
-/// the compiler half a minute in each file that calls them.
+/// half a minute to compile in each file that uses them.
 
 #include <Eigen/Core>
 
 namespace bundle {
 
-/// A = V diag(values) V^T of a symmetric matrix, of which the lower triangle is read.
+/// A = V diag(values) V^T of a symmetric matrix; only the lower triangle is read.
 struct SymmetricEigen {
   Eigen::VectorXd values;   ///< ascending
   Eigen::MatrixXd vectors;  ///< a column each, orthonormal
 };
 SymmetricEigen DecomposeSymmetric(const Eigen::MatrixXd& matrix);
 
-/// The values alone, ascending: a fraction of the work.
+/// The eigenvalues alone, ascending, which takes a fraction of the time.
 Eigen::VectorXd EigenvaluesOfSymmetric(const Eigen::MatrixXd& matrix);
 
 /// Singular values and V of A = U diag(values) V^T.
@@ -24,15 +24,16 @@ struct RightSingularVectors {
 };
 RightSingularVectors DecomposeSingular(const Eigen::MatrixXd& matrix);
 
-/// Descending, as many as the smaller side. Small ones are accurate to rounding of the matrix.
+/// Singular values, descending, as many as the smaller side. Small ones are accurate to the
+/// rounding of the matrix.
 Eigen::VectorXd SingularValues(const Eigen::MatrixXd& matrix);
 
 /// R of A = Q R, square, for at least as many rows as columns.
 Eigen::MatrixXd TriangleOfQr(const Eigen::MatrixXd& matrix);
 Eigen::MatrixXf TriangleOfQr(const Eigen::MatrixXf& matrix);
 
-/// Q of A = Q R, of A's shape, for at least as many rows as columns. Columns that depend on others
-/// become some direction beside them.
+/// Q of A = Q R, of A's shape, for at least as many rows as columns. Linearly dependent columns are
+/// replaced by arbitrary directions orthogonal to the others.
 Eigen::MatrixXd OrthonormalColumns(const Eigen::MatrixXd& matrix);
 
 /// U^-1 with U upper triangular and U^T U = A, which is positive definite.
@@ -43,13 +44,13 @@ Eigen::MatrixXd InverseOfCholesky(const Eigen::MatrixXd& matrix);
 bool SolveByCholesky(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b, Eigen::MatrixXd* x);
 bool SolveByCholesky(const Eigen::MatrixXf& a, const Eigen::MatrixXf& b, Eigen::MatrixXf* x);
 
-/// X of A X = B, A positive semi-definite, in the range of A; X is zero in the null space. Rank is
-/// judged in units in which A's diagonal is 1: eigenvalues up to `epsilon` times the largest and
-/// A's size count as zero.
+/// X of A X = B, for A positive semidefinite and B in its range; X is zero in the null space. The
+/// rank is determined with A's diagonal scaled to 1: eigenvalues up to `epsilon` times the largest
+/// and A's size count as zero.
 Eigen::MatrixXd SolveSemidefinite(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b,
                                   double epsilon);
 
-/// x of A x = b. Of a singular A, some x that fits best where pivots are zero.
+/// x of A x = b. For a singular A, a best fit with zeros at zero pivots.
 Eigen::VectorXd SolveByFullPivoting(const Eigen::MatrixXd& a, const Eigen::VectorXd& b);
 
 template <typename Scalar>

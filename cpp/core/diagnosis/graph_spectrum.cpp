@@ -1,14 +1,14 @@
 #include "core/diagnosis/graph_spectrum.h"
 
-/// H = J^T W J of the poses that are not held, as a solve takes it, and S = D H D with ones on its
-/// diagonal. The largest eigenvalue comes from products, the smallest from products with the
-/// inverse (krylov.h), which keeps its digits however small it is. Where edges leave directions
-/// open, these are projected out, and a trace of the diagonal makes the factorisation possible:
+/// H = J^T W J of the free poses, as in a solve, and S = D H D with ones on its diagonal. The
+/// largest eigenvalue is computed by products, the smallest by products with the inverse
+/// (krylov.h), which is accurate for any size. If edges leave directions undetermined, these are
+/// projected out, and a small shift of the diagonal makes the factorisation possible:
 ///
 ///   P (S + shift)^-1 P,    P = I - Z Z^T,
 ///
-/// with Z an orthonormal basis of these directions in the units of S. The same holds for H as it
-/// is, whose inverse is D S^-1 D.
+/// with Z an orthonormal basis of these directions in the units of S. The same is valid for the
+/// unscaled H, whose inverse is D S^-1 D.
 
 #include <Eigen/Core>
 #include <algorithm>
@@ -28,7 +28,7 @@ namespace {
 constexpr double kGraphShift = 1e-12;
 constexpr int kGraphModes = 4;
 constexpr double kEnough = 1e-4;
-/// Numbers that a basis may have: with its image, twice so many are kept.
+/// Maximum numbers in a basis; twice as many are stored, because its image is stored, too.
 constexpr int64_t kBasisNumbers = 20'000'000;
 
 class GraphSpectrumSearch {

@@ -10,14 +10,14 @@ namespace bundle {
 
 struct GraphSpectrum {
   std::vector<double> eigenvalues;  ///< the lowest of the scaled system, ascending
-  double max_eigenvalue = 0;        ///< likewise scaled
+  double max_eigenvalue = 0;        ///< largest eigenvalue of the scaled system
   double condition_number = 0;      ///< condition of the scaled system; NaN without a free pose
   double condition_number_unscaled = 0;
 };
 
-/// At the graph's poses, held ones left out. `null_directions`: num_poses x d rows by tangent
-/// coordinates, row-major, `num_null` columns: directions that the edges leave open, zero at held
-/// poses; they are left out, too.
+/// At the graph's poses, without held ones. `null_directions`: num_poses x d rows by tangent
+/// coordinates, row-major, with `num_null` columns. They are directions that the edges do not
+/// determine, zero at held poses; they are left out, too.
 GraphSpectrum FindGraphSpectrum(const PoseGraph& graph, const double* null_directions, int num_null,
                                 int num_threads);
 

@@ -18,7 +18,7 @@
 namespace bundle {
 namespace {
 
-/// A column that loses so much of itself to the others depends on them.
+/// A column that loses this share of its norm to the others is dependent on them.
 constexpr double kDependent = 1e-10;
 
 Eigen::MatrixXd RandomBlock(int rows, int columns) {
@@ -56,7 +56,7 @@ EigenPairs FindLargest(int size, int wanted, int block, int max_dimension, doubl
                        const BlockOperator& apply) {
   max_dimension = std::min(max_dimension, size);
   Eigen::MatrixXd basis(size, 0), image(size, 0);
-  // A first product takes the start into the range of A, where that is not all.
+  // A first product projects the start onto the range of A, if A is singular.
   Eigen::MatrixXd next = Orthonormalize(basis, apply(RandomBlock(size, std::min(block, size))));
   EigenPairs pairs;
   while (next.cols() > 0) {

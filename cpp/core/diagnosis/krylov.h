@@ -15,17 +15,17 @@ struct EigenPairs {
 /// A symmetric positive semidefinite operator, applied to several vectors at once.
 using BlockOperator = std::function<Eigen::MatrixXd(const Eigen::MatrixXd&)>;
 
-/// The `wanted` largest eigenvalues of an operator on vectors of `size` numbers, with their
-/// vectors; fewer where its range has fewer dimensions. A residual ||A x - a x|| is at most
-/// `tolerance` a where the space that is searched, of `max_dimension` at most, allows it.
+/// Computes the `wanted` largest eigenvalues of an operator on vectors of `size` numbers, and their
+/// eigenvectors; fewer if its range has fewer dimensions. A residual ||A x - a x|| is at most
+/// `tolerance` a, if a search space of at most `max_dimension` dimensions allows it.
 ///
-/// Eigenvalues of more than `block` dimensions are found `block` times at least. The start is the
-/// same each time.
+/// Of an eigenvalue with more than `block` dimensions, at least `block` eigenvectors are found. The
+/// start is the same in each call.
 EigenPairs FindLargest(int size, int wanted, int block, int max_dimension, double tolerance,
                        const BlockOperator& apply);
 
-/// Makes the columns of `vectors` orthonormal, and orthogonal to those of `basis`, which are.
-/// Columns that depend on others are dropped.
+/// Makes the columns of `vectors` orthonormal, and orthogonal to the orthonormal columns of
+/// `basis`. Linearly dependent columns are dropped.
 Eigen::MatrixXd Orthonormalize(const Eigen::MatrixXd& basis, Eigen::MatrixXd vectors);
 
 }  // namespace bundle

@@ -19,9 +19,9 @@
 ///    principal angles (Bjorck and Golub 1973); each that is zero is a similarity that no
 ///    observation sees.
 ///
-/// The condition number of S as it is, not scaled, has as its denominator the largest eigenvalue of
-/// the pseudo-inverse, P diag(d) (scaled S)^-1 diag(d) P, with P the projection beside the null
-/// space of S as it is, which is that of the scaled S times d.
+/// The condition number of the unscaled S has as its denominator the largest eigenvalue of the
+/// pseudo-inverse, P diag(d) (scaled S)^-1 diag(d) P. P is the projection orthogonal to the null
+/// space of the unscaled S, which is that of the scaled S times d.
 
 #include <Eigen/Geometry>
 #include <algorithm>
@@ -46,11 +46,11 @@ using Eigen::VectorXd;
 
 constexpr double kZeroEigenvalue = 1e-11;
 constexpr double kShift = 1e-10;
-/// Sines of principal angles from which on a similarity is none of the null directions.
+/// From this sine of a principal angle on, a similarity is not a null direction.
 constexpr double kZeroSine = 1e-4;
-/// A spread of the cameras, by the distance of the points, below which they stand at one place.
+/// Below this spread, relative to the distance of the points, the cameras count as at one place.
 constexpr double kOnePlace = 1e-9;
-/// The most null directions beyond the gauge that are looked for.
+/// Maximum number of null directions beyond the gauge that are searched for.
 constexpr int kMostNull = 64;
 constexpr int kBlock = 8;
 constexpr int kMostDimensions = 200;
@@ -64,7 +64,7 @@ std::vector<double> RowMajor(const MatrixXd& matrix) {
   return values;
 }
 
-/// The piece of each unknown. Sensors and shared cameras belong to the world where it is one piece.
+/// The piece of each unknown. Sensors and shared cameras belong to the world if it is one piece.
 std::vector<int> FindPieces(const AdjustmentProblem& problem, const std::vector<UnknownName>& names,
                             const int32_t* image_piece) {
   std::vector<int> frame_piece(problem.num_frames, -1);
@@ -123,7 +123,8 @@ class SpectrumSearch {
   }
 
  private:
-  /// A radian, the distance of the points, a parameter as large as it is, a coefficient of one.
+  /// Meaningful changes: a radian, the distance of the points, the size of a parameter, 1 for a
+  /// coefficient.
   std::vector<double> Units() const {
     const double distance = MedianDistance();
     std::vector<double> units;
@@ -153,7 +154,7 @@ class SpectrumSearch {
     using Rows = Eigen::Matrix<double, Eigen::Dynamic, kNumGaugeDirections, Eigen::RowMajor>;
     MatrixXd similarities =
         Eigen::Map<const Rows>(rows.data(), system_.size(), kNumGaugeDirections);
-    // A similarity scales the arms of rigs, too.
+    // A similarity also scales the translations of sensors on rigs.
     for (int j = 0; j < system_.size(); ++j) {
       const UnknownName& name = result_.unknowns[j];
       if (name.kind != UnknownName::kSensor || name.coordinate < 3) continue;
@@ -296,7 +297,7 @@ class SpectrumSearch {
   ReducedSystem reduced_;
   const std::vector<UnknownName> names_;
   ScaledSystem system_;
-  int num_hidden_ = 0;  ///< similarities that move points alone
+  int num_hidden_ = 0;  ///< number of similarities that move only points
   ReducedSpectrum result_;
 };
 

@@ -1,17 +1,18 @@
 #include "core/diagnosis/scaled_system.h"
 
-/// Unknowns that nothing determines. Either the largest change that they can have moves no pixel by
-/// kInvisible, or motions of points can undo their every effect, S_jj = U_jj - w_j^T V^-1 w_j = 0.
-/// Of the latter, the elimination leaves rounding of the size of U_jj, which scaling would blow up:
-/// they count as undetermined where S_jj is less than kAbsorbed U_jj. The rows of both leave the
-/// system.
+/// Undetermined unknowns. Either their largest possible change moves no pixel by kInvisible, or
+/// motions of points can compensate them completely: S_jj = U_jj - w_j^T V^-1 w_j = 0. For the
+/// latter, the elimination leaves rounding errors of the size of U_jj, which scaling would amplify.
+/// They count as undetermined if S_jj is less than kAbsorbed U_jj. The rows of both kinds are
+/// removed from the system.
 ///
-/// Of the others, the elimination leaves rounding of e U_jj, e = 2^-53, times a few dozen for the
-/// sums, which is e U_jj / S_jj in units of the unknown. So of z^T S z about
+/// For all other unknowns, the elimination leaves rounding errors of e U_jj, e = 2^-53, times a few
+/// dozen for the sums. This is e U_jj / S_jj in units of the unknown. So values of z^T S z up to
+/// about
 ///
 ///   kRounding e sum_j z_j^2 U_jj / S_jj
 ///
-/// means nothing. It matters to scenes that are long: turning an image about a far origin moves it
+/// are not meaningful. This matters for long scenes: turning an image about a far origin moves it
 /// by nearly as much as its points can follow.
 
 #include <algorithm>

@@ -4,9 +4,9 @@ namespace bundle {
 
 /// Outcome of solving a linear system for a step.
 enum class LinearStatus {
-  kSuccess,  ///< also where an iterative solver stopped at its limit, as in Ceres
+  kSuccess,  ///< also if an iterative solver stopped at its limit, as in Ceres
   kFailure,  ///< not positive definite, or not finite: more damping may help
-  kFatal,    ///< nothing will help: for example, memory ran out
+  kFatal,    ///< no damping can help: for example, memory ran out
 };
 
 }  // namespace bundle

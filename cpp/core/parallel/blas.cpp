@@ -23,7 +23,7 @@ int num_holders = 0;
 int saved_num_threads = 0;
 std::atomic<int> max_num_threads{std::numeric_limits<int>::max()};
 
-// A buffer, and stacks of threads and the heap besides.
+// Bytes of a buffer, plus stacks of threads and the heap.
 constexpr size_t kBufferBytes = size_t{136} << 20;
 
 bool CanHave(size_t bytes) {
@@ -34,7 +34,7 @@ bool CanHave(size_t bytes) {
   return true;
 }
 
-/// Large enough for a buffer of each thread.
+/// Large enough to need a buffer for each thread.
 void MultiplyMatrices() {
   constexpr char kPlain = 'N';
   constexpr int kSize = 256;

@@ -1,9 +1,9 @@
 #pragma once
 
-/// OpenBLAS: the routines that we call, its threads and its buffers.
+/// OpenBLAS: the routines that are used here, its threads and its buffers.
 ///
-/// Hidden string lengths are left out of the declarations, as LAPACKE and CBLAS leave them out: no
-/// routine reads them.
+/// The declarations leave out hidden string lengths, like those of LAPACKE and CBLAS: no routine
+/// reads them.
 
 extern "C" {
 /// A = L L^T in place. info > 0: the leading minor of that order is not positive definite.
@@ -11,7 +11,7 @@ void dpotrf_(const char* uplo, const int* n, double* a, const int* lda, int* inf
 /// b = A^-1 b with the factor of dpotrf_.
 void dpotrs_(const char* uplo, const int* n, const int* num_rhs, const double* a, const int* lda,
              double* b, const int* ldb, int* info);
-/// The lower or upper triangle of A^-1, in place of the factor of dpotrf_.
+/// Computes the lower or upper triangle of A^-1, in place of the factor of dpotrf_.
 void dpotri_(const char* uplo, const int* n, double* a, const int* lda, int* info);
 /// B = alpha T^-1 B, or with T on the right, T triangular.
 void dtrsm_(const char* side, const char* uplo, const char* trans, const char* diag, const int* m,
@@ -35,10 +35,10 @@ void dgemv_(const char* trans, const int* m, const int* n, const double* alpha, 
 
 namespace bundle {
 
-/// OpenBLAS' thread count, which belongs to the whole process: set while this object lives, the
-/// caller's own afterwards. OpenBLAS' idle threads spin for a while and take the cores from ours,
-/// so only a large factorisation is worth more than one. Those that overlap share the first's
-/// count.
+/// OpenBLAS' thread count, which applies to the whole process. It is set during the lifetime of
+/// this object, and the caller's count is restored afterwards. Idle OpenBLAS threads spin for a
+/// while and take the cores from other threads, so only a large factorisation is worth more than
+/// one thread. Objects with overlapping lifetimes share the count of the first.
 class ScopedBlasThreads {
  public:
   explicit ScopedBlasThreads(int num_threads);
@@ -47,13 +47,13 @@ class ScopedBlasThreads {
   ScopedBlasThreads& operator=(const ScopedBlasThreads&) = delete;
 };
 
-/// Makes OpenBLAS take its buffers now, 128 MiB per thread: where it cannot have one it tries for
-/// ever. Where there is room for one only, OpenBLAS has one thread from then on. Throws
-/// std::bad_alloc. Only where memory is limited: its threads wake up for it and spin, for 30 to
-/// 60 ms of CPU time.
+/// Makes OpenBLAS allocate its buffers now, 128 MiB per thread, because it would retry forever if
+/// an allocation fails. If there is memory for one buffer only, OpenBLAS has one thread from then
+/// on. Throws std::bad_alloc. Use only if memory is limited: its threads wake up and spin, for 30
+/// to 60 ms of CPU time.
 void TakeBlasBuffers();
 
-/// Columns of a dense matrix from which on its factorisation is worth OpenBLAS' threads.
+/// From this number of columns on, the factorisation of a dense matrix is worth OpenBLAS' threads.
 inline constexpr int kColumnsWorthBlasThreads = 1000;
 
 }  // namespace bundle

@@ -24,15 +24,15 @@ void Pause() {
 #endif
 }
 
-/// Starts threads 1 to count - 1, or as many as there are, and returns them.
+/// Starts threads 1 to count - 1, or as many as possible, and returns them.
 template <typename Function>
 std::vector<std::thread> StartThreads(int64_t count, const Function& run) {
   std::vector<std::thread> threads;
   try {
     threads.reserve(count - 1);
     for (int64_t s = 1; s < count; ++s) threads.emplace_back([&run, s] { run(s); });
-  } catch (const std::system_error&) {  // the system has no more threads
-  } catch (const std::bad_alloc&) {     // or no memory for one
+  } catch (const std::system_error&) {  // the system cannot start more threads
+  } catch (const std::bad_alloc&) {     // no memory for another thread
   }
   return threads;
 }
@@ -53,8 +53,8 @@ ThreadPool::ThreadPool(int num_threads) {
     for (int thread = 1; thread < num_threads; ++thread) {
       workers_.emplace_back([this, thread] { WorkerLoop(thread); });
     }
-  } catch (const std::system_error&) {  // the system has no more threads
-  } catch (const std::bad_alloc&) {     // or no memory for one
+  } catch (const std::system_error&) {  // the system cannot start more threads
+  } catch (const std::bad_alloc&) {     // no memory for another thread
   }
 }
 
@@ -129,7 +129,7 @@ void RunOnThreads(int64_t count, const std::function<void(int64_t)>& run) {
 int CountStartableThreads(int wanted) {
   std::mutex mutex;
   std::condition_variable wake;
-  bool counted = false;  // all exist at the same time until then
+  bool counted = false;  // all threads exist at the same time until then
   const auto wait = [&](int64_t) {
     std::unique_lock<std::mutex> lock(mutex);
     wake.wait(lock, [&] { return counted; });
@@ -146,8 +146,9 @@ int CountStartableThreads(int wanted) {
 
 namespace {
 
-// In the thread's own static block: worker threads look too, and memory for a variable of a module
-// that was loaded late would be allocated then, where a failure ends the process.
+// In the thread's static block, because worker threads read it too. In a module that was loaded
+// late, other thread-local variables would be allocated at this access, and a failure would end the
+// process.
 __attribute__((tls_model("initial-exec"))) thread_local InterruptionScope* innermost = nullptr;
 
 }  // namespace

@@ -1,7 +1,7 @@
 #pragma once
 
-/// Threads: loops over ranges, a pool that lives as long as a solver, exceptions across both, and
-/// how a user ends a computation: asked for on the calling thread, thrown as Interrupted.
+/// Threads: loops over ranges, a pool with the lifetime of a solver, and exceptions across both.
+/// Also interruption by the user: requested on the calling thread, thrown as Interrupted.
 
 #include <algorithm>
 #include <atomic>
@@ -17,16 +17,16 @@
 
 namespace bundle {
 
-/// The first exception of several threads.
+/// Stores the first exception of several threads.
 class FirstException {
  public:
-  /// Inside a handler: keeps the exception that is being handled, unless there is one already.
+  /// Call inside a handler: stores the current exception, unless one is stored already.
   void Keep() noexcept {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (!exception_) exception_ = std::current_exception();
   }
 
-  /// Throws it, if there is one, and forgets it. When all threads have ended.
+  /// Throws the stored exception, if any, and removes it. Call after all threads have ended.
   void Rethrow() {
     if (exception_) std::rethrow_exception(std::exchange(exception_, nullptr));
   }
@@ -36,38 +36,38 @@ class FirstException {
   std::exception_ptr exception_;
 };
 
-/// All cores where the user did not say.
+/// Number of threads: all cores unless the user chose a number.
 inline int EffectiveNumThreads(int num_threads) {
   if (num_threads > 0) return num_threads;
   return std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
 }
 
-/// Calls run(0) to run(count - 1), each on a thread of its own as far as the system has threads,
-/// the others here. Waits for all; then throws the first exception of any.
+/// Calls run(0) to run(count - 1), each on its own thread if the system has enough threads; the
+/// others run on this thread. Waits for all, then throws the first exception of any.
 void RunOnThreads(int64_t count, const std::function<void(int64_t)>& run);
 
-/// Number of threads, up to `wanted`, that the system can start now, with the caller's.
+/// Number of threads, up to `wanted`, that the system can start now, including the caller's.
 int CountStartableThreads(int wanted);
 
 /// Calls function(begin, end) on consecutive ranges of [0, count), one per thread. Ranges below
-/// `min_range` are not worth a thread and run here. Exceptions as in RunOnThreads.
+/// `min_range` are too small for a thread and run on this one. Exceptions as in RunOnThreads.
 template <typename Function>
 void ParallelFor(int64_t count, int num_threads, const Function& function,
                  int64_t min_range = 10000) {
   const int64_t ranges =
       std::clamp<int64_t>(count / min_range, 1, EffectiveNumThreads(num_threads));
   if (ranges == 1) return function(int64_t{0}, count);
-  // Quotient and remainder apart: count * s may be beyond 64 bits.
+  // Quotient and remainder separately, because count * s may exceed 64 bits.
   const int64_t each = count / ranges, rest = count % ranges;
   const auto begin = [&](int64_t s) { return each * s + rest * s / ranges; };
   RunOnThreads(ranges, [&](int64_t s) { function(begin(s), begin(s + 1)); });
 }
 
-/// Threads that live as long as a solve. A pass of a small problem takes less time than starting a
-/// thread does, so they wait for the next one awake, for a while.
+/// Threads with the lifetime of a solve. A pass of a small problem takes less time than starting a
+/// thread, so they wait actively for the next pass for a while.
 class ThreadPool {
  public:
-  /// Has fewer threads where the system does not start as many.
+  /// Has fewer threads if the system cannot start as many.
   explicit ThreadPool(int num_threads);
   ~ThreadPool();
   ThreadPool(const ThreadPool&) = delete;
@@ -75,8 +75,8 @@ class ThreadPool {
 
   int num_threads() const { return static_cast<int>(workers_.size()) + 1; }
 
-  /// Calls work(thread) once on each thread, the caller's being thread 0, and waits for all. Then
-  /// throws the first exception of any; the pool can run again.
+  /// Calls work(thread) once on each thread, where the caller's is thread 0, and waits for all.
+  /// Then throws the first exception of any. The pool can run again afterwards.
   void Run(const std::function<void(int thread)>& work);
 
  private:
@@ -85,14 +85,14 @@ class ThreadPool {
 
   std::vector<std::thread> workers_;
   const std::function<void(int)>* work_ = nullptr;
-  std::atomic<int64_t> generation_{0};  ///< counts the runs; -1 ends the threads
+  std::atomic<int64_t> generation_{0};  ///< number of runs; -1 ends the threads
   std::atomic<int> unfinished_{0};
   std::mutex mutex_;
   std::condition_variable wake_;
   FirstException first_exception_;
 };
 
-/// Tells the processor that the caller waits in a loop, and the system after a while.
+/// Tells the processor that the caller waits in a loop and, after a while, yields to the system.
 class SpinWait {
  public:
   void Once();
@@ -101,13 +101,13 @@ class SpinWait {
   int count_ = 0;
 };
 
-/// Thrown where a computation is left because the user asked for it.
+/// Exception that ends a computation at the user's request.
 class Interrupted : public std::exception {
  public:
   const char* what() const noexcept override { return "interrupted"; }
 };
 
-/// While it lives, long computations on this thread call `requested` to learn whether the user
+/// During its lifetime, long computations on this thread call `requested` to check if the user
 /// wants them to end, at most once per `between_looks`. After it returns true, it is not called
 /// again.
 ///

@@ -93,7 +93,7 @@ void CheckSensorIds(const ProblemView& problem) {
   }
 }
 
-/// The frame and the sensor of each image: in range and of its camera.
+/// Checks that the frame and the sensor of each image are in range and match its camera.
 void CheckRigImages(const ProblemView& problem) {
   for (int i = 0; i < problem.num_images; ++i) {
     const int32_t frame = problem.num_frames == 0 ? -1 : problem.image_frame[i];

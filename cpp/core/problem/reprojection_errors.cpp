@@ -16,8 +16,8 @@ namespace bundle {
 
 namespace {
 
-/// std::hypot takes several times as long as the rest of an observation's error. It is for numbers
-/// whose squares leave the range of doubles.
+/// std::hypot takes several times as long as all other work for an observation's error. It is used
+/// only for numbers whose squares would leave the range of doubles.
 double Length(const double v[2]) {
   const double squared = v[0] * v[0] + v[1] * v[1];
   return squared > 1e-280 && squared < 1e280 ? std::sqrt(squared) : std::hypot(v[0], v[1]);
@@ -52,8 +52,8 @@ void LinearizeOne(const ProblemView& problem, const PoseState& pose, int64_t i,
   }
 }
 
-/// Calls visit(observation, residual) for every observation, on all threads; where the formula has
-/// no value the residual is NaN.
+/// Calls visit(observation, residual) for every observation, on all threads. The residual is NaN if
+/// the formula has no value.
 template <typename Visit>
 void ForResiduals(const ProblemView& problem, int num_threads, Cheirality cheirality,
                   uint8_t* behind, const Visit& visit) {

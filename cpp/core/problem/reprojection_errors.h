@@ -11,10 +11,10 @@ namespace bundle {
 
 /// The reprojection error of every observation at the problem's own values.
 ///
-/// errors (num_observations): ||r|| in pixels by the formula, also behind the camera; NaN where the
-/// formula has no value. behind (num_observations): 1 where the camera cannot see the point. It
-/// sees as far as the formula of its lens is defined, but with Cheirality::kZero not beyond 90
-/// degrees.
+/// errors (num_observations): ||r|| in pixels by the formula, also behind the camera; NaN if the
+/// formula has no value. behind (num_observations): 1 if the camera cannot see the point. The
+/// camera sees points for which the formula of its lens is defined, but with Cheirality::kZero not
+/// beyond 90 degrees.
 ///
 /// Throws InputError, naming model and image, if an observed image has an unknown camera model.
 void ComputeReprojectionErrors(const ProblemView& problem, int num_threads, Cheirality cheirality,
@@ -27,7 +27,7 @@ void ComputeReprojectionResiduals(const ProblemView& problem, int num_threads,
 /// Throws InputError, naming model and image, if an observed image has an unknown camera model.
 void CheckCameraModelsKnown(const ProblemView& problem);
 
-/// Residuals and derivatives of every observation, each array of its own, row-major, n
+/// Residuals and derivatives of every observation, in separate row-major arrays, for n
 /// observations.
 struct ReprojectionDerivatives {
   double* residual = nullptr;  ///< n x 2, pixels
@@ -36,8 +36,9 @@ struct ReprojectionDerivatives {
   double* d_point = nullptr;   ///< n x 2 x 3
 };
 
-/// Evaluates all observations with each image's rotation turned by Exp(w), w from rotation_offsets
-/// (num_images x 3). Observations that do not count under `cheirality` are zero throughout.
+/// Evaluates all observations, with each image's rotation multiplied by Exp(w), where w is from
+/// rotation_offsets (num_images x 3). All outputs of observations that do not count under
+/// `cheirality` are zero.
 ///
 /// Throws InputError, naming model and image, if an observed image has an unknown camera model.
 void Linearize(const ProblemView& problem, const double* rotation_offsets, Cheirality cheirality,

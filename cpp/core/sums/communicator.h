@@ -8,11 +8,11 @@
 /// so that all ranks continue with the same bits. A decision that depends on anything else (the
 /// clock, free memory, the user) is made by rank 0 and broadcast.
 ///
-/// The core knows nothing of MPI: a binding implements Communicator with whatever sends messages.
-/// If one rank throws between two calls, the others wait for it; the caller has to end them.
+/// The core does not depend on MPI: a binding implements Communicator with any message library. If
+/// one rank throws between two calls, the others wait for it; the caller has to end them.
 ///
-/// All functions accept nullptr for a problem that is not divided among ranks. They then leave the
-/// values as they are.
+/// All functions accept nullptr for a problem that is not divided among ranks, and then do not
+/// change the values.
 
 #include <cstdint>
 #include <initializer_list>
@@ -23,7 +23,7 @@
 
 namespace bundle {
 
-/// Sums and broadcasts among ranks. `what` is the quantity, for reports.
+/// Sums and broadcasts among ranks. `what` is the name of the quantity, for reports.
 class Communicator {
  public:
   virtual ~Communicator() = default;
@@ -32,7 +32,7 @@ class Communicator {
   /// Sums over ranks to rank 0, in the same order in every run. On other ranks the values are
   /// undefined afterwards.
   virtual void SumToFirst(const char* what, double* values, int64_t count) = 0;
-  /// SumToFirst for double-doubles, as sums and their error terms.
+  /// Same as SumToFirst for double-doubles, given as sums and their error terms.
   virtual void SumDoubleDoubleToFirst(const char* what, double* sums, double* errors,
                                       int64_t count) = 0;
   /// Sends the values of rank `root` to all ranks.
@@ -66,7 +66,7 @@ void JoinOverRanks(Communicator* communicator, std::vector<uint8_t>* marks);
 std::vector<double> ConcatenateOverRanks(Communicator* communicator,
                                          const std::vector<double>& values);
 
-/// First text that is not empty, in the order of ranks; "" if all are empty.
+/// First nonempty text, in the order of ranks; "" if all are empty.
 std::string FirstOverRanks(Communicator* communicator, const std::string& text);
 
 /// Broadcasts from rank 0.

@@ -11,7 +11,7 @@ namespace {
 
 constexpr int kFewestSections = 12;
 constexpr int kMostSections = 12 << 6;
-// Fewer observations make chunks whose sums cost more to add than to compute.
+// With fewer observations, adding the sums of a chunk takes longer than computing them.
 constexpr int64_t kFewestObservations = 16384;
 
 }  // namespace
@@ -37,7 +37,8 @@ std::vector<uint16_t> FindPointSections(int num_images, int num_points, int64_t 
     last[point] = std::max(last[point], image);
     ++seen[point];
   }
-  std::vector<size_t> begin(static_cast<size_t>(num_images) + 2);  // of the points of each image
+  std::vector<size_t> begin(static_cast<size_t>(num_images) +
+                            2);  // begin of the points of each image
   for (const int image : first) ++begin[image + 1];
   std::partial_sum(begin.begin(), begin.end(), begin.begin());
   std::vector<uint64_t> order(count);  // last image and index

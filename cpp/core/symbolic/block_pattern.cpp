@@ -1,6 +1,6 @@
 #include "core/symbolic/block_pattern.h"
 
-/// Patterns of symmetric block matrices: checked, permuted, counted.
+/// Validation, permutation and counts of patterns of symmetric block matrices.
 
 #include <algorithm>
 #include <numeric>
@@ -63,7 +63,7 @@ void CheckBlockPattern(const BlockPatternView& pattern) {
     throw InputError("block columns: expected the first to begin at 0, found " +
                      std::to_string(pattern.column_begin[0]));
   }
-  // Before any row is read: every range lies within the rows.
+  // Checked before any row is read: every range is within the rows.
   for (int j = 0; j < pattern.num_blocks; ++j) {
     if (pattern.column_begin[j + 1] < pattern.column_begin[j]) {
       throw InputError(Column(j) + "expected to end at " + std::to_string(pattern.column_begin[j]) +
@@ -105,7 +105,7 @@ BlockPattern PatternOfRows(const BlockRows& rows, std::vector<int> size) {
                    pattern.column_begin.begin());
   pattern.row.resize(rows.column.size());
   std::vector<int64_t> next(pattern.column_begin.begin(), pattern.column_begin.end() - 1);
-  for (int row = 0; row < n; ++row) {  // ascending, and so they come out in each column
+  for (int row = 0; row < n; ++row) {  // ascending, so that each column is sorted, too
     for (int64_t e = rows.begin[row]; e < rows.begin[row + 1]; ++e) {
       pattern.row[next[rows.column[e]]++] = row;
     }

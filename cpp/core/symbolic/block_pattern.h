@@ -2,15 +2,16 @@
 
 /// Patterns of symmetric block matrices.
 ///
-/// A pattern says which blocks may be nonzero. It is a graph: a vertex per block row and column, an
-/// edge per pair of blocks that meet. Only the lower triangle is kept, by block columns.
+/// A pattern lists the blocks that may be nonzero. It is a graph with a vertex per block row and
+/// column, and an edge per nonzero block off the diagonal. Only the lower triangle is stored, by
+/// block columns.
 
 #include <cstdint>
 #include <vector>
 
 namespace bundle {
 
-/// A pattern in arrays of the caller.
+/// View of a pattern in the caller's arrays.
 struct BlockPatternView {
   int num_blocks = 0;
   const int* size = nullptr;  ///< num_blocks: rows and columns of a diagonal block, >= 1
@@ -32,19 +33,19 @@ struct BlockPattern {
   }
 };
 
-/// `columns[j]`: the block rows i >= j of block column j, ascending, j itself first.
+/// `columns[j]`: the block rows i >= j of block column j, ascending, starting with j.
 BlockPattern MakeBlockPattern(std::vector<int> size, const std::vector<std::vector<int>>& columns);
 
-/// Throws InputError, naming the block, if the pattern is not of the form above.
+/// Throws InputError, naming the block, if the pattern does not have the form above.
 void CheckBlockPattern(const BlockPatternView& pattern);
 
-/// A lower triangle by block rows, the diagonal included; in no order within a row.
+/// A lower triangle by block rows, diagonal included; entries of a row are not sorted.
 struct BlockRows {
   std::vector<int64_t> begin;
   std::vector<int> column;
 };
 
-/// Rows of the same matrix with block `blocks[k]` as its k-th.
+/// Rows of the permuted matrix, with block `blocks[k]` at position k.
 BlockRows PermuteRows(const BlockPatternView& pattern, const std::vector<int>& blocks);
 
 BlockPattern PatternOfRows(const BlockRows& rows, std::vector<int> size);
@@ -52,7 +53,7 @@ BlockPattern PatternOfRows(const BlockRows& rows, std::vector<int> size);
 /// Rows and columns of the matrix.
 int64_t NumColumns(const BlockPatternView& pattern);
 
-/// Nonzeros of the matrix, its blocks full: both triangles and the diagonal.
+/// Nonzeros of the matrix with full blocks: both triangles and the diagonal.
 double NumNonzeros(const BlockPatternView& pattern);
 
 }  // namespace bundle

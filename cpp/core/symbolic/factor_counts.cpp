@@ -27,7 +27,7 @@
 namespace bundle {
 namespace {
 
-/// parent(j), or -1 for a root. Paths are shortened as they are walked.
+/// parent(j), or -1 for a root. Paths are compressed during the traversal.
 std::vector<int> EliminationTree(const BlockRows& rows) {
   const int num_blocks = static_cast<int>(rows.begin.size()) - 1;
   std::vector<int> parent(num_blocks, -1);
@@ -48,8 +48,8 @@ std::vector<int> EliminationTree(const BlockRows& rows) {
   return parent;
 }
 
-/// Children before parents, subtrees together. The child of most weight comes last, next to its
-/// parent, where CHOLMOD can join both into one supernode.
+/// Postorder: children before parents, subtrees contiguous. The child with the largest weight comes
+/// last, next to its parent, where CHOLMOD can join both into one supernode.
 std::vector<int> Postorder(const std::vector<int>& parent, const std::vector<int64_t>& weight) {
   const int num_blocks = static_cast<int>(parent.size());
   std::vector<int> first_child(num_blocks, -1), sibling(num_blocks, -1), roots;
@@ -65,7 +65,7 @@ std::vector<int> Postorder(const std::vector<int>& parent, const std::vector<int
       sibling[first_child[p]] = j;
     }
   }
-  // A parent, then its children from the heaviest on: the reverse of what is wanted.
+  // A parent, then its children, heaviest first: the reverse of the required order.
   std::vector<int> reversed;
   reversed.reserve(num_blocks);
   std::vector<int> stack(roots);
@@ -80,7 +80,7 @@ std::vector<int> Postorder(const std::vector<int>& parent, const std::vector<int
   return {reversed.rbegin(), reversed.rend()};
 }
 
-/// Finds the leaves of all rows' subtrees when asked about their blocks in postorder.
+/// Finds the leaves of all rows' subtrees; blocks must be queried in postorder.
 class RowSubtrees {
  public:
   RowSubtrees(const std::vector<int>& parent, const std::vector<int>& postorder)
@@ -100,8 +100,8 @@ class RowSubtrees {
   /// The leaves of the elimination tree itself.
   const std::vector<int>& leaves() const { return leaves_; }
 
-  /// True if j, a block of row i's subtree, is a leaf of it: nothing below j was asked about for i.
-  /// `meeting`: where its path meets that of the leaf before it, -1 if it is the first.
+  /// True if j, a block of row i's subtree, is a leaf of it: no block below j was queried for i.
+  /// `meeting`: where its path meets that of the previous leaf; -1 if it is the first.
   bool IsLeaf(int i, int j, int* meeting) {
     if (first_[j] <= last_first_[i]) return false;
     last_first_[i] = first_[j];
@@ -110,13 +110,13 @@ class RowSubtrees {
     return true;
   }
 
-  /// j and all below it have been asked about.
+  /// Marks j as complete: all blocks below it have been queried.
   void Finish(int j, int parent) {
     if (parent >= 0) ancestor_[j] = parent;
   }
 
  private:
-  /// Root of the finished part of the tree that holds j. Shortens paths.
+  /// Root of the completed part of the tree that contains j. Compresses paths.
   int Root(int j) {
     int root = j;
     while (ancestor_[root] != root) root = ancestor_[root];
@@ -131,7 +131,7 @@ class RowSubtrees {
   std::vector<int> leaves_;
 };
 
-/// A count of blocks and one of scalar rows.
+/// Counts of blocks and of scalar rows.
 struct Weight {
   int64_t blocks = 0;
   int64_t rows = 0;

@@ -19,7 +19,7 @@ constexpr std::pair<const char*, OrderingMethod> kNames[] = {
     {"amd", OrderingMethod::kAmd},         {"colamd", OrderingMethod::kColamd},
     {"metis", OrderingMethod::kMetis},     {"nesdis", OrderingMethod::kNesdis}};
 
-/// A pattern of CHOLMOD's that lives in our vectors. `symmetric`: the lower triangle of a square.
+/// A CHOLMOD pattern stored in std::vectors. `symmetric`: the lower triangle of a square matrix.
 class Graph {
  public:
   Graph(int64_t num_rows, std::vector<int64_t> column_begin, std::vector<int64_t> rows,
@@ -53,8 +53,8 @@ Graph Adjacency(const BlockPatternView& pattern) {
                {pattern.row, pattern.row + pattern.num_entries()}, /*symmetric=*/true);
 }
 
-/// Transposed, as CHOLMOD's COLAMD takes a matrix: a column for each edge, with its two vertices. A
-/// vertex without edges is an empty row, which COLAMD puts last.
+/// Transposed, as CHOLMOD's COLAMD expects a matrix: a column for each edge, with its two vertices.
+/// A vertex without edges is an empty row, which COLAMD puts last.
 Graph Incidence(const BlockPatternView& pattern) {
   std::vector<int64_t> column_begin(pattern.num_edges() + 1), rows;
   for (size_t e = 0; e < column_begin.size(); ++e) column_begin[e] = 2 * static_cast<int64_t>(e);
@@ -68,7 +68,7 @@ Graph Incidence(const BlockPatternView& pattern) {
   return Graph(pattern.num_blocks, std::move(column_begin), std::move(rows), /*symmetric=*/false);
 }
 
-/// Asks for a method by CHOLMOD's arguments: method(graph, order, common) is 0 where it failed.
+/// Calls a method with CHOLMOD's arguments: method(graph, order, common) returns 0 on failure.
 template <typename Method>
 std::vector<int> OrderBy(Graph graph, const Method& method) {
   std::vector<int64_t> order(graph.sparse.nrow);
@@ -109,16 +109,16 @@ std::vector<int> Natural(int num_blocks) {
   return order;
 }
 
-/// Graphs of more blocks than this are sorted before minimum degree sees them.
+/// Graphs with more blocks than this are sorted before minimum degree is applied.
 constexpr int kBlocksWorthSorting = 20000;
 
 /// Blocks by their number of neighbours, then by the first and the last of these.
 ///
 /// Minimum degree eliminates blocks of equal degree in the order of their numbers. The points of a
-/// reconstruction are in any order, and each leaves an element in the lists of its cameras until an
-/// element with all of its cameras absorbs it. With points of the same cameras next to each other,
-/// the lists stay short: AMD took 7 s in place of 34 for 5000 cameras and 1,000,000 points of a
-/// street, COLAMD half its time, for the same fill.
+/// reconstruction are in any order. Each leaves an element in the lists of its cameras until an
+/// element with all of its cameras absorbs it. If points of the same cameras are consecutive, the
+/// lists stay short: AMD took 7 s instead of 34 s for 5000 cameras and 1,000,000 points of a
+/// street, and COLAMD half its time, with the same fill-in.
 std::vector<int> SortByNeighbours(const BlockPatternView& pattern) {
   const int n = pattern.num_blocks;
   std::vector<int> degree(n, 0), first(n, n), last(n, -1), blocks = Natural(n);
@@ -144,7 +144,7 @@ using FindByDegree = std::vector<int> (*)(const BlockPatternView&);
 std::vector<int> OrderByDegree(const BlockPatternView& pattern, FindByDegree method) {
   if (pattern.num_blocks <= kBlocksWorthSorting) return method(pattern);
   const std::vector<int> blocks = SortByNeighbours(pattern);
-  std::vector<int> sizes(blocks.size(), 1);  // which no method looks at
+  std::vector<int> sizes(blocks.size(), 1);  // not used by any method
   std::vector<int> order = method(PatternOfRows(PermuteRows(pattern, blocks), std::move(sizes)));
   for (int& block : order) block = blocks[block];
   return order;

@@ -1,7 +1,7 @@
 #pragma once
 
-/// Fill-reducing orderings of symmetric block matrices: the orders in which their blocks are
-/// eliminated. Entry k of an order is the block that is eliminated as the k-th.
+/// Fill-reducing orderings of symmetric block matrices: orders of elimination of their blocks.
+/// Entry k of an order is the block eliminated at step k.
 
 #include <cholmod.h>
 
@@ -22,7 +22,7 @@ class CholmodSession {
     common.try_catch = 1;
     common.error_handler = nullptr;
     // The default moves rows of more than 10 sqrt(n) entries to the end, unordered. In the graph of
-    // a photo collection these are most of its rows.
+    // a photo collection, most rows have that many.
     common.method[0].prune_dense = -1;
   }
   ~CholmodSession() { cholmod_l_finish(&common); }
@@ -32,25 +32,26 @@ class CholmodSession {
   cholmod_common common;
 };
 
-/// Methods that find an order of the elimination on the graph of the blocks.
+/// Methods that compute an elimination order from the graph of the blocks.
 enum class OrderingMethod { kNatural, kReverse, kAmd, kColamd, kMetis, kNesdis };
 
-/// Throws InputError if there is no method of that name.
+/// Throws InputError if no method has that name.
 OrderingMethod OrderingFromName(const std::string& name);
 
 /// "natural", "reverse", "amd", "colamd", "metis", "nesdis"
 std::string OrderingName(OrderingMethod method);
 
-/// METIS and NESDIS look for small separators, of which a nearly full graph has none; they return
-/// AMD's order for one, as CHOLMOD does.
+/// METIS and NESDIS search for small separators, which a nearly full graph does not have. For such
+/// a graph they return AMD's order, as CHOLMOD does.
 ///
-/// COLAMD orders the columns of a matrix A such that A^T A stays sparse. It is given an A for which
-/// A^T A has the pattern at hand: a row for each edge, with an entry in either vertex' column.
+/// COLAMD orders the columns of a matrix A such that A^T A stays sparse. Its input is an A for
+/// which A^T A has the given pattern: a row for each edge, with entries in the columns of its two
+/// vertices.
 ///
-/// Empty if the method failed, which only a lack of memory makes it do.
+/// Empty if the method failed, which happens only if memory is short.
 std::vector<int> FindOrder(const BlockPatternView& pattern, OrderingMethod method);
 
-/// True for a graph that METIS and NESDIS are kept from.
+/// True for a nearly full graph, for which METIS and NESDIS are not called.
 bool IsNearlyFull(const BlockPatternView& pattern);
 
 /// Throws InputError unless `order` holds each of 0 ... num_blocks - 1 once.

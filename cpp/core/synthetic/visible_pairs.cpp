@@ -10,7 +10,7 @@ namespace bundle {
 
 namespace {
 
-constexpr int64_t kImagesAtATime = 64;  // their candidates are in memory together
+constexpr int64_t kImagesAtATime = 64;  // their candidates are stored at the same time
 constexpr int64_t kImagesWorthAThread = 8;
 
 std::vector<int64_t> Members(const PointCells& cells, const std::vector<int64_t>& touched) {
@@ -53,7 +53,7 @@ std::vector<std::vector<int64_t>> FindTouchedCells(const SyntheticImages& images
   return touched;
 }
 
-/// Per point: the share of its candidates that stay.
+/// Per point: the share of its candidates that are kept.
 std::vector<double> FindShares(const PointCells& cells,
                                const std::vector<std::vector<int64_t>>& touched,
                                const double* wanted, int64_t num_points) {
@@ -96,7 +96,7 @@ VisiblePairs FindVisiblePairs(const SyntheticImages& images, const SyntheticPoin
         },
         kImagesWorthAThread);
   }
-  // From image by image to point by point, by counting.
+  // Sorts pairs from image order to point order, by counting.
   std::vector<int64_t> next(points.num_points + 1);
   for (const auto& its_points : seen) {
     for (const int32_t point : its_points) ++next[point + 1];

@@ -16,7 +16,7 @@
 
 namespace bundle {
 
-/// Arrays owned by somebody else.
+/// View of the caller's arrays.
 struct PointCells {
   int64_t num_cells = 0;
   const double* centers = nullptr;  ///< num_cells x 3, in the space of the keys
@@ -24,15 +24,15 @@ struct PointCells {
   const int64_t* starts = nullptr;  ///< num_cells + 1: the first point of each cell, and the end
 };
 
-/// Pairs sorted by point, then image. A point has the number that `order` gives.
+/// Pairs sorted by point, then image. `order` gives the numbers of points.
 struct VisiblePairs {
   std::vector<int32_t> point;
   std::vector<int32_t> image;
 };
 
-/// `points` and `wanted` are in the order of the cells, `order` is their numbers. `uniform` is
-/// called by this thread only, image by image in their order: the result does not depend on the
-/// number of threads.
+/// `points` and `wanted` are in the order of the cells; `order` has the points' numbers. `uniform`
+/// is called by this thread only, image by image in their order, so that the result does not depend
+/// on the number of threads.
 VisiblePairs FindVisiblePairs(const SyntheticImages& images, const SyntheticPoints& points,
                               const PointCells& cells, const int64_t* order, const double* wanted,
                               int64_t fewest, const std::function<double()>& uniform,

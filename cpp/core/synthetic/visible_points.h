@@ -6,10 +6,10 @@
 /// with rotation R, centre c and a ball (b, r) in the space of the keys if
 ///     |k - b| <= r,   |c - X| <= d,   n . (c - X) >= min_cosine |c - X|   or n = 0,
 ///     P = R (X - c) has Pz > 0 and |(Px, Py)| <= max_tangent Pz,   its projection is in the image,
-/// and nothing occludes it. Occluders are the blocks of a town with a road along every multiple of
-/// `pitch` in x and in y: a place is in a block if both of its distances from the middle of the
-/// nearest road are above `clearance`. The line of sight is sampled at c + t (X - c), t = (i + 1/2)
-/// / 12.
+/// and no occluder is in between. Occluders are the blocks of a town with a road along every
+/// multiple of `pitch` in x and in y: a place is in a block if both of its distances from the
+/// middle of the nearest road are above `clearance`. The line of sight is sampled at c + t (X - c),
+/// t = (i + 1/2) / 12.
 
 #include <cstdint>
 #include <vector>
@@ -18,7 +18,7 @@ namespace bundle {
 
 struct CameraModel;
 
-/// The images of a scene; arrays owned by somebody else, a row each image.
+/// View of the images of a scene; one row per image.
 struct SyntheticImages {
   int64_t num_images = 0;
   const double* centers = nullptr;       ///< 3, world
@@ -33,11 +33,11 @@ struct SyntheticImages {
   int num_params = 0;
   const CameraModel* model = nullptr;
   double min_cosine = 0;
-  double pitch = 0;  ///< between roads; 0: nothing hides anything
+  double pitch = 0;  ///< distance between roads; 0: no occlusion
   double clearance = 0;
 };
 
-/// Arrays owned by somebody else, a row each point.
+/// View of the points; one row per point.
 struct SyntheticPoints {
   int64_t num_points = 0;
   const double* positions = nullptr;  ///< 3, world
@@ -51,7 +51,8 @@ std::vector<int64_t> VisiblePoints(const SyntheticImages& images, int64_t image,
                                    const SyntheticPoints& points,
                                    const std::vector<int64_t>& candidates);
 
-/// Writes the projections of points (3 each) by images, pixels without noise, to xy (2 each).
+/// Writes the projections of points (3 numbers each) by images to xy (2 each), in pixels without
+/// noise.
 void ProjectExactly(const SyntheticImages& images, const double* positions, int64_t count,
                     const int32_t* image, const int32_t* point, int num_threads, double* xy);
 
