@@ -1,8 +1,9 @@
 #pragma once
 
 /// Options of a solve, for both backends. Names, defaults and ranges are those of
-/// python/bundle/interface/options.py (a test compares them), which checks the ranges. No solver's
-/// header is included here; `ceres/translate_options.cpp` converts these options to those of Ceres.
+/// python/bundle/interface/options.py (a test compares them), which checks the ranges. This header
+/// includes no header of a solver; `ceres/translate_options.cpp` converts these options to those of
+/// Ceres.
 
 #include <cctype>
 #include <cstddef>
@@ -92,7 +93,7 @@ struct SolveOptions {
   EliminationOrdering linear_solver_ordering = EliminationOrdering::kPointsFirst;
   PreconditionerType preconditioner_type = PreconditionerType::kAuto;
   TrustRegionStrategy trust_region_strategy_type = TrustRegionStrategy::kLevenbergMarquardt;
-  double initial_trust_region_radius = 1e4;  ///< no option of users; 1e16 is Gauss-Newton
+  double initial_trust_region_radius = 1e4;  ///< not a user option; 1e16 is Gauss-Newton
   LossType loss = LossType::kTrivial;
   double loss_scale = 1.0;  ///< pixels
   int max_num_iterations = 100;
@@ -106,22 +107,22 @@ struct SolveOptions {
   bool refine_focal = true;
   bool refine_principal_point = false;
   bool refine_extra = true;
-  bool refine_sensor_from_rig = false;  ///< where sensors are on their rigs
+  bool refine_sensor_from_rig = false;  ///< positions and rotations of sensors on their rigs
   std::vector<int64_t> fixed_camera_ids;
   std::vector<int64_t> fixed_image_ids;
   std::vector<int64_t> fixed_point_ids;
   std::vector<SensorId> fixed_sensors;
   Gauge gauge = Gauge::kNone;
   Cheirality cheirality = Cheirality::kAuto;
-  bool check_solution = true;  ///< look for signs of a wrong Jacobian (checking/check_solution.h)
+  bool check_solution = true;  ///< search for signs of a wrong Jacobian (checking/check_solution.h)
 };
 
-/// Occasions on which an option may change: never in a Solver, or between its solves.
+/// Times when an option may change: never in a Solver, or between its solves.
 enum class Change { kNever, kBetweenSolves };
 
-/// The list of all options but `refine`. Calls visit(change, name, member) for each option, and
-/// visit(change, name, member, choices) where it has named choices. A new option is a member above
-/// and a line here; readers, writers and CopyChangeable follow.
+/// The list of all options except `refine`. Calls visit(change, name, member) for each option, or
+/// visit(change, name, member, choices) if it has named choices. A new option needs a member above
+/// and a line here; readers, writers and CopyChangeable use this list.
 template <typename Visitor>
 void VisitOptions(const Visitor& visit) {
   using Options = SolveOptions;

@@ -1,7 +1,7 @@
 #pragma once
 
-/// Report of a solve, for both backends: iterations and a summary with Ceres' names (as in
-/// ceres::Solver::Summary::FullReport), and warnings. A warning is a sentence with a name for
+/// Report of a solve, for both backends: iterations, a summary with Ceres' names (as in
+/// ceres::Solver::Summary::FullReport), and warnings. A warning has a text for users and a name for
 /// programs.
 
 #include <chrono>
@@ -75,7 +75,7 @@ struct Warning {
   std::string text;  ///< one sentence
 };
 
-/// Appends a warning, unless its sentence is empty.
+/// Appends a warning, unless its text is empty.
 inline void Warn(WarningKind kind, std::string text, std::vector<Warning>* warnings) {
   if (!text.empty()) warnings->push_back({kind, std::move(text)});
 }
@@ -104,9 +104,10 @@ struct IterationRecord {
   double iteration_time_in_seconds = 0;
   double cumulative_time_in_seconds = 0;
 
-  // Beyond Ceres, and not reported.
-  /// The step changes which observations count, so that the decrease predicted by the model does
-  /// not apply. Or there is no step, and observations count that were left out before.
+  // Not in Ceres, and not reported.
+  /// True if the step changes which observations count, so that the decrease predicted by the model
+  /// does not apply. Also true if there is no step, and observations count that were left out
+  /// before.
   bool changes_what_counts = false;
 };
 
@@ -122,27 +123,27 @@ inline std::optional<double> CostOfWhatCounts(const std::vector<IterationRecord>
   return changed ? cost : std::nullopt;
 }
 
-/// The matrix that each step factorises, and its Cholesky factor L. Nonzeros of matrices are those
-/// of both triangles and the diagonal, of L those of the lower triangle with the diagonal; blocks
-/// count as full. A field is empty if there is no such number (conjugate gradients have no factor)
-/// or it is not known.
+/// The matrix that each step factorises, and its Cholesky factor L. Nonzeros of matrices include
+/// both triangles and the diagonal; those of L are the lower triangle with the diagonal. Blocks
+/// count as full. A field is empty if the number does not exist (conjugate gradients have no
+/// factor) or is unknown.
 struct FactorSummary {
   std::optional<int64_t> num_columns;           ///< n
   std::optional<int64_t> num_reduced_nonzeros;  ///< nnz(S) as its solver stores it: n^2 if dense
   std::optional<int64_t> num_nonzeros;          ///< nnz(L)
   std::optional<double> flops;                  ///< FactorCounts::flops
-  std::string ordering;                         ///< by which the columns are eliminated
+  std::string ordering;                         ///< ordering by which the columns are eliminated
   std::optional<double> symbolic_time_in_seconds;
 };
 
-/// ceres::Solver::Summary; enumerations by Ceres' names, times in seconds, -1 where not measured.
+/// As ceres::Solver::Summary: enumerations by Ceres' names, times in seconds, -1 if not measured.
 struct SolveSummary {
   double initial_cost = -1;
   double final_cost = -1;
-  /// Cost of observations and factors with nothing to refine; part of the other two.
+  /// Cost of observations and factors without free parameters; included in the other two.
   double fixed_cost = -1;
   /// Cost of observations that do not count at the solution but hold a residual
-  /// (factors/reprojection.h); not part of the others.
+  /// (factors/reprojection.h); not included in the others.
   double held_cost = 0;
   std::string termination_type;
   std::string message;
@@ -182,34 +183,35 @@ struct SolveSummary {
   int num_jacobian_evaluations = -1;
   int num_linear_solves = -1;
 
-  // Beyond Ceres.
-  int num_factors = 0;  ///< beside the observations
+  // Not in Ceres.
+  int num_factors = 0;  ///< factors other than observations
   std::string backend_given;
   std::string backend_used;
-  std::string backend_choice;             ///< why this backend, where we chose it
-  std::string instruction_set;            ///< instruction set of the fused kernels
-  std::string linear_solver_choice;       ///< why this solver, where we chose it
+  std::string backend_choice;        ///< reason for this backend, if it was chosen automatically
+  std::string instruction_set;       ///< instruction set of the fused kernels
+  std::string linear_solver_choice;  ///< reason for this solver, if it was chosen automatically
   int64_t num_information_nonzeros = -1;  ///< nnz(J^T J) over all free unknowns
   FactorSummary factor;
   bool interrupted = false;
   /// Predicted decrease of the step that met the parameter tolerance. This step is not taken and
-  /// leaves no record. 0: unknown. Not reported.
+  /// has no record. 0: unknown. Not reported.
   double untaken_decrease = 0;
-  std::vector<double> origin;  ///< the centre that the scene was solved about; empty: as given
+  std::vector<double>
+      origin;  ///< centre about which the scene was solved; empty: the problem's origin
   std::vector<Warning> warnings;
 };
 
-/// Called after each iteration. Returning false stops the solve with the best state. An
-/// InterruptionScope does so within an iteration. Before the first evaluation is complete there is
-/// no state to keep, and Interrupted is thrown.
+/// Called after each iteration. Returning false stops the solve with the best state; within an
+/// iteration, an InterruptionScope does this. Before the first evaluation is complete there is no
+/// state to keep, and Interrupted is thrown.
 using ProgressCallback = std::function<bool(const IterationRecord&)>;
 
-/// Report of a solve of any problem.
+/// Report of a solve, for any kind of problem.
 struct SolveRecord {
   SolveSummary summary;
   std::vector<IterationRecord> iterations;
-  double build_time_in_seconds = 0;  ///< outside the solver
-  double solve_time_in_seconds = 0;  ///< inside it
+  double build_time_in_seconds = 0;  ///< time outside the solver
+  double solve_time_in_seconds = 0;  ///< time inside the solver
 };
 
 struct SolveOutput : SolveRecord {
@@ -218,7 +220,7 @@ struct SolveOutput : SolveRecord {
   std::vector<double> sensor_from_rig;  ///< as in ProblemView
   std::vector<double> camera_params;    ///< as in ProblemView
   std::vector<double> points;           ///< as in ProblemView
-  /// Cost 1/2 rho(||r||^2) of each factor beside the observations, at the start and at the
+  /// Cost 1/2 rho(||r||^2) of each factor other than observations, at the start and at the
   /// solution; NaN if it has no value.
   std::vector<double> factor_costs_before;
   std::vector<double> factor_costs_after;

@@ -2,13 +2,13 @@
 
 /// Layout of the free parameters of a problem in one state vector.
 ///
-/// The state is [block 0 | block 1 | ...], each block the free numbers of one image (pose, then its
-/// camera's intrinsics if no other image uses that camera), of one frame or one sensor of rigs, or
-/// of one camera that several images or an image of a rig have, or that a factor touches and no
-/// observation; points stay an array of their own. A block
-/// holds only what is refined, so nothing constant reaches a solver: no subset manifolds, no zero
-/// columns, and blocks of one size wherever the problem allows it, which is what fixed-size Schur
-/// kernels such as Ceres' (2,3,6) and (2,3,9) ask for.
+/// The state is [block 0 | block 1 | ...]. A block has the free numbers of one image (pose, then
+/// its camera's intrinsics if no other image uses that camera), or of one frame or one sensor of
+/// rigs. Or it has those of one camera that several images or an image of a rig use, or that has
+/// factors and no observations. Points are a separate array. A block has only refined numbers, so
+/// that no solver gets constant numbers, subset manifolds or zero columns. Blocks have equal sizes
+/// if the problem allows it, which fixed-size Schur kernels such as Ceres' (2,3,6) and (2,3,9)
+/// require.
 ///
 /// Column j of a camera Jacobian row counts (w, t) of the pose as 0..5 and intrinsics from 6.
 
@@ -27,8 +27,8 @@
 
 namespace bundle {
 
-/// Poses are counted image by image, then frame by frame, then sensor by sensor. Those of rigs'
-/// images have a number but are no variables (factors/rig_pose.h).
+/// Poses are numbered image by image, then frame by frame, then sensor by sensor. Poses of rig
+/// images have a number but are not variables (factors/rig_pose.h).
 inline int NumPoses(const ProblemView& problem) {
   return problem.num_images + problem.num_frames + problem.num_sensors;
 }
@@ -36,7 +36,7 @@ inline int PoseOfFrame(const ProblemView& problem, int frame) { return problem.n
 inline int PoseOfSensor(const ProblemView& problem, int sensor) {
   return problem.num_images + problem.num_frames + sensor;
 }
-/// The pose by which an image moves: its own or, on a rig, its frame's.
+/// The pose that moves an image: its own or, on a rig, that of its frame.
 inline int MovingPose(const ProblemView& problem, int image) {
   const int frame = problem.FrameOf(image);
   return frame < 0 ? image : PoseOfFrame(problem, frame);
@@ -44,14 +44,14 @@ inline int MovingPose(const ProblemView& problem, int image) {
 /// qx qy qz qw tx ty tz in the problem.
 const double* ValueOfPose(const ProblemView& problem, int pose);
 
-/// A parameter of a camera that is a multiple of an unknown which other parameters are multiples
-/// of, too (Restrictions::camera_tie).
+/// A parameter of a camera that is a multiple of an unknown, of which other parameters are
+/// multiples, too (Restrictions::camera_tie).
 struct TiedParameter {
   int8_t column = 0;  ///< as in CameraBlock
   int block = -1;
-  int entry = 0;  ///< unknown of the block
+  int entry = 0;  ///< index of the unknown in the block
   double scale = 1;
-  bool is_first = false;  ///< the parameter by which the state begins
+  bool is_first = false;  ///< the state starts with the value of this parameter
 };
 
 /// Map from a step of the unknowns of a block to the columns of an image: M of schur/column_map.h
@@ -63,8 +63,8 @@ struct ColumnMap {
   double values[kMaxSize * kMaxSize];
 };
 
-/// True if the centre of an image's camera is held and its rotation is not. Its unknowns are w
-/// alone: with c the centre, t = -R c, and a step dw, which turns R to Exp(a) R for a = J_l dw,
+/// True if the centre of an image's camera is constant and its rotation is free. Its unknowns are
+/// only w: with c the centre, t = -R c, and a step dw, which turns R to Exp(a) R for a = J_l dw,
 /// moves t by
 ///
 ///   dt = -a x R c = a x t.
@@ -74,19 +74,19 @@ inline bool TurnsAboutCentre(const AdjustmentProblem& problem, int image) {
 }
 
 struct CameraBlock {
-  int offset = 0;  ///< place of its first number in the state
+  int offset = 0;  ///< index of its first number in the state
   int size = 0;
   int8_t columns[kPoseSize + kMaxCameraParams] = {};  ///< columns of the image or camera, ascending
 };
 
-/// Bounds of the numbers in a state; no numbers where none of them has any.
+/// Bounds of the numbers in a state; empty if no number has bounds.
 ///
-/// A candidate is projected onto them, number by number. A number on a bound beyond which the cost
-/// falls is *active*: it stays until the gradient turns. Otherwise the model would move it, and the
-/// numbers coupled to it, and the projection would take it back. The actual decrease would be far
-/// below the predicted one, and the trust region would reject every step (D. P. Bertsekas:
-/// Projected Newton Methods for Optimization Problems with Simple Constraints, 1982; Ceres knows
-/// the projection only).
+/// A candidate is projected onto the bounds, number by number. A number on a bound beyond which the
+/// cost decreases is *active*: it stays constant until the gradient changes sign. Otherwise the
+/// model would move it, and the numbers coupled to it, and the projection would undo the move. The
+/// actual decrease would be far below the predicted one, and the trust region would reject every
+/// step (D. P. Bertsekas: Projected Newton Methods for Optimization Problems with Simple
+/// Constraints, 1982; Ceres has only the projection).
 struct StateBounds {
   std::vector<double> lower, upper;
 
@@ -96,21 +96,22 @@ struct StateBounds {
     return empty() ? value : std::min(std::max(value, lower[j]), upper[j]);
   }
   bool IsOn(size_t j, double value) const { return value <= lower[j] || value >= upper[j]; }
-  /// `gradient`: of the cost by the number.
+  /// `gradient`: derivative of the cost by the number.
   bool IsActive(size_t j, double value, double gradient) const {
     return (value <= lower[j] && gradient > 0) || (value >= upper[j] && gradient < 0);
   }
 };
 
-/// Parameters that are multiples of one number have one unknown. Where they are of one camera, it
-/// is the first of them, where the camera's parameters are, and the others follow. Where they are
-/// of several, it is in a block that all cameras share which are tied to each other, directly or by
-/// others: its columns mean nothing, but that they are no pose's.
+/// Parameters that are multiples of one number have one unknown. If all belong to one camera, the
+/// unknown is the first of them, in the camera's block, and the others follow. If they belong to
+/// several cameras, the unknown is in a block shared by all cameras that are tied to each other,
+/// directly or through others. The columns of this block have no meaning, except that they are not
+/// those of a pose.
 class ParameterLayout {
  public:
   ParameterLayout(const AdjustmentProblem& problem, FreeParameters free);
 
-  /// Puts the blocks into another order: order[k] becomes the k-th.
+  /// Permutes the blocks: block order[k] becomes block k.
   void Reorder(const std::vector<int>& order);
 
   const FreeParameters& free() const { return free_; }
@@ -119,38 +120,39 @@ class ParameterLayout {
   int num_free_points() const { return num_free_points_; }
   bool point_is_free(int point) const { return free_.point[point] != 0; }
 
-  /// Blocks that an image's observations depend on; -1: none. They are: the block of its pose (its
-  /// own, with its intrinsics if merged, or its frame's), of its sensor, of its camera if not
+  /// Blocks on which an image's observations depend; -1: no block. They are: the block of its pose
+  /// (its own, including intrinsics if merged, or its frame's), of its sensor, of its camera if not
   /// merged, and of the parameters that its camera shares with others.
   using ImageBlocks = std::array<int, 4>;
   enum { kPoseBlock, kSensorBlock, kCameraBlock, kTiedBlock };
   const ImageBlocks& blocks_of(int image) const { return image_blocks_[image]; }
 
-  /// Index of the block with a pose, and an image's intrinsics where merged; -1 if all is fixed.
+  /// Index of the block with a pose, and with an image's intrinsics if merged; -1 if all are
+  /// constant.
   int pose_block(int pose) const { return pose_block_[pose]; }
   /// pose_block of an image's own pose.
   int image_block(int image) const { return pose_block_[image]; }
-  /// Index of the block of a camera's intrinsics alone; -1 if merged or fixed.
+  /// Index of the block with only a camera's intrinsics; -1 if merged or constant.
   int camera_block(int camera) const { return camera_block_[camera]; }
-  /// Index of the block with a camera's intrinsics, its own or an image's; -1 if all are fixed.
+  /// Index of the block with a camera's intrinsics, its own or an image's; -1 if all are constant.
   int params_block(int camera) const { return params_block_[camera]; }
-  /// The parameters of a camera that are multiples of unknowns, but for those that are unknowns.
+  /// The parameters of a camera that are multiples of unknowns, except the unknowns themselves.
   const std::vector<TiedParameter>& tied(int camera) const {
     return tied_.empty() ? no_ties_ : tied_[camera];
   }
-  /// True if the unknowns of a block of an image, by its place in ImageBlocks, are no columns of
-  /// its own but move these by a map. A sensor's are not meant.
+  /// True if the unknowns of an image's block, by its place in ImageBlocks, are not columns of the
+  /// image but move these by a map. Not for blocks of sensors.
   bool HasMap(const AdjustmentProblem& problem, int image, int place) const;
-  /// Fills that map at a pose of the image.
+  /// Writes this map, at a pose of the image.
   void FillMap(const AdjustmentProblem& problem, int image, int place, const PoseState& pose,
                ColumnMap* map) const;
-  /// Bit j: the observations of an image depend on unknowns by column j. Sensors do not count.
+  /// Bit j: the observations of an image depend on unknowns through column j. Sensors are ignored.
   uint32_t RefinedColumns(const AdjustmentProblem& problem, int image) const;
-  /// True if an observation depends on something free.
+  /// True if an observation depends on a free parameter.
   bool IsRefined(const AdjustmentProblem& problem, int64_t observation) const;
   /// Blocks that occur together with another block in some residual, except the first block of each
-  /// image. No two of the other blocks occur in the same residual. If there are any, shared cameras
-  /// are among them.
+  /// image. No two of all other blocks occur in the same residual. If there are such blocks, they
+  /// include shared cameras.
   std::set<int> BlocksBesideFirst() const;
 
   /// The state at the problem's own values: w = 0.
@@ -165,8 +167,8 @@ class ParameterLayout {
 
  private:
   int AddBlock(uint8_t pose_bits, uint32_t camera_bits);
-  /// Free parameters of each camera without those in tied_. The blocks of the latter are not known
-  /// yet, only the number of their component.
+  /// Free parameters of each camera, except those in tied_. The blocks of tied parameters are not
+  /// known yet, only the number of their component.
   std::vector<uint32_t> FindTies(const AdjustmentProblem& problem);
   void AddTiedBlocks();
   void FindImageBlocks(const AdjustmentProblem& problem);
@@ -182,7 +184,7 @@ class ParameterLayout {
   std::vector<int> params_block_;
   std::vector<ImageBlocks> image_blocks_;
   std::vector<std::vector<TiedParameter>> tied_;  ///< per camera; empty: no camera has ties
-  std::vector<int> tied_block_;                   ///< per camera; -1: none
+  std::vector<int> tied_block_;                   ///< per camera; -1: no block
   std::vector<int> component_sizes_;              ///< numbers that cameras share
   std::vector<TiedParameter> no_ties_;
   int state_size_ = 0;

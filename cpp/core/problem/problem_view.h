@@ -9,10 +9,10 @@
 namespace bundle {
 
 struct CameraModel;
-/// The arrays of a bundle adjustment problem, owned by the caller (NumPy, a test), row-major.
-/// Units are pixels for everything in an image and the reconstruction's length unit elsewhere.
+/// The arrays of a bundle adjustment problem, row-major and owned by the caller (NumPy, a test).
+/// Units are pixels in images; all other lengths are in the reconstruction's unit.
 ///
-/// One struct serves readers and the solver: it never writes through these pointers.
+/// Readers and the solver use the same struct. The solver never writes through these pointers.
 struct ProblemView {
   int num_images = 0;
   int num_cameras = 0;
@@ -23,15 +23,15 @@ struct ProblemView {
   const int64_t* image_ids = nullptr;      ///< num_images, for messages
   const int32_t* image_camera = nullptr;   ///< num_images: index of the camera
 
-  /// Rigs of several sensors: an image i with image_frame[i] >= 0 has no pose of its own but that
-  /// of its sensor on its rig, cam_from_world = sensor_from_rig * rig_from_world. Without such rigs
-  /// there are no frames, no sensors and no arrays.
-  int num_frames = 0;  ///< a frame: where a rig is at one time
+  /// Rigs of several sensors: an image i with image_frame[i] >= 0 has no pose of its own. Its pose
+  /// follows from its sensor and its frame, cam_from_world = sensor_from_rig * rig_from_world.
+  /// Without such rigs, there are no frames, no sensors and no arrays for them.
+  int num_frames = 0;  ///< a frame is the pose of a rig at one time
   int num_sensors =
       0;  ///< but for their rigs' reference sensors, whose sensor_from_rig is identity
   const double* rig_from_world = nullptr;   ///< num_frames x 7, as cam_from_world
   const double* sensor_from_rig = nullptr;  ///< num_sensors x 7
-  const int32_t* image_frame = nullptr;     ///< num_images: index of the frame; -1: none
+  const int32_t* image_frame = nullptr;     ///< num_images: index of the frame; -1: no frame
   /// num_images: index of the sensor; -1: the reference sensor, or no frame.
   const int32_t* image_sensor = nullptr;
   const int64_t* frame_ids = nullptr;          ///< num_frames, for messages
@@ -41,7 +41,7 @@ struct ProblemView {
 
   const int64_t* camera_ids = nullptr;            ///< num_cameras, for messages
   std::vector<std::string> camera_model_names;    ///< num_cameras
-  std::vector<const CameraModel*> camera_models;  ///< num_cameras; nullptr: a model we do not know
+  std::vector<const CameraModel*> camera_models;  ///< num_cameras; nullptr: unknown model
   const double* camera_params = nullptr;          ///< num_cameras x camera_params_stride
   int camera_params_stride = 0;
   const double* points = nullptr;      ///< num_points x 3
@@ -50,8 +50,8 @@ struct ProblemView {
   const int32_t* observation_image = nullptr;  ///< num_observations
   const int32_t* observation_point = nullptr;  ///< num_observations
   const double* observation_xy = nullptr;      ///< num_observations x 2
-  /// num_observations, pixels: sigma by which a solve divides residuals before the loss; nullptr: 1
-  /// each.
+  /// num_observations, pixels: sigmas by which a solve divides residuals before the loss; nullptr:
+  /// all are 1.
   const double* observation_sigma = nullptr;
 
   const double* ParamsOf(int camera) const {
@@ -63,8 +63,8 @@ struct ProblemView {
   int SensorOf(int image) const { return num_sensors == 0 ? -1 : image_sensor[image]; }
 };
 
-/// Observations grouped by point: those of point p are in images[starts[p]] to images[starts[p + 1]
-/// - 1], in the order of the problem.
+/// Observations grouped by point: those of point p are images[starts[p]] to images[starts[p + 1] -
+/// 1], in the order of the problem.
 struct Tracks {
   std::vector<int64_t> starts;  ///< num_points + 1
   std::vector<int32_t> images;  ///< image per observation
@@ -76,8 +76,8 @@ Tracks GroupByPoint(const ProblemView& problem);
 std::vector<int64_t> TrackLengths(const ProblemView& problem);
 
 /// Throws InputError unless `given` has the same images, cameras, points and observations as
-/// `expected`: all that a solver is laid out for. Poses, parameters, points and measurements may
-/// differ. Arrays at the same place are taken for equal.
+/// `expected`, on which the layout of a solver depends. Poses, parameters, points and measurements
+/// may differ. Arrays with the same address are assumed to be equal.
 void CheckSameStructure(const ProblemView& expected, const ProblemView& given);
 
 /// Validates the values that a solve changes: poses of images, frames and sensors, camera
