@@ -83,7 +83,7 @@ const T* Checked(const Array<T>& array, const char* name, int64_t rows, int64_t 
   return array.data();
 }
 
-/// Everything but observations.
+/// All arrays except observations.
 BalView ViewOf(const Array<double>& cam_from_world, const Array<double>& camera_params,
                const Array<double>& points, const Array<double>& rotations,
                const Array<bool>& keeps_rotation) {
@@ -113,7 +113,7 @@ void WriteBalFileLike(const py::object& source, int64_t num_observations,
   });
 }
 
-/// Values, indices among them, are those of a bundle.Problem, which has checked them.
+/// Values, including indices, are those of a bundle.Problem, which has checked them.
 void WriteBalFile(const py::object& given_path, const Array<double>& cam_from_world,
                   const Array<double>& camera_params, const Array<double>& points,
                   const Array<int32_t>& observation_image, const Array<int32_t>& observation_point,
@@ -137,7 +137,7 @@ void WriteBalFile(const py::object& given_path, const Array<double>& cam_from_wo
   }
 }
 
-/// `call()` without the GIL; system errors name the file.
+/// Runs `call()` without the GIL; system errors name the file.
 template <typename Call>
 void Unlocked(const BalStream& stream, const Call& call) {
   try {
@@ -163,7 +163,7 @@ std::unique_ptr<BalStream> OpenBalStream(const py::list& given, int64_t num_imag
   return stream;
 }
 
-/// Indices are those of bundle.synthetic, which made them.
+/// Indices are made by bundle.synthetic.
 void StreamObservations(BalStream& stream, const Array<double>& camera_params,
                         const Array<int32_t>& image, const Array<int32_t>& point,
                         const Array<double>& xy) {

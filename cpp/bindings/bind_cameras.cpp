@@ -52,7 +52,7 @@ py::list CameraModelList() {
   return models;
 }
 
-/// Shapes are checked in Python. Returns (xy, status, d_point | None, d_params | None).
+/// Python checks the shapes. Returns (xy, status, d_point | None, d_params | None).
 py::tuple ProjectPoints(const std::string& name, const Array& params, const Array& points,
                         bool jacobians) {
   const bundle::CameraModel& model = *bundle::FindCameraModel(name);

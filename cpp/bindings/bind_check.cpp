@@ -25,7 +25,7 @@ namespace {
 
 using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
 
-/// (name, constant entries), as python/bundle/checking/manifolds.py makes it.
+/// (name, constant entries), as made by python/bundle/checking/manifolds.py.
 using PythonManifold = std::pair<std::string, std::vector<int>>;
 
 bundle::ManifoldSpec ToSpec(const PythonManifold& manifold) {
@@ -36,8 +36,8 @@ std::vector<double> ToVector(const Array& array) {
   return std::vector<double>(array.data(), array.data() + array.size());
 }
 
-/// Asks Python: function(blocks, jacobians wanted) gives (residual, Jacobians or None), or None
-/// where it has no value. What Python raises is kept, and ends all further calls.
+/// Calls a Python function: function(blocks, jacobians wanted) returns (residual, Jacobians or
+/// None), or None if it has no value. A Python exception is stored, and ends all further calls.
 class PythonFunction {
  public:
   PythonFunction(py::function function, const std::vector<Array>& blocks)
@@ -107,7 +107,7 @@ py::tuple Richardson(const py::function& function, int num_residuals,
                         ToMatrix(std::move(found.tangent.uncertainty), num_residuals));
 }
 
-/// (agrees, local Jacobian, local numeric Jacobian, message); no Jacobians where it gave up.
+/// (agrees, local Jacobian, local numeric Jacobian, message); Jacobians are None if it failed.
 py::tuple GradientChecker(const py::function& function, int num_residuals,
                           const std::vector<Array>& blocks,
                           const std::vector<PythonManifold>& manifolds, double relative_precision) {
@@ -167,9 +167,9 @@ py::tuple CheckReprojections(const py::object& problem,
   return py::make_tuple(analytic, reference, uncertainty, ceres, rounding, counts, agrees, stable);
 }
 
-/// SpotCheck of what a solve with these options has at the problem's values, its charts turned by
+/// SpotCheck of a solve with these options at the problem's values, with charts turned by
 /// `rotation_offsets` (num_images, 3). `lie`, unless None, gets an observation and its Jacobian (2,
-/// 6 + parameters + 3), and returns the one that is claimed.
+/// 6 + parameters + 3), and returns the Jacobian to be claimed.
 std::string SpotCheckSolution(const py::object& problem, const py::dict& options,
                               const py::array_t<double, py::array::c_style>& rotation_offsets,
                               const py::object& lie) {
@@ -180,7 +180,7 @@ std::string SpotCheckSolution(const py::object& problem, const py::dict& options
   const bundle::ParameterLayout layout(view, free);
   std::vector<double> state = layout.InitialState(view);
   for (int i = 0; i < view.num_images; ++i) {
-    if (layout.image_block(i) < 0) continue;  // of rigs, too
+    if (layout.image_block(i) < 0) continue;  // also for images of rigs
     const bundle::CameraBlock& block = layout.blocks()[layout.image_block(i)];
     for (int k = 0; k < block.size && block.columns[k] < 3; ++k) {
       state[block.offset + k] = rotation_offsets.at(i, block.columns[k]);

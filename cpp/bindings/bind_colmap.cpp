@@ -25,7 +25,7 @@ namespace {
 
 using Numbers = py::array_t<double, py::array::c_style>;
 
-/// One number of each record in the order of the ids.
+/// One number per record, in the order of the ids.
 template <typename T, typename Record, typename Get>
 py::array Column(const std::vector<Record>& records, const std::vector<size_t>& by_id, Get get) {
   std::vector<T> column(records.size());
@@ -154,7 +154,7 @@ void ExpectShape(const Numbers& array, const char* name, size_t rows, py::ssize_
   }
 }
 
-/// The values in these arrays, which must have the shapes of the model.
+/// The values from these arrays, which must have the shapes of the model.
 ColmapValues CheckedValues(const ColmapModel& model, size_t num_points,
                            const Numbers& cam_from_world, const Numbers& camera_params,
                            const Numbers& points, const Numbers& point_errors,
@@ -233,8 +233,8 @@ py::tuple SurveyModel(const std::string& folder) {
                         ToImmutableNumpy(std::move(survey.num_seen), {num_points}));
 }
 
-/// The model, the fields of a bundle.Problem by name but for the ids of the points, and what
-/// contradicts itself: file (0: points), place in it, sentence.
+/// The model, the fields of a bundle.Problem by name except the ids of the points, and
+/// contradictions: file (0: points), position in it, message.
 py::tuple ReadPartOfModel(const std::string& folder,
                           const py::array_t<int64_t, py::array::c_style>& point_ids,
                           const py::array_t<int32_t, py::array::c_style>& place) {
@@ -263,7 +263,7 @@ py::tuple ReadPartOfModel(const std::string& folder,
   return py::make_tuple(std::make_unique<ColmapModel>(std::move(part.model)), fields, failure);
 }
 
-/// The files by name, as they were read.
+/// The files by name, with the contents that were read.
 py::dict Files(const ColmapModel& model) {
   const ColmapIndex& index = model.index;
   py::dict files;

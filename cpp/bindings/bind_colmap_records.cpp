@@ -25,13 +25,13 @@ namespace py = pybind11;
 namespace bundle {
 namespace {
 
-/// qx qy qz qw tx ty tz, as everywhere in Python.
+/// qx qy qz qw tx ty tz, as in all Python arrays.
 using Pose = std::array<double, 7>;
 
-// Type and id; the pose on the rig, None where it is not known.
+// Type and id; the pose on the rig, None if it is unknown.
 using SensorTuple = std::tuple<int32_t, uint32_t, std::optional<Pose>>;
 using RigTuple = std::tuple<uint32_t, std::vector<SensorTuple>>;
-// Type and id of the sensor, id of what it took.
+// Type and id of the sensor, and id of its data.
 using DatumTuple = std::tuple<int32_t, uint32_t, uint64_t>;
 using FrameTuple = std::tuple<uint32_t, uint32_t, Pose, std::vector<DatumTuple>>;
 
@@ -117,7 +117,7 @@ py::dict Contents(const ColmapModel& model) {
 template <typename T>
 using Array = py::array_t<T, py::array::c_style | py::array::forcecast>;
 
-/// An attribute of an object of Python as an array of `rows` rows.
+/// An attribute of a Python object, as an array of `rows` rows.
 template <typename T>
 Array<T> ArrayOf(const py::object& owner, const char* name, size_t rows, size_t width = 1) {
   auto array = owner.attr(name).cast<Array<T>>();
@@ -165,7 +165,7 @@ void TakeRigs(const py::object& given, ColmapRecords* records) {
   }
 }
 
-/// Returns how many keypoints there are.
+/// Returns the number of keypoints.
 uint64_t TakeImages(const py::object& given, ColmapRecords* records) {
   const size_t count = Length(given, "image_ids");
   const auto ids = ArrayOf<uint32_t>(given, "image_ids", count);
@@ -189,7 +189,7 @@ uint64_t TakeImages(const py::object& given, ColmapRecords* records) {
   return first;
 }
 
-/// Writes the model in the attributes of `given`, which are those of ColmapRecords.
+/// Writes the model from the attributes of `given`, which are those of ColmapRecords.
 void WriteRecords(const py::object& given_folder, bool is_binary, const py::object& given) {
   const std::filesystem::path folder = PathFromPython(given_folder);
   ColmapRecords records;

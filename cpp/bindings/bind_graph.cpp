@@ -55,7 +55,7 @@ py::dict SolveGraph(const py::list& variables, const py::list& factors, const py
   return result;
 }
 
-/// (largest, least singular value, columns, variables of dependent columns)
+/// (largest, smallest singular value, columns, variables of dependent columns)
 py::tuple GraphConditioning(const py::list& variables, const py::list& factors) {
   const bundle::FactorGraph graph = GraphFromPython(variables, factors);
   PythonProgress report(py::none{});
@@ -104,7 +104,8 @@ py::tuple GraphJacobian(const py::list& variables, const py::list& factors) {
 }
 
 /// Throws InputError if the dense matrices of a marginal information do not fit into the free
-/// memory: Lambda and its products, and the columns kept beside the factor of those eliminated.
+/// memory: Lambda and its products, and the kept columns in addition to the factor of the
+/// eliminated ones.
 void RefuseTooManyColumns(const std::vector<int>& kept, const std::vector<bundle::Block>& blocks) {
   double num_kept = 0, num_others = 0;
   for (const bundle::Block& block : blocks) num_others += block.NumFree();
@@ -135,8 +136,8 @@ py::tuple MarginalInformation(const py::list& variables, const py::list& factors
                         ToImmutableNumpy(std::move(found.eta), {n}));
 }
 
-/// A function of the values of a factor's variables: (residual, Jacobians), or None where it has no
-/// value. Throws InputError if the variables are none for the factor.
+/// A function of the values of a factor's variables: (residual, Jacobians), or None if it has no
+/// value. Throws InputError if the variables do not fit the factor.
 py::cpp_function FactorFunction(const py::list& variables, const py::tuple& factor) {
   auto graph = std::make_shared<bundle::FactorGraph>(
       GraphFromPython(variables, py::list(py::make_tuple(factor))));
@@ -207,7 +208,7 @@ Array RightJacobian(const std::string& manifold, const Array& x, const Array& de
   return jacobian;
 }
 
-/// The value as it is stored, and the names of the tangent coordinates.
+/// The value in its stored form, and the names of the tangent coordinates.
 py::tuple CheckValue(const std::string& name, const std::string& manifold, const Array& value) {
   const bundle::Retraction retraction = [&] {
     try {

@@ -85,7 +85,7 @@ py::dict GraphSpectrumFromPython(const py::object& graph, const Array<bool>& hel
   return result;
 }
 
-/// Ordering that a solve chooses: "natural", "amd" or "metis"; "" if nothing is free.
+/// Ordering that a solve chooses: "natural", "amd" or "metis"; "" without free poses.
 std::string AutoOrdering(const py::object& graph, const Array<bool>& held) {
   const GraphArrays arrays(graph);
   PoseGraphView view = ViewGraph(arrays, held);

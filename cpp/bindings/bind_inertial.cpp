@@ -40,7 +40,7 @@ std::string ShapeOf(const Array& array) {
   return out + (array.ndim() == 1 ? ",)" : ")");
 }
 
-/// The number of intervals of samples whose shapes fit each other.
+/// The number of intervals of samples whose shapes match.
 int CountSamples(const Array& gyro, const Array& accel, const Array& dt,
                  bundle::IntegrationRule rule) {
   if (dt.ndim() != 1 || dt.size() > 1 << 28) {

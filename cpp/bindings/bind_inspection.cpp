@@ -21,7 +21,7 @@ namespace py = pybind11;
 
 namespace {
 
-/// The blocks that the options leave free: what a solver's unknowns are made of.
+/// The blocks that the options leave free, which form a solver's unknowns.
 py::dict ParameterBlocks(const py::object& problem, const py::dict& options) {
   const bundle::AdjustmentProblem view(ViewProblem(problem));
   const bundle::PreparedSolve prepared = bundle::PrepareSolve(view, OptionsFromPython(options));
@@ -74,7 +74,7 @@ py::dict EliminationPlan(const py::object& problem, const py::dict& options) {
 using Ints = py::array_t<int, py::array::c_style>;
 using Int64s = py::array_t<int64_t, py::array::c_style>;
 
-/// Takes what `_core.reduced_pattern` returns.
+/// Takes the output of `_core.reduced_pattern`.
 bundle::BlockPatternView View(const Ints& sizes, const Int64s& column_begin, const Ints& rows) {
   return {static_cast<int>(sizes.size()), sizes.data(), column_begin.data(), rows.data()};
 }
@@ -87,7 +87,7 @@ double PanelValues(const Ints& sizes, const Int64s& column_begin, const Ints& ro
   return bundle::CountPanelValues(pattern, blocks);
 }
 
-/// The linear solver that the fused backend's `auto` takes, in upper case.
+/// The linear solver that the fused backend's `auto` chooses, in upper case.
 std::string AutoChoice(const Ints& sizes, const Int64s& column_begin, const Ints& rows,
                        int num_threads) {
   const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);

@@ -20,7 +20,7 @@ Array EvaluateLoss(const std::string& loss, double scale, const Array& squared_n
   return values;
 }
 
-/// Returns (residual, jacobian) as corrected, or None where no correction exists.
+/// Returns the corrected (residual, jacobian), or None if no correction exists.
 py::object Correct(const Array& rho, const Array& residual, const Array& jacobian,
                    const std::string& second_order_term) {
   const int rows = static_cast<int>(jacobian.shape(0));

@@ -81,7 +81,7 @@ void WriteG2oFile(const py::object& given_path, const py::object& graph,
 }
 
 EdgeLoss EdgeLossFromName(const std::string& name) {
-  // Switchable constraints are Geman and McClure's once their switches are eliminated.
+  // Switchable constraints give the Geman-McClure loss once their switches are eliminated.
   if (name == "geman_mcclure" || name == "switchable") {
     return {EdgeLoss::Kind::kGemanMcClure, LossType::kTrivial};
   }
@@ -163,7 +163,7 @@ py::array InitialPoses(const py::object& graph, const Array<bool>& held, const s
                        int num_threads) {
   const GraphArrays arrays(graph);
   PoseGraphView view = ViewGraph(arrays, held);
-  // Only a chordal start weighs edges: the others start where information is bad, too.
+  // Only a chordal start uses information matrices; other starts work with invalid ones.
   const double* const information = std::exchange(view.information, nullptr);
   PythonProgress report(py::none{});
   std::vector<double> poses = RunWatched(&report, [&] {
@@ -218,14 +218,14 @@ py::tuple RelativePoseError(const std::string& error, const Array<double>& x_i,
                        : EvaluateError<Se3>(kind, x_i, x_j, z);
 }
 
-/// rho, rho', rho'' of a loss of edges.
+/// rho, rho', rho'' of a loss for edges.
 std::vector<double> EvaluateEdgeLoss(const std::string& loss, double scale, double chi2) {
   std::vector<double> rho(3);
   ValueOfEdgeLoss(EdgeLossFromName(loss), scale, chi2, rho.data());
   return rho;
 }
 
-/// x of H x = b with a block (d, d) a node and one an edge; None where H is not positive definite.
+/// x of H x = b, with a block (d, d) per node and per edge; None if H is not positive definite.
 py::object SolveEdgeSystemFromPython(const Array<int32_t>& edges, const Array<double>& diagonal,
                                      const Array<double>& between, const Array<double>& rhs) {
   const py::ssize_t n = rhs.shape(0), d = rhs.shape(1), m = edges.shape(0);

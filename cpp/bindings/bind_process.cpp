@@ -12,8 +12,8 @@ namespace {
 
 std::terminate_handler previous_handler = nullptr;
 
-/// Threads of other libraries, such as Ceres', end the process where they get no memory. Nothing is
-/// allocated here, and no file of the user is open for writing.
+/// Ends the process if a thread of another library, such as Ceres', gets no memory. Allocates
+/// nothing; at this time, no file of the user is open for writing.
 [[noreturn]] void Terminate() {
   try {
     if (std::current_exception()) throw;

@@ -16,7 +16,7 @@ namespace py = pybind11;
 
 namespace {
 
-/// Calls compute(view, options, kept) for a problem that is valid.
+/// Calls compute(view, options, kept) for a valid problem.
 template <typename Compute>
 auto OnProblem(const py::object& problem, const py::dict& options, const py::object& restrictions,
                const py::object& given_factors, const std::vector<int>& images,

@@ -69,9 +69,9 @@ py::dict Solve(const py::object& problem, const py::dict& options, const py::obj
   return ToPython(view, std::move(output));
 }
 
-/// One rank's part of a solve. `problem` has its points, their sections and their observations;
-/// `image_is_observed` is of all ranks. Signals are Python's: what their handlers raise comes out
-/// where ranks meet.
+/// One rank's part of a solve. `problem` has the rank's points, their sections and their
+/// observations; `image_is_observed` refers to all ranks. Python handles signals; exceptions of its
+/// handlers are raised at the next communication between ranks.
 py::dict SolvePart(const py::object& problem, const py::dict& options, const py::object& progress,
                    const py::object& restrictions, const py::object& given_factors,
                    const py::object& ranks, const py::array_t<uint8_t>& image_is_observed) {
@@ -101,7 +101,7 @@ py::dict SolvePart(const py::object& problem, const py::dict& options, const py:
   return ToPython(view, std::move(output));
 }
 
-/// Adds double-doubles to others, in place.
+/// Adds double-doubles to other double-doubles, in place.
 void AddDoubleDouble(const py::array_t<double, py::array::c_style>& sums,
                      const py::array_t<double, py::array::c_style>& errors,
                      py::array_t<double, py::array::c_style> to_sums,
@@ -118,8 +118,8 @@ void AddDoubleDouble(const py::array_t<double, py::array::c_style>& sums,
   }
 }
 
-/// A solver, the problem it was made for and its restrictions, whose arrays nothing in Python can
-/// change, and its factors, which it all keeps alive.
+/// A solver with its problem, restrictions and factors, all of which it keeps alive. Python code
+/// cannot change the arrays of the problem and the restrictions.
 class PythonSolver {
  public:
   PythonSolver(py::object problem, const py::dict& options, py::object restrictions,
@@ -142,7 +142,7 @@ class PythonSolver {
     solver_->CheckStructure(ViewProblem(problem));
   }
 
-  /// `options` may be None: those of the constructor.
+  /// `options` may be None, for those of the constructor.
   py::dict Solve(const py::object& problem, const py::object& options, const py::object& progress) {
     const bundle::AdjustmentProblem view(ViewProblem(problem));
     const bundle::SolveOptions changed =

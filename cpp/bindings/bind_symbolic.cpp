@@ -35,7 +35,7 @@ void ExpectLength(const char* name, const Array& array, int64_t length) {
                            " entries, found " + found);
 }
 
-/// The arrays must outlive the view. Throws InputError unless they are a pattern.
+/// The arrays must outlive the view. Throws InputError unless they are a valid pattern.
 bundle::BlockPatternView ViewPattern(const Ints& sizes, const Int64s& column_begin,
                                      const Ints& rows) {
   if (sizes.ndim() != 1 || sizes.size() >= std::numeric_limits<int>::max()) {

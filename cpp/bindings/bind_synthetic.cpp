@@ -27,8 +27,7 @@ struct BitGenerator {
   uint64_t (*next_raw)(void*);
 };
 
-/// The images of a scene. Shapes, and that indices are in range, are for bundle.synthetic to see
-/// to.
+/// The images of a scene. bundle.synthetic must check shapes and the range of indices.
 class Images {
  public:
   Images(Array<double> centers, Array<double> rotations, Array<double> ball_centers,

@@ -25,7 +25,7 @@ namespace {
 template <typename T>
 using Array = py::array_t<T, py::array::c_style | py::array::forcecast>;
 
-/// The arrays of a window, and the view of them.
+/// The arrays of a window, and a view of them.
 class WindowArrays {
  public:
   explicit WindowArrays(const py::dict& window) {

@@ -17,7 +17,7 @@
 
 namespace bundle {
 
-/// Lets Ctrl-C end the reading or writing of a large file.
+/// Makes Ctrl-C end the reading or writing of a large file.
 inline void CheckSignals() {
   const pybind11::gil_scoped_acquire acquire;
   if (PyErr_CheckSignals() != 0) throw pybind11::error_already_set();
@@ -45,7 +45,7 @@ class BlockWatch {
   int64_t bytes_ = 0;
 };
 
-/// A str, bytes or os.PathLike. pybind11's own conversion would say TypeError where a signal comes
+/// A str, bytes or os.PathLike. pybind11's own conversion would raise TypeError if a signal arrives
 /// while Python code of the path runs.
 inline std::filesystem::path PathFromPython(const pybind11::object& given) {
   PyObject* bytes = nullptr;
@@ -57,7 +57,8 @@ inline std::filesystem::path PathFromPython(const pybind11::object& given) {
                                       const std::filesystem::path& path) {
   const pybind11::str name(pybind11::cast(path));
   errno = error.code().value();
-  // A string: OSError prints the representation, and that of a pathlib.Path is not for users.
+  // A string, because OSError prints the representation, and that of a pathlib.Path is not for
+  // users.
   PyErr_SetFromErrnoWithFilenameObject(PyExc_OSError, name.ptr());
   throw pybind11::error_already_set();
 }

@@ -1,6 +1,6 @@
 #pragma once
 
-/// The factors that Python gives beside a problem's observations.
+/// The factors of a Python problem, other than its observations.
 
 #include <pybind11/pybind11.h>
 
@@ -33,7 +33,7 @@ class GivenFactors {
     }
   }
 
-  /// Once; nullptr: there are none.
+  /// Call once; returns nullptr without factors.
   const bundle::ProblemFactors* Check() {
     if (graph_.factors.empty()) return nullptr;
     bundle::ValidateGraph(graph_);
@@ -43,7 +43,7 @@ class GivenFactors {
 
   bool empty() const { return factors_.factors.empty(); }
 
-  /// Checks them at other values of the problem, too.
+  /// Checks the factors at other values of the problem, too.
   void CheckAt(const bundle::AdjustmentProblem& problem) const {
     std::vector<bundle::Block> blocks = graph_.blocks;
     for (size_t v = 0; v < blocks.size(); ++v) {
@@ -56,6 +56,6 @@ class GivenFactors {
   }
 
  private:
-  bundle::FactorGraph graph_;  ///< without its factors once they are checked
+  bundle::FactorGraph graph_;  ///< loses its factors once they are checked
   bundle::ProblemFactors factors_;
 };

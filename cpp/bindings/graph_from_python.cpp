@@ -28,7 +28,7 @@ std::vector<double> Numbers(const py::handle& object) {
   return std::vector<double>(array.data(), array.data() + array.size());
 }
 
-/// Makes a factor of its description and the variables that it touches.
+/// Makes a factor from its description and its variables.
 class FactorReader {
  public:
   FactorReader(const py::tuple& given, const std::vector<bundle::Block>& blocks)

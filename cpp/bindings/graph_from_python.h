@@ -4,11 +4,12 @@
 
 #include "core/graph/factor_graph.h"
 
-/// Reads what python/bundle/graphs/factors/factor_graph.py makes:
+/// Reads the output of python/bundle/graphs/factors/factor_graph.py:
 ///
 /// - a variable: (name, manifold, value, held, lower, upper), the last three empty for none;
 /// - a factor: (kind, name, places of its variables, loss, scale, what the kind takes).
 ///
-/// Throws InputError for what a factor refuses. With the GIL; the graph must end with it as well.
+/// Throws InputError if a factor refuses its arguments. Requires the GIL, also when the graph is
+/// destroyed.
 bundle::Block VariableFromPython(const pybind11::tuple& variable);
 bundle::FactorGraph GraphFromPython(const pybind11::list& variables, const pybind11::list& factors);

@@ -4,8 +4,8 @@ namespace py = pybind11;
 
 namespace {
 
-/// The capsule's name distinguishes our arrays from those of other libraries, which may write to
-/// their memory.
+/// The capsule's name identifies arrays made here. Other libraries may write to the memory of their
+/// arrays.
 constexpr const char* kOwnerName = "bundle.immutable_array";
 
 void Release(void* array) { py::handle(static_cast<PyObject*>(array)).dec_ref(); }

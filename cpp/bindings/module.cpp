@@ -5,7 +5,7 @@
 
 namespace py = pybind11;
 
-// One topic a file; each adds its functions to the module.
+// One file per topic; each adds its functions to the module.
 void BindCameras(py::module_& m);
 void BindProblem(py::module_& m);
 void BindBal(py::module_& m);

@@ -81,7 +81,7 @@ struct ChoiceLister {
   }
 };
 
-/// The options that pose graphs have in common with other problems.
+/// The options that pose graphs share with other problems.
 constexpr std::string_view kPoseGraphOptions[] = {"backend",
                                                   "max_num_iterations",
                                                   "function_tolerance",

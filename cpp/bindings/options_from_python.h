@@ -21,7 +21,7 @@ bundle::LossType LossFromName(const std::string& name);
 /// Reads the name of a cheirality.
 bundle::Cheirality CheiralityFromName(const std::string& name);
 
-/// The C++ defaults under Python's names, and the names of all choices: for the test that holds the
-/// two definitions of the options against each other.
+/// The C++ defaults under Python's names, and the names of all choices, for the test that compares
+/// the two definitions of the options.
 pybind11::dict DefaultOptions();
 pybind11::dict OptionChoices();

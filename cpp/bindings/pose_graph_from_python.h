@@ -1,6 +1,6 @@
 #pragma once
 
-/// The arrays of a bundle.PoseGraph as the core takes them.
+/// The arrays of a bundle.PoseGraph, as input of the core.
 
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
@@ -44,7 +44,7 @@ inline PoseError PoseErrorFromName(const std::string& name) {
   throw InputError("error: expected log, g2o or ceres, found " + name);
 }
 
-/// `held` may be another array than the graph's.
+/// `held` may differ from the graph's array.
 inline PoseGraphView ViewGraph(const GraphArrays& arrays, const Array<bool>& held) {
   PoseGraphView view;
   view.dimension = arrays.dimension();

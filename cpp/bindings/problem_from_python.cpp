@@ -58,7 +58,7 @@ void ViewRigs(const py::handle& problem, bundle::ProblemView* view) {
   view->num_sensors = Count(problem, "sensor_from_rig");
   view->rig_from_world = Data<double>(problem, "rig_from_world", {-1, 7});
   view->sensor_from_rig = Data<double>(problem, "sensor_from_rig", {-1, 7});
-  // Without rigs, nothing reads them and they may be empty.
+  // Without rigs, these arrays are not read and may be empty.
   if (view->num_frames > 0 || view->num_sensors > 0) {
     view->image_frame = Data<int32_t>(problem, "image_frame", {view->num_images});
     view->image_sensor = Data<int32_t>(problem, "image_sensor", {view->num_images});

@@ -8,7 +8,7 @@
 /// is wrong; does not check values.
 bundle::ProblemView ViewProblem(const pybind11::handle& problem);
 
-/// Views the arrays of a Restrictions of Python, which must outlive the view; no restrictions for
-/// None.
+/// Views the arrays of a Python Restrictions object, which must outlive the view; None gives no
+/// restrictions.
 bundle::Restrictions ViewRestrictions(const pybind11::object& restrictions,
                                       const bundle::ProblemView& problem);

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Communicator of ranks that Python connects (python/bundle/solving/ranks): the core sums and
+/// Communicator of ranks that Python connects (python/bundle/solving/ranks). The core sums and
 /// broadcasts by calling three methods of a Python object with its buffers.
 
 #include <pybind11/pybind11.h>
@@ -11,8 +11,8 @@
 #include "core/sums/communicator.h"
 
 /// Methods of the object: sum_to_first(what, values), sum_double_doubles_to_first(what, sums,
-/// errors) and broadcast(what, values, root), arrays as writable memoryviews of doubles, in place;
-/// attributes rank and num_ranks. The solve raises what they raise.
+/// errors) and broadcast(what, values, root); arrays are writable memoryviews of doubles, changed
+/// in place. Attributes: rank and num_ranks. The solve raises the exceptions of these methods.
 class PythonCommunicator final : public bundle::Communicator {
  public:
   explicit PythonCommunicator(pybind11::object ranks)

@@ -9,13 +9,13 @@
 
 #include "core/factors/factor.h"
 
-/// Calls function(values, jacobians wanted), which gives (residual, Jacobians or None), shapes
-/// checked (python/bundle/graphs/factors/function_factor.py), or None if the residual has no value.
-/// Takes the GIL for each call. What Python raises comes out of Evaluate, KeyboardInterrupt as
-/// bundle::Interrupted.
+/// Calls function(values, jacobians wanted), which returns (residual, Jacobians or None), with
+/// checked shapes (python/bundle/graphs/factors/function_factor.py), or None if the residual has no
+/// value. Takes the GIL for each call. Evaluate throws Python's exceptions, with KeyboardInterrupt
+/// as bundle::Interrupted.
 class PythonFactor final : public bundle::Factor {
  public:
-  /// With the GIL. Calls the function once, at `start`, for the number of residuals.
+  /// Requires the GIL. Calls the function once, at `start`, to get the number of residuals.
   PythonFactor(bundle::FactorHead head, std::vector<bundle::Retraction> retractions,
                pybind11::object function, const std::vector<const double*>& start);
   ~PythonFactor() override;

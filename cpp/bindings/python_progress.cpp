@@ -21,7 +21,7 @@ bool PythonProgress::operator()(const bundle::IterationRecord& record) {
 }
 
 bool PythonProgress::IsInterrupted() {
-  if (!sees_signals_) return stopped_;  // and no need to wait for the GIL
+  if (!sees_signals_) return stopped_;  // without a need to wait for the GIL
   const py::gil_scoped_acquire acquire;
   LookForSignals();
   return stopped_;

@@ -10,20 +10,20 @@
 #include "core/interface/summary.h"
 #include "core/parallel/thread_pool.h"
 
-/// Tells Python of each iteration and looks for Ctrl-C. KeyboardInterrupt stops the solve, whether
-/// a signal raised it or the callback, in which a signal may have done so. Any other exception, of
-/// the callback or of a signal handler, stops it too and is kept: the first comes out in the end.
+/// Reports each iteration to Python and checks for Ctrl-C. KeyboardInterrupt stops the solve,
+/// raised by a signal or by the callback. Any other exception of the callback or of a signal
+/// handler also stops it and is stored. The first exception is raised at the end.
 class PythonProgress {
  public:
   explicit PythonProgress(pybind11::object callback);
 
-  /// True if the solve is to go on. The callback sees the iteration even where Ctrl-C came first.
+  /// True if the solve should continue. The callback gets the iteration even if Ctrl-C came first.
   bool operator()(const bundle::IterationRecord& record);
 
-  /// True if the solve is to stop within an iteration.
+  /// True if the solve should stop within an iteration.
   bool IsInterrupted();
 
-  /// Raises what was kept. With the GIL.
+  /// Raises the stored exception. Requires the GIL.
   void Rethrow();
 
  private:
@@ -31,13 +31,13 @@ class PythonProgress {
   void Guard(const std::function<void()>& function);
 
   pybind11::object callback_;
-  bool sees_signals_ = false;  ///< as Python handles them on its main thread alone
+  bool sees_signals_ = false;  ///< Python handles signals on its main thread only
   bool stopped_ = false;
   std::optional<pybind11::error_already_set> kept_;
 };
 
-/// Runs solve() without the GIL. Throws what the solver throws, unless Python raised something
-/// before; KeyboardInterrupt where the solver was left with nothing to show for it.
+/// Runs solve() without the GIL. Throws the solver's exception, unless Python raised one before.
+/// Throws KeyboardInterrupt if the interrupted solver has no result.
 template <typename Function>
 auto RunWatched(PythonProgress* progress, const Function& solve) {
   try {

@@ -10,11 +10,11 @@
 pybind11::dict ToDict(const bundle::SolveSummary& summary);
 pybind11::dict ToDict(const bundle::IterationRecord& record);
 
-/// One array a field, one entry an iteration.
+/// One array per field, with one entry per iteration.
 pybind11::dict ToArrays(const std::vector<bundle::IterationRecord>& records);
 
-/// Adds what python/bundle/interface/solve_record.py takes out.
+/// Adds the fields that python/bundle/interface/solve_record.py reads.
 void PutRecord(const bundle::SolveRecord& record, pybind11::dict* result);
 
-/// The reverse of ToArrays. Takes sequences as long as each other; throws InputError for others.
+/// The inverse of ToArrays. Accepts sequences of equal length; throws InputError for others.
 std::vector<bundle::IterationRecord> RecordsFromPython(const pybind11::dict& iterations);

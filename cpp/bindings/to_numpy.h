@@ -5,7 +5,7 @@
 #include <utility>
 #include <vector>
 
-/// The vector as an array of the given shape, which takes over its memory.
+/// The vector as an array of the given shape, which takes ownership of its memory.
 template <typename T>
 pybind11::array_t<T> ToNumpy(std::vector<T> values, std::vector<pybind11::ssize_t> shape) {
   auto* owned = new std::vector<T>(std::move(values));

@@ -60,7 +60,7 @@ inline void BalFromCamFromWorld(const double* cam_from_world, double* bal) {
   const double y = cam_from_world[2];
   const double z = -cam_from_world[1];
   const double sine = std::hypot(x, y, z);
-  // Where the axis has no direction the rotation is the identity, whatever the sign of w.
+  // If the axis has no direction, the rotation is the identity, for either sign of w.
   const double scale = sine > 0.0 ? 2.0 * std::atan2(sine, w) / sine : 0.0;
   bal[0] = scale * x;
   bal[1] = scale * y;
@@ -106,7 +106,7 @@ struct BalView {
   /// num_images x 3, may be null: angle-axis to write in place of the one that cam_from_world
   /// gives, where keeps_rotation is set. The way over a quaternion costs the last bits.
   const double* rotations = nullptr;
-  const uint8_t* keeps_rotation = nullptr;  ///< num_images; null only where rotations is
+  const uint8_t* keeps_rotation = nullptr;  ///< num_images; null only if rotations is null
 };
 
 /// Writes a BAL file. Numbers are the shortest that read back as the same double. A principal point
@@ -117,7 +117,7 @@ void WriteBal(const BalView& problem, const std::filesystem::path& path, Compres
               const std::function<void()>& on_block);
 
 /// Writes a BAL file with the observations of the BAL file `source`, as a stream; ignores those of
-/// `problem`. Throws InputError where the file has other counts, or as ReadBal.
+/// `problem`. Throws InputError if the file has other counts, or as ReadBal.
 void WriteBalLike(const std::filesystem::path& source, const BalView& problem,
                   const std::filesystem::path& path, Compression compression,
                   const std::function<void()>& on_block);

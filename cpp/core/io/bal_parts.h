@@ -1,6 +1,6 @@
 #pragma once
 
-/// Parts of BAL files, read as a stream: only the data of the part are kept.
+/// Parts of BAL files, read as a stream; only the data of the part are stored.
 
 #include <cstdint>
 #include <filesystem>
@@ -11,7 +11,7 @@
 
 namespace bundle {
 
-/// Survey of a BAL file: which images see which points.
+/// Survey of a BAL file: the images that see each point.
 struct BalSurvey {
   int32_t num_images = 0;
   int32_t num_observations = 0;
@@ -20,12 +20,12 @@ struct BalSurvey {
   std::vector<int32_t> num_seen;     ///< num_points: observations of a point
 };
 
-/// Reads all of a file and throws as ReadBal.
+/// Reads a complete file and throws as ReadBal.
 BalSurvey SurveyBal(const std::filesystem::path& path, const std::function<void()>& on_block);
 
-/// Reads a file and keeps its cameras, the points that have a place (-1: none) and their
+/// Reads a file and stores its cameras, the points that have a place (-1: no place) and their
 /// observations, in the order of the file. Places ascend from 0 on. Throws as ReadBal, and
-/// InputError where the number of points is another one.
+/// InputError if the number of points differs.
 BalProblem ReadBalPart(const std::filesystem::path& path, const std::vector<int32_t>& place,
                        const std::function<void()>& on_block);
 

@@ -19,8 +19,8 @@
 
 namespace bundle {
 
-/// Reserves for `count` rows, but for no more than the stored bytes make plausible. What a strongly
-/// compressed file holds beyond is appended at a vector's usual price.
+/// Reserves space for `count` rows, but only as many as the stored bytes make plausible. A strongly
+/// compressed file may have more; these rows are appended at the usual cost of a vector.
 template <typename T>
 void ReservePlausibly(std::vector<T>* values, int32_t count, size_t width, uint64_t stored_size) {
   values->reserve(width * std::min<uint64_t>(static_cast<uint64_t>(count), stored_size));
@@ -28,8 +28,8 @@ void ReservePlausibly(std::vector<T>* values, int32_t count, size_t width, uint6
 
 inline bool IsFinite(double value) { return std::isfinite(value); }
 inline bool IsPositive(double value) { return value > 0.0 && std::isfinite(value); }
-/// Beyond this the length of a rotation vector could overflow; its angle has no meaning long
-/// before.
+/// Limit of the length of a rotation vector, against overflow. Angles of this size have no
+/// meaningful digits.
 inline bool IsAngle(double value) { return std::abs(value) < 1e100; }
 
 /// Reads a file from its beginning to its end. A `Sink` takes the points and observations:
@@ -60,7 +60,7 @@ class BalReader {
     num_points_ = ReadCount("points");
     num_observations_ = ReadCount("observations");
     if (file_.is_compressed() || file_.stored_size() == 0) return;
-    // A number takes a digit and, but for the last, a separator.
+    // A number takes a digit and, except for the last one, a separator.
     const int64_t num_numbers =
         3 + 4 * int64_t{num_observations_} + 9 * int64_t{num_cameras_} + 3 * int64_t{num_points_};
     const auto least = static_cast<uint64_t>(2 * num_numbers - 1);
@@ -158,8 +158,8 @@ class BalReader {
   BalProblem problem_;
 };
 
-/// Reads a file of which `sink.kept` has the points and observations in the end; returns these with
-/// the cameras.
+/// Reads a file. At the end, `sink.kept` has the points and observations; returns these with the
+/// cameras.
 template <typename Sink>
 BalProblem ReadKept(const std::filesystem::path& path, Sink sink,
                     const std::function<void()>& on_block) {

@@ -13,10 +13,11 @@
 namespace bundle {
 
 /// BAL files with the same observations, written as a stream: observations, then the cameras of
-/// each file, then its points. The number of observations at the beginning of a file is known at
-/// the end only; Close writes it over blanks.
+/// each file, then its points. The number of observations at the beginning of a file is known only
+/// at the end; Close overwrites blanks with it.
 ///
-/// What is not called is missing in the files. Throws std::system_error; `on_block` as in WriteBal.
+/// Parts whose function is not called are missing in the files. Throws std::system_error;
+/// `on_block` as in WriteBal.
 class BalStream {
  public:
   BalStream(const std::vector<std::filesystem::path>& paths, int64_t num_images, int64_t num_points,
@@ -38,7 +39,7 @@ class BalStream {
   int64_t num_points_;
   int64_t num_observations_ = 0;
   std::function<void()> on_block_;
-  std::deque<OutputFile> files_;  // they cannot be moved
+  std::deque<OutputFile> files_;  // a deque, because files cannot be moved
 };
 
 }  // namespace bundle

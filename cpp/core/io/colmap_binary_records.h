@@ -1,7 +1,7 @@
 #pragma once
 
-/// The records of images.bin and points3D.bin, handed on one by one: the index of a whole model
-/// keeps all of them, a process of several its own. `colmap_binary_scanner.cpp` has the format.
+/// The records of images.bin and points3D.bin, passed on one by one. The index of a complete model
+/// stores all of them; a rank stores only its own. `colmap_binary_scanner.cpp` has the format.
 
 #include <array>
 #include <cmath>
@@ -83,7 +83,7 @@ void ScanPointRecords(const ModelFile& file, Sink* sink) {
     uint8_t rgb[3];
     reader.ReadArray(rgb, 3, "a colour");
     const uint64_t error_at = reader.position();
-    reader.Read<double>("an error");  // may be anything: it is computed anew
+    reader.Read<double>("an error");  // may have any value: it is recomputed
     const ColmapSpan error_span{error_at, reader.position()};
     track.resize(reader.ReadCount<uint64_t>("track elements", kTrackElementSize));
     reader.ReadArray(track.data(), track.size(), "a track");

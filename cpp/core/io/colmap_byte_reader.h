@@ -13,14 +13,15 @@
 
 namespace bundle {
 
-/// Bytes of a file: all of them in memory, or of a stream a block at a time.
+/// Bytes of a file, either all in memory, or a block at a time from a stream.
 class FileWindow {
  public:
   explicit FileWindow(const ModelFile& file) : file_(file), bytes_(file.contents()) {}
   FileWindow(const FileWindow&) = delete;
   FileWindow& operator=(const FileWindow&) = delete;
 
-  /// `count` bytes from `position` on, which the file has. They are valid until the next call.
+  /// `count` bytes from `position` on, which must be in the file. They are valid until the next
+  /// call.
   const char* At(uint64_t position, size_t count) {
     if (position < begin_ || position + count > begin_ + bytes_.size()) Fill(position, count);
     return bytes_.data() + (position - begin_);
@@ -50,7 +51,7 @@ class ByteReader {
   uint64_t position() const { return position_; }
   uint64_t num_left() const { return file_.size() - position_; }
 
-  /// The value under the cursor; `what` names it when the file ends before it.
+  /// Reads the value at the cursor; `what` is its name for the error at the end of the file.
   template <typename T>
   T Read(const char* what) {
     T value;
@@ -69,7 +70,7 @@ class ByteReader {
     position_ += count * sizeof(T);
   }
 
-  /// A count of records that each take `min_size` bytes at least.
+  /// Reads a count of records that take at least `min_size` bytes each.
   template <typename T>
   T ReadCount(const std::string& what, uint64_t min_size) {
     const uint64_t at = position_;
@@ -83,7 +84,7 @@ class ByteReader {
     return count;
   }
 
-  /// A text up to a zero byte. It is valid until the next call of any function.
+  /// Reads a text up to a zero byte. The result is valid until the next call of any function.
   std::string_view ReadName(const std::string& subject) {
     for (uint64_t most = 256;; most *= 4) {
       const auto size = static_cast<size_t>(std::min(most, num_left()));

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Contents of a COLMAP model beside a problem.
+/// Contents of a COLMAP model that are not in a problem.
 
 #include <cstdint>
 #include <vector>
@@ -14,7 +14,7 @@ std::vector<double> ReadKeypoints(const ColmapModel& model);
 
 /// Colours and tracks of a model that was read, in the order of its files.
 struct ColmapTracks {
-  std::vector<uint8_t> colors;  ///< three a point
+  std::vector<uint8_t> colors;  ///< three per point
   std::vector<int64_t> lengths;
   std::vector<ColmapIndex::TrackElement> elements;
 };

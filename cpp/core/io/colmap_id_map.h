@@ -21,7 +21,7 @@ class IdMap {
   IdMap(const std::vector<Record>& records, const ModelFile& file, const std::string& record) {
     uint64_t max_id = 0;
     for (const Record& entry : records) max_id = std::max<uint64_t>(max_id, entry.id);
-    // Ids are dense in practice, and tracks look up an image for every observation.
+    // Ids are usually dense, and tracks look up an image for every observation.
     if (max_id < 16 * records.size() + 1024) dense_.assign(max_id + 1, kNone);
     for (size_t i = 0; i < records.size(); ++i) {
       const uint32_t id = records[i].id;

@@ -19,30 +19,29 @@
 
 namespace bundle {
 
-/// One file of a model, read whole or open as a stream, and the place that every complaint about it
-/// names.
+/// One file of a model, read completely or open as a stream, and its name for error messages.
 class ModelFile {
  public:
   enum class Kind { kText, kBinary };
 
   ModelFile() = default;
 
-  /// Throws InputError when the file cannot be opened, is no regular file or cannot be read.
+  /// Throws InputError if the file cannot be opened, is not a regular file or cannot be read.
   ModelFile(std::string path, Kind kind);
 
-  /// Opens a file of which `ReadAt` reads parts. `on_block` is called before each and may throw.
-  /// Throws InputError as the constructor.
+  /// Opens a file for reading parts with `ReadAt`. `on_block` is called before each part and may
+  /// throw. Throws InputError as the constructor.
   static ModelFile Stream(std::string path, Kind kind, std::function<void()> on_block);
 
   const std::string& path() const { return path_; }
   uint64_t size() const { return size_; }
   bool is_stream() const { return descriptor_ != nullptr; }
 
-  /// Contents of a file that was read whole; empty for a stream.
+  /// Contents of a file that was read completely; empty for a stream.
   std::string_view contents() const { return {contents_.get(), is_stream() ? 0 : size_}; }
 
-  /// Reads bytes of a stream. Throws InputError when the file cannot be read or has changed since
-  /// it was opened.
+  /// Reads bytes of a stream. Throws InputError if the file cannot be read or has changed since it
+  /// was opened.
   void ReadAt(uint64_t position, char* buffer, size_t count) const;
 
   /// Message of the error that `Fail` throws.
@@ -62,11 +61,12 @@ class ModelFile {
   std::function<void()> on_block_;
 };
 
-// COLMAP's kInvalid*Id: the value for "none", and the id of no record.
+// COLMAP's kInvalid*Id: marks a missing reference; not a valid id of a record.
 constexpr uint32_t kInvalidColmapId = std::numeric_limits<uint32_t>::max();
 constexpr uint64_t kInvalidPoint3DId = std::numeric_limits<uint64_t>::max();
 
-/// Point ids end here: text files, and our arrays, hold them as signed 64-bit numbers.
+/// Upper limit of point ids: text files and the problem's arrays store them as signed 64-bit
+/// numbers.
 constexpr uint64_t kMaxPoint3DId = std::numeric_limits<int64_t>::max();
 
 // Bytes in binary files: a keypoint, a track element, and the part of a point before its track.
@@ -83,13 +83,13 @@ struct ColmapSpan {
   uint64_t end = 0;
 };
 
-/// Contents of the files of a COLMAP model: all ids, references and their places, and the values
-/// that a solve changes. The scanners of the text and of the binary format fill one, after checking
-/// what can be checked on the spot; CheckColmapReferences does the rest.
+/// Contents of the files of a COLMAP model: all ids, references and their positions, and the values
+/// that a solve changes. The scanners of the text and of the binary format fill it and check single
+/// values; CheckColmapReferences checks the references.
 ///
-/// `at` is the place of a record: its line in a text file, the byte it begins at in a binary one. A
-/// span has the numbers that `colmap_writer.h` replaces. Poses are qw qx qy qz tx ty tz, as in the
-/// files.
+/// `at` is the position of a record: its line in a text file, its first byte in a binary one. A
+/// span contains the numbers that `colmap_writer.h` replaces. Poses are qw qx qy qz tx ty tz, as in
+/// the files.
 struct ColmapIndex {
   struct Sensor {
     SensorType type;
@@ -105,7 +105,7 @@ struct ColmapIndex {
     std::array<double, kMaxCameraParams> params{};
     ColmapSpan params_span;
   };
-  /// sensor_from_rig, where it is known.
+  /// sensor_from_rig, if it is known.
   struct SensorPose {
     bool is_known = false;
     std::array<double, 7> pose{};
@@ -115,7 +115,7 @@ struct ColmapIndex {
     uint32_t id;
     uint64_t at;
     std::vector<Sensor> sensors{};    ///< the reference sensor first
-    std::vector<SensorPose> poses{};  ///< pose per sensor; not known for the reference sensor
+    std::vector<SensorPose> poses{};  ///< pose per sensor; unknown for the reference sensor
   };
   struct Datum {
     Sensor sensor;
@@ -133,8 +133,8 @@ struct ColmapIndex {
     uint32_t id;
     uint32_t camera_id;
     uint64_t at;
-    uint64_t keypoints_at;    ///< place of the first keypoint
-    uint64_t first_keypoint;  ///< in keypoint_point_ids
+    uint64_t keypoints_at;    ///< position of the first keypoint in the file
+    uint64_t first_keypoint;  ///< index in keypoint_point_ids
     uint64_t num_keypoints;
     std::string name{};
     std::array<double, 7> pose{};
@@ -143,7 +143,7 @@ struct ColmapIndex {
   struct Point {
     uint64_t id;
     uint64_t at;
-    uint64_t first_element;  ///< in track_elements
+    uint64_t first_element;  ///< index in track_elements
     std::array<double, 3> xyz{};
     ColmapSpan xyz_span{};
     ColmapSpan error_span{};
@@ -160,11 +160,11 @@ struct ColmapIndex {
   std::vector<Image> images;
   std::vector<uint64_t>
       keypoint_point_ids;  ///< point ids of the keypoints of all images; kInvalidPoint3DId: none
-  std::vector<double> triangulated_xy;  ///< x, y of the keypoints with a point, in their order
+  std::vector<double> triangulated_xy;  ///< x, y of the keypoints that have a point, in their order
   std::vector<Point> points;
   std::vector<TrackElement> track_elements;  ///< track elements of all points
 
-  /// Names with white space in them, by image id. COLMAP writes them to text files but reads only
+  /// Names that contain white space, by image id. COLMAP writes them to text files but reads only
   /// their first word back.
   std::map<uint32_t, std::string> names_with_spaces;
 
@@ -174,7 +174,7 @@ struct ColmapIndex {
   uint64_t TrackElementPlace(const Point& point, uint64_t element) const;
 };
 
-/// Positions of the records in the order of their ids, which is that of our arrays.
+/// Positions of the records in the order of their ids, the order of the problem's arrays.
 template <typename Record>
 std::vector<size_t> OrderById(const std::vector<Record>& records) {
   std::vector<size_t> order(records.size());
@@ -186,12 +186,12 @@ std::vector<size_t> OrderById(const std::vector<Record>& records) {
   return order;
 }
 
-/// Model of a COLMAP id; nullptr if COLMAP 4.2 has no such model. Our models are in the order of
-/// COLMAP's ids.
+/// Model of a COLMAP id; nullptr if COLMAP 4.2 has no such model. The models of the registry are in
+/// the order of COLMAP's ids.
 const CameraModel* FindColmapCameraModel(int32_t id);
 
-// Checks of single values, the same in both formats. Each throws InputError at `position`;
-// `subject` is "camera 3".
+// Checks of single values, the same in both formats. Each function throws InputError at `position`;
+// `subject` is, for example, "camera 3".
 
 /// Parameters finite, focal lengths and image sizes above zero.
 void CheckCameraParams(const ModelFile& file, uint64_t position, const std::string& subject,
@@ -202,7 +202,7 @@ void CheckCameraParams(const ModelFile& file, uint64_t position, const std::stri
 void CheckPose(const ModelFile& file, uint64_t position, const std::string& subject,
                const double* pose);
 
-/// Image sizes must fit our signed 64-bit numbers.
+/// Image sizes must fit signed 64-bit numbers.
 void CheckCameraSize(const ModelFile& file, uint64_t position, const std::string& subject,
                      uint64_t width, uint64_t height);
 
@@ -218,13 +218,13 @@ inline std::string RecordName(const char* kind, uint64_t id) {
 /// The shortest decimal number that reads back as `value`.
 std::string FormatNumber(double value);
 
-/// The observations of a model as our problem has them: images and points are counted in the order
-/// of their ids, the rows sorted by point, then image, then keypoint.
+/// The observations of a model, as in a problem: images and points are numbered in the order of
+/// their ids, the rows sorted by point, then image, then keypoint.
 struct ColmapObservations {
   std::vector<int32_t> image;
   std::vector<int32_t> point;
   std::vector<int32_t> keypoint;
-  std::vector<double> xy;  ///< two a row
+  std::vector<double> xy;  ///< two per row
 };
 
 /// `point_of_keypoint` is what CheckColmapReferences returned for this index.

@@ -12,26 +12,26 @@
 
 namespace bundle {
 
-/// A COLMAP model as it was read: its checked files, their contents, and the order of our arrays,
-/// which is that of the ids. The files stay in memory, so that `WriteColmapModel` can write them
-/// with other numbers even if they have changed on the disk.
+/// A COLMAP model that was read: its checked files, their contents, and the order of the problem's
+/// arrays, which is that of the ids. The files stay in memory, so that `WriteColmapModel` can write
+/// them with other numbers even if they have changed on the disk.
 struct ColmapModel {
   ColmapIndex index;
   std::vector<size_t> cameras_by_id;  ///< positions in `index`
   std::vector<size_t> images_by_id;
   std::vector<size_t> points_by_id;
-  /// Per frame of a rig of one camera: the row of its image in our arrays; -1 for a frame without
-  /// an image, and for frames of other rigs.
+  /// Per frame of a rig with one camera: the row of its image in the problem's arrays; -1 for a
+  /// frame without an image, and for frames of other rigs.
   std::vector<int64_t> image_of_frame;
   ColmapRigs rigs;
   ColmapObservations observations;
 
   bool is_binary() const { return index.kind == ModelFile::Kind::kBinary; }
-  /// Models from before there were rigs and frames have neither.
+  /// False for older models, without rigs and frames.
   bool has_frames() const { return !index.rigs.empty() || !index.frames.empty(); }
 
-  /// (num_images, 7) qx qy qz qw tx ty tz. The pose of an image is its frame's where its frame has
-  /// but one camera, and that of images.bin in frames of other rigs.
+  /// (num_images, 7) qx qy qz qw tx ty tz. The pose of an image is that of its frame if the rig has
+  /// only one camera; for other rigs, it is that of images.bin.
   std::vector<double> CamFromWorld() const;
 
   /// Poses in the images file, with the rows of CamFromWorld.
@@ -40,16 +40,16 @@ struct ColmapModel {
   std::vector<double> SensorFromRig() const;  ///< poses of `rigs.sensors`
 };
 
-/// Reads the files of a COLMAP model from end to end, and keeps them. `may_be_empty`: accept a
-/// model without cameras or images.
+/// Reads all files of a COLMAP model, and stores them. `may_be_empty`: accept a model without
+/// cameras or images.
 ///
 /// Throws InputError at the first error, naming file and line (or byte). COLMAP's own reader may
-/// accept such a file silently, allocate what a corrupt count says, or name no place. Also throws
-/// for two images of one camera in a frame and for images of a camera whose sensor_from_rig is not
-/// known, which a problem cannot represent.
+/// accept such a file silently, allocate memory for a corrupt count, or name no position. Also
+/// throws for two images of one camera in a frame and for images of a camera whose sensor_from_rig
+/// is unknown, which a problem cannot represent.
 ///
-/// Everything that COLMAP writes is accepted, and so is unusual valid data: points with one
-/// observation or none, several keypoints of one image in one track, models without rigs and
+/// Accepts all that COLMAP writes, including unusual valid data: points with one observation or
+/// without observations, several keypoints of one image in one track, models without rigs and
 /// frames.
 ColmapModel ReadColmapModel(const std::string& folder, bool may_be_empty = false);
 

@@ -15,8 +15,8 @@
 
 namespace bundle {
 
-/// One file of a model: values one after the other, in either format. Text separates them by
-/// blanks and has no counts but in its comments.
+/// One file of a model: values one after the other, in either format. Text separates them by blanks
+/// and has counts only in its comments.
 class RecordFile {
  public:
   /// `comments`: the lines at the head of text; without "#" and the line end of the last.
@@ -45,7 +45,7 @@ class RecordFile {
     EndLine();
   }
 
-  /// In text, the next values stand in a line of their own.
+  /// In text, starts a new line for the next values.
   void EndLine() {
     if (!is_binary_) buffer_ += '\n';
     at_begin_of_line_ = true;

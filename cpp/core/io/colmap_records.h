@@ -1,6 +1,6 @@
 #pragma once
 
-/// COLMAP models written whole, record by record.
+/// Writing of new COLMAP models, record by record.
 
 #include <cstddef>
 #include <cstdint>
@@ -19,9 +19,9 @@ struct ColmapRecords {
   std::vector<ColmapIndex::Camera> cameras;
   std::vector<ColmapIndex::Rig> rigs;
   std::vector<ColmapIndex::Frame> frames;
-  std::vector<ColmapIndex::Image> images;     ///< `first_keypoint` counts rows of the two arrays
+  std::vector<ColmapIndex::Image> images;     ///< `first_keypoint` is a row of the two arrays below
   const double* keypoint_xy = nullptr;        ///< (num_keypoints, 2), image by image
-  const uint64_t* keypoint_points = nullptr;  ///< ids; kInvalidPoint3DId for none
+  const uint64_t* keypoint_points = nullptr;  ///< ids; kInvalidPoint3DId without a point
   size_t num_points = 0;
   const int64_t* point_ids = nullptr;
   const double* points = nullptr;         ///< (num_points, 3)
@@ -31,7 +31,7 @@ struct ColmapRecords {
   const int32_t* track_keypoints = nullptr;  ///< index among the keypoints of the image
 };
 
-/// Writes the files of a model into an existing folder, byte for byte as COLMAP 4.2 does: text has
+/// Writes the files of a model into an existing folder, byte for byte as COLMAP 4.2 does. Text has
 /// 17 digits.
 ///
 /// The error of a point is computed here, as COLMAP defines it: the mean of ||r|| in pixels along
@@ -41,13 +41,12 @@ struct ColmapRecords {
 /// reader takes no other error than a finite one: in text, -1 stands for those as well. Projections
 /// are ours: the last digits of an error are not COLMAP's.
 ///
-/// `on_block` is called now and then and may throw. Throws std::system_error when the system
-/// refuses.
+/// `on_block` is called regularly and may throw. Throws std::system_error for errors of the system.
 void WriteColmapRecords(const ColmapRecords& records, bool is_binary,
                         const std::filesystem::path& folder, const std::function<void()>& on_block);
 
-/// Parts of the writer, for rigs and frames of a model that has none. `digits`: of text, 0 for the
-/// shortest number that reads back as the same.
+/// Parts of the writer, for rigs and frames of a model without them. `digits`: digits of text, 0
+/// for the shortest number that reads back as the same value.
 void WriteColmapRigs(const std::vector<ColmapIndex::Rig>& rigs, bool is_binary, int digits,
                      const std::filesystem::path& folder);
 void WriteColmapFrames(const std::vector<ColmapIndex::Frame>& frames, bool is_binary, int digits,

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Survey of a binary COLMAP model, read as a stream: which points belong together.
+/// Survey of a binary COLMAP model, read as a stream, for a division of its points.
 
 #include <cstdint>
 #include <functional>
@@ -33,7 +33,7 @@ ColmapIndex OpenColmapModel(const std::string& folder, const std::function<void(
 /// Orders cameras and images by id and finds the rigs. Throws InputError as ReadColmapModel.
 void OrderViews(ColmapModel* model);
 
-/// Per image of the file: its row in our arrays.
+/// Per image of the file: its row in the arrays of the problem.
 std::vector<int32_t> RowsOfImages(const ColmapModel& model);
 
 }  // namespace bundle

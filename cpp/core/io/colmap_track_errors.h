@@ -1,7 +1,7 @@
 #pragma once
 
-/// Messages about tracks and keypoints that contradict each other: for an element of a track, after
-/// "point 3: "; for a keypoint that no track has.
+/// Messages about tracks and keypoints that contradict each other. They describe an element of a
+/// track, after "point 3: ", or a keypoint that is in no track.
 
 #include <cstdint>
 #include <string>

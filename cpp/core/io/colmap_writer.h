@@ -11,7 +11,7 @@
 
 namespace bundle {
 
-/// The numbers that a solve changes, one row a record in the order of the ids.
+/// The numbers that a solve changes, one row per record in the order of the ids.
 struct ColmapValues {
   const double* cam_from_world = nullptr;   ///< (num_images, 7) qx qy qz qw tx ty tz
   const double* rig_from_world = nullptr;   ///< (frames of ColmapRigs, 7)
@@ -26,16 +26,16 @@ struct ColmapValues {
 ///
 /// All bytes except the given numbers are those of the files that were read: keypoints, tracks,
 /// colours, rigs, comments. A model without rigs and frames, from older versions, gets them as in
-/// COLMAP: one rig per camera and one frame per image, with the same ids. Text has the shortest
-/// digits that read back as the same number.
+/// COLMAP: one rig per camera and one frame per image, with the same ids. Numbers in text are the
+/// shortest that read back as the same value.
 ///
-/// Throws std::system_error when the system refuses.
+/// Throws std::system_error for errors of the system.
 void WriteColmapModel(const ColmapModel& model, const ColmapValues& values,
                       const std::filesystem::path& folder);
 
 /// Writes a model of which ReadColmapPart has read a part: copies images and points from file to
-/// file. `point_ids` are those of all points, ascending. Throws InputError where the files have
-/// changed since.
+/// file. `point_ids` are those of all points, ascending. Throws InputError if the files have
+/// changed in between.
 void RewriteColmapModel(const ColmapModel& model, const std::vector<int64_t>& point_ids,
                         const ColmapValues& values, const std::filesystem::path& folder);
 

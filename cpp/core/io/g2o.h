@@ -46,15 +46,15 @@ struct G2oGraph {
   bool has_vertices = false;         ///< false: `poses` are zero, ids those of the edges, ascending
   std::vector<int64_t> ids;          ///< num_poses, in the order of the file
   std::vector<double> poses;         ///< num_poses x 3 (x y angle) or 7 (qx qy qz qw tx ty tz)
-  std::vector<uint8_t> fixed;        ///< num_poses, 1 where the file says FIX
+  std::vector<uint8_t> fixed;        ///< num_poses, 1 for poses with a FIX record
   std::vector<int32_t> edges;        ///< num_edges x 2: positions of poses
   std::vector<double> measurements;  ///< num_edges x 3 or 7
   std::vector<double> information;   ///< num_edges x d x d with d = 3 or 6, symmetric
-  std::vector<int64_t> edge_lines;   ///< num_edges: lines of the file
+  std::vector<int64_t> edge_lines;   ///< num_edges: line of each edge in the file
   bool is_toro = false;
-  int64_t num_plain_edges = 0;     ///< without information
-  int64_t num_equivalences = 0;    ///< EQUIV
-  int64_t num_sensor_packets = 0;  ///< ROBOTLASER1 and the like
+  int64_t num_plain_edges = 0;     ///< number of edges without information
+  int64_t num_equivalences = 0;    ///< number of EQUIV records
+  int64_t num_sensor_packets = 0;  ///< number of ROBOTLASER1 and similar records
 };
 
 /// Reads a g2o file, plain or compressed by gzip or bzip2, as a stream. `on_block` is called
@@ -63,7 +63,7 @@ struct G2oGraph {
 /// Throws InputError `NAME:LINE: expected ..., found ...` and std::system_error.
 G2oGraph ReadG2o(const std::filesystem::path& path, const std::function<void()>& on_block);
 
-/// Contents of a g2o file, in arrays of the caller, as in G2oGraph.
+/// Contents of a g2o file, in the caller's arrays, as in G2oGraph.
 struct G2oView {
   int dimension = 0;
   int64_t num_poses = 0;
@@ -73,7 +73,7 @@ struct G2oView {
   const uint8_t* fixed = nullptr;
   const int32_t* edges = nullptr;
   const double* measurements = nullptr;
-  const double* information = nullptr;  ///< the upper triangles count
+  const double* information = nullptr;  ///< only the upper triangles are used
 };
 
 /// Writes a g2o file. Numbers are the shortest that read back as the same double. `on_block` as

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Files read as streams, decompressed on the way.
+/// Files read as streams and decompressed while reading.
 
 #include <cstddef>
 #include <cstdint>
@@ -10,8 +10,8 @@
 
 namespace bundle {
 
-/// A file as a stream of bytes, decompressed on the way if its first bytes say gzip or bzip2 (the
-/// name does not matter). Concatenated streams, as pigz and pbzip2 write them, are read as one.
+/// A file as a stream of bytes. It is decompressed if its first bytes are those of gzip or bzip2,
+/// for any name. Concatenated streams, as pigz and pbzip2 write them, are read as one.
 ///
 /// System errors are thrown as std::system_error, damaged compressed data as InputError with the
 /// position in the stored file.
@@ -20,13 +20,13 @@ class InputFile {
   static std::unique_ptr<InputFile> Open(const std::filesystem::path& path);
   virtual ~InputFile() = default;
 
-  /// Reads up to `size` > 0 bytes into `buffer`; returns how many, 0 only at the end.
+  /// Reads up to `size` > 0 bytes into `buffer`; returns their number, 0 only at the end.
   virtual size_t Read(char* buffer, size_t size) = 0;
 
   /// The name as messages print it.
   virtual const std::string& name() const = 0;
 
-  /// Size on disk in bytes, 0 for a pipe or a device.
+  /// Size on disk in bytes; 0 for a pipe or a device.
   virtual uint64_t stored_size() const = 0;
 
   virtual bool is_compressed() const = 0;
@@ -36,7 +36,7 @@ class InputFile {
 /// "" if the caller adds it.
 [[noreturn]] void FailAsChanged(const std::string& name = "");
 
-/// Bytes that readers of text read at a time.
+/// Number of bytes that readers of text read at a time.
 inline constexpr size_t kReadBlockSize = size_t{1} << 20;
 
 }  // namespace bundle

@@ -18,9 +18,9 @@
 
 namespace bundle {
 
-/// Walks through a text of any size record by record, a record being a line that is neither blank
-/// nor a comment ("#"), and within a line token by token. A line is in memory as a whole, in a
-/// buffer that is used again and again.
+/// Reads a text of any size record by record, and within a line token by token. A record is a line
+/// that is neither blank nor a comment ("#"). Each line is completely in memory, in a buffer that
+/// is reused.
 class LineCursor {
  public:
   /// `on_block` is called between blocks of about a megabyte; it may throw to end the reading.
@@ -29,7 +29,7 @@ class LineCursor {
     next_line_ = end_ = buffer_.data();
   }
 
-  /// Goes to the next record; false at the end of the file.
+  /// Moves to the next record; false at the end of the file.
   bool NextRecord() {
     while (NextLine()) {
       if (!AtEndOfLine() && *cursor_ != '#') return true;
@@ -54,7 +54,7 @@ class LineCursor {
   }
 
   /// Reads a number that fills its token and satisfies `accept(value)`; otherwise returns false and
-  /// stays before it.
+  /// stays before the token.
   template <typename T, typename Accept>
   bool Read(T* value, Accept accept) {
     AtEndOfLine();
@@ -98,7 +98,7 @@ class LineCursor {
       searched = ahead;
       if (Refill()) continue;
       if (next_line_ == end_) return false;
-      stop = end_;  // the last line has no end of its own
+      stop = end_;  // the last line has no line end
       break;
     }
     ++line_;
@@ -108,7 +108,7 @@ class LineCursor {
     return true;
   }
 
-  /// Moves the line that is not yet complete to the front and reads more behind it.
+  /// Moves the incomplete line to the front and reads more data after it.
   bool Refill() {
     if (at_end_) return false;
     if (on_block_) on_block_();

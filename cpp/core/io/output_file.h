@@ -1,6 +1,6 @@
 #pragma once
 
-/// Files written as streams, compressed on the way.
+/// Files written as streams, optionally compressed.
 
 #include <cstddef>
 #include <cstdint>
@@ -14,11 +14,11 @@ namespace bundle {
 
 enum class Compression { kNone, kGzip, kBzip2 };
 
-/// A file to write, compressed on the way. Compression runs on all cores: the file is a sequence of
+/// A file for writing, optionally compressed. Compression uses all cores: the file is a sequence of
 /// independent streams of about a megabyte, which every gzip and bzip2 tool reads as one.
 ///
-/// Throws std::system_error, also for errors that the system reports late; only after Close() has
-/// returned is everything handed to the system.
+/// Throws std::system_error, also for errors that the system reports late. All data are passed to
+/// the system only when Close() has returned.
 class OutputFile {
  public:
   OutputFile(const std::filesystem::path& path, Compression compression);
@@ -28,7 +28,7 @@ class OutputFile {
 
   /// Adds a block; blocks of kBlockSize are best.
   void Write(std::string_view block);
-  /// Replaces bytes that were written, of a file that is not compressed.
+  /// Replaces bytes that were already written, in a file without compression.
   void Overwrite(int64_t position, std::string_view bytes);
   void Close();
 
@@ -42,7 +42,7 @@ class OutputFile {
   std::filesystem::path path_;
   Compression compression_;
   int fd_;
-  std::deque<std::future<std::string>> streams_;  ///< being compressed, oldest first
+  std::deque<std::future<std::string>> streams_;  ///< streams being compressed, oldest first
 };
 
 }  // namespace bundle

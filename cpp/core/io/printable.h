@@ -1,6 +1,6 @@
 #pragma once
 
-/// Bytes of files and of their names, fit for messages.
+/// Bytes of files and of their names, made printable for messages.
 
 #include <cstddef>
 #include <string>
@@ -13,7 +13,7 @@ namespace bundle {
 /// bytes there is "...".
 std::string Printable(std::string_view bytes, size_t max_bytes = std::string_view::npos);
 
-/// The text, fit for a message and not too long for it, in quotes.
+/// The text in quotes, printable and shortened for a message.
 std::string Quoted(std::string_view text);
 
 }  // namespace bundle

@@ -21,7 +21,7 @@ namespace bundle {
 
 inline bool IsSpace(char c) { return c == ' ' || (c >= '\t' && c <= '\r'); }
 
-/// Walks through a text of white-space separated numbers, of any size, in a buffer of fixed size.
+/// Reads a text of white-space separated numbers, of any size, in a buffer of fixed size.
 ///
 /// Made for speed: the common case is one std::from_chars on the buffer. A refused number remains
 /// under the cursor, so that Fail() can show it.
@@ -34,7 +34,7 @@ class TextCursor {
   }
 
   /// Reads a number of type T that fills its token and satisfies `accept(value)`; otherwise returns
-  /// false and stays before it.
+  /// false and stays before the token.
   template <typename T, typename Accept>
   bool Read(T* value, Accept accept) {
     if (end_ - position_ < kEnoughAhead) Refill();
@@ -67,7 +67,7 @@ class TextCursor {
 
  private:
   static constexpr ptrdiff_t kEnoughAhead = 256;  ///< bytes that hold white space and a number
-  static constexpr size_t kLongestNumber = 4096;  ///< a longer token is no number
+  static constexpr size_t kLongestNumber = 4096;  ///< a longer token is not a number
   static constexpr size_t kShownBytes = 40;
 
   void SkipSpace() {
@@ -79,7 +79,7 @@ class TextCursor {
     } while (Refill());
   }
 
-  /// The cases that Read() leaves out: a leading plus, a number at the end of the buffer.
+  /// The cases that Read() does not handle: a leading plus, a number at the end of the buffer.
   template <typename T, typename Accept>
   bool ReadSlowly(T* value, Accept accept) {
     const std::string_view token = Token();
@@ -125,17 +125,17 @@ class TextCursor {
   bool at_end_ = false;
 };
 
-/// Walks through a text file of COLMAP record by record and, within a line, token by token, with
-/// COLMAP's rules: tokens are separated by white space; blank lines and lines that begin with '#'
-/// separate records. Anything unexpected throws InputError with the line.
+/// Reads a text file of COLMAP record by record and, within a line, token by token, with COLMAP's
+/// rules: tokens are separated by white space; blank lines and lines that begin with '#' separate
+/// records. Throws InputError with the line for unexpected contents.
 class ColmapTextCursor {
  public:
   explicit ColmapTextCursor(const ModelFile& file);
 
-  /// Goes to the next line that is neither blank nor a comment; false at the end of the file.
+  /// Moves to the next line that is neither blank nor a comment; false at the end of the file.
   bool NextRecord();
 
-  /// Goes to the next line, whatever is in it; false at the end of the file.
+  /// Moves to the next line, with any contents; false at the end of the file.
   bool NextLine();
 
   /// Number of the current line, from 1.
@@ -150,29 +150,29 @@ class ColmapTextCursor {
     return offset();
   }
 
-  /// Bytes of the file not yet gone through.
+  /// Number of bytes of the file after the cursor.
   size_t num_left() const { return static_cast<size_t>(end_ - next_line_); }
 
-  /// True when nothing but white space is left of the line.
+  /// True if only white space is left in the line.
   bool AtEndOfLine();
 
   /// Reads the next token. `what` is the expected token, for the message if there is none: "a
   /// camera model".
   std::string_view Token(const char* what);
 
-  /// A whole number from 0 to `max`.
+  /// Reads a whole number from 0 to `max`.
   uint64_t Integer(const char* what, uint64_t max);
 
-  /// A whole number that may be negative, of 64 bits.
+  /// Reads a whole number of 64 bits, which may be negative.
   int64_t SignedInteger(const char* what);
 
-  /// A camera, image, rig, frame or sensor id.
+  /// Reads a camera, image, rig, frame or sensor id.
   uint32_t Id(const char* what);
 
-  /// A finite number.
+  /// Reads a finite number.
   double Number(const char* what);
 
-  /// The rest of the line without white space around it; not empty.
+  /// Reads the remaining line without white space around it; not empty.
   std::string_view Rest(const char* what);
 
   void ExpectEndOfLine();
@@ -180,11 +180,12 @@ class ColmapTextCursor {
   [[noreturn]] void Fail(const std::string& message) const { file_.Fail(line_, message); }
 
  private:
-  /// False, with the cursor still before the token, if that is no whole number up to `max`.
+  /// Returns false, with the cursor still before the token, if it is not a whole number up to
+  /// `max`.
   template <typename T>
   bool ParseInteger(const char* what, T max, T* value);
 
-  /// Fails over the token that begins at the cursor.
+  /// Fails with a message about the token that begins at the cursor.
   [[noreturn]] void FailHere(const std::string& expected);
 
   const ModelFile& file_;
