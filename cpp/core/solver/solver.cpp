@@ -313,8 +313,7 @@ class Solver::Impl {
     return SolveWithCeresAsAsked(problem_, options, std::move(prepared), progress);
   }
 
-  /// The structure, bounds and factors of the constructor's problem, with the values of the last
-  /// one, about its centre.
+  /// Structure, bounds and factors of the constructor's problem, values of the last, centred.
   AdjustmentProblem problem_;
   const SolveOptions options_;
   const bool is_reused_;
