@@ -88,7 +88,7 @@ def markdown(results: Results, page: str, image: str) -> str:
         heading(results),
     ]
     if image:
-        parts.insert(0, f"![Total time of pycolmap and of Ceres over bundle's]({image})")
+        parts.insert(0, f"![Total time of pycolmap and of Ceres, divided by bundle's]({image})")
     if page:
         parts.append(f"Every solver on every problem, targets, growth, threads: [{page}]({page}).")
     return "\n\n".join(part for part in parts if part) + "\n"

@@ -57,8 +57,8 @@ struct ArctanRatio {
 ///
 ///   dxy/dP = (a J_u + g e X,  a J_v + g e Y,  -e / R^2).
 ///
-/// At 90 degrees the first two cancel along the radius, where a + g r^2 = Z / R^2 =: c is what is
-/// left. With e' = J_u Y - J_v X they are
+/// At 90 degrees the terms of the first two entries cancel along the radius; what remains there is
+/// c = a + g r^2 = Z / R^2. With e' = J_u Y - J_v X, these two entries become
 ///
 ///   a J_u + g e X = c J_u - g e' Y,   a J_v + g e Y = c J_v + g e' X.
 ///

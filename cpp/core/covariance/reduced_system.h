@@ -97,7 +97,7 @@ class ReducedSystem {
 
   /// Structure of the S in values(), with its blocks in the order of the layout.
   const BlockStructure& structure() const { return structure_; }
-  /// Values of S; after Factorize those that the solver left; after Invert the same blocks of S^-1.
+  /// Values of the blocks of S. Factorize may overwrite them; after Invert they are those of S^-1.
   std::vector<double>& values();
   const std::vector<double>& values() const;
   /// The right-hand side of a step: minus the gradient, points eliminated.

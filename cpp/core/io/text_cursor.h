@@ -156,8 +156,8 @@ class ColmapTextCursor {
   /// True if only white space is left in the line.
   bool AtEndOfLine();
 
-  /// Reads the next token. `what` is the expected token, for the message if there is none: "a
-  /// camera model".
+  /// Reads the next token. `what` describes it, such as "a camera model", for the message of the
+  /// error if the line has no further token.
   std::string_view Token(const char* what);
 
   /// Reads a whole number from 0 to `max`.

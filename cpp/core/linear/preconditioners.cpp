@@ -12,8 +12,8 @@
 ///
 /// and the preconditioner two_level, which Ceres does not have. The series is the Neumann series of
 /// S^-1 = (I - U^-1 (U - S))^-1 U^-1. Each term follows from the previous one, t_{i+1} = U^-1 (U -
-/// S) t_i = t_i - U^-1 S t_i, at one product with S. Inside conjugate gradients, Ceres stops the
-/// series only by the number of terms, so that M is the same in every iteration.
+/// S) t_i = t_i - U^-1 S t_i, and costs one product with S. Inside conjugate gradients, Ceres stops
+/// the series only by the number of terms, so that M is the same in every iteration.
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>

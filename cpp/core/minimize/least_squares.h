@@ -1,9 +1,9 @@
 #pragma once
 
-/// Interface of a least-squares problem for a trust region method: f(x) = 1/2 sum
-/// rho(||r_i(x)||^2), in passes over all residuals. The problem stores the state x, a candidate,
-/// and the two directions that are combined to every step. The trust region method only sees
-/// scalars.
+/// Interface of a least-squares problem, f(x) = 1/2 sum rho(||r_i(x)||^2), for a trust region
+/// method. Linearisations and evaluations are passes over all residuals. The problem stores the
+/// state x, a candidate, and the two directions whose combination is a step. The trust region
+/// method receives only scalars.
 ///
 /// J and r are corrected for the loss (factors/loss.h). s_j = 1 / (1 + ||J e_j||) at the first
 /// linearisation is the Jacobi scaling of column j, which is constant during a solve. With c_j =

@@ -48,9 +48,9 @@ class ScopedBlasThreads {
 };
 
 /// Makes OpenBLAS allocate its buffers now, 128 MiB per thread, because it would retry forever if
-/// an allocation fails. If there is memory for one buffer only, OpenBLAS has one thread from then
-/// on. Throws std::bad_alloc. Use only if memory is limited: its threads wake up and spin, for 30
-/// to 60 ms of CPU time.
+/// an allocation fails. If memory is too small for all buffers, OpenBLAS uses one thread from then
+/// on; throws std::bad_alloc if it is too small for one buffer. Call only if memory is limited: the
+/// call wakes all threads of OpenBLAS, which then spin for 30 to 60 ms of CPU time.
 void TakeBlasBuffers();
 
 /// From this number of columns on, the factorisation of a dense matrix is worth OpenBLAS' threads.

@@ -43,7 +43,7 @@ inline int EffectiveNumThreads(int num_threads) {
 }
 
 /// Calls run(0) to run(count - 1), each on its own thread if the system has enough threads; the
-/// others run on this thread. Waits for all, then throws the first exception of any.
+/// others run on this thread. Waits for all. If any call threw, then throws the earliest exception.
 void RunOnThreads(int64_t count, const std::function<void(int64_t)>& run);
 
 /// Number of threads, up to `wanted`, that the system can start now, including the caller's.
@@ -76,7 +76,7 @@ class ThreadPool {
   int num_threads() const { return static_cast<int>(workers_.size()) + 1; }
 
   /// Calls work(thread) once on each thread, where the caller's is thread 0, and waits for all.
-  /// Then throws the first exception of any. The pool can run again afterwards.
+  /// If any call threw, then throws the earliest exception. The pool can run again afterwards.
   void Run(const std::function<void(int thread)>& work);
 
  private:

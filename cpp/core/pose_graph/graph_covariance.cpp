@@ -177,7 +177,7 @@ class GraphCovariance {
            adjoint * InverseBlock(i, i) * adjoint.transpose();
   }
 
-  /// N, orthonormal in each component without a fixed pose and zero in the others; Y and N^T Y.
+  /// Computes N, Y and N^T Y. N is orthonormal in components without a fixed pose, zero in others.
   void FindDirections() {
     const auto num_poses = static_cast<size_t>(graph_.num_poses());
     const std::vector<int32_t> root =

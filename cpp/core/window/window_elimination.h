@@ -222,7 +222,7 @@ class WindowElimination {
     return out;
   }
 
-  /// Landmark whose rows begin at k.
+  /// Sorted blocks that the rows of a landmark depend on; the first of the rows is k.
   std::vector<int> BlocksOfLandmark(size_t k) const {
     const VisualRows& first = rows_.visual[k];
     std::vector<int> blocks = {2 * first.anchor};

@@ -82,7 +82,7 @@ class Placement:
             kind: "control", "check" or "gps"; "gps" includes only used positions.
 
         Returns:
-            (5,) NaN without such points.
+            (5,) root mean squares; NaN where no target or image of this kind has a residual.
         """
         if kind == "gps":
             rows = [image.residual for image in self.images if image.used]

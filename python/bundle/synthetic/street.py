@@ -252,7 +252,7 @@ class Street(Scene):
 
     @staticmethod
     def _window_height(rng: np.random.Generator, top: Array) -> Array:
-        """Draw heights up to the roof, with more points low and at window sills and lintels."""
+        """Return random heights, denser near the ground; three of five are at edges of windows."""
         height = 0.3 + (top - 0.3) * rng.random(len(top)) ** 1.4
         edges = 3.0 * np.floor(height / 3.0) + np.where(rng.random(len(top)) < 0.5, 0.9, 2.3)
         edges += rng.normal(0.0, 0.05, len(top))

@@ -1,1 +1,1 @@
-"""Counts, tracks, lenses and suspicions of a model (bundle info)."""
+"""Statistics of a model: counts, tracks, lenses and possible errors (bundle info)."""

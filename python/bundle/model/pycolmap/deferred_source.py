@@ -66,7 +66,7 @@ class DeferredSource:
 
 
 def _read_by_pycolmap(model: _core.ColmapModel, folder: Path) -> pycolmap.Reconstruction:
-    """Read a model by pycolmap from the bytes that were read earlier."""
+    """Return the reconstruction that pycolmap builds from the bytes of the files in memory."""
     address_space.require("pycolmap", address_space.PYCOLMAP)
     import tempfile  # slow to import
 

@@ -41,7 +41,7 @@ COST_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class GraphMethod:
-    """Compared options, by the names of :class:`bundle.PoseGraphOptions`.
+    """Options of a compared method, named as in :class:`bundle.PoseGraphOptions`.
 
     ``ordering`` is "" for Ceres, which chooses its own.
     """

@@ -310,7 +310,7 @@ class _Resolver(ConstantParts):
                     if value == 0 or (is_focal and value < 0):
                         raise InputError(
                             f"{rule.place}: {self._name(member)}: expected a value "
-                            f"{'above' if is_focal else 'other than'} 0 to take a percentage of, "
+                            f"{'above' if is_focal else 'other than'} 0 for a prior in percent, "
                             f"found {value:g}; give a sigma"
                         )
                     sigma *= 1 if is_focal else abs(value)

@@ -108,7 +108,8 @@ def solve_rounds(
         checkpoint: file that is replaced atomically after each round and each
             ``checkpoint_interval`` iterations, so that a killed run can continue. The solver
             restarts from the content of the file in every run, killed or not. With the option
-            ``deterministic``, a resumed run and an uninterrupted run end with equal bits.
+            ``deterministic``, a resumed run has the same result as an uninterrupted run, bit for
+            bit.
         checkpoint_interval: iterations from one checkpoint to the next within a round.
         resume: checkpoint from which the run continues, with the same problem and options (the
             number of threads may differ). If the file does not exist, the run begins at the start.

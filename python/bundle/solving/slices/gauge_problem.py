@@ -3,8 +3,8 @@
 Gauge freedom (``bundle.solving.gauge_freedom``) depends on the images that free points connect, and
 on the positions of constant points. For free points, a slice therefore contributes one point per
 observed image, which connects the image with the first image of its component. For constant points
-it contributes all observations. The gauge problem has at most one point per image and process, and
-the points that the user named.
+it contributes all observations. The gauge problem therefore consists of at most one free point per
+image from each process, and of the constant points that the user named.
 """
 
 from __future__ import annotations
