@@ -28,7 +28,7 @@ int CountResiduals(const std::string& name, const py::object& function,
                    const std::vector<const double*>& start) {
   const py::object answer = Call(function, retractions, start.data(), false);
   if (answer.is_none()) {
-    throw bundle::InputError(name + ": expected a finite residual at the start, found None");
+    throw bundle::InputError(name + ": expected a finite residual at the start, found no value");
   }
   return static_cast<int>(py::cast<Array>(py::cast<py::tuple>(answer)[0]).size());
 }

@@ -141,11 +141,10 @@ std::unique_ptr<Preconditioner> MakePreconditioner(PreconditionerType preconditi
     case PreconditionerType::kTwoLevel:
       return MakeTwoLevelPreconditioner(structure, num_threads);
     case PreconditionerType::kSchurJacobi:
-      return std::make_unique<SchurJacobi>(structure);
-    case PreconditionerType::kAuto:  // resolved before
+    case PreconditionerType::kAuto:  // resolved before, as the next two are refused
     case PreconditionerType::kClusterJacobi:
-    case PreconditionerType::kClusterTridiagonal:  // Ceres' alone
-      break;
+    case PreconditionerType::kClusterTridiagonal:
+      return std::make_unique<SchurJacobi>(structure);
   }
   throw std::logic_error("no such preconditioner of the fused backend");
 }
