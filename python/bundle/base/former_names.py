@@ -42,7 +42,7 @@ FORMER = {
     "graph.factor_graph": "graphs.factors.factor_graph",
     "graph.factors": "graphs.factors.factors",
     "graph.function_factor": "graphs.factors.function_factor",
-    "graph.graph_options": "interface.graph_options",
+    "graph.graph_options": "interface.options",
     "graph.graph_result": "graphs.factors.factor_graph",
     "graph.incremental_smoother": "graphs.factors.incremental_smoother",
     "graph.linear_prior": "graphs.factors.linear_prior",

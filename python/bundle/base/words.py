@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from collections.abc import Iterable
+from typing import Any, Protocol
 
 __all__ = [
     "Counts",
@@ -13,13 +14,20 @@ __all__ = [
     "distinct",
     "duration",
     "format_name",
+    "named",
     "not_converged",
+    "noun",
     "number",
     "pixels",
     "plural",
     "seconds",
+    "sorted_ids",
     "span",
 ]
+
+
+_LISTED = 5
+"""Ids that a sentence lists before it counts the others."""
 
 
 def number(value: float) -> str:
@@ -132,3 +140,21 @@ def contents(of: Counts) -> str:
 def format_name(name: str) -> str:
     """Return the name of a file format in text: "COLMAP", "BAL", "COLMAP text"."""
     return name.replace("-", " ").replace("colmap", "COLMAP").replace("bal", "BAL")
+
+
+def named(what: str, ids: Iterable[int]) -> str:
+    """Return "image 3", "images 3, 4" or "images 3, 4, 5, 6, 7 and 12 more"."""
+    listed = [int(entry) for entry in ids]
+    first = ", ".join(map(str, listed[:_LISTED]))
+    more = f" and {len(listed) - _LISTED} more" if len(listed) > _LISTED else ""
+    return f"{what}{'' if len(listed) == 1 else 's'} {first}{more}"
+
+
+def noun(count: int, one: str, many: str) -> str:
+    """Return the singular or plural of a noun for a count."""
+    return one if count == 1 else many
+
+
+def sorted_ids(ids: Any, rows: Any) -> tuple[int, ...]:
+    """Return the ids in some rows of an array, ascending."""
+    return tuple(sorted(ids[rows].tolist()))

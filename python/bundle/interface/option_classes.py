@@ -20,7 +20,7 @@ OPTION_CLASSES = {
     "FlightOptions": "flight_options",
     "GeoreferenceOptions": "georeference_options",
     "GraphFileOptions": "inspect_options",
-    "GraphOptions": "graph_options",
+    "GraphOptions": "options",
     "LensOptions": "camera_edit_options",
     "LocalOptions": "round_options",
     "LoopOptions": "loop_options",

@@ -1,4 +1,4 @@
-"""Options of a solve.
+"""Options of a solve, and of a solve of a factor graph.
 
 Names, defaults and meanings are defined only here. The command line generates its flags from these
 fields, the JSON report lists them, and ``bundle._core`` reads them by name.
@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import dataclasses
 import operator
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 from bundle.errors import InputError, brief
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import checked, choice, option
 
-__all__ = ["SolveOptions"]
+__all__ = ["GraphOptions", "SolveOptions"]
 
 BACKENDS = ("auto", "fused", "ceres")
 LINEAR_SOLVER_TYPES = (
@@ -302,3 +302,27 @@ def _ids(name: str, value: Any) -> tuple[int, ...]:
     for found in (entry for entry in ids if not -(2**63) <= entry < 2**63):
         raise InputError(f"{name}: expected ids below 2^63, found {brief(found)}")
     return tuple(sorted(ids))
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class GraphOptions(SolveOptions):
+    """Options of :meth:`bundle.FactorGraph.solve`: the SolveOptions, and Gauss-Newton.
+
+    Raises:
+        InputError: an option has a value outside its range; the message names option and value.
+    """
+
+    trust_region_strategy_type: str = option(
+        "levenberg_marquardt",
+        "--trust-region",
+        "trust region strategy; gauss_newton is levenberg_marquardt that starts without damping",
+        choices=("gauss_newton", *TRUST_REGION_STRATEGIES),
+    )
+
+    @classmethod
+    def of(cls, options: SolveOptions | None, changes: Mapping[str, Any], caller: str) -> Self:
+        """Return the options with some changed; ``options`` may also be plain SolveOptions."""
+        if isinstance(options, SolveOptions) and not isinstance(options, cls):
+            options = cls(**options.asdict())
+        return super().of(options, changes, caller)

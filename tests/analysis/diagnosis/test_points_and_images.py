@@ -7,7 +7,7 @@ import pytest
 
 import bundle
 from bundle.analysis.diagnosis.findings import _rank
-from bundle.analysis.diagnosis.scale_drift import scale_drift
+from bundle.analysis.diagnosis.scale_checks import scale_drift
 from bundle.analysis.diagnosis.viewing import viewing
 from tests.analysis.diagnosis import blocks
 from tests.analysis.diagnosis.blocks import block

@@ -6,10 +6,9 @@ import numpy as np
 
 from bundle.analysis.diagnosis.diagnosis_result import Component, WeakMode
 from bundle.analysis.diagnosis.equation_counts import EquationCounts
-from bundle.analysis.diagnosis.id_lists import named
 from bundle.analysis.diagnosis.track_table import TrackTable
 from bundle.analysis.diagnosis.viewing import viewing
-from bundle.base.words import plural
+from bundle.base.words import named, plural
 from bundle.model.problem import Problem
 
 __all__ = ["component_modes", "rotation_modes"]

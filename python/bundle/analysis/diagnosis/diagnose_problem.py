@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.analysis.diagnosis.collapsed import collapsed_clusters
 from bundle.analysis.diagnosis.component_modes import component_modes, rotation_modes
 from bundle.analysis.diagnosis.diagnose_graph import diagnose_graph
 from bundle.analysis.diagnosis.diagnosis_result import Component, Diagnosis
@@ -18,8 +17,8 @@ from bundle.analysis.diagnosis.equation_counts import EquationCounts
 from bundle.analysis.diagnosis.findings import findings
 from bundle.analysis.diagnosis.graph_diagnosis import GraphDiagnosis
 from bundle.analysis.diagnosis.modes import null_modes, weak_modes
-from bundle.analysis.diagnosis.point_checks import check_points
-from bundle.analysis.diagnosis.scale_drift import scale_drift
+from bundle.analysis.diagnosis.point_checks import check_points, collapsed_clusters
+from bundle.analysis.diagnosis.scale_checks import scale_drift
 from bundle.analysis.diagnosis.track_table import FEW_SHARED, TrackTable
 from bundle.analysis.diagnosis.unknowns import Unknowns
 from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs

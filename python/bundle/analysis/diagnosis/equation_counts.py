@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bundle.analysis.diagnosis.diagnosis_result import WeakMode
-from bundle.analysis.diagnosis.id_lists import named, sorted_ids
 from bundle.analysis.diagnosis.track_table import TrackTable
 from bundle.analysis.diagnosis.unknowns import Unknowns
-from bundle.base.words import plural
+from bundle.base.words import named, plural, sorted_ids
 
 __all__ = ["EquationCounts"]
 

@@ -9,12 +9,10 @@ import numpy as np
 
 from bundle.analysis.diagnosis.conditioning import Finding
 from bundle.analysis.diagnosis.diagnosis_result import Diagnosis, WeakMode
-from bundle.analysis.diagnosis.id_lists import named, noun
-from bundle.analysis.diagnosis.rig_baselines import rigs_without_baseline
-from bundle.analysis.diagnosis.scale_drift import ScaleDrift
+from bundle.analysis.diagnosis.scale_checks import ScaleDrift, rigs_without_baseline
 from bundle.analysis.diagnosis.track_table import FEW_SHARED, TrackTable
 from bundle.analysis.diagnosis.unknowns import Unknowns
-from bundle.base.words import plural
+from bundle.base.words import named, noun, plural
 from bundle.model.problem import Problem
 
 __all__ = ["findings"]

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.diagnosis.graph_diagnosis import GraphComponent, GraphWeakMode
-from bundle.analysis.diagnosis.id_lists import named, sorted_ids
-from bundle.base.words import number, plural
+from bundle.base.words import named, number, plural, sorted_ids
 from bundle.graphs.pose_graphs.joints import Joint, Joints
 from bundle.model.pose_graph_arrays import PoseGraph
 

@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.diagnosis.diagnosis_result import WeakMode
-from bundle.analysis.diagnosis.id_lists import named, sorted_ids
 from bundle.analysis.diagnosis.track_table import FEW_SHARED, TrackTable
 from bundle.analysis.diagnosis.unknowns import CameraPart, Unknowns
 from bundle.analysis.diagnosis.viewing import Viewing
-from bundle.base.words import plural
+from bundle.base.words import named, plural, sorted_ids
 
 __all__ = [
     "camera_ids",

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from bundle.analysis.diagnosis.diagnosis_result import CollapsedCluster, WeakMode
 from bundle.analysis.diagnosis.equation_counts import EquationCounts
-from bundle.analysis.diagnosis.id_lists import named, sorted_ids
 from bundle.analysis.diagnosis.mode_sentences import (
     camera_ids,
     dominant_parts,
@@ -29,7 +28,7 @@ from bundle.analysis.diagnosis.track_table import TrackTable
 from bundle.analysis.diagnosis.unknowns import CameraPart, Unknowns
 from bundle.analysis.diagnosis.viewing import Viewing, viewing
 from bundle.base.components import component_roots
-from bundle.base.words import plural
+from bundle.base.words import named, plural, sorted_ids
 from bundle.model.problem import Problem
 
 __all__ = ["null_modes", "weak_modes"]

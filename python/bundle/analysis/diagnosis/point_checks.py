@@ -3,6 +3,10 @@
 Let u_i be the unit vectors of the rays from the camera centres to a point. They differ by at most
 2 max |u_i - mean u| and by at least max |u_i - mean u|. For small values this is an angle. The
 bound avoids a loop over all pairs of rays.
+
+A solve can shrink a loosely connected part of a scene until its points lie on its cameras. Their
+depths are then orders of magnitude below the others. All parts connected to such points move with
+them, so a connected component is one cluster of collapsed points.
 """
 
 from __future__ import annotations
@@ -12,10 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.analysis.diagnosis.diagnosis_result import CollapsedCluster
 from bundle.analysis.diagnosis.track_table import TrackTable
+from bundle.analysis.statistics.depths import collapsed_observations, depths_of_observations
+from bundle.base.words import sorted_ids
 from bundle.model.problem import Problem
 
-__all__ = ["PointChecks", "check_points"]
+__all__ = ["PointChecks", "check_points", "collapsed_clusters"]
 
 AT_CAMERA = 1e-6
 """Share of the median distance of points from their cameras."""
@@ -61,3 +68,24 @@ def check_points(problem: Problem, tracks: TrackTable) -> PointChecks:
         at_cameras=ids[at_camera],
         at_infinity=ids[far & ~at_camera],
     )
+
+
+def collapsed_clusters(problem: Problem, tracks: TrackTable) -> tuple[CollapsedCluster, ...]:
+    """Return the clusters of collapsed points, the one with the most observations first."""
+    mask = collapsed_observations(problem, depths_of_observations(problem))
+    chosen = np.flatnonzero(mask)
+    if not len(chosen):
+        return ()
+    images, points = problem.observation_image[chosen], problem.observation_point[chosen]
+    piece = tracks.pieces[images]
+    clusters = []
+    for one in np.unique(piece).tolist():
+        own = piece == one
+        clusters.append(
+            CollapsedCluster(
+                point_ids=sorted_ids(problem.point_ids, np.unique(points[own])),
+                image_ids=sorted_ids(problem.image_ids, np.unique(images[own])),
+                num_observations=int(own.sum()),
+            )
+        )
+    return tuple(sorted(clusters, key=lambda cluster: -cluster.num_observations))

@@ -19,10 +19,9 @@ from bundle.graphs.factors.factor_check import FactorCheck, check_each
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.marginals import GraphMarginals
 from bundle.graphs.factors.variables import Array, Key, Variable, as_list
-from bundle.interface.graph_options import GraphOptions
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import SolveKeywords
-from bundle.interface.options import SolveOptions
+from bundle.interface.options import GraphOptions, SolveOptions
 from bundle.interface.solve_record import Progress, SolveRecord, record_fields
 
 __all__ = ["DigitsLeft", "FactorGraph", "GraphResult"]

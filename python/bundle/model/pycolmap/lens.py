@@ -1,6 +1,7 @@
 """Inverse projection by COLMAP's camera models: from pixels to the plane z = 1 of the camera.
 
-``bundle.model.cameras`` has the projections. COLMAP inverts most models by Newton's method.
+``bundle.model.cameras`` has the projections. COLMAP inverts most models by Newton's method
+(src/colmap/sensor/models.h, CamFromImg).
 ``bundle.editing.cameras.pixel_rays`` inverts a model to machine precision but is slower.
 """
 

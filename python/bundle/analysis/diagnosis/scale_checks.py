@@ -1,19 +1,61 @@
-"""Rigs whose sensors share one position; like a panorama head they do not determine the scale."""
+"""Checks of the scale: rigs that do not determine it, and its drift in a solve.
+
+Rigs whose sensors share one position do not determine the scale, like a panorama head.
+
+Images and points alone do not determine the scale. A solve without a fixed scale may shrink the
+world a little at each step, geometrically. The cost does not change, but after many steps numbers
+lose digits.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from bundle.analysis.diagnosis.conditioning import Finding
 from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_inverse, quaternion_rotate
+from bundle.solving.result import Result
 
-__all__ = ["rigs_without_baseline"]
+__all__ = ["ScaleDrift", "rigs_without_baseline", "scale_drift"]
 
 NO_BASELINE = 1e-4
 """Share of the points' distance, below which sensors count as being at the same position."""
+
+
+@dataclass(frozen=True)
+class ScaleDrift:
+    """Scale of a world after a solve.
+
+    Attributes:
+        factor: ratio of the spread of the camera centres after and before the solve.
+        num_steps: accepted steps of the solve, at least 1.
+    """
+
+    factor: float
+    num_steps: int
+
+    @property
+    def per_step(self) -> float:
+        """Geometric mean of the factors of the steps."""
+        return float(self.factor ** (1.0 / self.num_steps))
+
+
+def scale_drift(result: Result) -> ScaleDrift | None:
+    """Return the scale change by a solve; None if aligned or without extent."""
+    before, after = (
+        float(np.linalg.norm(centers - centers.mean(axis=0)))
+        for centers in (
+            result.initial_problem.projection_centers,
+            result.problem.projection_centers,
+        )
+    )
+    if not before > 0 or result.similarity is not None:
+        return None
+    accepted = np.asarray(result.iterations["step_is_successful"], bool)
+    return ScaleDrift(after / before, max(int(accepted[1:].sum()), 1))
 
 
 def rigs_without_baseline(problem: Problem) -> Iterator[Finding]:
