@@ -33,7 +33,7 @@ enum class Projection {
   /// The point is beyond 90 degrees from the optical axis, where the formula of a wide lens
   /// continues smoothly; its value is given.
   kBeyond,
-  /// The point is where the lens cannot see it, yet the formula has a value, which is given.
+  /// The lens cannot see the point, but the formula has a value; this value is given.
   kBehind,
   /// The formula has no value; outputs are untouched.
   kUndefined,

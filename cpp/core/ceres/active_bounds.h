@@ -9,8 +9,8 @@
 /// (StateBounds).
 ///
 /// Ceres asks for derivatives at each new state. Before that, the active numbers are determined
-/// from the gradient. The derivatives of costs by them are then set to zero. So no step moves them
-/// and the model predicts no decrease from them.
+/// from the gradient. The derivatives of all costs by the active numbers are then set to zero. So
+/// no step moves these numbers and the model predicts no decrease from them.
 ///
 /// DENSE_QR keeps a number without derivatives constant only up to rounding, which the small
 /// damping of its row amplifies. It would leave its bound by 1e-9 and no longer be active. For

@@ -81,8 +81,8 @@ class CeresGraph {
   int64_t CountInformationNonzeros() const;
 
   /// True once no factor can be evaluated any more, because the user ended the solve or a factor
-  /// threw an exception. The user's request is tested before a candidate is evaluated, while Ceres
-  /// can still end with the best state.
+  /// threw an exception. A request of the user to end the solve is tested before a candidate is
+  /// evaluated, when Ceres can still return the best state.
   const std::atomic<bool>& abandoned() const { return abandonment_.happened; }
   /// Rethrows the exception of a factor, if any; does not throw Interrupted.
   void RethrowFactorException() { abandonment_.exception.Rethrow(); }

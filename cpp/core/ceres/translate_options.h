@@ -20,8 +20,8 @@ std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering 
                                                             const ParameterLayout& layout,
                                                             double* points, double* state);
 
-/// True if factors couple unknowns of one kind, so that some of these are not in the group that an
-/// ordering eliminates.
+/// True if a factor has several unknowns of the kind that the ordering eliminates first (points, or
+/// blocks of the layout). Group 0 then cannot contain all unknowns of this kind.
 bool FactorsCoupleFirstGroup(EliminationOrdering ordering, const AdjustmentProblem& problem,
                              const ParameterLayout& layout);
 

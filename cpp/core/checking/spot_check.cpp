@@ -2,8 +2,8 @@
 
 /// A spot check of the linearisation. At a sample of observations, each column of the claimed
 /// Jacobian is compared with differences of the residual. In the iterations of a solve, a column
-/// that is far too small looks like bad scaling (WatchConvergence); this check distinguishes the
-/// two.
+/// that is far too small looks like bad scaling (WatchConvergence); this check distinguishes
+/// wrong columns from bad scaling.
 ///
 /// Along the axis of one number x_j, with D(h) = (r(x + h e_j) - r(x - h e_j)) / 2h,
 ///

@@ -158,7 +158,8 @@ bool EvaluateReprojection(const PoseState& pose, const double* params, const dou
 ///   that is behind at the start has nothing to return for.
 ///
 /// f + g of a candidate is that of the state that it becomes: each state has one sum, which falls
-/// from one accepted step to the next. If all observations are in front, none holds a residual.
+/// from one accepted step to the next. As long as every observation is in front of its
+/// camera, no observation holds a residual.
 ///
 /// A solve that has converged may have left observations out that hold h and are in front of their
 /// cameras, at ||r|| > ||h||. They count from then on, which raises f, and the solve continues from

@@ -78,7 +78,8 @@ struct Block {
   std::vector<double> value;  ///< where the chart starts, as the manifold stores it
   /// One entry per tangent coordinate, true if it is constant; empty: all are free.
   std::vector<bool> held;
-  /// Bounds of Euclidean values, one entry per number, infinite if it has none; empty: no bounds.
+  /// Bounds of Euclidean values, one entry per number, infinite for a number without a bound;
+  /// empty: no bounds.
   std::vector<double> lower;
   std::vector<double> upper;
 

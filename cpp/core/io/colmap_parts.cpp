@@ -1,9 +1,9 @@
 #include "core/io/colmap_parts.h"
 
 /// A part is read in two passes. points3D.bin gives its points and their tracks, and so the place
-/// of each observation. images.bin then gives the pixels. A keypoint without a place, and a place
-/// without a keypoint, are contradictions. Beside its data, a part needs only eight bytes of memory
-/// per observation.
+/// of each observation. images.bin then gives the pixels. The files contradict each other if a
+/// keypoint has no such place, or if a place gets no keypoint. Beside its data, a part needs only
+/// eight bytes of memory per observation.
 
 #include <algorithm>
 #include <cmath>

@@ -43,7 +43,7 @@ ColmapIndex OpenColmapModel(const std::string& folder, const std::function<void(
   return index;
 }
 
-/// Orders the index and finds its rigs; the points are not in it.
+/// Orders the cameras and images of the index by id, and finds the rigs. Points are not needed.
 void OrderViews(ColmapModel* model) {
   model->cameras_by_id = OrderById(model->index.cameras);
   model->images_by_id = OrderById(model->index.images);

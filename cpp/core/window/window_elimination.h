@@ -222,7 +222,7 @@ class WindowElimination {
     return out;
   }
 
-  /// Sorted blocks that the rows of a landmark depend on; the first of the rows is k.
+  /// Sorted blocks that the rows of a landmark depend on; k is the first of these rows.
   std::vector<int> BlocksOfLandmark(size_t k) const {
     const VisualRows& first = rows_.visual[k];
     std::vector<int> blocks = {2 * first.anchor};

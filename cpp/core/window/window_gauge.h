@@ -17,11 +17,11 @@
 ///   N^T H N = sum N^T Lambda N.
 ///
 /// Directions C with C^T (N^T H N) C = 0 have no information. These are all four columns, or the
-/// columns that a prior on the first position or heading leaves free. They are the translations if
-/// priors were linearised elsewhere (window.h) and seem to observe the heading. F = N C, with F^T
-/// D^2 F = I, are the free directions.
+/// columns that a prior on the first position or heading leaves free. Only the
+/// translations are free if priors were linearised at other states (window.h) and therefore have
+/// false information on the heading. F = N C, with F^T D^2 F = I, are the free directions.
 ///
-/// A Newton step q has no component along them in the inner product of D^2 (schur/newton_gauge.h):
+/// A Newton step q has no component along F in the inner product of D^2 (schur/newton_gauge.h):
 /// F^T (H + l D^2) q = l F^T D^2 q = -F^T g = 0. With rounding it has such a component, because the
 /// solution divides rounding errors along F by l. The more exactly a window is solved, the farther
 /// all its frames move together. The prior, which is quadratic and therefore not invariant under a

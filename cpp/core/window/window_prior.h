@@ -27,7 +27,8 @@ double CostOfPrior(const WindowView& view, const WindowPrior& prior, const Windo
 void RowsOfPrior(const WindowView& view, const WindowPrior& prior, const WindowState& at,
                  std::vector<double>* jacobian, std::vector<double>* residual);
 
-/// Coordinates of a block about a point as priors store it: PriorBlockSize numbers.
+/// Coordinates of a block of `at` about `point`, a point of linearisation in the form that priors
+/// store: PriorBlockSize numbers.
 void BlockFromPoint(int block, int num_states, const double* point, const WindowState& at,
                     double* d);
 /// Numbers of a block as a prior stores it: 16.

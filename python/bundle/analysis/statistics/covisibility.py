@@ -98,7 +98,7 @@ def components(
 
 
 def _by_point(problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the distinct (image, point) of observations, sorted by point, then image."""
+    """Return images and points of all distinct observed pairs, sorted by point, then image."""
     size = max(problem.num_images, 1)
     code = np.sort(problem.observation_point.astype(np.int64) * size + problem.observation_image)
     points, images = np.divmod(code[np.diff(code, prepend=-1) != 0], size)

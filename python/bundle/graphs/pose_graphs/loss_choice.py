@@ -73,8 +73,8 @@ def choose_loss(
         doubted: (m,) edges to which the loss applies.
         options: options with loss "auto".
         c_squared: limit of the truncated cost.
-        doubts: function from the output of the solve without a loss to the reason for doubt, as
-            words that follow "without a loss"; "" without one.
+        doubts: function from the output of the solve without a loss to the reason to doubt
+            it, in words that continue the phrase "without a loss"; "" if there is no doubt.
 
     Returns:
         Options with the chosen loss, the output of its solve, and the reason in a sentence.

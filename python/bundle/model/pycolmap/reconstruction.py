@@ -27,7 +27,9 @@ MAX_POINT_ID = 2**63 - 1  # ids are stored as signed numbers here
 
 
 def fields_of(reconstruction: pycolmap.Reconstruction) -> dict[str, Any]:
-    """Return the fields of a problem from a reconstruction. A copy becomes the problem's source.
+    """Return the fields of a problem from a reconstruction.
+
+    The source of the problem is a copy of the reconstruction.
 
     Raises:
         InputError: a frame has several images of one camera, or an image of a camera without

@@ -45,7 +45,7 @@ class Rates:
         ceres_dynamic_pair: the same in kernels of dynamic size.
         ceres_reduced_value: find, convert and copy a value of a sparse S.
         ceres_product: an observation in an implicit product with S.
-        ceres_normal_entry: an entry of a point's update of the full system's factor.
+        ceres_normal_entry: update one entry of the full system's factor to eliminate a point.
     """
 
     num_threads: int
