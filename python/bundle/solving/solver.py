@@ -184,7 +184,7 @@ class Solver(Displayed):
         return self.problem, self._options, self.factors, self.bounds, applied
 
     def _display(self) -> Display:
-        changed = repr(self._options).partition("(")[2].rstrip(")")
+        changed = ", ".join(f"{name}={value!r}" for name, value in self._options.changed().items())
         facts = [("problem", contents(self.problem)), ("options", changed or "defaults")]
         if self.factors:
             facts.append(("factors", f"{len(self.factors)}"))

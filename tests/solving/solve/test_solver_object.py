@@ -393,6 +393,7 @@ def test_it_shows_itself():
     solver = bundle.Solver(scenes.make_problem(num_images=5), loss="huber")
     assert "5 images" in repr(solver)
     assert "loss='huber'" in repr(solver)
+    assert "function_tolerance" not in repr(solver)  # which has its default
     assert "<table>" in solver._repr_html_()
 
 
