@@ -7,7 +7,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bundle.cli.option_flags import naming_flags, options_given
+from bundle.cli.option_flags import flags_of, naming_flags, options_given
 from bundle.errors import InputError, shown
 from bundle.interface.georeference_options import GeoreferenceOptions
 
@@ -18,12 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["GEOREFERENCE_FLAGS", "georeference_given", "main_flag", "priors_of", "settings_of"]
 
-GEOREFERENCE_FLAGS = {
-    **{name: f"--{name.replace('_', '-')}" for name in ("gps", "images", "gps_sigma", "antenna")},
-    **{"prior_loss": "--prior-loss", "prior_loss_scale": "--prior-loss-scale"},
-    **{"gcps": "--gcp", "gcp_sigma": "--gcp-sigma", "gcp_pixel_sigma": "--gcp-pixel-sigma"},
-    "check_points": "--check-points",
-}
+GEOREFERENCE_FLAGS = {**flags_of(GeoreferenceOptions), "gcps": "--gcp"}
 """Flags of the arguments of ``gps_priors``, ``gcp_priors`` and :func:`bundle.align`."""
 
 

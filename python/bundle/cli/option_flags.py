@@ -6,7 +6,7 @@ import argparse
 import dataclasses
 import functools
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = [
     "add_fields",
     "add_options",
+    "flags_of",
     "naming_flags",
     "options_given",
     "with_named_images",
@@ -87,7 +88,7 @@ def options_given(
     """
     fields = dataclasses.fields(kind)  # type: ignore[arg-type]
     values = {field.name: getattr(arguments, field.name, None) for field in fields}
-    flags = {field.name: field.metadata["flag"] for field in fields}
+    flags = flags_of(kind)
     for field in fields:
         if field.metadata["value"] == "images" and isinstance(values[field.name], str):
             if not names_follow:
@@ -135,7 +136,7 @@ def naming_flags(*kinds: type[Any], **others: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        flags = {**_flags_of(kinds), **others}
+        flags = {**flags_of(*kinds), **others}
         name, colon, rest = str(error).partition(":")
         if name not in flags:
             raise
@@ -144,7 +145,8 @@ def naming_flags(*kinds: type[Any], **others: str) -> Iterator[None]:
         raise InputError(f"{flags[name]}{colon}{words}") from None
 
 
-def _flags_of(kinds: Collection[type[Any]]) -> Mapping[str, str]:
+def flags_of(*kinds: type[Any]) -> dict[str, str]:
+    """Return the flags of option classes, by the names of their fields."""
     return {
         field.name: field.metadata["flag"] for kind in kinds for field in dataclasses.fields(kind)
     }

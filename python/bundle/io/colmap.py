@@ -117,7 +117,7 @@ def can_rewrite(problem: Problem, *, binary: bool) -> bool:
 
 def check_save(problem: Problem, *, binary: bool) -> None:
     """Raise the InputError that :func:`save` would raise."""
-    if _model(problem, binary=binary) is not None:
+    if can_rewrite(problem, binary=binary):
         problem.check_padding()
         return
     source = vars(problem)["source"]

@@ -75,9 +75,9 @@ class Filtered(Displayed):
 
 def filter_observations(
     problem: Source,
-    max_error: float = 4.0,
-    min_angle: float = 1.5,
-    min_track_length: int = 2,
+    max_error: float = RoundOptions.max_error,
+    min_angle: float = RoundOptions.min_angle,
+    min_track_length: int = RoundOptions.min_track_length,
     *,
     kept_point_ids: Iterable[int] = (),
     kept_track_ids: Iterable[int] = (),
