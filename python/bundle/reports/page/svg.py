@@ -66,7 +66,7 @@ def drawing(figure: Figure) -> str:
     layers = [
         [chart.band(mark) for mark in figure.marks if isinstance(mark, Line)],
         [chart.places(mark) for mark in figure.marks if isinstance(mark, Places)],
-        [chart.mark(mark) for mark in figure.marks],
+        [chart.mark(mark) for mark in figure.marks if not isinstance(mark, Places)],
         [chart.dots_of_line(mark) for mark in figure.marks if isinstance(mark, Line)],
     ]
     label = f"{figure.y.label} against {figure.x.label}"
@@ -119,8 +119,7 @@ class _Chart:
 
     def mark(self, mark: Any) -> str:
         """Return a mark; empty if it has no points on the axes."""
-        draw = self._KINDS.get(type(mark))
-        return "" if draw is None else draw(self, mark)
+        return self._KINDS[type(mark)](self, mark)
 
     def _line(self, line: Line) -> str:
         path = "" if line.is_dotted else self._path(line.x, line.y)
