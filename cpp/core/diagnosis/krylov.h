@@ -19,7 +19,7 @@ using BlockOperator = std::function<Eigen::MatrixXd(const Eigen::MatrixXd&)>;
 /// eigenvectors; fewer if its range has fewer dimensions. A residual ||A x - a x|| is at most
 /// `tolerance` a, if a search space of at most `max_dimension` dimensions allows it.
 ///
-/// Of an eigenvalue with more than `block` dimensions, at least `block` eigenvectors are found. The
+/// For an eigenvalue with more than `block` dimensions, finds at least `block` eigenvectors. The
 /// start is the same in each call.
 EigenPairs FindLargest(int size, int wanted, int block, int max_dimension, double tolerance,
                        const BlockOperator& apply);

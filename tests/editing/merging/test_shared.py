@@ -1,4 +1,4 @@
-"""Which keypoints of two images of one name are the same."""
+"""Keypoints that two images of one name share."""
 
 import numpy as np
 import pycolmap

@@ -1,4 +1,4 @@
-"""Which loss ``auto`` takes, and what it says of that."""
+"""The choice of a loss by ``auto``, and its explanation."""
 
 import importlib
 import json

@@ -1,4 +1,4 @@
-"""Which methods are compared, and command lines as people write them."""
+"""The compared methods, and their command lines."""
 
 import argparse
 

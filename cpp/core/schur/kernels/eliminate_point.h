@@ -2,7 +2,7 @@
 
 /// Elimination of a point. Included by kernels.cpp only.
 ///
-/// Of a point with damped block V' = V + damping D^2 = L L^T and observations i, whose corrected
+/// For a point with damped block V' = V + damping D^2 = L L^T and observations i, whose corrected
 /// residuals and Jacobians are r_i, A_i (camera parameters, 2 x d) and B_i (point, 2x3), the Schur
 /// complement of V' in the normal equations adds, with Y_i = B_i L^-T and h = L^-1 g,
 ///
