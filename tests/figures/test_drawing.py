@@ -363,3 +363,17 @@ def test_a_square_is_as_wide_by_high_as_the_area_of_a_chart():
     assert (x.high - x.low) / width == pytest.approx((y.high - y.low) / height)
     assert (y.low, y.high) == (-7.0, 3.0)
     assert isinstance(x, Axis) and (x.label, y.label) == ("a", "b")
+
+
+@pytest.mark.parametrize(("y", "low"), [([2.0, 3.0], 0.0), ([-2.0, 3.0], -2.0)])
+def test_axes_of_lines_begin_at_zero_unless_values_are_below(y, low):
+    line = Line("a", np.array([1.0, 2.0]), np.array(y))
+    lines = LineFigure(name="f", title="", x_label="x", y_label="y", lines=(line,))
+    axis = lines.figure().y
+    assert axis.low == 0.0 if low == 0.0 else axis.low <= low
+
+
+@pytest.mark.parametrize("mark", [Cells(np.ones((2, 2)), 1.0, ""), Photo("data:,")])
+def test_a_chart_refuses_marks_of_image_planes(mark):
+    with pytest.raises(KeyError):
+        drawing(chart(mark))

@@ -303,3 +303,26 @@ def test_rigs_with_frames_and_sensors_outside_of_the_part():
     moved = (result.problem.rig_from_world != problem.rig_from_world).any(axis=1)
     assert 0 < moved.sum() <= 2
     np.testing.assert_array_equal(result.problem.sensor_from_rig, problem.sensor_from_rig)
+
+
+@pytest.mark.parametrize(("images", "gauge"), [(1, "none"), (5, "auto")])
+def test_a_marginal_rest_takes_the_gauge_where_there_is_one(images, gauge):
+    problem = KINDS["plain"]["problem"]
+    part = PartRequest(problem.image_ids[:images].tolist(), "marginal")
+    prepared = prepare(SolveRequest(problem=problem, part=part))
+    assert prepared.rest.holds_gauge == (gauge == "none")
+    assert prepared.options.gauge == gauge
+
+
+def test_a_result_of_a_part_has_the_options_that_were_asked_for():
+    problem = KINDS["plain"]["problem"]
+    held = {
+        "fixed_image_ids": (int(problem.image_ids[1]),),
+        "fixed_camera_ids": (int(problem.camera_ids[0]),),
+        "fixed_point_ids": (int(problem.point_ids[3]),),
+    }
+    part = PartRequest(problem.image_ids[:3].tolist())
+    result = run(
+        SolveRequest(problem=problem, options=OPTIONS.replace(**held), part=part), RunPlan()
+    )
+    assert {name: getattr(result.options, name) for name in held} == held
