@@ -326,3 +326,6 @@ def test_a_result_of_a_part_has_the_options_that_were_asked_for():
         SolveRequest(problem=problem, options=OPTIONS.replace(**held), part=part), RunPlan()
     )
     assert {name: getattr(result.options, name) for name in held} == held
+    rules = (f"points {problem.point_ids[0]}-{problem.point_ids[1]}: position fixed",)
+    request = SolveRequest(problem=problem, options=OPTIONS, part=part, constraints=rules)
+    assert run(request, RunPlan()).options.fixed_point_ids == ()
