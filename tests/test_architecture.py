@@ -14,12 +14,12 @@ CORE = "geometry parallel sums dense symbolic cameras inertial factors graph pro
 CORE += " interface model minimize linear window checking prepare pose_graph schur covariance"
 LAYERS = f"{CORE} diagnosis ceres solver".split()  # of cpp/core, the lowest first
 ROOMS = "base interface model io checking graphs georeference editing solving inertial synthetic"
-RANKS = f"{ROOMS} planning analysis figures reports cli".split()  # of python/bundle
+RANKS = f"{ROOMS} planning analysis judging figures reports cli".split()  # of python/bundle
 ROOT_FILES = ["__init__.py", "__main__.py", "_core.pyi", "errors.py", "py.typed"]
 OUTSIDERS = {  # other people's packages, and the rooms that may know them
     "argparse": "cli", "shtab": "cli", "rich": "base checking reports cli", "matplotlib": "figures",
     "pycolmap": "model io", "pyproj": "georeference", "yaml": "model",
-    "evo": "inertial", "mpi4py": "solving cli", "PIL": "georeference reports",
+    "evo": "inertial judging", "mpi4py": "solving cli", "PIL": "georeference reports",
 }  # fmt: skip
 
 

@@ -91,7 +91,7 @@ def test_json(run, named, spoil, tmp_path):
     code, _, _ = run("check", named, "--samples", 4, "--seed", 3, "--json", target)
     assert code == 1
     report = json.loads(target.read_text())
-    assert list(report)[:5] == ["schema", "command", "version", "input", "options"]
+    assert list(report)[:5] == ["schema", "command", "version", "input", "headline"]
     assert (report["schema"], report["command"], report["ok"]) == (1, "check", False)
     assert report["options"]["samples_per_image"] == 4
     assert (report["num_checked"], report["num_skipped"]) == (12, 0)

@@ -56,7 +56,7 @@ def test_json(run, model, tmp_path):
     assert (code, err) == (0, "")
     assert out
     report = json.loads(target.read_text())
-    assert list(report)[:5] == ["schema", "command", "version", "input", "options"]
+    assert list(report)[:5] == ["schema", "command", "version", "input", "headline"]
     assert (report["schema"], report["command"], report["num_threads"]) == (1, "inspect", 1)
     assert report["options"]["refine"] == ["poses", "points"]
     assert report["recommended_command"].startswith(f"bundle refine {model} -o OUTPUT")

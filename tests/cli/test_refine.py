@@ -56,8 +56,8 @@ def test_json_against_the_contract(run, model, tmp_path, backend):
     assert code == 0
     report = json.loads(report_path.read_text())
     assert list(report) == [
-        "schema", "command", "version", "input", "options", "summary", "iterations",
-        "reprojection_error",
+        "schema", "command", "version", "input", "headline", "findings", "options", "summary",
+        "iterations", "reprojection_error",
         "held_cost", "cameras", "worst_images", "wall_time", "output",
     ]  # fmt: skip
     assert (report["schema"], report["command"]) == (1, "refine")

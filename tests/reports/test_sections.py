@@ -90,7 +90,8 @@ def test_json_has_every_row_unrounded_and_null_for_what_is_not_finite():
     made = report(more=(1, "x", None, {"k": np.int64(3)}))
     held = made.json()
     assert list(held) == [
-        "schema", "command", "version", "input", "rows", "none", "array", "more",
+        "schema", "command", "version", "input", "headline", "findings", "rows", "none", "array",
+        "more",
     ]  # fmt: skip
     assert [row["error"]["rmse"] for row in held["rows"]] == [row.error.rmse for row in ROWS]
     assert held["none"] is None and held["array"] == [1.5, None]
@@ -99,9 +100,11 @@ def test_json_has_every_row_unrounded_and_null_for_what_is_not_finite():
 
 
 def test_a_report_without_an_input_has_none_in_its_json():
-    assert list(Report(command="synth").json()) == ["schema", "command", "version"]
+    assert list(Report(command="synth").json()) == [
+        "schema", "command", "version", "headline", "findings",
+    ]  # fmt: skip
     both = several("info", [report(), report()])
-    assert list(both.json()) == ["schema", "command", "version", "reports"]
+    assert list(both.json())[3:] == ["headline", "findings", "reports"]
     assert both.json()["reports"][0] == report().json()
     assert len(both.sections) == 8
 

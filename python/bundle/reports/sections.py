@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle._core import __version__
+from bundle.interface.finding import Finding
 
 __all__ = [
     "SCHEMA",
@@ -116,6 +117,7 @@ class Section:
         notes: list of sentences, shown last.
         is_warning: True if the notes are warnings.
         is_joined: True to omit the empty line above.
+        is_detail: True to show the section with --verbose only.
     """
 
     facts: Sequence[tuple[str, str]] = ()
@@ -125,6 +127,7 @@ class Section:
     notes: Sequence[str] = ()
     is_warning: bool = False
     is_joined: bool = False
+    is_detail: bool = False
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -135,6 +138,7 @@ class Report:
         command: name of the command.
         input: path, format and counts of the input; None if the data contain them.
         headline: verdict in sentences.
+        findings: facts to act on, the most important first.
         sections: sections for people.
         data: data for programs, in addition to schema, command, version and input.
     """
@@ -142,13 +146,15 @@ class Report:
     command: str
     input: Mapping[str, Any] | None = None
     headline: Sequence[str] = ()
+    findings: Sequence[Finding] = ()
     sections: Sequence[Section] = ()
     data: Mapping[str, Any] = field(default_factory=dict)
 
     def json(self) -> dict[str, Any]:
         """Return the report for programs, in JSON types."""
         given = {} if self.input is None else {"input": self.input}
-        report: dict[str, Any] = plain({**heading(self.command), **given, **self.data})
+        verdict = {"headline": self.headline, "findings": self.findings}
+        report: dict[str, Any] = plain({**heading(self.command), **given, **verdict, **self.data})
         return report
 
 

@@ -232,6 +232,8 @@ def test_json_has_what_the_contract_lists(problem):
         "command",
         "version",
         "input",
+        "headline",
+        "findings",
         "options",
         "summary",
         "iterations",

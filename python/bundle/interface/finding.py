@@ -1,0 +1,26 @@
+"""Finding: a fact about a model that its user should act on, and the command to act with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+__all__ = ["Finding"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """A fact about a model that its user should act on.
+
+    Attributes:
+        kind: stable name for programs, such as "outliers".
+        sentence: the fact with its numbers, in words.
+        command: command line to run next; "" if no command helps.
+        evidence: numbers behind the sentence, by name.
+    """
+
+    kind: str
+    sentence: str
+    command: str = ""
+    evidence: Mapping[str, Any] = field(default_factory=dict)
