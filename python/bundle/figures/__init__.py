@@ -13,9 +13,9 @@ from bundle.figures.projection_uncertainty import (
 )
 from bundle.figures.residual_field import RadialProfile, ResidualField, residual_fields
 from bundle.figures.residual_histogram import ResidualHistogram, residual_histogram
-from bundle.figures.residuals import Residuals, residuals
 from bundle.figures.scene_view import SceneView, scene_view
 from bundle.figures.track_statistics import TrackStatistics, track_statistics
+from bundle.model.residuals import Residuals, residuals
 
 __all__ = [
     "Certainty",

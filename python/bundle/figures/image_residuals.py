@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.figures.residuals import Residuals
 from bundle.model.problem import Problem
+from bundle.model.residuals import Residuals
 from bundle.model.worst_images import ImageError, worst_of_errors
 
 __all__ = ["ImageResiduals", "image_residuals", "worst_residuals"]

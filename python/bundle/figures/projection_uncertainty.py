@@ -40,10 +40,10 @@ from numpy.typing import NDArray
 
 from bundle.editing.cameras.pixel_rays import pixel_rays
 from bundle.figures.residual_field import image_box, principal_point
-from bundle.figures.residuals import Residuals, residuals
 from bundle.model.cameras import camera_models, project
 from bundle.model.losses import evaluate_loss
 from bundle.model.problem import Problem
+from bundle.model.residuals import Residuals, residuals
 from bundle.model.rotations import cross_matrices, rotation_matrices
 
 __all__ = ["ProjectionUncertainty", "contour_levels", "projection_uncertainty"]

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.figures.axes import round_down
-from bundle.figures.residuals import Residuals
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
+from bundle.model.residuals import Residuals
 
 __all__ = [
     "SIGNIFICANT",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.figures.residuals import Residuals
+from bundle.model.residuals import Residuals
 
 __all__ = ["ResidualHistogram", "residual_histogram"]
 

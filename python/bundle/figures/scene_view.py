@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.figures.residuals import Residuals
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
+from bundle.model.residuals import Residuals
 from bundle.model.rotations import rotation_matrices
 
 __all__ = ["SceneView", "scene_view"]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bundle.figures.lens_curves import lens_curve, most_observed_cameras
-from bundle.figures.residuals import residuals
 from bundle.figures.scene_view import scene_view
+from bundle.model.residuals import residuals
 from tests.formulas import PARAMS
 from tests.scenes import make_problem
 

@@ -10,10 +10,10 @@ import numpy as np
 from bundle.analysis.statistics.description import Description
 from bundle.base.words import contents, pixels, plural, seconds
 from bundle.figures.cost_figures import iteration_figure
-from bundle.figures.residuals import Residuals
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.model.reprojection import ReprojectionError
+from bundle.model.residuals import Residuals
 from bundle.reports.page.page import tag
 from bundle.reports.page.svg import draw
 from bundle.reports.page.table import declared, table

@@ -24,12 +24,12 @@ from bundle.figures.placement_errors import Placement, placement
 from bundle.figures.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
 from bundle.figures.residual_field import residual_fields
 from bundle.figures.residual_histogram import residual_histogram
-from bundle.figures.residuals import Residuals, residuals
 from bundle.figures.scene_view import scene_view
 from bundle.figures.track_statistics import track_statistics
 from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
+from bundle.model.residuals import Residuals, residuals
 from bundle.reports.page.certainty_section import certainty_section, scene_ellipsoids
 from bundle.reports.page.lens_section import lens_section, parameter_table
 from bundle.reports.page.overview_section import overview_section
