@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from bundle.base.tables import render
+from bundle.interface.finding import Finding
 from bundle.reports.sections import Column, Report, Section, Table, dumps, plain, several
 from bundle.reports.terminal.screen import laid_out
 
@@ -84,6 +85,48 @@ def test_sections_are_laid_out_with_an_empty_line_between_each_two():
         assert line.startswith(beginning) and bool(line) == bool(beginning)
     assert laid_out(report().sections[:1]) != []
     assert laid_out([Section(), Section()]) == []
+
+
+def judged(count):
+    """A report with a headline, a detail, and findings; the second finding has no command."""
+    found = [
+        Finding(kind=f"k{i}", sentence=f"Fact {i}.", command=f"bundle do {i}" if i != 1 else "")
+        for i in range(count)
+    ]
+    return Report(
+        command="check",
+        headline=["All is well."],
+        sections=[
+            Section(facts=[("hidden", "first")], is_detail=True),
+            Section(facts=[("shown", "second")], is_joined=True),
+            Section(facts=[("hidden", "third")], is_detail=True),
+        ],
+        findings=found,
+    )
+
+
+def lines_of(made, verbose=False):
+    return [" ".join(x.split()) for x in render(*laid_out(made, verbose), width=60).splitlines()]
+
+
+def test_the_headline_comes_first_and_findings_with_their_commands_last():
+    assert lines_of(judged(2)) == [
+        "All is well.", "", "shown second", "", "- Fact 0.", "bundle do 0", "- Fact 1.",
+    ]  # fmt: skip
+    assert lines_of(Report(command="check", headline=["Done."])) == ["Done."]
+    alone = Report(command="check", findings=judged(1).findings)
+    assert lines_of(alone) == ["- Fact 0.", "bundle do 0"]
+
+
+@pytest.mark.parametrize(("count", "shown", "counted"), [(3, 3, False), (4, 3, True), (9, 3, True)])
+def test_details_and_findings_after_the_third_need_verbose(count, shown, counted):
+    short, full = lines_of(judged(count)), lines_of(judged(count), verbose=True)
+    assert sum("Fact" in line for line in short) == shown
+    assert any(line.startswith(f"- {count - shown} more") for line in short) == counted
+    assert not any("hidden" in line for line in short)
+    assert sum("Fact" in line for line in full) == count
+    assert full[:5] == ["All is well.", "", "hidden first", "shown second", ""]
+    assert judged(count).json()["findings"][-1]["kind"] == f"k{count - 1}"
 
 
 def test_json_has_every_row_unrounded_and_null_for_what_is_not_finite():

@@ -45,5 +45,5 @@ def run(arguments: argparse.Namespace) -> int:
         progress.stage(f"writing {shown(target)}")
         lost = save(aligned.problem, **output, progress=progress.text)
         write_georeference(aligned, **output, reference=arguments.reference)
-    publish(alignment(source, problem, aligned, output, lost), arguments.json)
+    publish(alignment(source, problem, aligned, output, lost), arguments)
     return EXIT_DONE

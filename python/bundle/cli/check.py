@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
             progress=lambda done, total: progress.stage(f"checked {done} of {total} observations"),
         )
     wall = perf_counter() - started
-    publish(checked(arguments.input, problem, report, options, wall), arguments.json)
+    publish(checked(arguments.input, problem, report, options, wall), arguments)
     if report.ok:
         return EXIT_DONE
     if arguments.json == "-":  # standard output has only the JSON report

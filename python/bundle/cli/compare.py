@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
         if arguments.html is not None:
             _write_page(comparison, arguments.html, progress)
-    publish(compared(comparison), arguments.json)
+    publish(compared(comparison), arguments)
     if comparison.recommendation is None or comparison.interrupted:
         return EXIT_NO_SOLUTION
     return EXIT_DONE

@@ -40,5 +40,5 @@ def run(arguments: argparse.Namespace) -> int:
         progress.stage(f"writing {shown(path)}")
         lost = save(edited, **output, progress=progress.text)
         carry_georeference(place, **output)
-    publish(converted(source, problem, output, lost, edits), arguments.json)
+    publish(converted(source, problem, output, lost, edits), arguments)
     return EXIT_DONE

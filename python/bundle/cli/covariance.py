@@ -64,5 +64,5 @@ def run(arguments: argparse.Namespace) -> int:
         found.save(target)
     wall = perf_counter() - started
     asked = {name: getattr(options, name) for name in INFORMATION} | rules_as_options(rules)
-    publish(uncertainties(source, problem, found, asked, target, wall), arguments.json)
+    publish(uncertainties(source, problem, found, asked, target, wall), arguments)
     return EXIT_DONE

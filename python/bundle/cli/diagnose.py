@@ -50,5 +50,5 @@ def run(arguments: argparse.Namespace) -> int:
             )
     asked = {name: getattr(options, name) for name in LINEARIZATION} | rules_as_options(rules)
     wall = perf_counter() - started
-    publish(diagnosed(arguments.input, problem, diagnosis, asked, wall), arguments.json)
+    publish(diagnosed(arguments.input, problem, diagnosis, asked, wall), arguments)
     return EXIT_DONE

@@ -32,5 +32,5 @@ def run(arguments: argparse.Namespace) -> int:
             flight = synthesize_flight(options)
         progress.stage(f"writing {shown(path)}")
         save_flight(flight, path)
-    publish(made_flight(path, flight.sequence, options), arguments.json)
+    publish(made_flight(path, flight.sequence, options), arguments)
     return EXIT_DONE

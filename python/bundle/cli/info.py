@@ -27,7 +27,7 @@ def run(arguments: argparse.Namespace) -> int:
             progress.stage(f"reading {shown(path)}")
             describe_input = find_handler("info", recognize(path))
             reports.append(describe_input(path, arguments, progress))
-    publish(reports[0] if len(reports) == 1 else several("info", reports), arguments.json)
+    publish(reports[0] if len(reports) == 1 else several("info", reports), arguments)
     return EXIT_DONE
 
 

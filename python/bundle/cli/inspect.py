@@ -46,5 +46,5 @@ def run(arguments: argparse.Namespace) -> int:
             )
     wall = perf_counter() - started
     report = inspected(arguments.input, problem, inspection, options, PATTERN, ranks, network, wall)
-    publish(report, arguments.json)
+    publish(report, arguments)
     return EXIT_DONE

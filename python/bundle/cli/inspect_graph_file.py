@@ -31,7 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
         from bundle.reports.page.inspection_page import write_inspection  # only for a page
 
         write_inspection(graph, arguments.html)
-    publish(inspected(arguments.graph, graph, perf_counter() - started), arguments.json)
+    publish(inspected(arguments.graph, graph, perf_counter() - started), arguments)
     return EXIT_DONE
 
 

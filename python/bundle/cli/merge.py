@@ -46,5 +46,5 @@ def run(arguments: argparse.Namespace) -> int:
         progress.stage(f"writing {shown(target)}")
         lost = save(merged.problem, **output, progress=progress.text)
         carry_georeference(place, **output, changed=MERGED)
-    publish(merged_report(paths, (a, b), merged, output, lost), arguments.json)
+    publish(merged_report(paths, (a, b), merged, output, lost), arguments)
     return EXIT_DONE

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rich.console import RenderableType
 
@@ -88,12 +89,24 @@ def check_new(path: str, flag: str) -> None:
     raise InputError(f"{shown(path)}: expected nothing there, found {found} ({flag} replaces it)")
 
 
-def publish(report: Report, json_path: str | None) -> None:
-    """Print a report; write its JSON to a file, or print the JSON instead ("-")."""
-    if json_path != "-":
-        show(*laid_out(report))
-    if json_path is not None:
-        write_json(json_path, report.json())
+class Request(Protocol):
+    """Values of the flags that every command has for its report."""
+
+    @property
+    def json(self) -> str | None:
+        """Path of the JSON report; "-" for standard output; None for no report."""
+
+    @property
+    def verbose(self) -> bool:
+        """True to print details."""
+
+
+def publish(report: Report, asked: argparse.Namespace | Request) -> None:
+    """Print a report; write its JSON, always complete, to a file, or print it instead ("-")."""
+    if asked.json != "-":
+        show(*laid_out(report, asked.verbose))
+    if asked.json is not None:
+        write_json(asked.json, report.json())
 
 
 def write_json(path: str | None, report: dict[str, Any]) -> None:

@@ -39,7 +39,7 @@ def diagnose(arguments: argparse.Namespace) -> int:
             found = diagnose_graph(graph, options)
     asked = {name: getattr(options, name) for name in LINEARIZATION}
     wall = perf_counter() - started
-    publish(diagnosed_graph(source, graph, found, asked, wall), arguments.json)
+    publish(diagnosed_graph(source, graph, found, asked, wall), arguments)
     return EXIT_DONE
 
 
@@ -68,5 +68,5 @@ def compute_covariance(arguments: argparse.Namespace) -> int:
         found.save(target)
     asked = {name: getattr(options, name) for name in LINEARIZATION}
     wall = perf_counter() - started
-    publish(uncertainties_of_graph(source, graph, found, asked, target, wall), arguments.json)
+    publish(uncertainties_of_graph(source, graph, found, asked, target, wall), arguments)
     return EXIT_DONE

@@ -61,7 +61,7 @@ def refine(arguments: argparse.Namespace) -> int:
         total=perf_counter() - started,
     )
     written = {"path": target, "format": "g2o"} if saved else None
-    publish(refined_graph(source, solved, wall, written), arguments.json)
+    publish(refined_graph(source, solved, wall, written), arguments)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE
     if arguments.json == "-":
@@ -88,7 +88,7 @@ def convert(arguments: argparse.Namespace) -> int:
         progress.stage(f"writing {shown(path)}")
         lost = save_g2o(graph, path)
     output = {"path": path, "format": "g2o"}
-    publish(converted_graph(arguments.input, graph, output, lost), arguments.json)
+    publish(converted_graph(arguments.input, graph, output, lost), arguments)
     return EXIT_DONE
 
 

@@ -40,7 +40,7 @@ def inspect_graph(arguments: argparse.Namespace) -> int:
         progress.stage("inspecting")
         found = inspect(graph)
     wall = perf_counter() - started
-    publish(inspected_graph(source, graph, found, wall), arguments.json)
+    publish(inspected_graph(source, graph, found, wall), arguments)
     return EXIT_DONE
 
 
@@ -68,5 +68,5 @@ def compare_graph(arguments: argparse.Namespace) -> int:
             )
     asked = {name: getattr(options, name) for name in OPTIONS}
     wall = perf_counter() - started
-    publish(compared_graph(source, found, asked, wall), arguments.json)
+    publish(compared_graph(source, found, asked, wall), arguments)
     return EXIT_DONE if found.recommended is not None else EXIT_NO_SOLUTION

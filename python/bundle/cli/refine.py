@@ -112,7 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     told = (asked.source, opened.loaded, solved, wall, written)
     report = refinement(*told, lost, asked.options_beside(), georeference, opened.edits, closed)
-    publish(report, asked.json)
+    publish(report, asked)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE
     if asked.json == "-":  # standard output has only the JSON report
@@ -271,5 +271,5 @@ def _has_wrong_jacobians(asked: Refinement, opened: Opened, progress: Progress) 
         complain(gradient_report.outcome(report))
     settings = {"check_gradients": True, **options.asdict()}
     took = perf_counter() - begun
-    publish(checked(asked.source, opened.problem, report, settings, took), asked.json)
+    publish(checked(asked.source, opened.problem, report, settings, took), asked)
     return True

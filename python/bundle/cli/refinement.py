@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Refinement"]
 
-_OF_PLAIN = {"source", "target", "format", "overwrite", "json", "checkpoints"}
+_OF_PLAIN = {"source", "target", "format", "overwrite", "json", "verbose", "checkpoints"}
 _OF_PLAIN |= {"options", "fixed_images", "constraints"}  # constraints: parsed rules
 """Fields that a refinement in slices serves, too; any other makes it more than plain."""
 
@@ -43,6 +43,7 @@ class Refinement:
         rig_config: path of a rig configuration, or None.
         page: path of the report page, or None.
         json: path of the JSON report, or None.
+        verbose: True to print the details of the report.
         check_gradients: True to check the Jacobians first.
         options: options of the solve, without images given by name.
         fixed_images: ids of constant images, or text with their names.
@@ -63,6 +64,7 @@ class Refinement:
     rig_config: str | None
     page: str | None
     json: str | None
+    verbose: bool
     check_gradients: bool
     options: SolveOptions
     fixed_images: tuple[int, ...] | str | None
@@ -107,6 +109,7 @@ class Refinement:
             rig_config=arguments.rig_config,
             page=arguments.html,
             json=arguments.json,
+            verbose=arguments.verbose,
             check_gradients=arguments.check_gradients,
             options=options,
             fixed_images=arguments.fixed_image_ids,

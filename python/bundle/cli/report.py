@@ -76,5 +76,5 @@ def run(arguments: argparse.Namespace) -> int:
             )
         notes = (*lost, *notes)
     wall = perf_counter() - started
-    publish(reported(source, problem, page, notes, wall), arguments.json)
+    publish(reported(source, problem, page, notes, wall), arguments)
     return EXIT_DONE

@@ -51,5 +51,5 @@ def convert(arguments: argparse.Namespace) -> int:
         progress.stage(f"writing {shown(target)}")
         save_sequence(sequence, target)
     report = converted_sequence(source, sequence_format(source), sequence, target)
-    publish(report, arguments.json)
+    publish(report, arguments)
     return EXIT_DONE

@@ -42,6 +42,11 @@ def add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--quiet", action="store_true", help="no progress on standard error (default: shown)"
     )
+    parser.add_argument(
+        "--verbose",
+        action="store_true",
+        help="show what the headline leaves out: all tables and findings (default: off)",
+    )
 
 
 def add_input(

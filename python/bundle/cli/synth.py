@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     output = {"path": path, "format": format}
     truth = {"path": truth_path, "format": format}
     report = synthesized(options, images.num_cameras, tally, output, truth)
-    publish(report, arguments.json)
+    publish(report, arguments)
     return EXIT_DONE
 
 

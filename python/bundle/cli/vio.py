@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     if loops is not None:
         path = arguments.publish if result.is_usable else None
         report = with_loops(report, loops, corrected, path)
-    publish(report, arguments.json)
+    publish(report, arguments)
     if result.is_usable and not result.interrupted:
         return EXIT_DONE
     if arguments.json == "-":

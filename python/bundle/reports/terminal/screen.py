@@ -1,24 +1,49 @@
-"""Layout of the sections of a report on a terminal."""
+"""Layout of a report on a terminal: headline, sections, findings with their commands.
+
+Without --verbose, sections of details and all findings after the third are hidden.
+"""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.text import Text
 
 from bundle.base.tables import columns, facts, notes
+from bundle.base.words import plural
+from bundle.interface.finding import Finding
 from bundle.reports.sections import Report, Section, Table
 
 __all__ = ["CommandLine", "laid_out"]
 
+MOST_FINDINGS = 3
+"""Number of findings that are shown without --verbose."""
 
-def laid_out(report: Report | Iterable[Section]) -> list[RenderableType]:
-    """Return the sections of a report with an empty line between them."""
-    sections = report.sections if isinstance(report, Report) else report
+
+def laid_out(report: Report | Iterable[Section], verbose: bool = False) -> list[RenderableType]:
+    """Return a report, or sections alone, with an empty line between the parts.
+
+    Args:
+        report: the report, or sections of a report.
+        verbose: True to show details and all findings.
+    """
+    if not isinstance(report, Report):
+        return _sections(report, verbose)
+    headline = [Text(sentence, "bold") for sentence in report.headline]
+    findings = _findings(report.findings, verbose)
+    parts: list[RenderableType] = []
+    for part in (headline, _sections(report.sections, verbose), findings):
+        parts += ["", *part] if parts and part else part
+    return parts
+
+
+def _sections(sections: Iterable[Section], verbose: bool) -> list[RenderableType]:
     parts: list[RenderableType] = []
     for section in sections:
+        if section.is_detail and not verbose:
+            continue
         if parts and not section.is_joined:
             parts.append("")
         if section.facts:
@@ -30,6 +55,17 @@ def laid_out(report: Report | Iterable[Section]) -> list[RenderableType]:
             parts.append(CommandLine(section.command))
         parts += notes(section.notes, style="yellow" if section.is_warning else "")
     return parts
+
+
+def _findings(findings: Sequence[Finding], verbose: bool) -> list[RenderableType]:
+    shown = findings if verbose else findings[:MOST_FINDINGS]
+    parts: list[RenderableType] = []
+    for finding in shown:
+        parts += notes([finding.sentence], style="yellow")
+        parts += [CommandLine(finding.command)] if finding.command else []
+    hidden = len(findings) - len(shown)
+    more = [f"{plural(hidden, 'more finding')} (--verbose)"] if hidden else []
+    return [*parts, *notes(more)]
 
 
 def _table(table: Table) -> list[RenderableType]:
