@@ -18,9 +18,11 @@ class Finding:
         sentence: the fact with its numbers, in words.
         command: command line to run next; "" if no command helps.
         evidence: numbers behind the sentence, by name.
+        is_problem: True if the problem is not determined or not usable as it is.
     """
 
     kind: str
     sentence: str
     command: str = ""
     evidence: Mapping[str, Any] = field(default_factory=dict)
+    is_problem: bool = False
