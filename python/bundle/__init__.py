@@ -100,6 +100,7 @@ if TYPE_CHECKING:
     from bundle.solving import constraints
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.gauge_freedom import GaugeFreedom, gauge_freedom
+    from bundle.solving.held_out.hold_out import hold_out
     from bundle.solving.result import Result
     from bundle.solving.rounds.filtering import Filtered, filter_observations
     from bundle.solving.rounds.solve_rounds import solve_rounds
@@ -207,6 +208,7 @@ __all__ = [
     "gauge_freedom",
     "georeference",
     "get_include",
+    "hold_out",
     "html",
     "initial_poses",
     "initialize_vio",
@@ -323,6 +325,7 @@ _DEFERRED = {
     "reports.page": ("report",),
     "solving.constraints.rule_list": ("Constraints",),
     "solving.gauge_freedom": ("GaugeFreedom", "gauge_freedom"),
+    "solving.held_out.hold_out": ("hold_out",),
     "solving.result": ("Result",),
     "solving.rounds.filtering": ("Filtered", "filter_observations"),
     "solving.rounds.solve_rounds": ("solve_rounds",),

@@ -1,0 +1,1 @@
+"""Validation of lens models, sharing and losses by observations that the fits did not see."""

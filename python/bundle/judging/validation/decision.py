@@ -1,0 +1,148 @@
+"""Decision between candidates from their held-out errors: a pure function of arrays.
+
+A candidate's score is the RMS of its normalised held-out errors e, clipped at c sigmas:
+
+    S = sqrt(sum min(e, c)^2 / n)
+
+An observation without a projection counts as the clip. All candidates predict the same
+observations, so their scores are paired. Errors within an image are correlated; the standard error
+of a difference D of two scores therefore comes from the jackknife over the m images with held-out
+observations. D_(i) is the difference without the observations of image i, D_(.) their mean:
+
+    SE^2 = (m - 1) / m  sum_i (D_(i) - D_(.))^2
+
+(Efron and Tibshirani 1993, "An introduction to the bootstrap", chapter 11.) A candidate is as good
+as the best if its score is not significantly higher (D <= z SE), or not higher by a relevant amount
+(D <= t S_best): with many observations, any difference is significant. The recommended candidate is
+the one of these with the fewest free parameters, as in the one-standard-error rule of Breiman,
+Friedman, Olshen and Stone (1984). Among equal numbers of parameters the lower score decides.
+
+Vetoed candidates take no part. Their scores and differences are still computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bundle.errors import InputError
+
+__all__ = ["Decision", "DecisionRule", "decide", "jackknife"]
+
+_Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecisionRule:
+    """Numbers of the rule.
+
+    Attributes:
+        clip: largest normalised error that counts, in sigmas.
+        num_standard_errors: significance z of a difference, in standard errors.
+        threshold: relevant difference t, relative to the best score.
+    """
+
+    clip: float = 3.0
+    num_standard_errors: float = 2.0
+    threshold: float = 0.01
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Decision:
+    """Decision between candidates; arrays have one entry per candidate.
+
+    Attributes:
+        recommended: index of the recommended candidate.
+        best: index of the candidate with the lowest score that is not vetoed.
+        scores: RMS of normalised errors, clipped; NaN for a candidate without errors.
+        differences: score minus the score of the best candidate.
+        standard_errors: standard error of each difference over the images; 0 for the best.
+        is_equal: True for a candidate as good as the best; False if vetoed.
+    """
+
+    recommended: int
+    best: int
+    scores: _Floats
+    differences: _Floats
+    standard_errors: _Floats
+    is_equal: NDArray[np.bool_]
+
+
+def decide(
+    errors: ArrayLike,
+    image: ArrayLike,
+    num_parameters: ArrayLike,
+    vetoes: Sequence[str] | None = None,
+    rule: DecisionRule | None = None,
+) -> Decision:
+    """Return the recommended candidate.
+
+    Args:
+        errors: (num_candidates, num_held_out) normalised errors, in sigmas; NaN without a
+            projection. A row of NaN alone is a candidate without a fit.
+        image: (num_held_out,) image index of each held-out observation.
+        num_parameters: (num_candidates,) number of free parameters.
+        vetoes: reason why a candidate may not be recommended; "" if it may. None: no vetoes.
+        rule: numbers of the rule; None: the defaults.
+
+    Raises:
+        InputError: no candidate can be recommended.
+    """
+    rule = DecisionRule() if rule is None else rule
+    values, of_image = np.asarray(errors, float), np.asarray(image)
+    cost = np.asarray(num_parameters)
+    has_fit = np.isfinite(values).any(axis=1)
+    takes_part = has_fit & np.array([not veto for veto in vetoes or [""] * len(values)])
+    if not takes_part.any():
+        raise InputError("candidates: expected a candidate with a fit and without a veto, found 0")
+    sums, counts = _sums_by_image(values, of_image, rule.clip)
+    scores = np.where(has_fit, np.sqrt(sums.sum(1) / counts.sum()), np.nan)
+    best = int(np.argmin(np.where(takes_part, scores, np.inf)))
+    spread = np.array([jackknife(row, sums[best], counts) for row in sums])
+    spread[~has_fit] = np.nan
+    above = scores - scores[best]
+    is_equal = takes_part & (
+        (above <= rule.num_standard_errors * spread) | (above <= rule.threshold * scores[best])
+    )
+    order = np.lexsort((scores, cost))
+    return Decision(
+        recommended=int(order[is_equal[order]][0]),
+        best=best,
+        scores=scores,
+        differences=above,
+        standard_errors=spread,
+        is_equal=is_equal,
+    )
+
+
+def jackknife(sums: _Floats, others: _Floats, counts: _Floats) -> float:
+    """Return the standard error of the difference of two RMS values over images.
+
+    Args:
+        sums: (num_images,) sum of squared errors of one candidate in each image.
+        others: the same for the other candidate.
+        counts: (num_images,) number of errors in each image.
+    """
+    used = counts > 0
+    if used.sum() < 2:
+        return float("inf") if (sums != others).any() else 0.0
+    sums, others, counts = sums[used], others[used], counts[used]
+    left = counts.sum() - counts
+    difference = np.sqrt((sums.sum() - sums).clip(0) / left)
+    difference -= np.sqrt((others.sum() - others).clip(0) / left)
+    count = len(counts)
+    deviations = difference - difference.mean()
+    return float(np.sqrt((count - 1) / count * (deviations @ deviations)))
+
+
+def _sums_by_image(
+    values: _Floats, image: NDArray[np.int64], clip: float
+) -> tuple[_Floats, _Floats]:
+    """Return the sums of clipped squares by candidate and image, and counts by image."""
+    count = int(image.max(initial=-1)) + 1
+    clipped = np.minimum(np.where(np.isfinite(values), values, clip), clip) ** 2
+    sums = np.array([np.bincount(image, row, count) for row in clipped])
+    return sums, np.bincount(image, minlength=count).astype(float)

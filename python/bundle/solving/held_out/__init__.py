@@ -1,0 +1,1 @@
+"""Held-out observations: their choice, and their errors in a fit without them."""

@@ -1,0 +1,92 @@
+"""Decision between candidates from arrays of errors."""
+
+import numpy as np
+import pytest
+
+from bundle.errors import InputError
+from bundle.judging.validation.decision import DecisionRule, decide, jackknife
+
+
+def planted(levels, num_images=20, per_image=50, seed=0, spread=0.02):
+    """Return errors of candidates that share their noise; a level scales all errors of one."""
+    rng = np.random.default_rng(seed)
+    image = np.repeat(np.arange(num_images), per_image)
+    noise = rng.rayleigh(0.8, len(image))
+    own = 1 + spread * rng.standard_normal((len(levels), num_images))
+    return np.array(
+        [level * noise * each[image] for level, each in zip(levels, own, strict=True)]
+    ), image
+
+
+def test_clearly_better_candidate_is_recommended_although_it_costs_more():
+    errors, image = planted([1.2, 1.0, 1.0])
+    decision = decide(errors, image, [10, 20, 30])
+    assert decision.recommended == 1
+    assert decision.is_equal.tolist() == [False, True, True]
+    assert decision.differences[0] > 2 * decision.standard_errors[0] > 0
+
+
+def test_relevant_but_not_significant_and_significant_but_not_relevant():
+    errors, image = planted([1.03, 1.0], spread=0.3)
+    decision = decide(errors, image, [10, 20])
+    assert decision.recommended == 0
+    errors, image = planted([1.005, 1.0], spread=0.0)
+    decision = decide(errors, image, [10, 20])
+    assert decision.differences[0] > 2 * decision.standard_errors[0]
+    assert decision.recommended == 0
+    assert decide(errors, image, [10, 20], rule=DecisionRule(threshold=0.0)).recommended == 1
+
+
+def test_vetoed_candidate_takes_no_part_but_has_numbers():
+    errors, image = planted([1.5, 1.0, 1.2])
+    decision = decide(errors, image, [10, 20, 15], ["", "rows", ""])
+    assert (decision.best, decision.recommended) == (2, 2)
+    assert decision.differences[1] < 0
+    assert not decision.is_equal[1]
+
+
+def test_equal_costs_are_decided_by_the_score():
+    errors, image = planted([1.003, 1.0])
+    assert decide(errors, image, [10, 10]).recommended == int(
+        np.argmin(decide(errors, image, [10, 10]).scores)
+    )
+
+
+def test_missing_projections_count_as_the_clip_and_one_outlier_does_not_decide():
+    errors, image = planted([1.0, 1.0], spread=0.0)
+    errors[0, 7] = np.nan
+    errors[1, 7] = 1e9
+    decision = decide(errors, image, [10, 20])
+    assert decision.scores[0] == decision.scores[1]
+    expected = np.sqrt(np.mean(np.minimum(errors[1], 3) ** 2))
+    assert decision.scores[1] == pytest.approx(expected, rel=1e-14)
+
+
+def test_jackknife_equals_its_definition():
+    errors, image = planted([1.1, 1.0], num_images=7, per_image=9)
+    squares = np.minimum(errors, 3) ** 2
+    left = [np.sqrt(squares[:, image != i].mean(1)) for i in range(7)]
+    difference = np.array([a - b for a, b in left])
+    expected = np.sqrt(6 / 7 * ((difference - difference.mean()) ** 2).sum())
+    found = decide(errors, image, [1, 2]).standard_errors
+    assert found[0] == pytest.approx(expected, rel=1e-12)
+    assert found[1] == 0
+
+
+def test_images_without_held_out_observations_do_not_count():
+    errors, image = planted([1.1, 1.0], num_images=7, per_image=9)
+    a, b = decide(errors, image, [1, 2]), decide(errors, image * 3 + 2, [1, 2])
+    np.testing.assert_allclose(a.standard_errors, b.standard_errors, rtol=1e-14)
+    one = np.array([2.0]), np.array([1.0]), np.array([5.0])
+    assert jackknife(*one) == np.inf
+    assert jackknife(one[1], one[1], one[2]) == 0
+
+
+def test_candidates_without_a_fit():
+    errors, image = planted([1.0, 1.0])
+    errors[0] = np.nan
+    decision = decide(errors, image, [1, 2])
+    assert decision.recommended == 1
+    assert np.isnan(decision.scores[0])
+    with pytest.raises(InputError, match="expected a candidate"):
+        decide(errors, image, [1, 2], ["", "rows"])
