@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import Any, Protocol
 
 __all__ = [
+    "FORMATS",
     "Counts",
     "amount",
     "change",
@@ -135,6 +136,10 @@ def contents(of: Counts) -> str:
     """Return "16 images, 1 camera, 22106 points, 83718 observations"."""
     counts = (of.num_images, of.num_cameras, of.num_points, of.num_observations)
     return ", ".join(map(plural, counts, ("image", "camera", "point", "observation")))
+
+
+FORMATS = ("bal", "colmap")
+"""Formats of reconstruction files; "-text" is added to a format for its text variant."""
 
 
 def format_name(name: str) -> str:

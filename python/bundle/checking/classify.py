@@ -17,9 +17,9 @@ from bundle.checking import row_signatures as row
 from bundle.checking.evidence import Evidence, Finding
 from bundle.checking.jacobian_deviation import JacobianDeviation
 
-__all__ = ["KINDS", "classify", "float_precision", "stale"]
+__all__ = ["MISTAKES", "classify", "float_precision", "stale"]
 
-KINDS = (
+MISTAKES = (
     "correct",
     "not_finite",
     "stale",

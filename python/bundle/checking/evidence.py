@@ -24,7 +24,7 @@ class Finding:
     """A mistake and its description.
 
     Attributes:
-        kind: signature, one of ``bundle.checking.classify.KINDS``.
+        kind: signature, one of ``bundle.checking.classify.MISTAKES``.
         columns: names of the affected parameters.
         sentence: explanation.
         error: largest relative error of these columns.

@@ -8,7 +8,7 @@ from typing import Any
 from bundle.cli.option_flags import add_options
 from bundle.cli.path_checks import PathArgument, a_path, reconstruction, report_path
 from bundle.io.georeference_file import GEOREFERENCE
-from bundle.io.recognition import FORMATS
+from bundle.io.recognition import OUTPUT_FORMATS
 
 __all__ = [
     "add_common",
@@ -98,7 +98,7 @@ def add_output(
 def add_format(parser: argparse.ArgumentParser) -> None:
     """Add the flag --format."""
     parser.add_argument(
-        "--format", choices=FORMATS, help="format of OUTPUT (default: what its name says)"
+        "--format", choices=OUTPUT_FORMATS, help="format of OUTPUT (default: what its name says)"
     )
 
 

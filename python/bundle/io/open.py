@@ -26,11 +26,10 @@ from bundle.io.atomic.model_files import (
 from bundle.io.atomic.replaced_paths import RecoveryWarning
 from bundle.io.file_names import check_name
 from bundle.io.georeference_file import remove_georeference
-from bundle.io.recognition import FORMATS, is_pose_graph_file, other_format_at
+from bundle.io.recognition import OUTPUT_FORMATS, is_pose_graph_file, other_format_at
 from bundle.model.problem import Problem
 
 __all__ = [
-    "FORMATS",
     "check_target",
     "load",
     "output_format",
@@ -155,7 +154,7 @@ def output_format(
     """
     folder = as_path(path)
     if format is not None:
-        return choice("format", format, FORMATS)
+        return choice("format", format, OUTPUT_FORMATS)
     name = os.fspath(path)
     default = "colmap-text" if source is not None and is_text_model(Path(source)) else "colmap"
     if folder.is_dir() and not missing_model_files(folder):

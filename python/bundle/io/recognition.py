@@ -7,11 +7,12 @@ import re
 from enum import StrEnum
 from pathlib import Path
 
+from bundle.base.words import FORMATS
 from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files
 from bundle.io.file_names import format_of_name
 
 __all__ = [
-    "FORMATS",
+    "OUTPUT_FORMATS",
     "SEQUENCE_FILES",
     "Kind",
     "is_pose_graph_file",
@@ -22,8 +23,8 @@ __all__ = [
     "sequence_format",
 ]
 
-FORMATS = ("bal", "colmap", "colmap-text")
-"""Reconstruction formats that can be written."""
+OUTPUT_FORMATS = (*FORMATS, "colmap-text")
+"""Formats in which reconstructions can be written."""
 
 
 _HEADER = re.compile(rb"\s*\d+\s+\d+\s+\d+\s+\d+\s+\d+\s+[-+.\d]")  # counts, first observation

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 import bundle._core as _core
 from bundle.base.arrays import immutable
 from bundle.base.display import Display, Displayed
-from bundle.base.words import contents, format_name, plural
+from bundle.base.words import FORMATS, contents, format_name, plural
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice
 from bundle.model import rig_arrays
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from bundle.model.selection import Selection
 
 __all__ = ["Problem"]
-
-FORMATS = ("bal", "colmap", "memory")
 
 
 def _by_default() -> Any:
@@ -138,7 +136,7 @@ class Problem(Displayed):
     source: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "format", choice("format", self.format, FORMATS))
+        object.__setattr__(self, "format", choice("format", self.format, (*FORMATS, "memory")))
         for name, dtype in DTYPES.items():
             value = getattr(self, name)
             array = default(self, name) if value is None else immutable(name, value, dtype)

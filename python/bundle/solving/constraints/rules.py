@@ -15,9 +15,10 @@ from typing import Any, ClassVar
 from bundle.errors import InputError, brief
 from bundle.model.image_selection import MOST_IDS, id_range
 
-__all__ = ["KINDS", "POSES", "Bounds", "Fixed", "Prior", "Ratio", "Rule", "Share", "Target"]
+__all__ = ["POSES", "TARGETS", "Bounds", "Fixed", "Prior", "Ratio", "Rule", "Share", "Target"]
 
-KINDS = ("camera", "image", "point")
+TARGETS = ("camera", "image", "point")
+"""Kinds of variables that rules can name."""
 POSES = ("position", "rotation")
 """Parameters of rules on images; the parameter of rules on points is the position."""
 
@@ -48,7 +49,7 @@ class Target:
         word, _, rest = text.strip().partition(" ")
         kind = word.lower().removesuffix("s")
         rest = rest.strip()
-        if kind not in KINDS or not rest:
+        if kind not in TARGETS or not rest:
             raise InputError(
                 "expected camera, cameras, image, images or points, then ids, * or a quoted name, "
                 f"such as cameras 1-4, found {brief(text.strip())}"
