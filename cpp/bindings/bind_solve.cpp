@@ -142,11 +142,9 @@ class PythonSolver {
     solver_->CheckStructure(ViewProblem(problem));
   }
 
-  /// `options` may be None, for those of the constructor.
-  py::dict Solve(const py::object& problem, const py::object& options, const py::object& progress) {
+  py::dict Solve(const py::object& problem, const py::dict& options, const py::object& progress) {
     const bundle::AdjustmentProblem view(ViewProblem(problem));
-    const bundle::SolveOptions changed =
-        options.is_none() ? options_ : OptionsFromPython(py::cast<py::dict>(options));
+    const bundle::SolveOptions changed = OptionsFromPython(options);
     PythonProgress report(progress);
     bundle::SolveOutput output = RunWatched(&report, [&] {
       if (!factors_.empty()) {
@@ -171,6 +169,7 @@ class PythonSolver {
 
 void BindSolve(py::module_& m) {
   m.attr("CERES_VERSION") = bundle::CeresVersion();
+  m.def("changeable_options", &ChangeableOptions);
   m.def("default_options", &DefaultOptions);
   m.def("option_choices", &OptionChoices);
   m.def("hardware_threads", [] { return bundle::EffectiveNumThreads(0); });

@@ -137,6 +137,15 @@ bundle::SolveOptions GraphOptionsFromPython(const py::dict& options) {
   return result;
 }
 
+py::list ChangeableOptions() {
+  py::list names;
+  bundle::VisitOptions(
+      [&](bundle::Change change, const char* name, auto /*member*/, const auto&... /*choices*/) {
+        if (change == bundle::Change::kBetweenSolves) names.append(name);
+      });
+  return names;
+}
+
 py::dict DefaultOptions() {
   py::dict result;
   bundle::VisitOptions(Writer{result});

@@ -21,6 +21,9 @@ bundle::LossType LossFromName(const std::string& name);
 /// Reads the name of a cheirality.
 bundle::Cheirality CheiralityFromName(const std::string& name);
 
+/// Names of the options that may differ between the solves of a Solver.
+pybind11::list ChangeableOptions();
+
 /// The C++ defaults under Python's names, and the names of all choices, for the test that compares
 /// the two definitions of the options.
 pybind11::dict DefaultOptions();

@@ -39,16 +39,6 @@ PRECONDITIONER_TYPES = (
     "schur_power_series_expansion",
     "two_level",
 )
-# Options that may change between solves of a bundle.Solver.
-CHANGEABLE = (
-    "loss",
-    "loss_scale",
-    "max_num_iterations",
-    "function_tolerance",
-    "gradient_tolerance",
-    "parameter_tolerance",
-    "check_solution",
-)
 # Meaning of auto by backend and linear solver. The core decides; predictions look it up here.
 AUTO_PRECONDITIONER = {
     ("fused", "iterative_schur"): "two_level",
