@@ -87,6 +87,10 @@ def test_all_who_run_a_request_take_the_same_steps(kind):
         assert_same(result, expected)
     with processes(2):
         divided = bundle.solve(**given)
+        of_solver = solver.solve()
+    assert set(of_solver.summary.warning_kinds) - set(expected.summary.warning_kinds) == {
+        "one_process"
+    }
     for name in VALUES:
         np.testing.assert_array_equal(
             getattr(divided.problem, name), getattr(expected.problem, name)

@@ -1,7 +1,8 @@
-"""Executors: the core's solver in this process or in all processes that mpirun started."""
+"""Executors: they run the core's solver in this process or in all processes of mpirun."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import bundle._core as _core
@@ -9,9 +10,10 @@ from bundle.base.arguments import check_function
 from bundle.interface.solve_record import Progress
 from bundle.solving.prepare import Executor, Prepared
 from bundle.solving.ranks.launch import current
+from bundle.solving.ranks.one_process import warning
 from bundle.solving.result import Result
 
-__all__ = ["ThisProcess", "solve_prepared"]
+__all__ = ["KeptSolver", "ThisProcess", "solve_prepared"]
 
 
 class ThisProcess:
@@ -26,17 +28,46 @@ class ThisProcess:
         )
 
 
-def solve_prepared(prepared: Prepared, progress: Progress | None) -> Result:
-    """Run the solver, on all processes if there are several, and return the result for the start.
+@dataclass(frozen=True)
+class KeptSolver:
+    """A core solver that was set up before, for starts of the same structure.
+
+    It runs in this process only: a division among processes would repeat the set-up in each solve.
+    """
+
+    solver: _core.Solver
+
+    def run(self, prepared: Prepared, progress: Progress | None) -> dict[str, Any]:
+        """See :meth:`Executor.run`."""
+        output = self.solver.solve(prepared.start, prepared.layout.options.asdict(), progress)
+        crew = current()
+        if crew is not None:
+            output["alone"] = warning("A bundle.Solver stays in one process.", crew.num_ranks)
+        return output
+
+
+def solve_prepared(
+    prepared: Prepared, progress: Progress | None, executor: Executor | None = None
+) -> Result:
+    """Run an executor and return the result for the start.
+
+    Args:
+        prepared: the prepared solve.
+        progress: function called after each iteration.
+        executor: executor; None: all processes of mpirun, or this process if it is the only one.
 
     Raises:
         InputError: for the reasons of :func:`bundle.solve`.
     """
     check_function("progress", progress)
-    executor: Executor = ThisProcess()
-    crew = current()
-    if crew is not None:
-        from bundle.solving.ranks.divided_solve import AllProcesses  # imported under mpirun only
-
-        executor = AllProcesses(crew, executor)
+    executor = _default_executor() if executor is None else executor
     return prepared.result(executor.run(prepared, progress))
+
+
+def _default_executor() -> Executor:
+    crew = current()
+    if crew is None:
+        return ThisProcess()
+    from bundle.solving.ranks.divided_solve import AllProcesses  # imported under mpirun only
+
+    return AllProcesses(crew, ThisProcess())

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 from numpy.typing import ArrayLike
 
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     Rules: TypeAlias = Constraints | Iterable[str | Rule] | Applied
 
 __all__ = ["Bounds", "PartRequest", "RunPlan", "SolveRequest"]
+
+T = TypeVar("T")
 
 Bounds = Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]]
 """Lower and upper bounds of a camera's parameters, by ``("camera", camera_id)``."""
@@ -60,7 +62,7 @@ class PartRequest:
         return None if images is None else PartRequest(images, rest)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, init=False)
 class SolveRequest:
     """All inputs that define the minimum of a solve; see :func:`bundle.solve` for details.
 
@@ -80,20 +82,39 @@ class SolveRequest:
     """
 
     problem: Problem
-    options: SolveOptions = field(default_factory=SolveOptions)
-    factors: tuple[Factor, ...] = ()
-    priors: tuple[Prior, ...] = ()
-    align: bool | None = None
-    bounds: Bounds | None = None
-    constraints: Rules = ()
-    part: PartRequest | None = None
+    options: SolveOptions
+    factors: tuple[Factor, ...]
+    priors: tuple[Prior, ...]
+    align: bool | None
+    bounds: Bounds | None
+    constraints: Rules
+    part: PartRequest | None
 
-    def __post_init__(self) -> None:
-        for name, things in (("priors", "PositionPriors"), ("factors", "factors")):
-            object.__setattr__(self, name, _listed(name, things, getattr(self, name)))
+    def __init__(
+        self,
+        *,
+        problem: Problem,
+        options: SolveOptions | None = None,
+        factors: Iterable[Factor] = (),
+        priors: Iterable[Prior] = (),
+        align: bool | None = None,
+        bounds: Bounds | None = None,
+        constraints: Rules = (),
+        part: PartRequest | None = None,
+    ) -> None:
+        vars(self).update(  # frozen
+            problem=problem,
+            options=SolveOptions() if options is None else options,
+            priors=_listed("priors", "PositionPriors", priors),
+            factors=_listed("factors", "factors", factors),
+            align=align,
+            bounds=bounds,
+            constraints=constraints,
+            part=part,
+        )
 
 
-def _listed(name: str, things: str, given: Any) -> tuple[Any, ...]:
+def _listed(name: str, things: str, given: Iterable[T]) -> tuple[T, ...]:
     if isinstance(given, tuple | list):
         return tuple(given)
     from bundle.graphs.factors.variables import as_list  # rare, and slow to import
@@ -101,7 +122,7 @@ def _listed(name: str, things: str, given: Any) -> tuple[Any, ...]:
     return as_list(name, things, given)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, init=False)
 class RunPlan:
     """Rounds of a run, and its checkpoints.
 
@@ -116,18 +137,26 @@ class RunPlan:
         InputError: an interval is below 1, or a value cannot be a path.
     """
 
-    rounds: RoundOptions = field(default_factory=RoundOptions)
-    checkpoint: Path | None = None
-    resume: Path | None = None
-    checkpoint_interval: int = CHECKPOINT_INTERVAL
+    rounds: RoundOptions
+    checkpoint: Path | None
+    resume: Path | None
+    checkpoint_interval: int
 
-    def __post_init__(self) -> None:
-        interval = number("checkpoint_interval", self.checkpoint_interval, whole=True, minimum=1)
-        object.__setattr__(self, "checkpoint_interval", interval)
-        for name in ("checkpoint", "resume"):
-            path: str | os.PathLike[str] | None = getattr(self, name)
-            if path is not None:
-                object.__setattr__(self, name, as_path(path, name))
+    def __init__(
+        self,
+        *,
+        rounds: RoundOptions | None = None,
+        checkpoint: str | os.PathLike[str] | None = None,
+        resume: str | os.PathLike[str] | None = None,
+        checkpoint_interval: int = CHECKPOINT_INTERVAL,
+    ) -> None:
+        interval = number("checkpoint_interval", checkpoint_interval, whole=True, minimum=1)
+        vars(self).update(  # frozen
+            rounds=RoundOptions() if rounds is None else rounds,
+            checkpoint=None if checkpoint is None else as_path(checkpoint, "checkpoint"),
+            resume=None if resume is None else as_path(resume, "resume"),
+            checkpoint_interval=interval,
+        )
 
     @property
     def file(self) -> Path | None:

@@ -191,8 +191,8 @@ def solve(
         SolveRequest(
             problem=problem,
             options=options,
-            factors=factors,  # type: ignore[arg-type]
-            priors=priors,  # type: ignore[arg-type]
+            factors=factors,
+            priors=priors,
             align=align,
             bounds=bounds,
             constraints=constraints,

@@ -15,10 +15,11 @@ from bundle.base.words import contents, plural
 from bundle.errors import InputError, brief, first_line
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import SolveKeywords
-from bundle.interface.options import CHANGEABLE, SolveOptions
+from bundle.interface.options import SolveOptions
 from bundle.interface.solve_record import Progress
 from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
+from bundle.solving.executors import KeptSolver, solve_prepared
 from bundle.solving.prepare import prepare
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
@@ -42,6 +43,8 @@ class Solver(Displayed):
     the same steps as :func:`bundle.solve`, bit for bit, and spends nearly all its time in them.
     There are two exceptions. Ceres on several threads sums in any order. Relative priors of
     ``constraints`` stay relative to the problem of the constructor.
+
+    Each solve runs in this process alone: a division among processes would repeat the set-up.
 
     Ceres has no such solver: with Ceres as the backend, each solve starts from scratch. The set-up
     is also repeated if other values change which numbers the gauge fixes. The two-level
@@ -84,7 +87,7 @@ class Solver(Displayed):
             SolveRequest(
                 problem=as_problem(problem),
                 options=SolveOptions.of(options, changes, "Solver"),
-                factors=factors,  # type: ignore[arg-type]
+                factors=factors,
                 bounds=bounds,
                 constraints=constraints,
             )
@@ -156,17 +159,18 @@ class Solver(Displayed):
         options = self._options
         if changes:
             options = SolveOptions.of(options, changes, "Solver.solve")
+            changeable = _core.changeable_options()
             for name in changes:
-                if name not in CHANGEABLE:
+                if name not in changeable:
                     raise InputError(
-                        f"{name}: expected one of {', '.join(CHANGEABLE)}, which may differ from "
+                        f"{name}: expected one of {', '.join(changeable)}, which may differ from "
                         "solve to solve; other options need another Solver"
                     )
         if self._limits is not None and problem is not self.problem:
             self._core.check_structure(problem)
             self._limits.check_start(problem)
-        output = self._core.solve(problem, options.asdict() if changes else None, progress)
-        return self._prepared.laid_out_at(problem, options).result(output)
+        prepared = self._prepared.laid_out_at(problem, options)
+        return solve_prepared(prepared, progress, KeptSolver(self._core))
 
     def __copy__(self) -> Solver:
         return _make_solver(*self._parts())

@@ -9,7 +9,7 @@ import pytest
 import bundle
 from bundle.solving.ranks.partition import divide, part_of
 from bundle.solving.rounds.input_digest import digest, digest_of_parts, sums_of_rows
-from bundle.solving.slices.sliced_refinement import SlicedRefinement
+from bundle.solving.slices.sliced_refinement import AllSlices, SlicedRefinement
 from tests.rig_scenes import rig_problem
 from tests.scenes import scene
 from tests.solving.ranks.thread_crew import ThreadCrew, processes
@@ -126,7 +126,7 @@ def test_any_number_of_processes_goes_on(source, tmp_path, monkeypatch):
     (tmp_path / "late").mkdir()
     with np.load(file) as archive:
         assert json.loads(archive["meta"].tobytes())["has_ended"]
-    monkeypatch.delattr(SlicedRefinement, "run")
+    monkeypatch.delattr(AllSlices, "run")
     late = refined(source, tmp_path / "late" / name, 2, resume=tmp_path / "one.npz")
     assert late.initial_problem.num_points == len(ends[0])
     np.testing.assert_array_equal(late.iterations["cost"], one.iterations["cost"])

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
-from bundle.interface.options import CHANGEABLE
+from bundle import _core
 from tests import scenes
 from tests.solving.fused.test_long_tracks import repeat_first_point
 from tests.solving.fused.test_mixed_widths import with_full_opencv
@@ -208,7 +208,7 @@ def test_options_that_may_change_do():
         {"check_solution": False},
         {},
     ):
-        assert set(changes) <= set(CHANGEABLE)
+        assert set(changes) <= set(_core.changeable_options())
         found = solver.solve(**changes)
         assert_same(found, bundle.solve(problem, backend="fused", **changes))
     assert solver.options == solver.solve().options

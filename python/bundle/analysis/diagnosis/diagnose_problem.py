@@ -135,8 +135,8 @@ def diagnose(
         SolveRequest(
             problem=problem,
             options=options,
-            factors=factors,  # type: ignore[arg-type]
-            priors=priors,  # type: ignore[arg-type]
+            factors=factors,
+            priors=priors,
             align=align,
             bounds=bounds,
             constraints=constraints,

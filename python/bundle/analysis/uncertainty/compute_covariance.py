@@ -183,8 +183,8 @@ def covariance(
     request = SolveRequest(
         problem=problem,
         options=options.replace(gauge="none" if gauge == "inner" else gauge),
-        factors=factors,  # type: ignore[arg-type]
-        priors=priors,  # type: ignore[arg-type]
+        factors=factors,
+        priors=priors,
         align=None,
         bounds=bounds,
         constraints=constraints if not isinstance(constraints, Iterable) else tuple(constraints),

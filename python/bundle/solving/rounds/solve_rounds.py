@@ -140,15 +140,15 @@ def solve_rounds(
     part = PartRequest.of(only_images, rest)
     plan = RunPlan(
         rounds=limits,
-        checkpoint=checkpoint,  # type: ignore[arg-type]
-        resume=resume,  # type: ignore[arg-type]
+        checkpoint=checkpoint,
+        resume=resume,
         checkpoint_interval=checkpoint_interval,
     )
     request = SolveRequest(
         problem=as_problem(problem),
         options=options,
-        factors=factors,  # type: ignore[arg-type]
-        priors=priors,  # type: ignore[arg-type]
+        factors=factors,
+        priors=priors,
         align=align,
         bounds=bounds,
         constraints=constraints,

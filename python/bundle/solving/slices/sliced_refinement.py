@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import freeze
 from bundle.errors import InputError, shown
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CHECKPOINT_INTERVAL
@@ -21,6 +22,7 @@ from bundle.io.georeference_file import remove_georeference
 from bundle.io.open import save_model
 from bundle.model.problem import Problem
 from bundle.model.worst_images import worst_of_sums
+from bundle.solving.executors import solve_prepared
 from bundle.solving.gauge_freedom import gauge_freedom
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.ranks.crew import Crew
@@ -32,7 +34,7 @@ from bundle.solving.slices.slice_process import Process
 from bundle.solving.slices.slice_reading import Meeting, Survey, survey
 from bundle.solving.slices.sliced_checkpoint import SlicedCheckpoint
 
-__all__ = ["SliceCrew", "SliceJob", "SlicedRefinement"]
+__all__ = ["AllSlices", "SliceCrew", "SliceJob", "SlicedRefinement"]
 
 
 @dataclass
@@ -59,8 +61,37 @@ class SliceCrew(Crew, Protocol):
         """Mark the other ranks as waiting again."""
 
 
+@dataclass(frozen=True)
+class AllSlices:
+    """Executor on all processes, each with its slice; starts and results are divided models.
+
+    Attributes:
+        crew: the other ranks.
+        process: the process of rank 0.
+        owner: (num_points,) rank of each point.
+    """
+
+    crew: SliceCrew
+    process: Process
+    owner: NDArray[np.uint16]
+
+    def run(self, prepared: Prepared, progress: Progress | None) -> dict[str, Any]:
+        """Adjust from the values of all processes; see :meth:`Executor.run`."""
+        output, given, ranks = self.process.run_on_all(
+            "solve", prepared.layout.options.asdict(), progress=heeding(self.crew, progress)
+        )
+        points = np.empty((len(self.owner), 3))
+        for rank, of_rank in enumerate(given):
+            points[self.owner == rank] = of_rank.points
+        output["summary"] |= {
+            "num_processes": self.crew.num_ranks,
+            "processes": process_record([of_rank.process for of_rank in given], ranks),
+        }
+        return {**output, "points": freeze(points)}
+
+
 class SlicedRefinement:
-    """Refinement as seen by rank 0; also an executor. Call the methods in the order of definition.
+    """Refinement as seen by rank 0. Call the methods in the order of definition.
 
     Args:
         crew: the other ranks, which wait for a job.
@@ -72,7 +103,7 @@ class SlicedRefinement:
     """
 
     def __init__(self, crew: SliceCrew, path: Path) -> None:
-        self._crew, self._num_ranks = crew, crew.num_ranks
+        self._crew = crew
         self._path = path.absolute()
         found = survey(path, crew.num_ranks)
         if found.num_observations == 0:
@@ -81,13 +112,13 @@ class SlicedRefinement:
         self._process = Process(crew.meeting(), path, found)
         self._slice = self._process.slice
         self._survey = found
-        self._now = self._slice.cameras
-        self._points: NDArray[np.float64] = np.zeros((0, 3))
+        self._model = DividedModel.of(self._slice.cameras, found)
+        self._executor = AllSlices(crew, self._process, found.owner)
 
     @property
     def cameras(self) -> Problem:
         """Images and cameras of the model as it was read; the points are in the slices."""
-        return DividedModel.of(self._slice.cameras, self._survey, np.zeros((0, 3)))
+        return self._model
 
     def solve(
         self,
@@ -98,7 +129,7 @@ class SlicedRefinement:
         resume: str | os.PathLike[str] | None = None,
         checkpoint_interval: int = CHECKPOINT_INTERVAL,
     ) -> Result:
-        """Refine the model. The problems of the result have cameras only.
+        """Refine the model. The initial problem of the result has cameras only.
 
         Args:
             options: options of the solve.
@@ -111,38 +142,41 @@ class SlicedRefinement:
         Raises:
             InputError, OSError: for the reasons of :func:`bundle.solve_rounds`.
         """
-        self._prepared = prepare(SolveRequest(problem=self._slice.cameras, options=options))
-        settled = self._prepared.layout.options
+        prepared = prepare(SolveRequest(problem=self._model, options=options))
+        settled = prepared.layout.options
         self._options = settled.asdict()
         unknown = self._survey.unknown(np.asarray(settled.fixed_point_ids, np.int64))
         if unknown.size:
             raise InputError(f"fixed_point_ids: expected ids in the problem, found {unknown[0]}")
         plan = RunPlan(
-            checkpoint=checkpoint,  # type: ignore[arg-type]
-            resume=resume,  # type: ignore[arg-type]
+            checkpoint=checkpoint,
+            resume=resume,
             checkpoint_interval=checkpoint_interval,
         )
+
+        def solve(problem: Problem, used: SolveOptions, told: Progress | None) -> Result:
+            return solve_prepared(prepared.laid_out_at(problem, used), told, self._executor)
+
         if plan.file is None:
-            return self._finished(self._segment(settled, progress))
+            return self._finished(solve(self._model, settled, progress))
         resume, interval = plan.resume, plan.checkpoint_interval
         sums = self._process.run_on_all("digest")
         keeper = SlicedCheckpoint(
             plan.file, self._slice.cameras, sums, self._survey, options, interval
         )
-        so_far, has_ended = None, False
+        start, so_far, has_ended = self._model, None, False
         if resume is not None and resume.exists():
             kept = keeper.read(resume, settled)
             state = kept.state
-            self._points = state.pop("points")
-            self._now = self._now._moved(**state)
-            self._process.run_on_all("restart", state, points=self._points)
+            start = start._moved(**state)
+            self._process.run_on_all("restart", state, points=state.pop("points"))
             so_far, has_ended = kept.so_far, kept.has_ended
             if so_far is not None:
-                so_far = dataclasses.replace(so_far, problem=self._model(self._now))
+                so_far = dataclasses.replace(so_far, problem=start)
         if so_far is None or not has_ended:
             so_far = solve_in_segments(
-                lambda _, used, told: self._segment(used, told),
-                self._model(self._now),
+                solve,
+                start,
                 settled,
                 interval,
                 so_far=so_far,
@@ -160,12 +194,12 @@ class SlicedRefinement:
             InputError: the input has changed.
             OSError: a file cannot be read or written.
         """
-        found = self._survey
+        found, refined = self._survey, self._refined
         ids = found.point_ids
         if ids is None:
             with atomic.replace_file(path) as temporary:
                 bal.save_like(
-                    self._path, found.num_observations, self._now, self._points, temporary
+                    self._path, found.num_observations, refined, refined.points, temporary
                 )
                 remove_georeference(path, is_folder=False)
             return ()
@@ -176,7 +210,7 @@ class SlicedRefinement:
             errors[found.owner == rank] = given
 
         def write(folder: Path) -> tuple[str, ...]:
-            colmap.rewrite_like(self._now, ids, self._points, errors, folder)
+            colmap.rewrite_like(refined, ids, refined.points, errors, folder)
             return ()
 
         return save_model(path, "colmap", write)
@@ -189,51 +223,30 @@ class SlicedRefinement:
         values["reprojection_error_after"] = after
         count, total, largest = zip(*sums, strict=True)
         values["worst_images"] = worst_of_sums(
-            self._now, sum(count), sum(total), np.max(largest, axis=0)
+            self._refined, sum(count), sum(total), np.max(largest, axis=0)
         )
         if gauge is not None:
             values["gauge_freedom"] = gauge_freedom(gauge, result.options)
         self._crew.release()
 
-    def run(self, prepared: Prepared, progress: Progress | None) -> dict[str, Any]:
-        """Adjust from the present values; see :meth:`Executor.run`."""
-        output, given, ranks = self._process.run_on_all(
-            "solve", prepared.layout.options.asdict(), progress=heeding(self._crew, progress)
-        )
-        self._points = np.empty((len(self._survey.owner), 3))
-        for rank, of_rank in enumerate(given):
-            self._points[self._survey.owner == rank] = of_rank.points
-        record = process_record([of_rank.process for of_rank in given], ranks)
-        output["summary"] |= {"num_processes": self._num_ranks, "processes": record}
-        return {**output, "points": prepared.before.points}
-
-    def _segment(self, options: SolveOptions, progress: Progress | None) -> Result:
-        """Adjust from the present values, and replace them by the result."""
-        before = self._now
-        prepared = self._prepared.laid_out_at(before, options)
-        result = prepared.result(self.run(prepared, progress))
-        self._now = result.problem
-        return dataclasses.replace(
-            result, problem=self._model(self._now), initial_problem=self._model(before)
-        )
-
     def _finished(self, result: Result) -> Result:
-        return dataclasses.replace(result, initial_problem=self.cameras)
-
-    def _model(self, cameras: Problem) -> Problem:
-        return DividedModel.of(cameras, self._survey, self._points)
+        self._refined = result.problem
+        return dataclasses.replace(result, initial_problem=self._model)
 
 
 class DividedModel(Problem):
-    """Model whose points and observations are in slices: cameras, counts, and refined points."""
+    """Model whose points and observations are in slices.
+
+    It holds the cameras, the counts, and after a solve also the points.
+    """
 
     _census: Survey
 
     @staticmethod
-    def of(cameras: Problem, found: Survey, points: NDArray[np.float64]) -> DividedModel:
-        """Return the model of these cameras, with the counts of a survey."""
+    def of(cameras: Problem, found: Survey) -> DividedModel:
+        """Return the model of these cameras, with the counts of a survey and without points."""
         model = object.__new__(DividedModel)
-        vars(model).update(vars(cameras), points=points, _census=found)
+        vars(model).update(vars(cameras), points=freeze(np.zeros((0, 3))), _census=found)
         return model
 
     @property
