@@ -1,12 +1,50 @@
 """Test for motion or a rolling shutter in the residuals of a fit with shared lenses.
 
-Held-out errors cannot tell a lens of its own per image from motion during the exposure: both lower
-them. A lens per image absorbs a shift that grows with the row, but moves the cameras. The test
-looks for parts of the residuals that no radial lens has and that differ from image to image.
+Held-out errors cannot tell a lens per image from motion during the exposure: a lens per image
+absorbs part of the motion, predicts better, and moves the cameras. The residuals can. Under a
+rolling shutter, an image that moves by (a, b) pixels during the readout has the displacement
+(a, b) y, where y is the row. Let x, y be pixels from the centre of the image in halves of its
+longer side, and fit the residuals of each image by the affine field
+
+    r_x = a_0 + a_x x + a_y y,    r_y = b_0 + b_x x + b_y y.
+
+Its four slopes are a rotation (b_x - a_y) / 2, which the pose absorbs, and
+
+    isotropic    (a_x + b_y) / 2    along (x, y): another focal length
+    anisotropic  (a_x - b_y) / 2    along (x, -y): another ratio fx / fy
+    shear        (a_y + b_x) / 2    along (y, x): in no lens with orthogonal axes.
+
+Each coordinate is regressed on u = (1, x, y): with G = sum u u^T, an observation has the weights
+w = G^-1 u, and a_x = sum w_x r_x, b_x = sum w_x r_y and so on. The residuals e of this regression
+give the variance of a slope without an assumption on the noise (sandwich; White 1980): that of the
+shear is sum ((w_y e_x + w_x e_y) / 2)^2 n / (n - 3). Observations beyond 5 sigma are left out,
+sigma = median error / 1.1774. Duplicated points repeat measurements; each counts once.
+
+If all images share what the lens lacks, a slope b_i with variance v_i varies about the weighted
+mean of its camera by noise only:
+
+    Q = sum (b_i - mean)^2 / v_i
+
+has a chi-square distribution with d = (images - cameras) degrees of freedom. Points and poses
+absorb part of the noise, so Q tends to be smaller. The variance that motion adds is estimated by
+(DerSimonian and Laird 1986, "Meta-analysis in clinical trials")
+
+    tau^2 = (Q - d) / C,    C = sum 1/v_i - sum over cameras (sum 1/v_i^2 / sum 1/v_i).
+
+The test fires if the shear is significant (Q beyond the quantile 1 - 1e-4) and not explained by a
+lens model that is too small (Q / d > 3; without motion, real models reach 2.6), and if the pattern
+is relevant: without noise, anisotropy and shear displace an observation by tau^2 (x^2 + y^2) each
+in the mean of squares. Relevant is what raises the RMS by 1 %, the threshold of the decision. The
+anisotropy alone proves no motion: cameras may differ in fx / fy.
+
+Rows or columns: a motion along the rows' order y has a_x = 0, so that isotropic = -anisotropic; a
+shutter along x has b_y = 0 and isotropic = anisotropic. The shear is the same for both, because a
+rotation turns one into the other.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,35 +52,187 @@ from numpy.typing import NDArray
 
 from bundle.model.problem import Problem
 
-__all__ = ["RowTest", "row_test"]
+__all__ = ["FEWEST_OF_IMAGE", "RowTest", "row_test"]
+
+FEWEST_OF_IMAGE = 30
+"""Number of observations that an image needs to take part."""
+
+_SIGNIFICANT = 3.719  # quantile 1 - 1e-4 of the normal distribution
+SMALLEST_RATIO = 3.0
+RELEVANT = 0.01
+_OUTLIER = 5.0  # sigmas
+_RAYLEIGH_MEDIAN = 1.17741
+_SURE, _CLEAR = 0.8, 0.3  # correlation and relative size of slopes that tell rows from columns
+
+_Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class RowTest:
-    """Variation over the images of residual patterns that no lens has.
+    """Variation over the images of residual patterns that a shared lens cannot have.
 
     Attributes:
-        fires: True if the variation is significant and large: keep one lens.
-        anisotropy: chi2 per degree of freedom of the slope along (x, -y); NaN if not computed.
-        shear: chi2 per degree of freedom of the slope along (y, x).
-        size: larger standard deviation of the two slopes over the images, in units of the noise.
-        num_images: number of images with enough observations.
+        fires: True if the shear is significant and the pattern large: motion or rolling shutter.
+        isotropy: chi2 per degree of freedom of the slope along (x, y); NaN with too few images.
+        anisotropy: the same along (x, -y).
+        shear: the same along (y, x).
+        size: relative increase of the RMS by anisotropy and shear.
+        deviations: (3,) standard deviation over the images of the three slopes beyond their noise
+            [pixels at half the longer side of the image].
+        sigma: noise of a coordinate [pixels].
+        direction: "rows", "columns", or "" if the residuals do not tell.
+        images: (num_images,) index of each image with enough observations.
+        slopes: (num_images, 3) its slopes [pixels at half the longer side].
+        errors: (num_images, 3) their standard errors.
     """
 
     fires: bool
+    isotropy: float
     anisotropy: float
     shear: float
     size: float
-    num_images: int
+    deviations: _Floats
+    sigma: float
+    direction: str
+    images: NDArray[np.int64]
+    slopes: _Floats
+    errors: _Floats
+
+    @property
+    def num_images(self) -> int:
+        """Number of images with enough observations."""
+        return len(self.images)
 
 
-def row_test(problem: Problem, residuals: NDArray[np.float64]) -> RowTest:
+def row_test(problem: Problem, residuals: _Floats) -> RowTest:
     """Return the test of one fit.
 
     Args:
-        problem: the fitted problem: lenses shared by size, with a robust loss.
-        residuals: (num_observations, 2) projection minus measurement in pixels; NaN without a
+        problem: the fitted problem: lenses shared as far as possible, with a robust loss. Images
+            with their own cameras do not take part.
+        residuals: (num_observations, 2) projection minus measurement [pixels]; NaN without a
             projection.
     """
-    del problem, residuals
-    return RowTest(fires=False, anisotropy=np.nan, shear=np.nan, size=np.nan, num_images=0)
+    rows, sigma = _used(problem, residuals)
+    image, r = problem.observation_image[rows], residuals[rows]
+    size = problem.camera_sizes[problem.image_camera[image]].astype(float)
+    scale = size.max(axis=1, keepdims=True, initial=0) / 2
+    if not scale.all():  # images of unknown size: pixels from the principal point, as in BAL
+        size, scale = np.zeros_like(size), np.abs(problem.observation_xy).max(initial=1.0)
+    position = (problem.observation_xy[rows] - size / 2) / scale
+    images, slopes, variances = _slopes(image, position, r, problem.num_images)
+    camera = problem.image_camera[images]
+    shared = np.bincount(camera, minlength=problem.num_cameras)[camera] > 1
+    images, slopes, variances = images[shared], slopes[shared], variances[shared]
+    chi2, tau2, freedom = _variation(camera[shared], slopes, variances)
+    ratios = chi2 / freedom if freedom else np.full(3, np.nan)
+    is_clear = chi2 > max(_chi2_quantile(freedom), SMALLEST_RATIO * freedom)
+    added = tau2[1:].sum() * float((position**2).sum(axis=1).mean()) if freedom else 0.0
+    growth = math.sqrt(1 + added / (2 * sigma**2)) - 1 if added else 0.0
+    return RowTest(
+        fires=bool(is_clear[2]) and growth > RELEVANT,
+        isotropy=float(ratios[0]),
+        anisotropy=float(ratios[1]),
+        shear=float(ratios[2]),
+        size=growth,
+        deviations=np.sqrt(tau2),
+        sigma=sigma,
+        direction=_direction(slopes, tau2) if is_clear[1] else "",
+        images=images,
+        slopes=slopes,
+        errors=np.sqrt(variances),
+    )
+
+
+def _used(problem: Problem, residuals: _Floats) -> tuple[NDArray[np.int64], float]:
+    """Return the rows of distinct measurements without outliers, and sigma."""
+    rows = np.flatnonzero(np.isfinite(residuals).all(axis=1))
+    if not len(rows):
+        return rows, 0.0
+    lengths = np.hypot(*residuals[rows].T)
+    sigma = float(np.median(lengths)) / _RAYLEIGH_MEDIAN
+    rows = rows[lengths <= _OUTLIER * sigma]
+    image, xy = problem.observation_image[rows], problem.observation_xy[rows]
+    order = np.lexsort((xy[:, 1], xy[:, 0], image))
+    image, xy = image[order], xy[order]
+    is_new = np.ones(len(rows), bool)
+    is_new[1:] = (image[1:] != image[:-1]) | (xy[1:] != xy[:-1]).any(axis=1)
+    return rows[order][is_new], sigma
+
+
+def _slopes(
+    image: NDArray[np.int32], position: _Floats, r: _Floats, num_images: int
+) -> tuple[NDArray[np.int64], _Floats, _Floats]:
+    """Return images, and their isotropic, anisotropic and shear slopes with variances."""
+
+    def total(values: _Floats) -> _Floats:
+        return np.bincount(image, values, num_images).astype(float)
+
+    x, y = position.T
+    u = np.stack([np.ones_like(x), x, y], axis=1)
+    gram = np.empty((num_images, 3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            gram[:, i, j] = gram[:, j, i] = total(u[:, i] * u[:, j])
+    count = gram[:, 0, 0].copy()
+    # Equal positions in an image determine no slope.
+    spread = np.linalg.det(gram / np.maximum(count, 1)[:, None, None])
+    takes_part = (count >= FEWEST_OF_IMAGE) & (spread > 1e-6)
+    gram[~takes_part] = np.eye(3)
+    inverse = np.linalg.inv(gram)
+    w = np.einsum("nij,nj->ni", inverse[image], u)
+    e = np.empty_like(r)
+    found = np.empty((num_images, 2, 3))
+    for k in range(2):
+        found[:, k] = np.stack([total(w[:, i] * r[:, k]) for i in range(3)], axis=1)
+        e[:, k] = r[:, k] - (u * found[image, k]).sum(axis=1)
+    (_, a_x, a_y), (_, b_x, b_y) = found[:, 0].T, found[:, 1].T
+    slopes = np.stack([a_x + b_y, a_x - b_y, a_y + b_x], axis=1) / 2
+    along = w[:, 1:] * e
+    across = w[:, 2] * e[:, 0] + w[:, 1] * e[:, 1]
+    parts = (along[:, 0] + along[:, 1], along[:, 0] - along[:, 1], across)
+    variances = np.stack([total((part / 2) ** 2) for part in parts], axis=1)
+    variances *= (count / np.maximum(count - 3, 1))[:, None]
+    chosen = np.flatnonzero(takes_part & (variances > 0).all(axis=1))
+    return chosen, slopes[chosen], variances[chosen]
+
+
+def _variation(
+    camera: NDArray[np.int32], slopes: _Floats, variances: _Floats
+) -> tuple[_Floats, _Floats, int]:
+    """Return chi-square about the mean of each camera, tau^2, and the degrees of freedom."""
+    cameras, group = np.unique(camera, return_inverse=True)
+    freedom = len(camera) - len(cameras)
+    if not freedom:
+        return np.zeros(3), np.zeros(3), 0
+    weight = 1 / variances
+    chi2, tau2 = np.empty(3), np.empty(3)
+    for k in range(3):
+        sums = np.bincount(group, weight[:, k])
+        mean = np.bincount(group, weight[:, k] * slopes[:, k]) / sums
+        chi2[k] = (weight[:, k] * (slopes[:, k] - mean[group]) ** 2).sum()
+        scale = (sums - np.bincount(group, weight[:, k] ** 2) / sums).sum()
+        tau2[k] = max(chi2[k] - freedom, 0.0) / scale
+    return chi2, tau2, freedom
+
+
+def _chi2_quantile(freedom: int) -> float:
+    """Return the quantile of the chi-square distribution, 3 % high at 2 degrees, else within 1 %.
+
+    (chi2 / d)^(1/3) is about normal with mean 1 - 2 / (9 d) and variance 2 / (9 d) (Wilson and
+    Hilferty 1931).
+    """
+    if not freedom:
+        return math.inf
+    spread = 2 / (9 * freedom)
+    return freedom * (1 - spread + _SIGNIFICANT * math.sqrt(spread)) ** 3
+
+
+def _direction(slopes: _Floats, tau2: _Floats) -> str:
+    """Return the order of exposure that the signs of the slopes show, if any."""
+    if tau2[0] < _CLEAR**2 * tau2[1]:
+        return ""
+    correlation = float(np.corrcoef(slopes[:, 0], slopes[:, 1])[0, 1])
+    if abs(correlation) < _SURE:
+        return ""
+    return "rows" if correlation < 0 else "columns"
