@@ -29,6 +29,7 @@ def test_plain(words):
     "words",
     [
         ("--rounds", "2"),
+        ("--hold-out", "10"),
         ("--only-images", "1"),
         ("--gps", "geo.txt"),
         ("--gcp", "gcp_list.txt"),

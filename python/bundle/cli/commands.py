@@ -55,6 +55,7 @@ def _refine(parser: Parser) -> None:
     add_options(parser, "SolveOptions", "options of the solve")
     add_pose_graph_flags(parser)
     add_options(parser, "RoundOptions", "rounds of adjusting and filtering")
+    add_options(parser, "HoldOutOptions", "held-out observations")
     add_rules(parser)
     add_georeference(parser)
     add_options(parser, "LensOptions", "cameras of OUTPUT")

@@ -36,6 +36,7 @@ from bundle.errors import InputError, shown
 from bundle.interface.loop_options import LoopOptions
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
+from bundle.interface.validation_options import HoldOutOptions
 from bundle.io.open import check_target, load, output_format, save
 from bundle.reports.terminal.refine import refinement
 from bundle.reports.terminal.timing import WallTime
@@ -183,10 +184,11 @@ def _solve(
     progress.stage("building the problem")
     flags = {**GEOREFERENCE_FLAGS, "priors": main_flag(asked.georeference)}
     known, checkpoints = opened.known, asked.checkpoints.asdict()
-    with naming_flags(SolveOptions, RoundOptions, LocalOptions, CheckpointOptions, **flags):
+    classes = (SolveOptions, RoundOptions, LocalOptions, CheckpointOptions, HoldOutOptions)
+    with naming_flags(*classes, **flags):
         if opened.sliced is not None:
             return opened.sliced.solve(opened.options, progress.iteration, **checkpoints)
-        plan = RunPlan(rounds=asked.rounds, **checkpoints)
+        plan = RunPlan(rounds=asked.rounds, held_out=asked.held_out, **checkpoints)
         request = SolveRequest(
             problem=opened.problem if closed is None else closed.problem,
             options=opened.options,

@@ -20,6 +20,7 @@ from bundle.interface.georeference_options import GeoreferenceOptions
 from bundle.interface.loop_options import LoopOptions
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
+from bundle.interface.validation_options import HoldOutOptions
 
 if TYPE_CHECKING:
     from bundle.solving.constraints.rule_list import Constraints
@@ -49,6 +50,7 @@ class Refinement:
         fixed_images: ids of constant images, or text with their names.
         local: images to refine while all others are constant.
         rounds: rounds of adjusting and filtering.
+        held_out: share of the observations that a second fit holds out.
         georeference: options of positions and control points.
         loops: loops to close before the solve.
         lenses: cameras of the output.
@@ -70,6 +72,7 @@ class Refinement:
     fixed_images: tuple[int, ...] | str | None
     local: LocalOptions
     rounds: RoundOptions
+    held_out: HoldOutOptions
     georeference: GeoreferenceOptions
     loops: LoopOptions
     lenses: LensOptions
@@ -115,6 +118,7 @@ class Refinement:
             fixed_images=arguments.fixed_image_ids,
             local=local,
             rounds=rounds,
+            held_out=options_given(arguments, HoldOutOptions),
             georeference=georeference,
             loops=loops,
             lenses=options_given(arguments, LensOptions),
@@ -133,7 +137,14 @@ class Refinement:
         """Return, for the report, the given options in addition to those of the solve."""
         rounds = self.rounds.asdict() if self.rounds.num_rounds else {}
         local = {} if self.local.only_images is None else self.local.asdict()
-        return {**rounds, **local, **self.checkpoints.changed(), **rules_as_options(self.rules)}
+        held_out = self.held_out.asdict() if self.held_out.hold_out else {}
+        return {
+            **rounds,
+            **held_out,
+            **local,
+            **self.checkpoints.changed(),
+            **rules_as_options(self.rules),
+        }
 
 
 def _checkpoints_given(arguments: argparse.Namespace) -> CheckpointOptions:

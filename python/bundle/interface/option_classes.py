@@ -21,6 +21,7 @@ OPTION_CLASSES = {
     "GeoreferenceOptions": "georeference_options",
     "GraphFileOptions": "inspect_options",
     "GraphOptions": "options",
+    "HoldOutOptions": "validation_options",
     "LensOptions": "camera_edit_options",
     "LocalOptions": "round_options",
     "LoopOptions": "loop_options",

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bundle.model.problem import Problem
 from bundle.model.reprojection import counted_errors, reprojection_errors, resolve_cheirality
 
-__all__ = ["CLIP", "ClippedErrors", "errors_or_nan", "summarize_clipped"]
+__all__ = ["CLIP", "ClippedErrors", "HeldOut", "errors_or_nan", "summarize_clipped"]
 
 CLIP = 4.0
 """Clip in pixels: COLMAP's largest error of an inlier (``filter_max_reproj_error``)."""
@@ -44,6 +44,26 @@ class ClippedErrors:
     share_clipped: float
     clip: float
     num_without_projection: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOut(ClippedErrors):
+    """Errors of observations that a fit did not see, and those of the observations that it saw.
+
+    The statistics themselves are of the held-out observations.
+
+    Attributes:
+        percent: share of the observations that was requested.
+        seed: seed of the choice.
+        fitted: the same statistics of the other observations, in the same fit.
+        is_converged: True if that fit converged; if not, it may still know the held-out
+            observations from its start, the fit to all observations.
+    """
+
+    percent: float
+    seed: int
+    fitted: ClippedErrors
+    is_converged: bool
 
 
 def errors_or_nan(

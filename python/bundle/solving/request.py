@@ -15,6 +15,7 @@ from bundle.errors import InputError
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CHECKPOINT_INTERVAL, RESTS, RoundOptions
+from bundle.interface.validation_options import HoldOutOptions
 from bundle.model.image_selection import ImageSelection
 from bundle.model.problem import Problem
 
@@ -124,7 +125,7 @@ def _listed(name: str, things: str, given: Iterable[T]) -> tuple[T, ...]:
 
 @dataclass(frozen=True, init=False)
 class RunPlan:
-    """Rounds of a run, and its checkpoints.
+    """Rounds of a run, its checkpoints, and its held-out observations.
 
     Attributes:
         rounds: number of rounds of adjusting and filtering, and the limits of the filter.
@@ -132,6 +133,7 @@ class RunPlan:
             iterations; None: the file of ``resume``, if given.
         resume: checkpoint from which the run continues, if the file exists.
         checkpoint_interval: iterations from one checkpoint to the next.
+        held_out: share of the observations that a second fit holds out; no checkpoint has this fit.
 
     Raises:
         InputError: an interval is below 1, or a value cannot be a path.
@@ -141,6 +143,7 @@ class RunPlan:
     checkpoint: Path | None
     resume: Path | None
     checkpoint_interval: int
+    held_out: HoldOutOptions
 
     def __init__(
         self,
@@ -149,6 +152,7 @@ class RunPlan:
         checkpoint: str | os.PathLike[str] | None = None,
         resume: str | os.PathLike[str] | None = None,
         checkpoint_interval: int = CHECKPOINT_INTERVAL,
+        held_out: HoldOutOptions | None = None,
     ) -> None:
         interval = number("checkpoint_interval", checkpoint_interval, whole=True, minimum=1)
         vars(self).update(  # frozen
@@ -156,6 +160,7 @@ class RunPlan:
             checkpoint=None if checkpoint is None else as_path(checkpoint, "checkpoint"),
             resume=None if resume is None else as_path(resume, "resume"),
             checkpoint_interval=interval,
+            held_out=HoldOutOptions() if held_out is None else held_out,
         )
 
     @property

@@ -13,6 +13,7 @@ from bundle.base.display import Display
 from bundle.base.words import change, contents, pixels, plural, seconds
 from bundle.interface.solve_record import SolveRecord
 from bundle.interface.summary import held_facts
+from bundle.model.clipped_errors import HeldOut
 from bundle.model.problem import Problem
 from bundle.model.reprojection import (
     ReprojectionError,
@@ -61,6 +62,10 @@ class Result(SolveRecord):
             to the last adjustment.
         part: the images and points that took part, if only some images were refined. Costs belong
             to this part, reprojection errors to the entire problem.
+        held_out: errors of the observations that ``hold_out`` held out, in a second fit without
+            them, beside the errors of the observations that this fit saw. All other attributes
+            describe the fit to all observations. None: not requested, or the solve was interrupted
+            or has no usable solution.
     """
 
     problem: Problem
@@ -73,6 +78,7 @@ class Result(SolveRecord):
     control_points: tuple[ControlPointError, ...] = ()
     rounds: tuple[Round, ...] = ()
     part: PartRecord | None = None
+    held_out: HeldOut | None = None
 
     @cached_property
     def reprojection_error_before(self) -> ReprojectionError:
@@ -109,6 +115,18 @@ class Result(SolveRecord):
         values = vars(self)  # storage of cached_property; the dataclass itself is frozen
         values["worst_images"] = worst_of_errors(problem, errors, behind, cheirality)
         values["reprojection_error_after"] = summarize_errors(errors, behind, cheirality)
+
+    def _held_out_facts(self) -> tuple[tuple[str, str], ...]:
+        if self.held_out is None:
+            return ()
+        held, fitted = self.held_out, self.held_out.fitted
+        return (
+            (
+                "held out",
+                f"{plural(held.num_observations, 'observation')}, RMSE clipped at {held.clip:g} px "
+                f"{pixels(held.clipped_rmse)} px, of the fitted {pixels(fitted.clipped_rmse)} px",
+            ),
+        )
 
     def _factor_facts(self) -> tuple[tuple[str, str], ...]:
         count = self.summary.num_factors
@@ -170,6 +188,7 @@ class Result(SolveRecord):
             ),
             *held_facts(summary),
             ("RMSE", f"{pixels(before.rmse)} -> {pixels(after.rmse)} px"),
+            *self._held_out_facts(),
             ("time", f"{seconds(self.build_time_in_seconds + self.solve_time_in_seconds)} s"),
             ("solver", f"{solver} on {plural(summary.num_threads_used, 'thread')}"),
             ("problem", contents(self.problem)),

@@ -16,11 +16,13 @@ from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.solve_record import Progress
+from bundle.interface.validation_options import HoldOutOptions
 from bundle.io.files import Source, as_problem
 from bundle.io.g2o_files import load_g2o
 from bundle.io.recognition import is_pose_graph_file
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.solving.executors import solve_prepared
+from bundle.solving.held_out.measurement import held_out_fit
 from bundle.solving.prepare import prepare
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
@@ -55,6 +57,8 @@ def solve(
     align: bool | None = None,
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
     constraints: Constraints | Iterable[str | Rule] | Applied = (),
+    hold_out: float = 0.0,
+    hold_out_seed: int = 0,
     progress: Progress | None = None,
     **changes: Unpack[SolveKeywords],
 ) -> Result: ...
@@ -70,6 +74,8 @@ def solve(
     align: bool | None = None,
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
     constraints: Constraints | Iterable[str | Rule] | Applied = (),
+    hold_out: float = 0.0,
+    hold_out_seed: int = 0,
     progress: Progress | None = None,
     **changes: Any,
 ) -> Result | PoseGraphResult:
@@ -148,6 +154,11 @@ def solve(
             COLMAP's order, infinite without a bound. The parameter must start between its bounds
             and stays there; equal bounds make it constant. ``active_bounds`` of the result lists
             the bounds that parameters reach.
+        hold_out: share of the observations in percent that a second fit does not see; 0: no second
+            fit. It starts at the result. ``held_out`` of the result has its errors at the
+            observations that it saw and at those that it did not see. All else in the result is of
+            the fit to all observations. :func:`bundle.hold_out` describes the choice.
+        hold_out_seed: seed of the choice.
         progress: function called after each iteration with a dict, whose keys are the names of
             Ceres' IterationSummary. An exception of this function stops the solve and is passed on;
             KeyboardInterrupt has the effect of Ctrl-C.
@@ -180,13 +191,14 @@ def solve(
             "bounds": bounds,
             "constraints": constraints,
         }
-        for name, value in (beside | {"align": align}).items():
+        for name, value in (beside | {"align": align, "hold_out": hold_out or None}).items():
             if value is not None and value != ():
                 raise InputError(f"{name}: expected none for a pose graph, found {brief(value)}")
         return solve_pose_graph(problem, options, progress=progress, **changes)  # type: ignore[arg-type]
     problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "solve")  # type: ignore[arg-type]
     check_function("progress", progress)
+    share = HoldOutOptions(hold_out=hold_out, hold_out_seed=hold_out_seed)
     prepared = prepare(
         SolveRequest(
             problem=problem,
@@ -198,4 +210,11 @@ def solve(
             constraints=constraints,
         )
     )
-    return prepared.finished(solve_prepared(prepared, progress))
+    held_out = held_out_fit(prepared, share)
+    last = solve_prepared(prepared, progress)
+    finished = prepared.finished(last)
+    if held_out is None:
+        return finished
+    return held_out.measured(
+        finished, last, None, lambda kept: (solve_prepared(kept, progress), None)
+    )

@@ -69,6 +69,7 @@ def refinement(
         *([] if closed is None else _loops(closed)),
         *([Section(tables=[Table(ROUNDS, solved.rounds)])] if solved.rounds else []),
         Section(tables=[_before_and_after(solved)]),
+        *_held_out(solved),
         *_positions(georeference),
         *_cameras(changes),
         *_constraints(solved),
@@ -86,6 +87,7 @@ def refinement(
         **({} if closed is None else {"loops": closed.asdict()}),
         **about,
         **({"rounds": solved.rounds} if solved.rounds else {}),
+        **({"held_out": solved.held_out} if solved.held_out else {}),
         **({"part": solved.part} if solved.part else {}),
         **({"constraints": solved.constraints} if solved.constraints else {}),
         "held_cost": summary.held_cost,
@@ -137,6 +139,31 @@ def _positions(georeference: Georeference | None) -> list[Section]:
     from bundle.reports.terminal.gps import gps_report  # most solves have no positions
 
     return gps_report(georeference)
+
+
+def _held_out(solved: Result) -> list[Section]:
+    """Return errors of a fit at the observations that it saw and did not see."""
+    held = solved.held_out
+    if held is None:
+        return []
+    rows = [
+        (
+            name,
+            str(errors.num_observations),
+            pixels(errors.median),
+            pixels(errors.clipped_rmse),
+            f"{100 * errors.share_clipped:.2f} %",
+        )
+        for name, errors in (("fitted", held.fitted), ("held out", held))
+    ]
+    head = ("", "observations", "median [px]", f"RMSE, at most {held.clip:g} px", "clipped")
+    notes = [
+        f"A second fit without {held.percent:g} % of the observations (seed {held.seed}); OUTPUT "
+        "is the fit to all."
+    ]
+    if not held.is_converged:
+        notes.append("The second fit did not converge: its held-out error may be too small.")
+    return [Section(tables=[Table.of(head, rows)], notes=notes)]
 
 
 def _constraints(solved: Result) -> list[Section]:

@@ -14,14 +14,12 @@ from numpy.typing import NDArray
 
 from bundle.errors import InputError
 from bundle.interface.option_fields import number
+from bundle.interface.validation_options import MOST_PERCENT
 from bundle.io.files import Source, as_problem
 from bundle.model.folds import folds_of, keys, mix
 from bundle.model.problem import Problem
 
-__all__ = ["FEWEST_OF_IMAGE", "MOST_PERCENT", "choose", "hold_out"]
-
-MOST_PERCENT = 50.0
-"""Largest share of an image's observations that can be requested."""
+__all__ = ["FEWEST_OF_IMAGE", "choose", "hold_out"]
 
 FEWEST_OF_IMAGE = 6
 """Number of observations that remain in each image: twice as many as a pose needs."""
@@ -68,7 +66,11 @@ def hold_out(
 
 
 def choose(
-    problem: Problem, percent: float, seed: int = 0, among: NDArray[np.bool_] | None = None
+    problem: Problem,
+    percent: float,
+    seed: int = 0,
+    among: NDArray[np.bool_] | None = None,
+    name: str = "percent",
 ) -> NDArray[np.bool_]:
     """Return a mask of the observations to hold out.
 
@@ -77,11 +79,12 @@ def choose(
         percent: share of each image's observations, above 0 and at most 50.
         seed: whole number.
         among: mask of the observations that may be held out; None: all.
+        name: name of the share, for errors.
 
     Raises:
         InputError: a number is out of range, or no observation can be held out.
     """
-    percent = number("percent", percent, above=0.0, maximum=MOST_PERCENT)
+    percent = number(name, percent, above=0.0, maximum=MOST_PERCENT)
     seed = int(number("seed", seed, minimum=0, whole=True))
     candidates = folds_of(problem, 3 if percent <= _IN_THREE_FOLDS else 2, seed) == 0
     counted = problem.observation_image
@@ -105,8 +108,14 @@ def choose(
     held = np.zeros(problem.num_observations, bool)
     held[rows[place - begins[image] < quota[image]]] = True
     if not held.any():
+        images = 3 if percent <= _IN_THREE_FOLDS else 4
+        if len(rows) and quota.max() == 0 and seen.max() > FEWEST_OF_IMAGE:
+            raise InputError(
+                f"{name}: expected a share of one observation or more in an image, found "
+                f"{percent:g} % of at most {seen.max()}"
+            )
         raise InputError(
-            f"percent: expected observations to hold out {percent:g} % of, found none of a point "
-            f"that {3 if percent <= _IN_THREE_FOLDS else 4} images see"
+            f"{name}: expected observations to hold out {percent:g} % of, found 0 in images of "
+            f"more than {FEWEST_OF_IMAGE} observations, of points that {images} images see"
         )
     return held

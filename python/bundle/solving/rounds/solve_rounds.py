@@ -13,10 +13,12 @@ from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CHECKPOINT_INTERVAL, RoundOptions
 from bundle.interface.solve_record import Progress
+from bundle.interface.validation_options import HoldOutOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.image_selection import ImageSelection
 from bundle.model.problem_keys import touched_ids
 from bundle.solving.executors import solve_prepared
+from bundle.solving.held_out.measurement import held_out_fit
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.request import Bounds, PartRequest, RunPlan, SolveRequest
 from bundle.solving.result import Result
@@ -59,6 +61,8 @@ def solve_rounds(
     checkpoint: str | os.PathLike[str] | None = None,
     checkpoint_interval: int = CHECKPOINT_INTERVAL,
     resume: str | os.PathLike[str] | None = None,
+    hold_out: float = 0.0,
+    hold_out_seed: int = 0,
     progress: Progress | None = None,
     **changes: Unpack[SolveKeywords],
 ) -> Result:
@@ -114,6 +118,10 @@ def solve_rounds(
         resume: checkpoint from which the run continues, with the same problem and options (the
             number of threads may differ). If the file does not exist, the run begins at the start.
             Further checkpoints are written to this file unless ``checkpoint`` names another one.
+        hold_out: as in :func:`bundle.solve`. The second fit has rounds of its own. Observations
+            that it removes count as the clip, held out or fitted. With ``only_images``, the
+            observations to hold out are those of the named images.
+        hold_out_seed: as in :func:`bundle.solve`.
         progress: as in :func:`bundle.solve`, in each round.
         **changes: options by name, which replace those in ``options``.
 
@@ -143,6 +151,7 @@ def solve_rounds(
         checkpoint=checkpoint,
         resume=resume,
         checkpoint_interval=checkpoint_interval,
+        held_out=HoldOutOptions(hold_out=hold_out, hold_out_seed=hold_out_seed),
     )
     request = SolveRequest(
         problem=as_problem(problem),
@@ -164,18 +173,37 @@ def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) 
     the last filter, unless this filter removed nothing. The run then ends at a minimum.
     """
     prepared = prepare(request)
+    held_out = held_out_fit(prepared, plan.held_out)
     checkpoint = None if plan.file is None else Checkpoint.of(plan.file, prepared, plan)
     state = State.first(prepared.start)
     if checkpoint is not None and plan.resume is not None and plan.resume.exists():
         state = checkpoint.read(plan.resume, prepared)
+
+    def fit(prepared: Prepared) -> tuple[Result, State]:
+        start = State.first(prepared.start)
+        return _run(prepared, start, plan.rounds, None, progress)
+
+    last, state = _run(prepared, state, plan.rounds, checkpoint, progress)
+    finished = prepared.finished(last, state)
+    return finished if held_out is None else held_out.measured(finished, last, state, fit)
+
+
+def _run(
+    prepared: Prepared,
+    state: State,
+    limits: RoundOptions,
+    checkpoint: Checkpoint | None,
+    progress: Progress | None,
+) -> tuple[Result, State]:
+    """Adjust and filter from a state; return the last result for the start, and its state."""
     while state.end is None:
         result = _adjust(prepared, state, checkpoint, progress)
         if result.summary.interrupted or not result.summary.is_solution_usable:
-            return prepared.finished(result, state)  # a checkpoint keeps the earlier state
-        state = _next(prepared, state, result, plan.rounds)
+            return result, state  # a checkpoint keeps the earlier state
+        state = _next(prepared, state, result, limits)
         if checkpoint is not None:
             checkpoint.write(state)
-    return prepared.finished(state.end, state)
+    return state.end, state
 
 
 def _adjust(

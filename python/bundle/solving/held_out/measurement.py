@@ -1,0 +1,126 @@
+"""Errors of held-out observations: a second fit of a prepared solve, without them.
+
+The first fit has all observations. The second fit starts there and has the same factors, rules,
+bounds, rounds and options, but not the held-out observations. At its minimum it no longer depends
+on them, and its errors at them are predictions. Held-out observations are drawn from the problem
+before any filter: an outlier among them counts, at most as the clip.
+
+A point that the rounds of the second fit remove has no projection. Its held-out observations count
+as the clip, and so do removed observations among the fitted ones. Both statistics therefore cover
+the same observations with and without rounds, and deleting observations does not lower them.
+
+Measurements of control points are never held out. In a local adjustment the observations of the
+named images are candidates: other images are constant and do not change with their observations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.arrays import freeze
+from bundle.interface.validation_options import HoldOutOptions
+from bundle.model.clipped_errors import HeldOut, errors_or_nan, summarize_clipped
+from bundle.model.problem import Problem
+from bundle.solving.held_out.hold_out import choose
+from bundle.solving.prepare import STATE, Prepared
+from bundle.solving.result import Result
+
+if TYPE_CHECKING:
+    from bundle.solving.rounds.run_state import State
+
+__all__ = ["HeldOutFit", "held_out_fit", "with_values"]
+
+Fit = Callable[[Prepared], "tuple[Result, State | None]"]
+"""Solve of a prepared problem: the result for its start, and the state of its rounds."""
+
+
+class HeldOutFit:
+    """The observations that a solve holds out, chosen before it runs.
+
+    Args:
+        prepared: the solve of all observations.
+        options: share of the observations and seed.
+
+    Raises:
+        InputError: no observation can be held out.
+    """
+
+    def __init__(self, prepared: Prepared, options: HoldOutOptions) -> None:
+        self._prepared, self._options = prepared, options
+        self._among = _candidates(prepared)
+        self._held = choose(
+            prepared.start, options.hold_out, options.hold_out_seed, self._among, name="hold_out"
+        )
+
+    def measured(self, finished: Result, last: Result, state: State | None, fit: Fit) -> Result:
+        """Return the finished result with the errors of the held-out observations.
+
+        Args:
+            finished: result of the fit to all observations.
+            last: the same result for the start of that fit.
+            state: its rounds; None without rounds.
+            fit: function that solves a prepared problem, with rounds if there are any.
+        """
+        if not _is_usable(last):
+            return finished
+        start = with_values(self._prepared.start, last.problem, state)
+        kept = start.select(observations=~self._held).problem
+        result, rounds = fit(self._prepared.at(kept))
+        if not _is_usable(result):
+            return finished
+        options = self._prepared.options
+        predicted = with_values(start, result.problem, rounds)
+        errors = errors_or_nan(predicted, options.cheirality, options.num_threads)
+        if rounds is not None:
+            errors[~rounds.point_mask[start.observation_point]] = np.nan
+            errors[np.flatnonzero(~self._held)[~rounds.observation_mask]] = np.nan
+        held = summarize_clipped(errors[self._held])
+        record = HeldOut(
+            **vars(held),
+            percent=self._options.hold_out,
+            seed=self._options.hold_out_seed,
+            fitted=summarize_clipped(errors[self._among & ~self._held]),
+            is_converged=result.summary.termination_type == "CONVERGENCE",
+        )
+        return replace(finished, held_out=record)
+
+
+def held_out_fit(prepared: Prepared, options: HoldOutOptions) -> HeldOutFit | None:
+    """Return the fit without held-out observations; None if none are requested."""
+    return HeldOutFit(prepared, options) if options.hold_out else None
+
+
+def with_values(problem: Problem, refined: Problem, state: State | None = None) -> Problem:
+    """Return a problem with the values of its refined version, from which points may be missing.
+
+    Args:
+        problem: the problem.
+        refined: the same cameras, images and points with other values; observations may differ.
+        state: rounds that removed points of `refined`; these points keep their values.
+    """
+    values: dict[str, Any] = {name: getattr(refined, name) for name in STATE}
+    if state is not None and refined.num_points != problem.num_points:
+        points = problem.points.copy()
+        points[state.point_mask] = refined.points
+        values["points"] = freeze(points)
+    return problem._moved(**values)
+
+
+def _candidates(prepared: Prepared) -> NDArray[np.bool_]:
+    """Return a mask of the observations that may be held out."""
+    start = prepared.start
+    given = ~np.isin(start.point_ids, prepared.placed.control_point_ids)
+    among: NDArray[np.bool_] = given[start.observation_point]
+    if prepared.part is not None:
+        refined = np.isin(start.image_ids, list(prepared.part.refined_ids["image"]))
+        among &= refined[start.observation_image]
+    return among
+
+
+def _is_usable(result: Result) -> bool:
+    return result.summary.is_solution_usable and not result.summary.interrupted
