@@ -64,7 +64,7 @@ def test_positions_are_on_the_page_of_refine(run, tmp_path):
     page = tmp_path / "page.html"
     words = ("refine", tmp_path / "model", "-o", tmp_path / "out/", "--gps", tmp_path / "geo.txt")
     assert run(*words, "--html", page, "--images", tmp_path, "--quiet").code == 0
-    assert "Measured positions of images" in page.read_text()
+    assert "measured positions<" in page.read_text()
     # The same priors are counted in a page of its own; without them, the model is less certain.
     alone, again = tmp_path / "alone.html", tmp_path / "again.html"
     assert run("report", tmp_path / "out", "-o", alone, "--quiet").code == 0

@@ -21,6 +21,7 @@ from bundle.figures.marks import (
     Ellipses,
     Line,
     Mark,
+    Matrix,
     Photo,
     Places,
     StackedBars,
@@ -177,9 +178,8 @@ def test_vectors_of_an_image_plane_start_where_they_are():
         seen = [np.array(text.split(), float) * 640 / 400 for text in (start, way)]
         np.testing.assert_allclose(seen[0], place - (100, 50) + 2 * 1.6, atol=0.1)
         np.testing.assert_allclose(seen[1], vector, atol=0.1)
-    lines = axis_of(figure).lines
-    for line, place, vector in zip(lines, at, step, strict=True):
-        np.testing.assert_allclose(line.get_xydata(), [place, place + vector])
+    lines = axis_of(figure).collections[0].get_segments()
+    np.testing.assert_allclose(lines, np.stack([at, at + step], axis=1))
 
 
 EACH = {
@@ -192,6 +192,7 @@ EACH = {
     Vectors: plane(Vectors(640 * RNG.random((5, 2)), RNG.random((5, 2)))),
     Dots: chart(Dots(np.column_stack([X, Y]), (0, 1, 6, 0), tuple("abcd"), is_labelled=True)),
     Ellipses: chart(Ellipses(np.array([np.eye(2), np.diag([4.0, 1.0])]), 1)),
+    Matrix: chart(Matrix(("f", "k"), np.array([[1.0, -0.25], [-0.25, 1.0]]))),
 }
 
 
@@ -205,6 +206,51 @@ def test_each_mark_is_drawn_by_both():
     picture = plane(Photo("data:image/png;base64,AA"))
     assert parsed(picture).find("./svg").get("class") == "photographed"
     assert len(axis_of(plane(Photo(np.zeros((3, 4))))).images) == 1
+
+
+def test_bars_are_the_same_in_both():
+    values = {"a": 3.0, "b": 3000.0, "none": math.nan, "zero": 0.0, "c": 40.0}
+    for is_ordered, names in ((False, [*values]), (True, ["a", "b", "none", "c"])):
+        figure = chart(Bars(values, "{:g}".format, ["c"], is_ordered=is_ordered))
+        root, ax = parsed(figure), axis_of(figure)
+        rows = ["".join(cell.itertext()) for cell in root.findall("./div/div")]
+        assert rows[::2] == [tick.get_text() for tick in ax.get_yticklabels()] == names
+        assert rows[1::2] == [text.get_text().replace("\n", ", ") for text in ax.texts]
+        widths = [float(re.search(r"width:([\d.]+)", bar.get("style"))[1]) for bar in
+                  root.findall("./div/div/div[@style]")]  # fmt: skip
+        spans = [np.log(bar.get_x() + bar.get_width()) - np.log(bar.get_x()) for bar in ax.patches]
+        np.testing.assert_allclose(np.divide(widths, max(widths)), spans / max(spans), atol=1e-3)
+
+
+def test_correlations_are_the_same_in_both():
+    values = np.array([[1.0, -0.25, 0.9], [-0.25, 1.0, 0.0], [0.9, 0.0, 1.0]])
+    figure = chart(Matrix(("f", "k", "cx"), values))
+    root, ax = parsed(figure), axis_of(figure)
+    rows = [["".join(cell.itertext()) for cell in row] for row in root.iter("tr")]
+    assert rows[0] == ["", "f", "k", "cx"]
+    assert [row[0] for row in rows[1:]] == [tick.get_text() for tick in ax.get_yticklabels()]
+    texts = [text for row in rows[1:] for text in row[1:]]
+    assert texts == [text.get_text() for text in ax.texts]
+    assert [float(text) for text in texts] == values.ravel().tolist()
+    np.testing.assert_array_equal(ax.images[0].get_array(), values)
+
+
+def test_a_curve_of_one_step_is_a_dot_in_both():
+    figure = chart(Steps("once", np.array([3.0]), np.array([2.0]), colour=4))
+    root, ax = parsed(figure), axis_of(figure)
+    (dot,) = root.findall("./svg/circle")
+    place = np.array([[float(dot.get("cx")), float(dot.get("cy"))]])
+    np.testing.assert_allclose(in_data(place, figure), [[3.0, 2.0]], atol=0.02)
+    assert "--c4" in dot.get("style")
+    assert ax.lines[0].get_marker() == "."
+
+
+def test_both_write_the_note():
+    figure = chart(*LINES, note="A note about what is drawn, long enough for a second line.")
+    assert figure.note in svg.draw(figure)
+    ax = axis_of(figure)
+    assert ax.texts[-1].get_text().replace("\n", " ") == figure.note
+    assert not ax.texts[-1].get_window_extent().overlaps(ax.get_legend().get_window_extent())
 
 
 def test_ellipses_dots_and_vectors_stand_where_they_are():
@@ -225,7 +271,7 @@ def test_ellipses_dots_and_vectors_stand_where_they_are():
     start, way = (np.array(part.split(), float) for part in path[1:].split("l"))
     end = in_data((start + way)[None], figure)
     np.testing.assert_allclose(end, at + step, atol=0.03)
-    np.testing.assert_allclose(ax.lines[-1].get_xydata(), [at[0], (at + step)[0]])
+    np.testing.assert_allclose(ax.collections[0].get_segments(), [[at[0], (at + step)[0]]])
 
 
 def named():

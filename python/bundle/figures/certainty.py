@@ -13,13 +13,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.figures.drawing import Figure
+from bundle.figures.marks import Matrix
+from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 from bundle.model.rotations import cross_matrices, rotation_matrices
 
 if TYPE_CHECKING:
     from bundle.analysis.uncertainty.covariance_result import Covariance
 
-__all__ = ["Certainty", "certainty"]
+__all__ = ["Certainty", "certainty", "correlation_figure", "largest_eigenvalues"]
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -56,6 +59,12 @@ class Certainty:
     points: Ids
     point_covariance: Array
     cameras: dict[int, Array]
+
+    @property
+    def position_sigmas(self) -> Array:
+        """(n,) standard deviation of each camera centre in its worst direction [length unit]."""
+        sigmas: Array = np.sqrt(largest_eigenvalues(self.centers))
+        return sigmas
 
     def correlations(self, camera: int) -> tuple[Ids, Array]:
         """Return the indices of a camera's refined parameters, and their correlation matrix."""
@@ -100,6 +109,17 @@ def certainty(problem: Problem, given: Covariance) -> Certainty:
             )
         ),
     )
+
+
+def correlation_figure(problem: Problem, known: Certainty, camera: int) -> Figure | None:
+    """Return the correlations of a camera's refined parameters; None for fewer than two."""
+    free, values = known.correlations(camera)
+    if len(free) < 2:
+        return None
+    names = camera_models()[problem.camera_models[camera]]
+    matrix = Matrix(tuple(names[index] for index in free), values)
+    title = f"Camera {problem.camera_ids[camera]}, {problem.camera_models[camera]}"
+    return Figure(name="correlations", title=title, marks=(matrix,))
 
 
 def largest_eigenvalues(covariance: Array) -> Array:

@@ -53,11 +53,14 @@ def image_residuals(
 ) -> list[ImageResiduals]:
     """Return the residuals of some images."""
     index = {int(image_id): place for place, image_id in enumerate(problem.image_ids)}
+    counted = np.flatnonzero(found.counted)
+    counted = counted[np.argsort(problem.observation_image[counted], kind="stable")]
+    ends = np.searchsorted(problem.observation_image[counted], np.arange(problem.num_images + 1))
     result = []
     for error in images:
         image = index[error.image_id]
         camera = problem.image_camera[image]
-        rows = np.flatnonzero(found.counted & (problem.observation_image == image))
+        rows = counted[ends[image] : ends[image + 1]]
         rows = rows[np.argsort(-found.lengths[rows], kind="stable")[:MOST_ARROWS]]
         width, height = problem.camera_sizes[camera].tolist()
         result.append(

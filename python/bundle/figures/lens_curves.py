@@ -12,6 +12,7 @@ where g is the derivative of the curve by p, from central differences.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +28,7 @@ from bundle.figures.residual_field import (
 from bundle.model.cameras import camera_models, project
 from bundle.model.problem import Problem
 
-__all__ = ["LensCurve", "lens_curve", "most_observed_cameras"]
+__all__ = ["LensCurve", "lens_curve", "lens_curves", "most_observed_cameras"]
 
 STEPS = 400
 AROUND = 16
@@ -68,6 +69,31 @@ def most_observed_cameras(problem: Problem, most: int = MOST_CAMERAS) -> list[in
     return by_observations(observations_of_cameras(problem))[:most]
 
 
+def lens_curves(
+    problem: Problem,
+    cameras: Sequence[int],
+    covariances: Mapping[int, NDArray[np.float64]] | None = None,
+) -> list[LensCurve]:
+    """Return the curves of some cameras; cameras without focal length have none.
+
+    Args:
+        problem: problem with the cameras.
+        cameras: indices of the cameras.
+        covariances: (k, k) by index, as in :func:`lens_curve`.
+    """
+    of = problem.image_camera[problem.observation_image]
+    order = np.argsort(of, kind="stable")
+    wanted = np.array([*cameras], np.int64)
+    ends = np.searchsorted(of[order], np.stack([wanted, wanted + 1]))
+    seen = (problem.observation_xy[order[begin:end]] for begin, end in ends.T.tolist())
+    known = {} if covariances is None else covariances
+    made = (
+        _lens_curve(problem, camera, known.get(camera), xy)
+        for camera, xy in zip(cameras, seen, strict=True)
+    )
+    return [curve for curve in made if curve is not None]
+
+
 def lens_curve(
     problem: Problem, camera: int, covariance: NDArray[np.float64] | None = None
 ) -> LensCurve | None:
@@ -78,6 +104,17 @@ def lens_curve(
         camera: index of the camera.
         covariance: (k, k) of its parameters in COLMAP's order; NaN for constant parameters.
     """
+    given = {} if covariance is None else {camera: covariance}
+    found = lens_curves(problem, [camera], given)
+    return found[0] if found else None
+
+
+def _lens_curve(
+    problem: Problem,
+    camera: int,
+    covariance: NDArray[np.float64] | None,
+    seen: NDArray[np.float64],
+) -> LensCurve | None:
     model = problem.camera_models[camera]
     center = principal_point(problem, camera)
     if center is None:
@@ -88,7 +125,6 @@ def lens_curve(
     if width > 0 and height > 0:
         corners = np.array([(0, 0), (width, 0), (0, height), (width, height)], float)
         corner = float(np.linalg.norm(corners - center, axis=1).max())
-    seen = problem.observation_xy[problem.image_camera[problem.observation_image] == camera]
     observed = float(np.linalg.norm(seen - center, axis=1).max()) if len(seen) else np.nan
     reach = corner if np.isfinite(corner) else 1.05 * observed
     widest = WIDEST_PERSPECTIVE if model in PERSPECTIVE else WIDEST_FISHEYE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -14,10 +14,13 @@ from bundle.figures.lens_curves import LensCurve
 from bundle.figures.marks import GREY, Array, Cells, Line, Places
 from bundle.figures.projection_uncertainty import ProjectionUncertainty, contour_levels
 
-__all__ = ["distance_figure", "lens_figure", "sigma_figure", "top_sigma"]
+__all__ = ["distance_figure", "focal_figure", "lens_figure", "sigma_figure", "top_sigma"]
 
 NONE = 1e-6
 """Limit in pixels below which distortion is a rounding error."""
+
+MOST_NAMED = 6
+"""Largest number of curves with a colour and a label each."""
 
 WIDE = 20.0
 """Ratio of sigmas above which the axis is logarithmic."""
@@ -28,23 +31,26 @@ def lens_figure(curves: Mapping[str, LensCurve], title: str = "", note: str = ""
 
     Args:
         curves: curves by label. "before" is grey and dashed. The others have sigma bands, and
-            marks at the farthest observation and at the farthest image corner.
+            marks at the farthest observation and at the farthest image corner. More than 6 curves
+            are faint, without labels and bands, and have the marks of all together.
         title: title of the figure.
         note: text below the figure.
     """
     lines, places = [], []
     now = [label for label in curves if label != "before"]
+    many = len(now) > MOST_NAMED
     for label, curve in curves.items():
         before = label == "before"
-        colour = GREY if before else now.index(label)
-        sigma = curve.sigma if len(curve.sigma) and not before else None
+        colour = GREY if before else 0 if many else now.index(label)
+        sigma = curve.sigma if len(curve.sigma) and not before and not many else None
         lines.append(
-            Line(label, curve.radius, curve.distortion, sigma, colour=colour, dash=int(before))
-        )
-        if not before:
-            found = (("observed", curve.observed_radius), ("corner", curve.corner_radius))
-            at = {name: value for name, value in found if math.isfinite(value)}
-            places.append(Places(at, colour if len(now) > 1 else GREY))
+            Line("" if many else label, curve.radius, curve.distortion, sigma, colour=colour,
+                 dash=int(before), opacity=0.45 if many else 1.0)
+        )  # fmt: skip
+        if not before and not many:
+            places.append(_places([curve], colour if len(now) > 1 else GREY))
+    if many:
+        places.append(_places([*curves.values()], GREY))
     spread = [0.0 if line.sigma is None else line.sigma for line in lines]
     ends = [line.y + sign * s for line, s in zip(lines, spread, strict=True) for sign in (-1, 1)]
     heights = np.concatenate([np.zeros(0), *ends])
@@ -60,6 +66,50 @@ def lens_figure(curves: Mapping[str, LensCurve], title: str = "", note: str = ""
         y=linear([*heights.tolist(), 0.0], "distortion [px]", low=None),
         marks=(*lines, *places),
         note=note,
+    )
+
+
+def _places(curves: Sequence[LensCurve], colour: int) -> Places:
+    found = {
+        "observed": max(curve.observed_radius for curve in curves),
+        "corner": max(curve.corner_radius for curve in curves),
+    }
+    return Places({name: value for name, value in found.items() if math.isfinite(value)}, colour)
+
+
+def focal_figure(
+    ids: Array, values: Mapping[str, Array], sigmas: Mapping[str, Array], title: str
+) -> Figure:
+    """Return the focal lengths of several cameras with their standard deviations.
+
+    Args:
+        ids: (n,) ids of the cameras.
+        values: (n,) focal lengths by the name of the parameter [pixels].
+        sigmas: (n,) standard deviations by name, NaN where unknown.
+        title: title of the figure.
+    """
+    words = []
+    for name, value in values.items():
+        typical = sigmas[name][np.isfinite(sigmas[name])]
+        words.append(f"{name}: spread {number(float(np.std(value)))} px")
+        if len(typical):
+            words[-1] += f", median sigma {number(float(np.median(typical)))} px"
+    # Bars of focal lengths that are not determined would hide the spread of the others.
+    every = np.concatenate([*values.values()])
+    margin = 0.25 * float(np.ptp(every)) or 0.01 * float(every.mean())
+    ends = [float(every.min()) - margin, float(every.max()) + margin]
+    marks = [
+        Line(name if len(values) > 1 else "", ids, value, colour=colour, is_dotted=True,
+             error=sigmas[name])
+        for colour, (name, value) in enumerate(values.items())
+    ]  # fmt: skip
+    return Figure(
+        name="focal_lengths",
+        title=title,
+        x=linear([ids.min() - 0.5, ids.max() + 0.5], "camera id", low=None),
+        y=linear(ends, "focal length [px]", low=None),
+        marks=tuple(marks),
+        note="; ".join(words) + ". Bars: one standard deviation.",
     )
 
 

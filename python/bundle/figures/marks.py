@@ -6,11 +6,14 @@ styles of each renderer, from 0; indices beyond the end start again at 0.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bundle.figures.axes import Axis, logarithmic
 
 __all__ = [
     "GREY",
@@ -20,6 +23,7 @@ __all__ = [
     "Ellipses",
     "Line",
     "Mark",
+    "Matrix",
     "Photo",
     "Places",
     "StackedBars",
@@ -47,6 +51,7 @@ class Line:
         colour: index in the palette; None: position among the lines of the figure.
         dash: line style.
         error: (n,) standard errors of y, drawn as bars at each value; None: no bars.
+        opacity: opacity of the line, for many lines on top of each other.
     """
 
     label: str
@@ -58,6 +63,7 @@ class Line:
     colour: int | None = None
     dash: int = 0
     error: Array | None = None
+    opacity: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,13 +95,13 @@ class Places:
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """One bar per name, on a logarithmic scale.
+    """One horizontal bar per name, on a logarithmic scale.
 
     Attributes:
         values: values by name; NaN and 0 have no bar.
         show: function that formats a value.
         impossible: names of hatched bars, whose values are impossible.
-        is_ordered: True if the names are classes of a histogram.
+        is_ordered: True if the names are classes of a histogram: empty classes have no row.
         most: number of bars after which others may be folded away; None: no limit.
     """
 
@@ -104,6 +110,24 @@ class Bars:
     impossible: Collection[str] = ()
     is_ordered: bool = False
     most: int | None = None
+
+    def rows(self) -> dict[str, float]:
+        """Return the values that have a row."""
+        if not self.is_ordered:
+            return dict(self.values)
+        return {name: value for name, value in self.values.items() if value}
+
+    @property
+    def scale(self) -> Axis:
+        """Axis of the lengths; the smallest value has a visible bar."""
+        known = [*self.values.values()]
+        return logarithmic([value / 3 for value in known] + known)
+
+    def text(self, name: str) -> str:
+        """Return the words beside a bar."""
+        value = self.values[name]
+        words = self.show(value) if math.isfinite(value) and value > 0 else "none"
+        return words + (", does not fit" if name in self.impossible else "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +169,7 @@ class Vectors:
         cells: (n,) cell of each line, row by row; None: no cells.
         grid: rows and columns of the cells.
         titles: title of each cell of the grid, row by row.
+        opacity: opacity of lines without cells.
     """
 
     at: Array
@@ -154,6 +179,7 @@ class Vectors:
     cells: NDArray[np.int64] | None = None
     grid: tuple[int, int] = (0, 0)
     titles: tuple[str, ...] = ()
+    opacity: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +192,7 @@ class Dots:
         names: names of the dots, shown under the mouse pointer; (): none.
         is_labelled: True to write the names next to the dots where there is room.
         directions: (n, 2) vectors whose directions select the colours; None: use ``colours``.
+        radius: radius of a dot, 480 being the width of a chart.
     """
 
     xy: Array
@@ -173,6 +200,7 @@ class Dots:
     names: tuple[str, ...] = ()
     is_labelled: bool = False
     directions: Array | None = None
+    radius: float = 3.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +235,26 @@ class Photo:
     picture: object = field(repr=False)
 
 
-Mark = Line | Steps | Places | Bars | StackedBars | Cells | Vectors | Dots | Ellipses | Photo
+@dataclass(frozen=True, eq=False)
+class Matrix:
+    """Correlation matrix with the names of its rows and columns.
+
+    Attributes:
+        names: (n,) names.
+        values: (n, n) correlations from -1 to 1.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+
+    def texts(self) -> list[list[str]]:
+        """Return the text of each cell, row by row."""
+        return [[f"{value:+.3f}" for value in row] for row in self.values.tolist()]
+
+
+Mark = (
+    Line | Steps | Places | Bars | StackedBars | Cells | Vectors | Dots | Ellipses | Photo | Matrix
+)
 
 
 # Hues of equal lightness and chroma in CIE LCh(ab) (L = 62, C = 38), every 30 degrees, clockwise in

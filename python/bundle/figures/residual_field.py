@@ -121,6 +121,12 @@ class ResidualField:
         return float(right - left) / columns, float(bottom - top) / rows
 
     @property
+    def num_significant(self) -> tuple[int, int]:
+        """Number of cells with a significant mean, and of all cells with a significance."""
+        known = self.significance[np.isfinite(self.significance)]
+        return int((known > SIGNIFICANT).sum()), len(known)
+
+    @property
     def vector_factor(self) -> float:
         """Round factor for drawing mean vectors, so that the 95th percentile fills a cell."""
         lengths = np.hypot(self.mean[..., 0], self.mean[..., 1])[self.count > 0]

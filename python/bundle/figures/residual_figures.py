@@ -22,6 +22,7 @@ __all__ = [
     "direction_figure",
     "field_figures",
     "image_figure",
+    "image_frame",
     "image_name",
     "length_figure",
     "profile_figure",
@@ -193,11 +194,8 @@ def image_figure(
         factor: ratio of drawn length to residual; None chooses a round factor.
         picture: background photograph; None without one.
     """
-    box = _frame(image)
-    if factor is None:
-        largest = float(np.hypot(*image.residual.T).max(initial=0.0))
-        size = float((box[2:] - box[:2]).max())
-        factor = round_down(LONGEST * size / largest) if largest > 0 else 1.0
+    box, round_factor = image_frame(image)
+    factor = round_factor if factor is None else factor
     words = f"{image_name(image)}: {plural(len(image.xy), 'residual')}"
     if len(image.xy) < image.error.num_observations:
         words = f"{image_name(image)}: the largest {len(image.xy)} residuals"
@@ -212,13 +210,18 @@ def image_name(image: ImageResiduals) -> str:
     return shown(image.error.name) or f"image {image.error.image_id}"
 
 
-def _frame(image: ImageResiduals) -> Array:
-    """Return the box of an image, or of its observations if the size is unknown."""
+def image_frame(image: ImageResiduals) -> tuple[Array, float]:
+    """Return the box of an image, and a round factor that makes its residuals visible.
+
+    The box is that of the observations if the size is unknown.
+    """
+    box = np.array([0.0, 0.0, 1.0, 1.0])
     if min(image.size) > 0:
-        return np.array([0.0, 0.0, *image.size])
-    if len(image.xy) == 0:
-        return np.array([0.0, 0.0, 1.0, 1.0])
-    low, high = image.xy.min(axis=0), image.xy.max(axis=0)
-    margin = max(0.05 * float((high - low).max()), 1.0)
-    box: Array = np.concatenate([low - margin, high + margin])
-    return box
+        box[2:] = image.size
+    elif len(image.xy):
+        low, high = image.xy.min(axis=0), image.xy.max(axis=0)
+        margin = max(0.05 * float((high - low).max()), 1.0)
+        box = np.concatenate([low - margin, high + margin])
+    largest = float(np.hypot(*image.residual.T).max(initial=0.0))
+    size = float((box[2:] - box[:2]).max())
+    return box, round_down(LONGEST * size / largest) if largest > 0 else 1.0

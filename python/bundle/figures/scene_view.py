@@ -8,7 +8,7 @@ k-th is drawn, with the smallest k that leaves at most 60,000.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["SceneView", "scene_view"]
+__all__ = ["SceneView", "scene_before", "scene_view"]
 
 MOST_POINTS = 60_000
 FARTHEST = 50.0
@@ -40,6 +40,7 @@ class SceneView:
         num_far: points and cameras that are too far away to be drawn.
         centers: (m, 3) centres of the drawn cameras, in the frame of the view.
         image_indices: (m,) indices of these images in the problem.
+        image_ids: (m,) their ids.
         axes: (m, 3, 3) right, down and forward of each camera, one row each.
         half_fields: (m, 2) tangents of half the field of view, horizontal and vertical.
         middle: (3,) centre between points and cameras, in the frame of the view.
@@ -57,6 +58,7 @@ class SceneView:
     num_far: int
     centers: NDArray[np.float64]
     image_indices: NDArray[np.int64]
+    image_ids: NDArray[np.int64]
     axes: NDArray[np.float64]
     half_fields: NDArray[np.float64]
     middle: NDArray[np.float64]
@@ -100,6 +102,7 @@ def scene_view(problem: Problem, found: Residuals | None, *, z_is_up: bool = Fal
         num_far=int((~near).sum() + (~close).sum()),
         centers=placed[images],
         image_indices=images,
+        image_ids=problem.image_ids[images],
         axes=axes,
         half_fields=_half_fields(problem)[problem.image_camera[images]],
         middle=middle,
@@ -107,6 +110,41 @@ def scene_view(problem: Problem, found: Residuals | None, *, z_is_up: bool = Fal
         up=up,
         forward=forward,
     )
+
+
+def scene_before(
+    view: SceneView, problem: Problem, initial: Problem, found: Residuals | None
+) -> SceneView:
+    """Return a view of an earlier state of a problem, with the same points and cameras.
+
+    Points and images are matched by id; those that the earlier state lacks stay where they are.
+
+    Args:
+        view: view of the problem.
+        problem: the problem.
+        initial: the earlier state, in the same frame.
+        found: residuals of the earlier state.
+    """
+    there, point = _matches(problem.point_ids[view.point_indices], initial.point_ids)
+    points, errors = view.points.copy(), np.full(len(view.points), np.nan)
+    points[there] = (initial.points[point] - view.origin) / view.unit
+    errors[there] = _errors(initial, found)[point]
+    here, image = _matches(problem.image_ids[view.image_indices], initial.image_ids)
+    centers, axes = view.centers.copy(), view.axes.copy()
+    centers[here] = (initial.projection_centers[image] - view.origin) / view.unit
+    axes[here] = rotation_matrices(initial.cam_from_world[image, :4])
+    return replace(view, points=points, point_errors=errors, centers=centers, axes=axes)
+
+
+def _matches(
+    wanted: NDArray[np.int64], ids: NDArray[np.int64]
+) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Return a mask of the ids that exist, and the index of each of these."""
+    order = np.argsort(ids, kind="stable")
+    place = np.minimum(np.searchsorted(ids, wanted, sorter=order), max(len(ids) - 1, 0))
+    found = order[place] if len(ids) else np.zeros(len(wanted), np.int64)
+    there = ids[found] == wanted if len(ids) else np.zeros(len(wanted), bool)
+    return there, found[there]
 
 
 def _placed(

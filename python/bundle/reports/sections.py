@@ -13,13 +13,16 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle._core import __version__
 from bundle.interface.finding import Finding
+
+if TYPE_CHECKING:
+    from bundle.figures.drawing import Figure
 
 __all__ = [
     "SCHEMA",
@@ -117,7 +120,10 @@ class Section:
         notes: list of sentences, shown last.
         is_warning: True if the notes are warnings.
         is_joined: True to omit the empty line above.
-        is_detail: True to show the section with --verbose only.
+        is_detail: True to show the section with --verbose only; pages fold it away.
+        title: heading on a page, and its entry in the contents; of a joined section a lower
+            heading; of a detail the text of the fold.
+        figures: figures of a page, below the tables.
     """
 
     facts: Sequence[tuple[str, str]] = ()
@@ -128,6 +134,8 @@ class Section:
     is_warning: bool = False
     is_joined: bool = False
     is_detail: bool = False
+    title: str = ""
+    figures: Sequence[Figure] = ()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

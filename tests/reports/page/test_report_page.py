@@ -61,7 +61,7 @@ def test_the_page_loads_nothing_and_leads_to_its_sections(written):
     _, page, _ = written
     inside = [address for address in page.loads if address.startswith("#")]
     assert {address[1:] for address in inside} <= set(page.ids)
-    assert len(inside) == 8
+    assert len(inside) == 7
     others = set(page.loads) - set(inside)
     assert all(address.startswith("data:image/") for address in others)
     rest = re.sub(r"http://www\.w3\.org/(2000/svg|1999/xhtml)", "", page.source)
@@ -169,9 +169,16 @@ def test_the_page_is_quiet_and_fits_in_both_themes(written, browser):
 def test_the_3d_view_paints_and_its_switches_change_it(written, solved, browser):
     path, page, _ = written
     scene = data_of(page)["scene"]
-    points = np.frombuffer(base64.b64decode(scene["points"]), "<f4").reshape(-1, 3)
-    world = np.array(scene["origin"]) + scene["unit"] * points
-    np.testing.assert_allclose(world, solved.problem.points, atol=1e-5)
+    for name, state in (("before", solved.initial_problem), ("after", solved.problem)):
+        points = np.frombuffer(base64.b64decode(scene[name]["points"]), "<f4").reshape(-1, 3)
+        world = np.array(scene["origin"]) + scene["unit"] * points
+        np.testing.assert_allclose(world, state.points, atol=1e-5)
+        shades = np.frombuffer(base64.b64decode(scene[name]["error"]["shades"]), np.uint8)
+        lengths = residuals(state).lengths.reshape(-1, 8)  # all 8 images see each point
+        assert state.observation_point.reshape(-1, 8).std(axis=1).max() == 0
+        rmse = np.sqrt((lengths**2).mean(axis=1))
+        limit = float(scene[name]["error"]["ends"][1].split()[0])
+        np.testing.assert_allclose(shades / 254, np.minimum(rmse / limit, 1), atol=3e-3)
     browser.open(path)
     browser.wait_for("Number(document.querySelector('.scene').dataset.drawn) >= 3")
     painted = (
@@ -185,6 +192,11 @@ def test_the_3d_view_paints_and_its_switches_change_it(written, solved, browser)
     )
     colours, everything = browser.evaluate(painted)
     assert colours > 10 and everything > 300
+    browser.click("[data-state=before]")
+    assert browser.evaluate("document.querySelector('[data-state=after]').ariaPressed") == "false"
+    assert browser.evaluate(painted) != [colours, everything]
+    browser.click("[data-state=after]")
+    assert browser.evaluate(painted) == [colours, everything]
     browser.click("[data-shows=points]")
     _, others = browser.evaluate(painted)
     browser.click("[data-shows=ellipsoids]")

@@ -16,7 +16,6 @@ from bundle.figures.matplotlib.charts import (
     draw_flops,
     draw_performance_profile,
 )
-from bundle.figures.matplotlib.covisibility_graph import draw_covisibility
 from bundle.figures.matplotlib.draw import figure
 from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
 from bundle.figures.matplotlib.problem_patterns import (
@@ -27,6 +26,7 @@ from bundle.figures.matplotlib.problem_patterns import (
 )
 from bundle.figures.matplotlib.report_pictures import (
     draw_correlations,
+    draw_covisibility,
     draw_image_residuals,
     draw_lens_curves,
     draw_lines,

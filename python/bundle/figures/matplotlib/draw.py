@@ -16,6 +16,7 @@ from bundle.figures.marks import (
     Dots,
     Ellipses,
     Line,
+    Matrix,
     Photo,
     Places,
     StackedBars,
@@ -44,6 +45,7 @@ TITLE, OF_TWO, OF_A_LINE = 11.0, 5.5, 7.0
 WIDE = 4.0  # inches: on wider axes, labels have one line
 # Space in points below an axis for ticks and label.
 LABELS_BELOW = 38
+LINE, OF_A_NOTE = 9, 8.0  # points and characters per inch of a note
 
 
 def figure(
@@ -82,13 +84,24 @@ def draw(ax: Axes, figure: Figure, title: str | None = None) -> None:
         figure: figure to draw.
         title: title instead of the figure's own; a long title is cut at its beginning.
     """
-    if not any(isinstance(mark, Bars | StackedBars) for mark in figure.marks):
+    if not any(isinstance(mark, _WITHOUT_AXES) for mark in figure.marks):
         _set_axes(ax, figure)
     for mark in figure.marks:
         _KINDS[type(mark)](ax, mark)
     show_title(ax, figure.title if title is None else title)
-    if figure.legend:
-        legend_below(ax)
+    below = _note_below(ax, figure.note) if figure.note else 0
+    if figure.legend or any(isinstance(mark, StackedBars) and mark.rows for mark in figure.marks):
+        legend_below(ax, below)
+
+
+def _note_below(ax: Axes, note: str) -> int:
+    """Write a note below an axis and its label; return the height of its lines in points."""
+    lines = textwrap.wrap(note, max(round(OF_A_NOTE * _inches(ax)), 20))
+    ax.annotate(
+        "\n".join(lines), (0.5, 0.0), (0, -LABELS_BELOW), xycoords="axes fraction",
+        textcoords="offset points", ha="center", va="top", fontsize=7, parse_math=False,
+    )  # fmt: skip
+    return LINE * len(lines) + 4
 
 
 def _set_axes(ax: Axes, figure: Figure) -> None:
@@ -111,7 +124,7 @@ def _line(ax: Axes, line: Line) -> None:
     name = line.label or "_nolegend_"
     ax.plot(
         line.x, line.y, style, marker="." if lonely else None, color=colour, label=name,
-        linewidth=1.2,
+        linewidth=1.2, alpha=line.opacity,
     )  # fmt: skip
     if line.sigma is not None:
         low, high = line.y - line.sigma, line.y + line.sigma
@@ -130,7 +143,8 @@ def _steps(ax: Axes, steps: Steps) -> None:
     if len(steps.x) > len(steps.y):
         ax.stairs(steps.y, steps.x, **look)
     else:
-        ax.step(steps.x, steps.y, where="post", **look)
+        lonely = "." if len(steps.x) == 1 else None
+        ax.step(steps.x, steps.y, where="post", marker=lonely, **look)
 
 
 def _places(ax: Axes, mark: Places) -> None:
@@ -146,31 +160,21 @@ def _places(ax: Axes, mark: Places) -> None:
 
 
 def _bars(ax: Axes, mark: Bars) -> None:
-    """Draw classes of a histogram as vertical bars, other names as horizontal bars in log scale."""
-    if mark.is_ordered:
-        ax.bar(np.arange(len(mark.values)), [*mark.values.values()], color=_paint(0))
-        ax.set_xticks(np.arange(len(mark.values)), [*mark.values], rotation=90, fontsize=7)
-        ax.set_ylabel("points")
-        return
-    values = np.array([*mark.values.values()], float)
-    values[~(values > 0)] = np.nan
-    lowest, highest = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
-    lowest, highest = (lowest / 10, highest) if np.isfinite(highest) else (1.0, 10.0)
+    """Draw horizontal bars on a logarithmic axis, with their text to the right."""
+    rows, scale = mark.rows(), mark.scale
     ax.set_xscale("log")
-    lengths = np.fmax(values, lowest) - lowest
-    bars = ax.barh(np.arange(len(values)), lengths, left=lowest, color=_paint(0))
-    for bar, name, value in zip(bars, mark.values, values, strict=True):
+    for place, (name, value) in enumerate(rows.items()):
+        known = np.isfinite(value) and value > 0
+        end = value if known else scale.low
+        (bar,) = ax.barh([place], end - scale.low, left=scale.low, color=_paint(0))
         if name in mark.impossible:
             bar.set(facecolor="none", edgecolor=_paint(1), hatch="////")
-        text = "none" if np.isnan(value) else mark.show(float(value))
-        text += "\ndoes not fit" if name in mark.impossible else ""
-        middle = bar.get_y() + bar.get_height() / 2
         ax.annotate(
-            text, (lowest if np.isnan(value) else value, middle), (3, 0),
-            textcoords="offset points", va="center", fontsize=8,
+            mark.text(name).replace(", ", "\n"), (end, place), (3, 0),
+            textcoords="offset points", va="center", fontsize=7, parse_math=False,
         )  # fmt: skip
-    ax.set_xlim(lowest, highest * (highest / lowest) ** 0.6)  # room for text
-    _name_rows(ax, [*mark.values])
+    ax.set_xlim(scale.low, scale.high * (scale.high / scale.low) ** 0.5)  # room for text
+    _name_rows(ax, [*rows])
 
 
 def _stacked_bars(ax: Axes, mark: StackedBars) -> None:
@@ -182,8 +186,6 @@ def _stacked_bars(ax: Axes, mark: StackedBars) -> None:
         ax.barh(np.arange(len(parts)), lengths, left=left, label=phase, color=colour)
         left += lengths
     _name_rows(ax, [*mark.rows])
-    if parts:
-        legend_below(ax)
 
 
 def _name_rows(ax: Axes, names: list[str]) -> None:
@@ -208,8 +210,13 @@ def _cells(ax: Axes, mark: Cells) -> None:
 
 def _vectors(ax: Axes, mark: Vectors) -> None:
     if mark.is_bold is None:
+        from matplotlib.collections import LineCollection
+
         ends = np.stack([mark.at, mark.at + mark.step], axis=1)
-        ax.plot(ends[..., 0].T, ends[..., 1].T, color=_paint(mark.colour), linewidth=0.8)
+        lines = LineCollection(
+            [*ends], colors=_paint(mark.colour), linewidths=0.8, alpha=mark.opacity
+        )
+        ax.add_collection(lines, autolim=False)
         return
     colours = np.where(mark.is_bold, _paint(mark.colour), _paint(6))
     ax.quiver(
@@ -227,7 +234,7 @@ def _dots(ax: Axes, mark: Dots) -> None:
     kinds = np.array(mark.colours or (0,) * len(mark.xy), int)
     for place, kind in enumerate(dict.fromkeys(kinds.tolist())):
         chosen = mark.xy[kinds == kind] if place else mark.xy  # draw other colours on top
-        ax.plot(*chosen.T, "o", markersize=4, color=_paint(kind))
+        ax.plot(*chosen.T, "o", markersize=1.2 * mark.radius, color=_paint(kind))
     for name, at in zip(mark.names if mark.is_labelled else (), mark.xy.tolist(), strict=False):
         ax.annotate(name, at, (4, 4), textcoords="offset points", fontsize=7, parse_math=False)
 
@@ -242,14 +249,26 @@ def _photo(ax: Axes, mark: Photo) -> None:
     ax.imshow(picture, extent=(*ax.get_xlim(), *ax.get_ylim()))
 
 
+def _matrix(ax: Axes, mark: Matrix) -> None:
+    image = ax.imshow(mark.values, cmap="RdBu_r", vmin=-1, vmax=1)
+    ax.set_xticks(range(len(mark.names)), mark.names, parse_math=False)
+    ax.set_yticks(range(len(mark.names)), mark.names, parse_math=False)
+    for row, texts in enumerate(mark.texts()):
+        for column, text in enumerate(texts):
+            ax.text(column, row, text, ha="center", va="center", fontsize=6)
+    ax.figure.colorbar(image, ax=ax, label="correlation", shrink=0.8)
+
+
 _KINDS: dict[type, Callable[..., None]] = {
     Line: _line, Steps: _steps, Places: _places, Bars: _bars, StackedBars: _stacked_bars,
     Cells: _cells, Vectors: _vectors, Dots: _dots, Ellipses: _ellipses, Photo: _photo,
+    Matrix: _matrix,
 }  # fmt: skip
+_WITHOUT_AXES = Bars | StackedBars | Matrix
 
 
-def legend_below(ax: Axes) -> None:
-    """Put the legend below the axis and its label, where it hides no curve."""
+def legend_below(ax: Axes, below: int = 0) -> None:
+    """Put the legend below the axis, its label and ``below`` points, where it hides no curve."""
     from matplotlib.transforms import offset_copy  # not installed with bundle
 
     handles, names = ax.get_legend_handles_labels()
@@ -264,7 +283,7 @@ def legend_below(ax: Axes) -> None:
         loc="upper center",
         bbox_to_anchor=(0.5, 0.0),
         bbox_transform=offset_copy(
-            ax.transAxes, ax.get_figure(root=True), y=-LABELS_BELOW, units="points"
+            ax.transAxes, ax.get_figure(root=True), y=-LABELS_BELOW - below, units="points"
         ),
         borderaxespad=0.0,
         ncols=2 if two_fit else 1,

@@ -10,7 +10,8 @@ import numpy as np
 from bundle.base.arguments import check_type
 from bundle.errors import InputError
 from bundle.figures import lens_figures, placement_figures, residual_figures
-from bundle.figures.certainty import Certainty
+from bundle.figures.certainty import Certainty, correlation_figure
+from bundle.figures.covisibility_graph import covisibility_figure, covisibility_graph
 from bundle.figures.drawing import LineFigure
 from bundle.figures.image_residuals import ImageResiduals
 from bundle.figures.lens_curves import LensCurve
@@ -22,7 +23,6 @@ from bundle.figures.residual_histogram import ResidualHistogram
 from bundle.figures.scene_view import SceneView
 from bundle.figures.track_statistics import TrackStatistics, angle_figure, length_figure
 from bundle.interface.option_fields import choice, number
-from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "draw_correlations",
+    "draw_covisibility",
     "draw_image_residuals",
     "draw_lens_curves",
     "draw_lines",
@@ -195,14 +196,18 @@ def draw_correlations(ax: Axes, problem: Problem, known: Certainty, camera: int)
     check_type("known", known, Certainty)
     if camera not in known.cameras:
         raise InputError(f"camera: expected one of {sorted(known.cameras)}, found {camera}")
-    free, matrix = known.correlations(camera)
-    names = camera_models()[problem.camera_models[camera]]
-    image = ax.imshow(matrix, cmap="RdBu", vmin=-1, vmax=1)
-    labels = [names[index] for index in free]
-    ax.set_xticks(range(len(free)), labels)
-    ax.set_yticks(range(len(free)), labels)
-    ax.figure.colorbar(image, ax=ax, label="correlation", shrink=0.8)
-    ax.set_title(f"camera {problem.camera_ids[camera]}")
+    figure = correlation_figure(problem, known, camera)
+    if figure is not None:
+        draw(ax, figure)
+
+
+def draw_covisibility(ax: Axes, problem: Problem, max_edges: int = 4000) -> None:
+    """Draw the co-visibility graph with the images at their camera centres.
+
+    Darker edges have more shared points. Cameras far outside, such as those of broken poses, are
+    drawn at the border.
+    """
+    draw(ax, covisibility_figure(covisibility_graph(problem, max_edges)))
 
 
 def draw_scene(ax: Axes, view: SceneView) -> None:

@@ -1,4 +1,4 @@
-"""Bar charts as markup: a name, a bar and a value per row."""
+"""Bar charts and matrices as markup, in rows of text that wraps and that readers can copy."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from bundle.figures.axes import logarithmic
-from bundle.figures.marks import Bars, StackedBars
+from bundle.figures.marks import Bars, Matrix, StackedBars
 from bundle.reports.page.page import tag
 
-__all__ = ["COLOURS", "bars", "stacked_bars"]
+__all__ = ["COLOURS", "bars", "matrix", "stacked_bars"]
 
 COLOURS = 10
 """Colours of a page, ``--c0`` and so on."""
@@ -21,27 +20,40 @@ def bars(mark: Bars) -> str:
 
     If two or more bars follow the first ``most``, they are folded away, on the same scale.
     """
-    values = mark.values
-    if mark.is_ordered:
-        values = {name: value for name, value in values.items() if value}
-    scale = logarithmic([value / 3 for value in values.values()] + [*values.values()])
+    scale = mark.scale
     longest = 46.0 if mark.impossible else 66.0  # leaves room for the text to the right
     rows: list[str] = []
-    for name, value in values.items():
-        there = math.isfinite(value) and value > 0
-        width = longest * scale(value) if there else 0.0
+    for name, value in mark.rows().items():
+        width = longest * scale(value) if math.isfinite(value) and value > 0 else 0.0
         kind = "bar impossible" if name in mark.impossible else "bar"
-        words = mark.show(value) if there else "none"
-        words += ", does not fit" if name in mark.impossible else ""
-        bar = tag("div", class_=kind, style=f"width:{width:.2f}%")
-        rows += _row(name, bar, words)
-    most, count = mark.most, len(values)
+        rows += _row(name, tag("div", class_=kind, style=f"width:{width:.2f}%"), mark.text(name))
+    most, count = mark.most, len(rows) // 2
     shown = count if most is None or count <= most + 1 else most
-    chart = tag("div", *rows[: 2 * shown], class_="bars")
+    kind = "bars dense" if mark.is_ordered else "bars"
+    chart = tag("div", *rows[: 2 * shown], class_=kind)
     if shown < count:
         summary = tag("summary", f"{count - shown} more")
-        chart += tag("details", summary, tag("div", *rows[2 * shown :], class_="bars"))
+        chart += tag("details", summary, tag("div", *rows[2 * shown :], class_=kind))
     return chart
+
+
+def matrix(mark: Matrix) -> str:
+    """Return a matrix as a table; a stronger correlation is more opaque, in both themes."""
+    head = tag("tr", tag("th", ""), *(tag("th", escape(name), scope="col") for name in mark.names))
+    rows = [
+        tag("tr", tag("th", escape(name), scope="row"), *(
+            tag("td", text, data_label=other, style=_shade(value) if other != name else None)
+            for other, value, text in zip(mark.names, values, texts, strict=True)
+        ))
+        for name, values, texts in zip(mark.names, mark.values.tolist(), mark.texts(), strict=True)
+    ]  # fmt: skip
+    inner = tag("table", tag("thead", head), tag("tbody", *rows), class_="matrix")
+    return tag("div", inner, class_="scroll", tabindex=0)
+
+
+def _shade(value: float) -> str:
+    share = round(45 * min(abs(value), 1.0)) if math.isfinite(value) else 0
+    return f"background:color-mix(in srgb, var(--c{1 if value > 0 else 0}) {share}%, transparent)"
 
 
 def stacked_bars(mark: StackedBars) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -11,23 +10,28 @@ from numpy.typing import NDArray
 
 from bundle.base.words import number, plural
 from bundle.figures.axes import round_down
-from bundle.figures.certainty import Certainty, largest_eigenvalues
+from bundle.figures.certainty import Certainty, correlation_figure, largest_eigenvalues
+from bundle.figures.projection_uncertainty import ProjectionUncertainty
 from bundle.figures.scene_view import SceneView
-from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
-from bundle.reports.page.page import tag
+from bundle.reports.page.projection_section import projection_sections
 from bundle.reports.page.scene_section import packed
-from bundle.reports.page.table import table
+from bundle.reports.sections import Section, Table
 
-__all__ = ["certainty_section", "scene_ellipsoids"]
+__all__ = ["certainty_sections", "scene_ellipsoids"]
 
 MOST_ELLIPSOIDS = 400
 LARGE = 0.02
 """Median half axis of the drawn ellipsoids, in units of the view."""
 
 
-def certainty_section(problem: Problem, known: Certainty, cameras: Sequence[int]) -> str:
-    """Return the sigmas of poses and points, and the correlation matrices of some cameras."""
+def certainty_sections(
+    problem: Problem,
+    known: Certainty,
+    cameras: Sequence[int],
+    projections: Sequence[ProjectionUncertainty],
+) -> list[Section]:
+    """Return the sigmas of poses and points, the uncertainty of projections, and correlations."""
     scaled = "times" if known.scale == "sigma0" else "not times"
     words = (
         f"Marginal standard deviations, {scaled} sigma0 = {number(known.sigma0)} "
@@ -37,25 +41,22 @@ def certainty_section(problem: Problem, known: Certainty, cameras: Sequence[int]
         count = plural(known.num_null_points, "point", grouped=True)
         words += f" {count} without parallax: the unobservable direction is left out."
     rows = [
-        _row("position of a camera, worst direction [length unit]",
-             np.sqrt(largest_eigenvalues(known.centers))),
+        _row("position of a camera, worst direction [length unit]", known.position_sigmas),
         _row("rotation of a camera, worst axis [degrees]", known.angles),
         _row("point, worst direction [length unit]",
              np.sqrt(largest_eigenvalues(known.point_covariance))),
     ]  # fmt: skip
     head = ["standard deviation", "count", "median", "95th percentile", "largest"]
-    notes = [tag("p", escape(note), class_="warn") for note in known.notes]
-    parts = [
-        tag("p", escape(words), class_="quiet"),
-        *notes,
-        table(head, [row for row in rows if row]),
-    ]
-    figures = [_correlations(problem, known, index) for index in cameras if index in known.cameras]
-    figures = [figure for figure in figures if figure]
-    if figures:
-        parts.append(tag("h3", "Correlations of intrinsics"))
-        parts.append(tag("div", *figures, class_="grid"))
-    return "".join(parts)
+    table = Table.of(head, [row for row in rows if row])
+    made = (correlation_figure(problem, known, k) for k in cameras if k in known.cameras)
+    correlations = [figure for figure in made if figure is not None]
+    return [
+        Section(title="Certainty", text=[words], notes=known.notes, is_warning=True,
+                tables=[table] if table.rows else []),
+        *projection_sections(projections),
+        *([Section(title="Correlations of intrinsics", figures=correlations, is_detail=True)]
+          if correlations else []),
+    ]  # fmt: skip
 
 
 def scene_ellipsoids(view: SceneView, known: Certainty) -> tuple[dict[str, Any], str]:
@@ -109,30 +110,3 @@ def _row(name: str, values: NDArray[np.float64]) -> list[str]:
         return []
     shares = np.quantile(known, [0.5, 0.95, 1.0])
     return [name, f"{len(known):,}", *(number(float(value)) for value in shares)]
-
-
-def _correlations(problem: Problem, known: Certainty, index: int) -> str:
-    names = camera_models()[problem.camera_models[index]]
-    free, matrix = known.correlations(index)
-    if len(free) < 2:
-        return ""
-    head = tag("tr", tag("th", ""), *(tag("th", escape(names[i]), scope="col") for i in free))
-    rows = []
-    for row, i in enumerate(free):
-        cells = [
-            tag("td", f"{matrix[row, column]:+.3f}", data_label=names[free[column]],
-                style=_shade(matrix[row, column], is_diagonal=row == column))
-            for column in range(len(free))
-        ]  # fmt: skip
-        rows.append(tag("tr", tag("th", escape(names[i]), scope="row"), *cells))
-    inner = tag("table", tag("thead", head), tag("tbody", *rows), class_="matrix")
-    title = f"Camera {problem.camera_ids[index]}, {problem.camera_models[index]}"
-    return tag("figure", tag("h4", escape(title)), tag("div", inner, class_="scroll", tabindex=0))
-
-
-def _shade(value: float, *, is_diagonal: bool) -> str:
-    """Return the colour of a correlation: stronger ones are more opaque, in both themes."""
-    if is_diagonal:
-        return ""
-    share = round(45 * min(abs(value), 1.0))
-    return f"background:color-mix(in srgb, var(--c{1 if value > 0 else 0}) {share}%, transparent)"

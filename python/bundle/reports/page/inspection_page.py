@@ -14,7 +14,7 @@ from bundle.base.paths import as_path
 from bundle.base.words import amount, span
 from bundle.errors import InputError
 from bundle.figures.cost_figures import bar_figure, column_figure
-from bundle.figures.matplotlib.covisibility_graph import covisibility_graph
+from bundle.figures.covisibility_graph import covisibility_figure, covisibility_graph
 from bundle.figures.matplotlib.problem_patterns import (
     ORDERINGS,
     information_pattern,
@@ -33,7 +33,7 @@ from bundle.reports.page.elimination_player import (
     elimination_section,
 )
 from bundle.reports.page.graph_page import write_graph
-from bundle.reports.page.matrices import covisibility, matrix, orderings
+from bundle.reports.page.matrices import matrix, orderings
 from bundle.reports.page.page import tag, write_page
 from bundle.reports.page.processes_section import processes_section
 from bundle.reports.page.subgraph import image_graph
@@ -148,7 +148,7 @@ def _write_problem(
             tag("h2", "Co-visibility"),
             tag("p", "Images where they stand; the stronger an edge, the more points its images "
                 "share. Each edge is a block of S.", class_="quiet"),
-            covisibility(covisibility_graph(problem, MOST_EDGES)),
+            grid([covisibility_figure(covisibility_graph(problem, MOST_EDGES))]),
         ]  # fmt: skip
     if graphs:
         words = (

@@ -1,4 +1,4 @@
-"""Lens section: distortion along the radius, and the parameters."""
+"""Lens section: distortion and focal lengths of cameras of one kind, and their parameters."""
 
 from __future__ import annotations
 
@@ -8,73 +8,110 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.words import number
+from bundle.base.words import number, plural
 from bundle.figures.drawing import Figure
-from bundle.figures.lens_curves import LensCurve
-from bundle.figures.lens_figures import lens_figure
-from bundle.model.cameras import camera_models
+from bundle.figures.lens_curves import LensCurve, most_observed_cameras
+from bundle.figures.lens_figures import focal_figure, lens_figure
+from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
-from bundle.reports.page.page import tag
-from bundle.reports.page.svg import grid
-from bundle.reports.page.table import table
+from bundle.reports.sections import Section, Table
 
-__all__ = ["lens_section", "parameter_table"]
+__all__ = ["MOST_LENSES", "lens_sections"]
 
+MOST_LENSES = 200
+"""Number of cameras whose curves and focal lengths are drawn."""
 
-def lens_section(
-    curves: Sequence[LensCurve], before: Mapping[int, LensCurve], num_cameras: int
-) -> str:
-    """Return one figure per curve.
-
-    Args:
-        curves: current curves.
-        before: curves of the input by camera id; drawn only where they differ.
-        num_cameras: number of observed cameras; the curves are of those with most observations.
-    """
-    words = (
-        "Distortion moves the image of a ray outwards by this much (mean around the axis). Dashed "
-        "verticals: the outermost observation, beyond which the curve extrapolates, and the "
-        "farthest corner of the image."
-    )
-    if num_cameras > len(curves):
-        words += f" The {len(curves)} cameras with most observations, of {num_cameras:,}."
-    figures = [_figure(curve, before.get(curve.camera_id)) for curve in curves]
-    return tag("p", words, class_="quiet") + grid(figures, "h4")
+Sigmas = Mapping[int, NDArray[np.float64]]
 
 
-def parameter_table(
+def lens_sections(
     problem: Problem,
+    curves: Sequence[LensCurve],
     initial: Problem | None,
-    cameras: Sequence[int],
-    sigmas: Mapping[int, NDArray[np.float64]] | None = None,
-) -> str:
-    """Return the parameters of some cameras, one camera per row.
+    before: Sequence[LensCurve],
+    sigmas: Sigmas | None,
+) -> list[Section]:
+    """Return the figures of each kind of camera, and the parameters.
 
     Args:
         problem: problem with the cameras.
+        curves: current curves, at most ``MOST_LENSES``, most observations first.
         initial: the problem before a solve; None without a solve.
-        cameras: indices of the cameras.
+        before: curves of the initial problem; drawn for single cameras, only where they differ.
         sigmas: standard deviations by index, NaN for constant parameters; None if unknown.
     """
+    words = (
+        "Distortion: outward shift of the image of a ray. Dashed: outermost observation, corner."
+    )
+    index = {int(camera_id): k for k, camera_id in enumerate(problem.camera_ids.tolist())}
+    kinds: dict[tuple[str, int, int], list[LensCurve]] = {}
+    for curve in curves:
+        width, height = problem.camera_sizes[index[curve.camera_id]].tolist()
+        kinds.setdefault((curve.model, width, height), []).append(curve)
+    figures: list[Figure] = []
+    earlier = {curve.camera_id: curve for curve in before}
+    for (model, width, height), group in kinds.items():
+        if len(group) == 1:
+            figures.append(_single(group[0], earlier.get(group[0].camera_id)))
+            continue
+        size = f", {width} x {height}" if width > 0 else ""
+        name = f"{plural(len(group), 'camera', grouped=True)}, {model}{size}"
+        named = {f"camera {curve.camera_id}": curve for curve in group}
+        figures.append(lens_figure(named, name))
+        figures += _focal(problem, sorted(index[curve.camera_id] for curve in group), sigmas)
+    cameras = most_observed_cameras(problem)
+    title = "Parameters"
+    if len(cameras) < problem.num_cameras:
+        title += f" of the {plural(len(cameras), 'camera')} with most observations"
+    return [
+        Section(title="Lenses", text=[words], figures=figures),
+        Section(
+            title=title, tables=[_parameters(problem, initial, cameras, sigmas)], is_detail=True
+        ),
+    ]
+
+
+def _focal(problem: Problem, cameras: Sequence[int], sigmas: Sigmas | None) -> list[Figure]:
+    model = problem.camera_models[cameras[0]]
+    names = camera_models()[model]
+    chosen = [k for k, kind in enumerate(param_kinds(model)) if kind == "focal"]
+    unknown = np.full(len(names), math.nan)
+    known = np.array([unknown if sigmas is None else sigmas.get(k, unknown) for k in cameras])
+    return [
+        focal_figure(
+            problem.camera_ids[list(cameras)].astype(float),
+            {names[k]: problem.camera_params[list(cameras), k] for k in chosen},
+            {names[k]: known[:, k] for k in chosen},
+            "Focal lengths",
+        )
+    ]
+
+
+def _parameters(
+    problem: Problem, initial: Problem | None, cameras: Sequence[int], sigmas: Sigmas | None
+) -> Table:
+    """Return the parameters of some cameras, one parameter per row."""
     head = ["camera", "model", "parameter", *(["before"] if initial else []), "value"]
     head += ["sigma"] if sigmas is not None else []
+    earlier = {} if initial is None else {int(k): i for i, k in enumerate(initial.camera_ids)}
     rows = []
     for camera in cameras:
-        model = problem.camera_models[camera]
+        model, camera_id = problem.camera_models[camera], int(problem.camera_ids[camera])
         for index, name in enumerate(camera_models()[model]):
-            row = [f"{problem.camera_ids[camera]}", model, name]
+            row = [f"{camera_id}", model, name]
             if initial is not None:
-                same = initial.camera_models[camera] == model
-                row.append(f"{initial.camera_params[camera, index]:.7g}" if same else "-")
+                first = earlier.get(camera_id, -1)
+                same = first >= 0 and initial.camera_models[first] == model
+                row.append(f"{initial.camera_params[first, index]:.7g}" if same else "-")
             row.append(f"{problem.camera_params[camera, index]:.7g}")
             if sigmas is not None:
                 value = float(sigmas[camera][index]) if camera in sigmas else math.nan
                 row.append(number(value) if math.isfinite(value) else "held")
             rows.append(row)
-    return table(head, rows, words=(1, 2), rows_shown=16)
+    return Table.of(head, rows, left=3, most=40)
 
 
-def _figure(curve: LensCurve, before: LensCurve | None) -> Figure:
+def _single(curve: LensCurve, before: LensCurve | None) -> Figure:
     curves = {"now": curve}
     if before is not None and not (
         len(before.radius) == len(curve.radius)

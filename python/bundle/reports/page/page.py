@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from html import escape
 from importlib import resources
@@ -14,7 +15,7 @@ from bundle.io.atomic import atomic_write as atomic
 from bundle.io.atomic.special_paths import is_stream
 from bundle.io.file_names import PAGE, check_name
 
-__all__ = ["as_json", "asset", "tag", "write_page"]
+__all__ = ["as_json", "asset", "heading", "tag", "write_page"]
 
 # The browser may load only content of the page itself; it enforces this for any data.
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
@@ -37,6 +38,12 @@ def tag(name: str, /, *children: str, **attributes: Any) -> str:
     return opening if name in VOID else f"{opening}{''.join(children)}</{name}>"
 
 
+def heading(title: str, name: str = "") -> str:
+    """Return the heading of a section, which the contents of the page list."""
+    anchor = name or re.sub(r"\W+", "-", title.lower()).strip("-")
+    return tag("h2", escape(title), id=anchor)
+
+
 def as_json(data: Any) -> str:
     """Return data as JSON that is safe inside a script element, for all names in the data.
 
@@ -57,18 +64,16 @@ def write_page(
     *,
     headline: str = "",
     script: str | None = None,
-    style: str = "",
 ) -> None:
     """Write a page completely, or leave no file if the write fails.
 
     Args:
         path: path of the HTML file.
         title: title of the page, as text.
-        sections: markup of the sections.
+        sections: markup of the sections; contents at the side list each :func:`heading`.
         data: data of the script; a page without data has no script.
         headline: text at the top of the page; by default the title.
         script: module that reads the data instead of the elimination player; "" for no module.
-        style: CSS rules in addition to those of every page.
 
     Raises:
         InputError: the path is a folder, its parent is not a folder, or its suffix is that of
@@ -89,11 +94,18 @@ def write_page(
         tag("meta", http_equiv="Content-Security-Policy", content=POLICY),
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
         tag("title", escape(title)),
-        tag("style", asset("page.css"), style),
+        tag("style", asset("page.css")),
     ]
-    body = tag("body", tag("h1", escape(headline or title)), *sections, scripts)
-    page = tag("html", tag("head", *head), body, lang="en")
+    body = [tag("h1", escape(headline or title)), _contents(sections), tag("main", *sections)]
+    page = tag("html", tag("head", *head), tag("body", *body, scripts), lang="en")
     atomic.write_text(path, f"<!doctype html>\n{page}\n")
+
+
+def _contents(sections: list[str]) -> str:
+    """Return links to the sections with a heading; empty for fewer than two."""
+    found = re.findall(r'<h2 id="([^"]+)">([^<]+)</h2>', "".join(sections))
+    items = [tag("li", tag("a", title, href=f"#{name}")) for name, title in found]
+    return tag("nav", tag("ul", *items), aria_label="contents") if len(items) > 1 else ""
 
 
 def asset(*name: str) -> str:

@@ -52,7 +52,9 @@ class Photograph:
     size: tuple[int, int]
 
 
-def photograph(folder: str | os.PathLike[str], name: str) -> Photograph | None:
+def photograph(
+    folder: str | os.PathLike[str], name: str, widest: int = WIDEST
+) -> Photograph | None:
     """Return the photograph of an image; None if no readable photograph exists.
 
     Pixels keep their stored orientation, and the EXIF orientation is ignored: reconstructions use
@@ -63,6 +65,7 @@ def photograph(folder: str | os.PathLike[str], name: str) -> Photograph | None:
         name: name of the image, a path relative to the folder. If this file does not exist, a file
             of the same base name directly in the folder is used. Paths that leave the folder are
             refused.
+        widest: largest width and height of the reduced photograph [pixels].
     """
     from PIL import Image
 
@@ -78,9 +81,9 @@ def photograph(folder: str | os.PathLike[str], name: str) -> Photograph | None:
             warnings.simplefilter("ignore")
             with Image.open(path) as image:
                 size = image.size
-                image.draft("RGB", (WIDEST, WIDEST))
+                image.draft("RGB", (widest, widest))
                 small = image.convert("RGB")
-                small.thumbnail((WIDEST, WIDEST))
+                small.thumbnail((widest, widest))
     except Exception:  # broken files raise many kinds of errors; they get no picture
         return None
     data = io.BytesIO()

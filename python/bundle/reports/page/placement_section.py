@@ -3,43 +3,38 @@
 from __future__ import annotations
 
 import math
-from html import escape
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.words import number, pixels, plural
-from bundle.figures.drawing import Figure
 from bundle.figures.placement_errors import Placement
 from bundle.figures.placement_figures import plan_figure, position_figure, target_figure
-from bundle.reports.page.page import tag
-from bundle.reports.page.svg import grid
-from bundle.reports.page.table import table
+from bundle.reports.sections import Section, Table
 
-__all__ = ["placement_section"]
+__all__ = ["placement_sections"]
 
 ROWS = 12
 
 
-def placement_section(place: Placement) -> str:
+def placement_sections(place: Placement) -> list[Section]:
     """Return tables and figures; all lengths are in metres (east, north, up)."""
     system = place.reference_system
     words = "Metres east, north, up: model minus measurement."
     words += f" Coordinates were read in {system}." if system else ""
-    parts = [tag("p", escape(words), class_="quiet"), _rms(place)]
-    if place.targets:
-        parts += [
-            tag("h3", "Control and check points"),
-            _targets(place),
-            _figures(target_figure(place)),
-        ]
-    if place.images:
-        parts += [tag("h3", "Measured positions of images"), _positions(place)]
-        parts.append(_figures(position_figure(place), plan_figure(place)))
-    return "".join(parts)
+    targets = [target_figure(place)] if place.targets else []
+    images = [position_figure(place), plan_figure(place)] if place.images else []
+    return [
+        Section(
+            title="Control points and positions", text=[words], tables=_rms(place),
+            figures=[figure for figure in [*targets, *images] if figure is not None],
+        ),
+        *([_targets(place)] if place.targets else []),
+        *([_positions(place)] if place.images else []),
+    ]  # fmt: skip
 
 
-def _rms(place: Placement) -> str:
+def _rms(place: Placement) -> list[Table]:
     head = ["RMS error", "count", "east [m]", "north [m]", "up [m]", "horizontal [m]", "total [m]"]
     rows = []
     for kind, name in (("control", "control points"), ("check", "check points"),
@@ -48,10 +43,10 @@ def _rms(place: Placement) -> str:
         count = len(used) if kind == "gps" else sum(t.role == kind for t in place.targets)
         if count:
             rows.append([name, f"{count}", *map(_metres, place.rms(kind))])
-    return table(head, rows) if rows else ""
+    return [Table.of(head, rows)] if rows else []
 
 
-def _targets(place: Placement) -> str:
+def _targets(place: Placement) -> Section:
     head = ["point", "role", "images", "east [m]", "north [m]", "up [m]", "sigma [m]",
             "left out [m]", "RMSE [px]"]  # fmt: skip
     rows = [
@@ -61,10 +56,12 @@ def _targets(place: Placement) -> str:
         for target in place.targets
     ]  # fmt: skip
     words = "Left out: length of the error when only the other points place the model."
-    return table(head, rows, rows_shown=ROWS) + tag("p", words, class_="quiet")
+    table = Table.of(head, rows, left=2, most=ROWS, legend=words)
+    title = f"Each of {plural(len(rows), 'control or check point', 'control and check points')}"
+    return Section(title=title, tables=[table], is_detail=True)
 
 
-def _positions(place: Placement) -> str:
+def _positions(place: Placement) -> Section:
     head = ["image", "used", "east [m]", "north [m]", "up [m]", "sigmas"]
     ranked = sorted(place.images, key=lambda i: -i.sigmas if math.isfinite(i.sigmas) else 1.0)
     rows = [
@@ -75,13 +72,9 @@ def _positions(place: Placement) -> str:
     ]  # fmt: skip
     without = len(place.images) - len(rows)
     words = f"{plural(without, 'image')} without a position." if without else ""
-    note = tag("p", words, class_="quiet") if words else ""
-    return table(head, rows, rows_shown=ROWS) + note
-
-
-def _figures(*figures: Figure | None) -> str:
-    drawn = [figure for figure in figures if figure is not None]
-    return grid(drawn, "h4") if drawn else ""
+    table = Table.of(head, rows, left=2, most=ROWS, legend=words)
+    title = f"Each of {plural(len(rows), 'measured position')}"
+    return Section(title=title, tables=[table], is_detail=True)
 
 
 def _sigma(sigma: NDArray[np.float64]) -> str:

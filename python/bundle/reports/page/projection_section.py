@@ -3,41 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 from typing import Any
 
-from bundle.base.words import plural
 from bundle.figures.lens_figures import distance_figure, sigma_figure, top_sigma
 from bundle.figures.projection_uncertainty import ProjectionUncertainty
-from bundle.reports.page.page import tag
-from bundle.reports.page.svg import grid
 from bundle.reports.page.table import rounded
+from bundle.reports.sections import Section
 
-__all__ = ["projection_data", "projection_section"]
+__all__ = ["projection_data", "projection_sections"]
 
 WORDS = (
     "Standard deviation of the pixel of a point that is fixed to the camera, in the worst "
-    "direction, from the noise of the measurements (mrcal's projection uncertainty). A small "
-    "rotation or shift of the camera that compensates the error is not counted. Errors of the "
+    "direction, from the noise of the measurements (mrcal's projection uncertainty). Errors of the "
     "lens model come on top, and where nothing was observed the model extrapolates."
 )
 
 
-def projection_section(known: Sequence[ProjectionUncertainty], num_cameras: int) -> str:
-    """Return the figures of each camera.
-
-    Args:
-        known: computed uncertainties, the camera with most observations first.
-        num_cameras: number of observed cameras.
-    """
-    words = WORDS
-    if num_cameras > len(known):
-        words += (
-            f" {plural(len(known), 'camera')} of {num_cameras:,}, of those with most observations."
+def projection_sections(known: Sequence[ProjectionUncertainty]) -> list[Section]:
+    """Return the figures of each camera; those of the first show, the others are details."""
+    sections = []
+    for index, one in enumerate(known):
+        figures = [
+            sigma_figure(one),
+            sigma_figure(one, one.distance, "the median distance of its points"),
+            distance_figure(one),
+        ]
+        title = f"Projection uncertainty of camera {one.camera_id}, {one.model}"
+        sections.append(
+            Section(
+                title=title,
+                text=[] if index else [WORDS],
+                figures=figures,
+                is_joined=True,
+                is_detail=index > 0,
+            )
         )
-    parts = [tag("h3", "Projection uncertainty"), tag("p", escape(words), class_="quiet")]
-    parts += [_camera(index, one) for index, one in enumerate(known)]
-    return "".join(parts)
+    return sections
 
 
 def projection_data(known: Sequence[ProjectionUncertainty]) -> list[dict[str, Any]]:
@@ -58,16 +59,3 @@ def projection_data(known: Sequence[ProjectionUncertainty]) -> list[dict[str, An
         }
         for one in known
     ]
-
-
-def _camera(index: int, one: ProjectionUncertainty) -> str:
-    figures = [
-        sigma_figure(one),
-        sigma_figure(one, one.distance, "the median distance of its points"),
-        distance_figure(one),
-    ]
-    name = escape(f"Camera {one.camera_id}, {one.model}")
-    drawn = grid(figures, "h4", "planes")
-    if index < 2:
-        return tag("h4", name, class_="camera") + drawn
-    return tag("details", tag("summary", name), drawn)

@@ -3,48 +3,62 @@
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bundle.analysis.statistics.description import describe
+from bundle.analysis.statistics.description import Description, describe
 from bundle.analysis.uncertainty.compute_covariance import covariance as compute_covariance
 from bundle.base.arguments import check_type
 from bundle.base.paths import as_path
-from bundle.base.words import pixels
 from bundle.errors import InputError, shown
-from bundle.figures.certainty import Certainty, certainty
+from bundle.figures.certainty import Certainty, certainty, largest_eigenvalues
+from bundle.figures.covisibility_graph import covisibility_graph
 from bundle.figures.image_residuals import worst_residuals
-from bundle.figures.lens_curves import lens_curve, most_observed_cameras
+from bundle.figures.lens_curves import LensCurve, lens_curves, most_observed_cameras
 from bundle.figures.placement_errors import Placement, placement
 from bundle.figures.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
 from bundle.figures.residual_field import residual_fields
 from bundle.figures.residual_histogram import residual_histogram
-from bundle.figures.scene_view import scene_view
+from bundle.figures.scene_view import scene_before, scene_view
 from bundle.figures.track_statistics import track_statistics
+from bundle.georeference.similarity import moved
+from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
+from bundle.judging.findings.find import find
+from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals, residuals
-from bundle.reports.page.certainty_section import certainty_section, scene_ellipsoids
-from bundle.reports.page.lens_section import lens_section, parameter_table
-from bundle.reports.page.overview_section import overview_section
-from bundle.reports.page.page import asset, tag, write_page
-from bundle.reports.page.placement_section import placement_section
-from bundle.reports.page.projection_section import projection_data, projection_section
-from bundle.reports.page.residual_section import (
-    field_data,
-    field_section,
-    histogram_section,
+from bundle.reports.page.certainty_section import certainty_sections, scene_ellipsoids
+from bundle.reports.page.image_section import (
+    MOST_CLICKED,
+    Photographs,
+    image_data,
+    worst_section,
 )
-from bundle.reports.page.scene_section import scene_data, scene_script, scene_section
+from bundle.reports.page.lens_section import MOST_LENSES, lens_sections
+from bundle.reports.page.overview_section import contents_of, residual_section, solve_sections
+from bundle.reports.page.page import tag, write_page
+from bundle.reports.page.placement_section import placement_sections
+from bundle.reports.page.projection_section import projection_data
+from bundle.reports.page.residual_section import field_data, field_sections
+from bundle.reports.page.scene_section import (
+    Shades,
+    scene_data,
+    scene_script,
+    scene_section,
+    upper_limit,
+)
+from bundle.reports.page.section_markup import findings_list, rendered
 from bundle.reports.page.structure_section import structure_section
-from bundle.reports.page.worst_section import worst_section
-from bundle.reports.sections import plain
+from bundle.reports.page.table import rounded
+from bundle.reports.page.verdicts import Judged, Verdict, summarised, verdict_list, verdicts
+from bundle.reports.sections import Section, fields, plain
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
@@ -55,6 +69,8 @@ if TYPE_CHECKING:
     from bundle.solving.placed_problem import Prior
 
 __all__ = ["write_report"]
+
+MOST_EDGES = 1500
 
 
 # Valid problems may hold numbers up to the largest double; infinite results get a note.
@@ -68,6 +84,7 @@ def write_report(
     covariance: Covariance | None = None,
     priors: Iterable[Prior] = (),
     constraints: Constraints | Iterable[str | Rule] = (),
+    findings: Sequence[Finding] | None = None,
     name: str = "",
 ) -> tuple[str, ...]:
     """Write one self-contained HTML page about a reconstruction.
@@ -84,7 +101,8 @@ def write_report(
             it.
         priors: priors of the solve, which the covariance includes.
         constraints: constraints of the solve, likewise.
-        name: name of the reconstruction, for the title.
+        findings: findings about the model; None finds them.
+        name: name of the reconstruction, for the title, and its path in commands.
 
     Returns:
         One sentence per missing part; the page has the same sentences.
@@ -100,134 +118,148 @@ def write_report(
     check_type("name", name, str)
     if images is not None and not Path(images).is_dir():
         raise InputError(f"{shown(str(images))}: expected a folder of images")
-    page = _Page(problem, result)
+    page = _Page(problem, result, name)
     if georeference is not None:
         given = georeference if isinstance(georeference, Mapping) else georeference.asdict()
         page.place = placement(problem, given)
-    page.certainty = page.certainty_of(covariance, priors, constraints)
-    page.write(target, name, images)
+    page.known = page.certainty_of(covariance, priors, constraints)
+    page.write(target, images, findings)
     return tuple(page.notes)
 
 
 class _Page:
     """Sections of a page with their numbers, and notes on missing parts."""
 
-    def __init__(self, problem: Problem, result: Result | None) -> None:
+    def __init__(self, problem: Problem, result: Result | None, name: str) -> None:
         self.problem = problem
         self.result = result
+        self.name = name
+        self.initial = None if result is None else _initial(result)
         self.notes: list[str] = []
-        self.sections: list[str] = []
         self.data: dict[str, Any] = {}
         self.place: Placement | None = None
-        self.certainty: Certainty | None = None
+        self.known: Certainty | None = None
         self.no_certainty = ""
 
-    def write(self, path: Path, name: str, images: str | os.PathLike[str] | None) -> None:
+    def write(
+        self,
+        path: Path,
+        folder: str | os.PathLike[str] | None,
+        findings: Sequence[Finding] | None,
+    ) -> None:
         """Make every section and write the page."""
         problem, result = self.problem, self.result
-        description = describe(problem)
-        found = self._residuals()
-        self.sections += overview_section(problem, result, description, found)
-        if found is not None:
-            self._residual_sections(found)
-            self._worst(found, images)
-        self._lenses()
-        self._certainty(found)
-        self.sections += structure_section(problem, description, track_statistics(problem))
+        options = SolveOptions() if result is None else result.options
+        description, tracks = describe(problem), track_statistics(problem)
+        found = residuals(problem, options.cheirality)
+        counts = bool(found.counted.any())
+        if not counts:
+            self._note("No residuals: no observation counts.")
+        images = worst_residuals(problem, found, MOST_CLICKED) if counts else []
+        planes = residual_fields(problem, found) if counts else []
+        graph = covisibility_graph(problem, MOST_EDGES)
+        photographs = Photographs(images, folder)
+        self.notes += photographs.notes
+        if findings is None:
+            findings = _findings(result, problem, self.name, description)
+        judged = verdicts(
+            Judged(
+                problem=problem, result=result, description=description, fields=planes,
+                measured=Measured(whole=problem, command=NextCommand(), options=options),
+                images=images, certainty=self.known, no_certainty=self.no_certainty,
+                place=self.place, tracks=tracks, graph=graph, findings=findings,
+            )
+        )  # fmt: skip
+        self.data["verdicts"], self.data["findings"] = plain(judged), plain(findings)
+        sections = [
+            *self._residuals(found, description),
+            *(field_sections(planes, self._num_observed()) if planes else []),
+            *(worst_section(images, photographs) if images else []),
+            *self._lenses(),
+            *self._certainty(found),
+            structure_section(description, tracks, graph),
+            *([] if self.place is None else placement_sections(self.place)),
+            *([] if result is None else solve_sections(result)),
+        ]
+        self.data["fields"] = field_data(planes)
+        sigmas = {}
+        if self.known is not None:
+            ids = problem.image_ids[self.known.images].tolist()
+            sigmas = dict(zip(ids, self.known.position_sigmas.tolist(), strict=True))
+        self.data["images"] = image_data(images, photographs, sigmas)
         if self.place is not None:
-            self.sections.append(tag("h2", "Control points and positions", id="placement"))
-            self.sections.append(placement_section(self.place))
             self.data["placement"] = plain(self.place)
-        self._scene(found)
-        self.sections.insert(0, self._contents())
-        title = f"Report on {name}" if name else "Report on a reconstruction"
+        first = [
+            tag("p", escape(contents_of(problem)), class_="quiet"),
+            *(tag("p", escape(words), class_="warn") for words in self.notes),
+            tag(
+                "div",
+                tag("div", verdict_list(judged), findings_list(findings)),
+                self._scene(found),
+                class_="first",
+            ),
+        ]
         write_page(
             path,
-            title,
-            self.sections,
+            f"Report on {self.name}" if self.name else "Report on a reconstruction",
+            [*first, *rendered(sections)],
             self.data,
-            headline=self._headline(name, description.reprojection_error),
+            headline=self._headline(judged),
             script=scene_script(),
-            style=asset("report.css"),
         )
 
-    def _contents(self) -> str:
-        """Return links to the sections."""
-        found = re.findall(r'<h2 id="(\w+)">([^<]+)</h2>', "".join(self.sections))
-        items = [tag("li", tag("a", title, href=f"#{name}")) for name, title in found]
-        return tag("nav", tag("ul", *items), aria_label="sections")
+    def _headline(self, judged: Sequence[Verdict]) -> str:
+        words = summarised(judged) or "nothing needs attention"
+        return f"{self.name or 'The reconstruction'}: {words}"
 
-    def _headline(self, name: str, error: Any) -> str:
-        of = name or "The reconstruction"
-        if self.result is not None:
-            before = self.result.reprojection_error_before.rmse
-            after = self.result.reprojection_error_after.rmse
-            return f"{of}: RMSE {pixels(before)} px before, {pixels(after)} px after"
-        if error is None or not np.isfinite(error.rmse):
-            return f"{of}: no reprojection error"
-        return f"{of}: RMSE {pixels(error.rmse)} px"
-
-    def _residuals(self) -> Residuals | None:
-        """Return the residuals; None, with a note, if the problem has none."""
-        cheirality = "auto" if self.result is None else self.result.options.cheirality
-        found = residuals(self.problem, cheirality)
-        if not found.counted.any():
-            self._note("No residuals: no observation counts.")
-            return None
-        return found
-
-    def _residual_sections(self, found: Residuals) -> None:
+    def _residuals(self, found: Residuals, description: Description) -> list[Section]:
         sets = {"now": found}
         if self.result is not None:
             before = residuals(self.result.initial_problem, self.result.options.cheirality)
             sets = {"before": before, "after": found} if before.counted.any() else {"after": found}
         histogram = residual_histogram(sets)
-        self.sections.append(tag("h2", "Residuals", id="residuals"))
         if histogram is not None:
-            self.sections.append(histogram_section(histogram))
             self.data["histogram"] = plain(histogram)
-        fields = residual_fields(self.problem, found)
-        observed = np.unique(self.problem.image_camera[self.problem.observation_image])
-        self.sections.append(tag("h2", "Residuals over the image plane", id="fields"))
-        self.sections.append(field_section(fields, len(observed)))
-        self.data["fields"] = field_data(fields)
+        return residual_section(self.result, description, found, histogram)
 
-    def _worst(self, found: Residuals, images: str | os.PathLike[str] | None) -> None:
-        section, notes = worst_section(worst_residuals(self.problem, found), images)
-        self.sections += [tag("h2", "Worst images", id="worst"), section]
-        self.notes += notes
-
-    def _lenses(self) -> None:
-        cameras = most_observed_cameras(self.problem)
+    def _lenses(self) -> list[Section]:
+        cameras = most_observed_cameras(self.problem, MOST_LENSES)
         if not cameras:
-            return
-        initial = None if self.result is None else self.result.initial_problem
-        known = self.certainty.cameras if self.certainty is not None else {}
-        made = (lens_curve(self.problem, index, known.get(index)) for index in cameras)
-        curves = [curve for curve in made if curve is not None]
-        before = {}
-        if initial is not None and initial.num_cameras == self.problem.num_cameras:
-            earlier = (lens_curve(initial, index) for index in cameras)
-            before = {curve.camera_id: curve for curve in earlier if curve is not None}
-        observed = np.unique(self.problem.image_camera[self.problem.observation_image])
-        self.sections.append(tag("h2", "Lenses", id="lenses"))
-        if curves:
-            self.sections.append(lens_section(curves, before, len(observed)))
-            self.data["lenses"] = plain(curves)
+            return []
+        known = {} if self.known is None else self.known.cameras
+        curves = lens_curves(self.problem, cameras, known)
+        self.data["lenses"] = [_rounded(curve) for curve in curves]
+        before = [] if self.initial is None else lens_curves(
+            self.initial, most_observed_cameras(self.initial, MOST_LENSES)
+        )  # fmt: skip
         sigmas = None
-        if self.certainty is not None:
-            sigmas = {index: self.certainty.sigmas(index) for index in known}
-        self.sections.append(parameter_table(self.problem, initial, cameras, sigmas))
+        if self.known is not None:
+            sigmas = {index: self.known.sigmas(index) for index in known}
+        return lens_sections(self.problem, curves, self.initial, before, sigmas)
 
-    def _scene(self, found: Residuals | None) -> None:
-        view = scene_view(self.problem, found, z_is_up=self.place is not None)
-        data, words = scene_data(view), ""
-        if self.certainty is not None:
-            ellipsoids, words = scene_ellipsoids(view, self.certainty)
-            data |= ellipsoids
-        self.data["scene"] = data
-        self.sections.append(tag("h2", "3-D view", id="scene"))
-        self.sections.append(scene_section(view, self.problem.num_points, words))
+    def _scene(self, found: Residuals) -> str:
+        problem = self.problem
+        view = scene_view(problem, found, z_is_up=self.place is not None)
+        before = None
+        if self.initial is not None and self.result is not None:
+            earlier = residuals(self.initial, self.result.options.cheirality)
+            before = scene_before(view, problem, self.initial, earlier)
+        lengths = np.bincount(problem.observation_point, minlength=problem.num_points)
+        seen = lengths[view.point_indices].astype(float)
+        shades = [
+            Shades("images per point", seen, (max(float(seen.max(initial=3.0)), 3.0), 2.0), "")
+        ]
+        data: dict[str, Any] = {}
+        words = ""
+        if self.known is not None:
+            sigma = np.full(problem.num_points, np.nan)
+            sigma[self.known.points] = np.sqrt(largest_eigenvalues(self.known.point_covariance))
+            sigma = sigma[view.point_indices]
+            unit = "m" if self.place is not None else "length units"
+            shades.append(Shades("sigma", sigma, (0.0, upper_limit(sigma)), unit))
+            data, words = scene_ellipsoids(view, self.known)
+        self.data["scene"] = scene_data(view, before, shades) | data
+        return scene_section(view, problem.num_points, is_solved=before is not None, more=words)
 
     def certainty_of(
         self,
@@ -244,26 +276,21 @@ class _Page:
                 )
             except InputError as error:
                 self.no_certainty = f"No covariance: {str(error).rstrip('.')}."
+                self._note(self.no_certainty)
         return None if given is None else certainty(self.problem, given)
 
-    def _certainty(self, found: Residuals | None) -> None:
-        if self.certainty is None and not self.no_certainty:
-            return
-        self.sections.append(tag("h2", "Certainty", id="certainty"))
-        if self.certainty is None:
-            self._note(self.no_certainty)
-            return
+    def _certainty(self, found: Residuals) -> list[Section]:
+        if self.known is None:
+            return []
         cameras = most_observed_cameras(self.problem)
-        self.sections.append(certainty_section(self.problem, self.certainty, cameras))
-        made = (self._projection(index, self.certainty, found) for index in cameras)
-        known = [one for one in made if one is not None]
-        if known:
-            observed = np.unique(self.problem.image_camera[self.problem.observation_image])
-            self.sections.append(projection_section(known, len(observed)))
-            self.data["projection"] = projection_data(known)
+        made = (self._projection(index, self.known, found) for index in cameras)
+        projections = [one for one in made if one is not None]
+        if projections:
+            self.data["projection"] = projection_data(projections)
+        return certainty_sections(self.problem, self.known, cameras, projections)
 
     def _projection(
-        self, camera: int, known: Certainty, found: Residuals | None
+        self, camera: int, known: Certainty, found: Residuals
     ) -> ProjectionUncertainty | None:
         if camera not in known.cameras:
             return None
@@ -274,6 +301,38 @@ class _Page:
             loss=options.loss, loss_scale=options.loss_scale,
         )  # fmt: skip
 
+    def _num_observed(self) -> int:
+        return len(np.unique(self.problem.image_camera[self.problem.observation_image]))
+
     def _note(self, words: str) -> None:
         self.notes.append(words)
-        self.sections.append(tag("p", escape(words), class_="warn"))
+
+
+def _initial(result: Result) -> Problem:
+    """Return the input of a solve in the frame of its output."""
+    if result.similarity is None:
+        return result.initial_problem
+    return moved(result.initial_problem, result.similarity)
+
+
+def _findings(
+    result: Result | None, problem: Problem, name: str, description: Description
+) -> list[Finding]:
+    """Return the findings about a model, warnings of its solve and suspicions first."""
+    words = {} if result is None else dict.fromkeys(result.summary.warnings, "warning")
+    words |= {one.sentence: one.kind for one in description.suspicions}
+    options, rounds = None, 0
+    if result is not None:
+        options, rounds = result.options, len(result.rounds)
+    return [
+        *(Finding(kind=kind, sentence=sentence) for sentence, kind in words.items()),
+        *find(problem, source=name or "INPUT", options=options, rounds=rounds),
+    ]
+
+
+def _rounded(curve: LensCurve) -> dict[str, Any]:
+    """Return a curve for the data of the page, its arrays with six digits."""
+    return {
+        name: rounded(value) if isinstance(value, np.ndarray) else value
+        for name, value in fields(curve).items()
+    }

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
 from typing import Any
 
@@ -15,7 +17,7 @@ from bundle.figures.axes import short
 from bundle.figures.scene_view import SceneView
 from bundle.reports.page.page import asset, tag
 
-__all__ = ["scene_data", "scene_script", "scene_section"]
+__all__ = ["Shades", "packed", "scene_data", "scene_script", "scene_section", "upper_limit"]
 
 FRUSTUM = 0.08
 """Depth of a drawn camera, relative to the extent of the scene."""
@@ -23,68 +25,123 @@ FRUSTUM = 0.08
 MANY = 50
 
 
-def scene_section(view: SceneView, num_points: int, more: str = "") -> str:
-    """Return the view and its controls.
+@dataclass(frozen=True, eq=False)
+class Shades:
+    """Value per point, drawn from blue (the best) to orange.
+
+    Attributes:
+        name: name of the value.
+        values: (n,) values; NaN: unknown, drawn grey.
+        ends: values of pure blue and of pure orange.
+        unit: unit, for the legend.
+    """
+
+    name: str
+    values: NDArray[np.float64]
+    ends: tuple[float, float]
+    unit: str
+
+    def data(self) -> dict[str, Any]:
+        """Return shades from 0 (blue) to 254 (orange) as base64 of bytes; 255 is grey."""
+        best, worst = self.ends
+        share = np.clip((self.values - best) / (worst - best), 0.0, 1.0)
+        shades = np.where(np.isfinite(share), np.rint(254 * np.nan_to_num(share)), 255)
+        words = [f"{short(end)} {self.unit}".strip() for end in self.ends]
+        return {"name": self.name, "shades": _coded(shades.astype(np.uint8)), "ends": words}
+
+
+def scene_section(view: SceneView, num_points: int, *, is_solved: bool, more: str = "") -> str:
+    """Return the view with its controls, and the dialog of an image.
 
     Args:
         view: scene to draw.
         num_points: number of points in the reconstruction.
+        is_solved: True for a view before and after a solve.
         more: sentence about ellipsoids; "" without ellipsoids.
     """
-    boxes = ["points", "cameras", *(["ellipsoids"] if more else [])]
-    controls = [
+    states = [
+        tag("button", name, type="button", data_state=name.lower(), aria_pressed=str(pressed))
+        for name, pressed in (("Before", "false"), ("After", "true"))
+    ]
+    boxes = [
         tag("label", tag("input", type="checkbox", checked=True, data_shows=name), f" {name}")
-        for name in boxes
+        for name in ("points", "cameras", *(["ellipsoids"] if more else []))
     ]
     size = tag("input", type="range", id="point-size", min=1, max=8, step=0.5, value=2,
                aria_label="size of the points")  # fmt: skip
-    controls += [tag("label", "size ", size), tag("button", "Reset the view", id="scene-home")]
-    limit = error_limit(view)
+    controls = [
+        *(states if is_solved else []),
+        tag("select", id="shade", aria_label="colour of the points"),
+        *boxes,
+        tag("label", "size ", size),
+        tag("select", id="image", aria_label="image to show"),
+        tag("button", "Reset", id="scene-home", type="button"),
+        tag("button", "Full screen", id="scene-full", type="button"),
+    ]
     words = (
-        f"{plural(len(view.points), 'point', grouped=True)} and "
+        f"{plural(len(view.points), 'point', grouped=True)}, "
         f"{plural(len(view.centers), 'camera', grouped=True)}"
     )
     if view.step > 1:
         words += f"; of {num_points:,} points, every {_ordinal(view.step)} is drawn"
     if view.num_far:
-        words += (
-            f"; {view.num_far:,} farther away than 50 times the half width of the scene are not "
-            "drawn"
-        )
-    words += f". Points are blue at 0 px RMSE, orange from {short(limit)} px on, grey unobserved."
-    words += f" {more}" if more else ""
-    words += " Drag to turn, wheel to zoom, right button or arrow keys to move."
+        words += f"; {view.num_far:,} farther away than 50 half widths of the scene are not drawn"
+    words += f". {more}" if more else "."
+    words += " Drag to turn, wheel to zoom, right button or arrow keys to move; click on a camera."
     canvas = tag("canvas", tabindex=0, role="img", aria_label="3-D view of cameras and points")
-    sorry = tag("p", "This browser has no WebGL 2: the view stays empty.", hidden=True)
-    return "".join(
-        [
-            tag("p", escape(words), class_="quiet"),
-            tag("div", canvas, sorry, class_="scene"),
-            tag("div", *controls, class_="controls"),
-        ]
+    hover = tag("p", id="hover")
+    sorry = tag("p", "This browser has no WebGL 2: the view stays empty.", id="sorry", hidden=True)
+    bar = tag("div", tag("strong", id="image-name"),
+              tag("button", "◀", type="button", data_step=-1, aria_label="previous image"),
+              tag("button", "▶", type="button", data_step=1, aria_label="next image"),
+              tag("button", "Close", type="button", id="close"), class_="controls")  # fmt: skip
+    dialog = tag("dialog", bar, tag("div", id="photograph"), aria_labelledby="image-name")
+    return tag(
+        "div",
+        tag("div", canvas, hover, sorry, class_="scene"),
+        tag("div", *controls, class_="controls"),
+        tag("p", tag("span", id="legend"), " ", escape(words), class_="quiet"),
+        dialog,
+        class_="view",
     )
 
 
-def scene_data(view: SceneView) -> dict[str, Any]:
-    """Return the numbers of the view; arrays are base64 of little-endian 32-bit floats."""
+def scene_data(
+    view: SceneView, before: SceneView | None = None, others: Sequence[Shades] = ()
+) -> dict[str, Any]:
+    """Return the numbers of the view; arrays are base64 of little-endian 32-bit floats.
+
+    Args:
+        view: scene to draw.
+        before: the scene before a solve; None without a solve.
+        others: values per point that may colour the points in place of their errors.
+    """
     # Many cameras are drawn smaller, so that they do not hide the scene.
     frustum = FRUSTUM * view.reach / max(1.0, (len(view.centers) / MANY) ** 0.5)
-    return {
+    limit = upper_limit(view.point_errors)
+    data = {
         "origin": view.origin.tolist(),
         "unit": view.unit,
         "step": view.step,
-        "points": packed(view.points),
-        "errors": packed(view.point_errors),
-        "error_limit": error_limit(view),
-        "centers": packed(view.centers),
-        "axes": packed(view.axes),
         "fields": packed(view.half_fields),
+        "images": view.image_ids.tolist(),
         "frustum": frustum,
         "middle": view.middle.tolist(),
         "reach": view.reach,
         "up": view.up.tolist(),
         "forward": view.forward.tolist(),
+        "shades": [shades.data() for shades in others],
     }
+    for name, state in (("after", view), ("before", before)):
+        if state is not None:
+            error = Shades("error", state.point_errors, (0.0, limit), "px RMSE")
+            data[name] = {
+                "points": packed(state.points),
+                "error": error.data(),
+                "centers": packed(state.centers),
+                "axes": packed(state.axes),
+            }
+    return data
 
 
 def scene_script() -> str:
@@ -104,16 +161,20 @@ def scene_script() -> str:
     return f"{library[:start]}{declared}\n{asset('scene.js')}"
 
 
-def error_limit(view: SceneView) -> float:
-    """Return the error that is drawn orange: the 95th percentile, or 1 without errors."""
-    known = view.point_errors[np.isfinite(view.point_errors)]
+def upper_limit(values: NDArray[np.float64]) -> float:
+    """Return the value that is drawn orange: the 95th percentile, or 1 without values."""
+    known = values[np.isfinite(values)]
     limit = float(np.quantile(known, 0.95)) if len(known) else 0.0
     return float(f"{limit:.2g}") if np.isfinite(limit) and limit > 0 else 1.0
 
 
 def packed(values: NDArray[np.float64]) -> str:
     """Return an array as base64 of little-endian 32-bit floats."""
-    return base64.b64encode(np.ascontiguousarray(values, "<f4").tobytes()).decode("ascii")
+    return _coded(np.ascontiguousarray(values, "<f4"))
+
+
+def _coded(values: NDArray[Any]) -> str:
+    return base64.b64encode(values.tobytes()).decode("ascii")
 
 
 def _ordinal(number: int) -> str:

@@ -17,12 +17,13 @@ from bundle.figures.marks import (
     Dots,
     Ellipses,
     Line,
+    Matrix,
     Places,
     StackedBars,
     Steps,
     Vectors,
 )
-from bundle.reports.page.bars import COLOURS, bars, stacked_bars
+from bundle.reports.page.bars import COLOURS, bars, matrix, stacked_bars
 from bundle.reports.page.page import tag
 from bundle.reports.page.svg_planes import plane
 
@@ -57,10 +58,8 @@ def drawing(figure: Figure) -> str:
     if figure.is_image:
         return plane(figure)
     for mark in figure.marks:
-        if isinstance(mark, Bars):
-            return bars(mark)
-        if isinstance(mark, StackedBars):
-            return stacked_bars(mark)
+        if type(mark) in _ROWS:
+            return _ROWS[type(mark)](mark)
     chart = _Chart(figure.x, figure.y)
     # Draw bands and places below lines, error bars and dots.
     layers = [
@@ -76,6 +75,9 @@ def drawing(figure: Figure) -> str:
         viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img", aria_label=label,
     )  # fmt: skip
     return made + _legend(figure.legend) if figure.legend else made
+
+
+_ROWS: dict[type, Callable[..., str]] = {Bars: bars, StackedBars: stacked_bars, Matrix: matrix}
 
 
 class _Chart:
@@ -130,6 +132,8 @@ class _Chart:
             return ""
         y = [*steps.y.tolist(), *steps.y[-1:].tolist()][: len(steps.x)]
         (x0, y0), *corners = (self.place(a, b) for a, b in zip(steps.x.tolist(), y, strict=True))
+        if not corners:  # a run of one step
+            return _dot(x0, y0, 3.4, steps.colour, steps.label)
         path = f"M{x0:.1f} {y0:.1f}" + "".join(f"H{a:.1f}V{b:.1f}" for a, b in corners)
         return _curve(steps, path)
 
@@ -138,10 +142,9 @@ class _Chart:
         names = dots.names or ("",) * len(at)
         colours = dots.colours or (0,) * len(at)
         parts = [
-            tag("circle", tag("title", escape(name)), cx=f"{x:.1f}", cy=f"{y:.1f}", r=3.4,
-                style=f"fill:var(--c{colour % COLOURS})")
+            _dot(x, y, dots.radius, colour, name)
             for (x, y), name, colour in zip(at, names, colours, strict=True)
-        ]  # fmt: skip
+        ]
         return "".join([*parts, *(_labels(at, names) if dots.is_labelled else [])])
 
     def _ellipses(self, mark: Ellipses) -> str:
@@ -154,11 +157,14 @@ class _Chart:
 
     def _vectors(self, mark: Vectors) -> str:
         style = f"stroke:var(--c{mark.colour});stroke-width:1.6;fill:none"
-        unit = (HEIGHT - TOP - BOTTOM) / (self._y.high - self._y.low)
-        return "".join(
-            tag("path", d=f"M{x:.1f} {y:.1f}l{dx * unit:.1f} {-dy * unit:.1f}", style=style)
+        style += f";stroke-opacity:{mark.opacity:.2f}" if mark.opacity < 1 else ""
+        across = (WIDTH - LEFT - RIGHT) / (self._x.high - self._x.low)
+        up = (HEIGHT - TOP - BOTTOM) / (self._y.high - self._y.low)
+        path = "".join(
+            f"M{x:.1f} {y:.1f}l{dx * across:.1f} {-dy * up:.1f}"
             for (x, y), (dx, dy) in zip(map(self._pair, mark.at), mark.step.tolist(), strict=True)
         )
+        return tag("path", d=path, style=style) if path else ""
 
     _KINDS: ClassVar[dict[type, Callable[..., str]]] = {
         Line: _line, Steps: _steps, Dots: _dots, Ellipses: _ellipses, Vectors: _vectors,
@@ -194,8 +200,8 @@ class _Chart:
                 low, high = (f"{self.place(x, y + k * error)[1]:.1f}" for k in (-1, 1))
                 style = f"stroke:{paint}"
                 parts.append(tag("line", x1=across, x2=across, y1=low, y2=high, style=style))
-            name = tag("title", escape(line.label)) if lonely else ""
-            parts.append(tag("circle", name, cx=across, cy=up, r=2.6, style=f"fill:{paint}"))
+            name = line.label if lonely else ""
+            parts.append(_dot(float(across), float(up), 2.6, _colour(line), name))
         return "".join(parts)
 
     def places(self, mark: Places) -> str:
@@ -232,6 +238,12 @@ class _Chart:
         return "".join(pieces)
 
 
+def _dot(x: float, y: float, radius: float, colour: int, name: str = "") -> str:
+    title = tag("title", escape(name)) if name else ""
+    style = f"fill:var(--c{colour % COLOURS})"
+    return tag("circle", title, cx=f"{x:.1f}", cy=f"{y:.1f}", r=f"{radius:g}", style=style)
+
+
 def _colour(mark: Line | Steps) -> int:
     return (mark.colour or 0) % COLOURS
 
@@ -243,8 +255,9 @@ def _curve(mark: Line | Steps, path: str) -> str:
 
 def _look(mark: Line | Steps) -> dict[str, str | None]:
     """Return the attributes of a path that is drawn as a curve."""
+    faint = isinstance(mark, Line) and mark.opacity < 1
     return {
-        "class_": "curve",
+        "class_": "curve faint" if faint else "curve",
         "style": f"stroke:var(--c{_colour(mark)})",
         "stroke_dasharray": DASHES[mark.dash % len(DASHES)],
     }

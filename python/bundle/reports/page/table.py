@@ -73,9 +73,12 @@ def table(
     return tag("div", inner, class_="scroll", tabindex=0)
 
 
-def declared(made: Table, *, best: int | None = None, rows_shown: int | None = None) -> str:
-    """Return the markup of a :class:`Table`; ``best`` and ``rows_shown`` as in :func:`table`."""
-    return table(made.head, made.cells(), best=best, rows_shown=rows_shown)
+def declared(made: Table, *, best: int | None = None) -> str:
+    """Return the markup of a :class:`Table` with its legend; rows beyond ``most`` are folded."""
+    rows = [[str(column.cell(row)) for column in made.columns] for row in made.rows]
+    words = range(1, made.left)
+    legend = tag("p", escape(made.legend), class_="quiet") if made.legend else ""
+    return table(made.head, rows, words=words, best=best, rows_shown=made.most) + legend
 
 
 class Notes:

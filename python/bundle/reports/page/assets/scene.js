@@ -1,14 +1,73 @@
-// The 3-D view of a report page: cameras, points and ellipsoids, drawn by three.js.
-const scene3d = JSON.parse(document.getElementById("data").textContent).scene;
-const place = document.querySelector(".scene");
+// The 3-D view of a report page, drawn by three.js, and the dialog with the residuals of an image.
+const data = JSON.parse(document.getElementById("data").textContent);
+const scene3d = data.scene, images = data.images || [];
+const find = (name) => document.getElementById(name);
+const place = document.querySelector(".scene"), dialog = document.querySelector("dialog");
+
+function bytes(text) {
+  return Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+}
 
 function floats(text) {
-  return new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
+  return new Float32Array(bytes(text).buffer);
 }
 
 function colour(name) {
   return new THREE.Color(getComputedStyle(document.body).getPropertyValue(name).trim());
 }
+
+// An image: its photograph, and lines from the measurements to the projections.
+let current = 0;
+
+function facts(image) {
+  const sigma = image.sigma === null ? "" : `, position sigma ${image.sigma.toPrecision(3)}`;
+  return `${image.name}: RMSE ${image.rmse.toPrecision(3)} px, ${image.count} observations${sigma}`;
+}
+
+function showImage(index) {
+  current = (index + images.length) % images.length;
+  const image = images[current], [left, top, right, bottom] = image.box;
+  const figure = [...document.querySelectorAll("svg.photographed")].find((one) => one.ariaLabel === image.figure);
+  const photograph = image.photograph || (figure && figure.querySelector("image").getAttribute("href"));
+  const svg = (name, attributes) => {
+    const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+    Object.entries(attributes).forEach(([key, value]) => made.setAttribute(key, value));
+    return made;
+  };
+  const area = { x: left, y: top, width: right - left, height: bottom - top };
+  const drawing = svg("svg", { viewBox: Object.values(area).join(" "), role: "img", "aria-label": image.name });
+  drawing.append(svg("rect", { ...area, class: "plane" }));
+  if (photograph) {
+    drawing.classList.add("photographed");
+    drawing.append(svg("image", { ...area, href: photograph, preserveAspectRatio: "none" }));
+  }
+  let path = "";
+  for (let k = 0; k < image.vectors.length; k += 4) {
+    const [x, y, dx, dy] = image.vectors.slice(k, k + 4);
+    path += `M${x} ${y}l${image.factor * dx} ${image.factor * dy}`;
+  }
+  for (const kind of ["casing", "residuals"]) {
+    if (photograph || kind === "residuals") drawing.append(svg("path", { d: path, class: kind }));
+  }
+  find("image-name").textContent = `${facts(image)}; residuals ${image.factor} times as long`;
+  find("photograph").replaceChildren(drawing);
+  if (!dialog.open) dialog.showModal();
+}
+
+find("image").append(new Option("Image …", ""), ...images.map((image, k) => new Option(image.name, k)));
+find("image").hidden = images.length === 0;
+find("image").addEventListener("change", (event) => {
+  if (event.target.value) showImage(Number(event.target.value));
+  event.target.value = "";
+});
+dialog.querySelectorAll("[data-step]").forEach((button) => {
+  button.addEventListener("click", () => showImage(current + Number(button.dataset.step)));
+});
+find("close").addEventListener("click", () => dialog.close());
+find("scene-full").addEventListener("click", () => {
+  if (document.fullscreenElement) document.exitFullscreen();
+  else document.querySelector(".view").requestFullscreen();
+});
 
 // Four edges from the centre of each camera to the corners of its image, and the image's border.
 function frustums(centers, axes, fields, size) {
@@ -52,23 +111,38 @@ function start() {
   const controls = new OrbitControls(camera, canvas);
   controls.listenToKeyEvents(canvas);
 
-  const positions = floats(scene3d.points), errors = floats(scene3d.errors);
-  const cloud = new THREE.BufferGeometry();
-  cloud.setAttribute("position", new THREE.BufferAttribute(positions, 3));
-  cloud.setAttribute("color", new THREE.BufferAttribute(new Float32Array(positions.length), 3));
+  const fields = floats(scene3d.fields);
+  const states = {};
+  for (const name of ["before", "after"]) {
+    const given = scene3d[name];
+    if (!given) continue;
+    const centers = floats(given.centers);
+    states[name] = {
+      points: floats(given.points), centers, error: given.error,
+      lines: frustums(centers, floats(given.axes), fields, scene3d.frustum),
+    };
+  }
+  let state = states.after;
+  const buffer = (values) => new THREE.BufferAttribute(values.slice(), 3);
+  const cloud = new THREE.BufferGeometry(), poses = new THREE.BufferGeometry();
+  cloud.setAttribute("position", buffer(state.points));
+  cloud.setAttribute("color", buffer(state.points));
+  poses.setAttribute("position", buffer(state.lines));
   const points = new THREE.Points(cloud, new THREE.PointsMaterial({
     size: 2, sizeAttenuation: false, vertexColors: true,
   }));
-  const poses = new THREE.BufferGeometry();
-  poses.setAttribute("position", new THREE.BufferAttribute(
-    frustums(floats(scene3d.centers), floats(scene3d.axes), floats(scene3d.fields), scene3d.frustum), 3));
   const cameras = new THREE.LineSegments(poses, new THREE.LineBasicMaterial());
   points.frustumCulled = cameras.frustumCulled = false;
   const balls = new THREE.Group();
   for (const [kind, name] of [["point_ellipsoids", "--c1"], ["camera_ellipsoids", "--c2"]]) {
     if (scene3d[kind]) balls.add(ellipsoids(scene3d[kind], name));
   }
-  world.add(points, cameras, balls);
+  const afterOnly = new THREE.Group();
+  afterOnly.add(balls);
+  world.add(points, cameras, afterOnly);
+
+  const chooser = find("shade");
+  chooser.append(...[state.error, ...scene3d.shades].map((one, k) => new Option(`colour: ${one.name}`, k)));
 
   function draw() {
     renderer.render(world, camera);
@@ -78,15 +152,18 @@ function start() {
   function paint() {
     renderer.setClearColor(colour("--paper"));
     cameras.material.color = colour("--ink");
+    const chosen = [state.error, ...scene3d.shades][Number(chooser.value)];
+    const shades = bytes(chosen.shades), colours = cloud.getAttribute("color");
     const good = colour("--c0"), bad = colour("--c1"), none = colour("--rest");
-    const mixed = new THREE.Color(), colours = cloud.getAttribute("color");
-    for (let i = 0; i < errors.length; i += 1) {
-      if (Number.isNaN(errors[i])) mixed.copy(none);
-      else mixed.copy(good).lerp(bad, Math.min(errors[i] / scene3d.error_limit, 1));
+    const mixed = new THREE.Color();
+    for (let i = 0; i < shades.length; i += 1) {
+      if (shades[i] === 255) mixed.copy(none);
+      else mixed.copy(good).lerp(bad, shades[i] / 254);
       colours.setXYZ(i, mixed.r, mixed.g, mixed.b);
     }
     colours.needsUpdate = true;
     balls.children.forEach((mesh) => { mesh.material.color = colour(mesh.userData.colour); });
+    find("legend").textContent = `Blue: ${chosen.ends[0]}; orange: ${chosen.ends[1]}; grey: unknown.`;
     draw();
   }
 
@@ -109,15 +186,56 @@ function start() {
     draw();
   }
 
+  // The image whose camera is nearest to the mouse pointer, within 16 pixels; undefined: none.
+  function pointed(event) {
+    if (!cameras.visible) return undefined;
+    const box = canvas.getBoundingClientRect(), at = new THREE.Vector3();
+    let nearest = 16, found;
+    scene3d.images.forEach((id, i) => {
+      at.fromArray(state.centers, 3 * i).project(camera);
+      const x = box.left + (at.x + 1) / 2 * box.width, y = box.top + (1 - at.y) / 2 * box.height;
+      const away = Math.hypot(x - event.clientX, y - event.clientY);
+      if (at.z < 1 && away < nearest) [nearest, found] = [away, images.findIndex((one) => one.id === id)];
+    });
+    return found === -1 ? undefined : found;
+  }
+
+  const down = [0, 0];
+  canvas.addEventListener("pointerdown", (event) => { down.splice(0, 2, event.clientX, event.clientY); });
+  canvas.addEventListener("pointerup", (event) => {
+    if (Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 4) return;
+    const image = pointed(event);
+    if (image !== undefined) showImage(image);
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    const image = event.buttons ? undefined : pointed(event);
+    find("hover").textContent = image === undefined ? "" : facts(images[image]);
+    canvas.style.cursor = image === undefined ? "" : "pointer";
+  });
+
   const shown = { points, cameras, ellipsoids: balls };
   document.querySelectorAll("[data-shows]").forEach((box) => {
     box.addEventListener("change", () => { shown[box.dataset.shows].visible = box.checked; draw(); });
   });
-  document.getElementById("point-size").addEventListener("input", (event) => {
+  const buttons = document.querySelectorAll("[data-state]");
+  buttons.forEach((button) => {
+    button.addEventListener("click", () => {
+      state = states[button.dataset.state];
+      buttons.forEach((one) => one.setAttribute("aria-pressed", String(one === button)));
+      for (const [geometry, values] of [[cloud, state.points], [poses, state.lines]]) {
+        geometry.getAttribute("position").copyArray(values);
+        geometry.getAttribute("position").needsUpdate = true;
+      }
+      afterOnly.visible = state === states.after;
+      paint();
+    });
+  });
+  chooser.addEventListener("change", paint);
+  find("point-size").addEventListener("input", (event) => {
     points.material.size = Number(event.target.value);
     draw();
   });
-  document.getElementById("scene-home").addEventListener("click", home);
+  find("scene-home").addEventListener("click", home);
   controls.addEventListener("change", draw);
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", paint);
   new ResizeObserver(fit).observe(place);
@@ -127,4 +245,4 @@ function start() {
 }
 
 if (document.createElement("canvas").getContext("webgl2")) start();
-else place.querySelector("p").hidden = false;
+else find("sorry").hidden = false;

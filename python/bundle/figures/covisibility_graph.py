@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.statistics.covisibility import shared_points
 from bundle.base.arguments import check_type
+from bundle.figures.axes import SHAPE, Axis, square
+from bundle.figures.drawing import Figure
+from bundle.figures.marks import GREY, Dots, Mark, Vectors
 from bundle.interface.option_fields import number
 from bundle.model.problem import Problem
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-__all__ = ["CovisibilityGraph", "covisibility_graph", "draw_covisibility"]
+__all__ = ["CovisibilityGraph", "covisibility_figure", "covisibility_graph"]
 
 STRONGEST_OF_EACH = 3
-# Ratio of height to width below which a graph is stretched.
-NARROWEST = 0.15
+NARROWEST = 0.2
+"""Ratio of height to width below which a graph is stretched."""
+STRENGTHS = 6
+"""Number of opacities of edges."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,32 +60,40 @@ def covisibility_graph(problem: Problem, max_edges: int = 4000) -> CovisibilityG
     return CovisibilityGraph(_plane(problem.projection_centers), edges, count[chosen], len(count))
 
 
-def draw_covisibility(ax: Axes, problem: Problem, max_edges: int = 4000) -> None:
-    """Draw the co-visibility graph with the images at their camera centres.
+def covisibility_figure(graph: CovisibilityGraph) -> Figure:
+    """Return the graph with the images at their camera centres; edges are stronger with weight.
 
-    Darker edges have more shared points. Cameras far outside, such as those of broken poses, are
-    drawn at the border.
+    Cameras far outside, such as those of broken poses, are drawn at the border.
     """
-    from matplotlib.collections import LineCollection
-
-    graph = covisibility_graph(problem, max_edges)
     positions = within_view(graph.positions)
-    strength = np.log1p(graph.weights) / np.log1p(graph.weights.max(initial=2))
-    colours = np.zeros((len(strength), 4))
-    colours[:, :3] = (0.06, 0.43, 0.71)
-    colours[:, 3] = 0.06 + 0.6 * strength**2
-    lines = LineCollection([*positions[graph.edges]], colors=colours, linewidths=0.3 + strength)
-    ax.add_collection(lines)
-    size = np.clip(3000 / max(len(positions), 1), 1.5, 30)
-    ax.scatter(positions[:, 0], positions[:, 1], s=size, color="0.1", zorder=2, linewidths=0)
-    along, across = np.ptp(positions, axis=0) if len(positions) else (1.0, 1.0)
-    stretched = across < NARROWEST * along
-    ax.set(aspect="auto" if stretched else "equal", xticks=[], yticks=[], title="co-visibility")
-    ax.autoscale_view()
-    words = f"{len(positions):,} images, {graph.num_pairs:,} pairs"
+    strength = np.log1p(graph.weights) / np.log1p(max(int(graph.weights.max(initial=1)), 2))
+    kinds = np.minimum((STRENGTHS * strength**2).astype(int), STRENGTHS - 1)
+    marks: list[Mark] = []
+    for kind in np.unique(kinds).tolist():
+        begin, end = positions[graph.edges[kinds == kind]].swapaxes(0, 1)
+        marks.append(Vectors(begin, end - begin, 0, opacity=0.08 + 0.6 * (kind + 1) / STRENGTHS))
+    radius = float(np.clip(30 / np.sqrt(max(len(positions), 1)), 0.8, 3.4))
+    marks.append(Dots(positions, (GREY,) * len(positions), radius=radius))
+    low, high = (f(positions, axis=0, initial=0.0) for f in (np.min, np.max))
+    middle, half = (low + high) / 2, 1.05 * (high - low) / 2
+    reach = max(float(half[0]) / SHAPE, float(half[1]), 1e-9)
+    x, y = square((float(middle[0]), float(middle[1])), reach, ("", ""))
+    # A street seen from above is a line, and edges on a line would overlap.
+    stretched = bool(0 < half[1] < NARROWEST * half[0])
+    if stretched:
+        y = Axis(float(middle[1] - 2 * half[1]), float(middle[1] + 2 * half[1]), ())
+    words = f"{len(positions):,} images, {graph.num_pairs:,} pairs share points"
     if len(graph.edges) < graph.num_pairs:
-        words += f", the strongest {len(graph.edges):,}"
-    ax.set_xlabel(words + ("; height stretched" if stretched else ""), fontsize=8)
+        words += f"; the strongest {len(graph.edges):,} are drawn"
+    return Figure(
+        name="covisibility",
+        title="Co-visibility",
+        x=replace(x, ticks=()),
+        y=replace(y, ticks=()),
+        marks=tuple(marks),
+        note=words + ("; height stretched." if stretched else "."),
+        is_plan=not stretched,
+    )
 
 
 def within_view(positions: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,0 +1,133 @@
+"""Images with the largest residuals, and residuals of every image for the 3-D view."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bundle.base.words import pixels
+from bundle.errors import shown
+from bundle.figures.image_residuals import ImageResiduals
+from bundle.figures.residual_figures import image_figure, image_frame, image_name
+from bundle.reports.page.pictures import Photograph, photograph
+from bundle.reports.page.table import rounded
+from bundle.reports.sections import Section, Table
+
+__all__ = ["MOST_CLICKED", "Photographs", "image_data", "worst_section"]
+
+SHAPE = 0.02
+"""Relative difference up to which two aspect ratios count as equal."""
+
+NUM_WORST = 6
+MOST_CLICKED = 400
+"""Number of images whose residuals a click on their camera shows."""
+MOST_BYTES = 4.5e6
+"""Size of all photographs of a page."""
+MOST_VECTORS = 120
+WIDTHS = (520, 320, 200)
+
+
+class Photographs:
+    """Photographs of images by id, at a size that lets all of them fit on a page.
+
+    Attributes:
+        pictures: photograph by image id.
+        notes: sentences about photographs that are missing or have another shape.
+    """
+
+    def __init__(
+        self, images: Sequence[ImageResiduals], folder: str | os.PathLike[str] | None
+    ) -> None:
+        self.pictures: dict[int, Photograph] = {}
+        self.notes: list[str] = []
+        if folder is None:
+            return
+        widest = WIDTHS[(len(images) > 60) + (len(images) > 200)]
+        missing, misfits, size = [], [], 0
+        for image in images:
+            found = photograph(folder, image.error.name, widest) if size < MOST_BYTES else None
+            if found is None:
+                missing += [image_name(image)] if size < MOST_BYTES else []
+            elif not _fits(found, image):
+                misfits.append(f"{image_name(image)} ({found.size[0]} x {found.size[1]})")
+            else:
+                self.pictures[image.error.image_id] = found
+                size += len(found.address)
+        if missing:
+            self.notes.append(f"No photograph in {shown(str(folder))} for {_listed(missing)}.")
+        if misfits:
+            self.notes.append(
+                f"Photographs in another shape than their cameras: {_listed(misfits)}."
+            )
+
+
+def worst_section(images: Sequence[ImageResiduals], photographs: Photographs) -> list[Section]:
+    """Return the figures of the worst images, and their table."""
+    head = ["image", "camera", "observations", "RMSE [px]", "largest [px]"]
+    rows = [
+        [image_name(image), str(image.camera_id), f"{image.error.num_observations:,}",
+         pixels(image.error.rmse), pixels(image.error.max)]
+        for image in images
+    ]  # fmt: skip
+    figures = []
+    for image in images[:NUM_WORST]:
+        picture = photographs.pictures.get(image.error.image_id)
+        figures.append(image_figure(image, picture=picture and picture.address))
+    words = "Lines go from the measurement to the projection, longer by the factor given."
+    table = Table.of(head, rows, most=20)
+    return [
+        Section(title="Worst images", text=[words], notes=photographs.notes, is_warning=True,
+                figures=figures),
+        Section(title="Images by RMSE", tables=[table], is_detail=True),
+    ]  # fmt: skip
+
+
+def image_data(
+    images: Sequence[ImageResiduals], photographs: Photographs, sigmas: Mapping[int, float]
+) -> list[dict[str, Any]]:
+    """Return the residuals of images for the page's script: at most 120 vectors of each.
+
+    The photographs of the worst images are in their figures, which the data name.
+
+    Args:
+        images: images, those with the largest RMSE first.
+        photographs: their photographs.
+        sigmas: standard deviation of the position by image id.
+    """
+    data = []
+    for place, image in enumerate(images):
+        picture = photographs.pictures.get(image.error.image_id)
+        is_drawn = picture is not None and place < NUM_WORST
+        box, factor = image_frame(image)
+        vectors = np.concatenate([image.xy, image.residual], axis=1)[:MOST_VECTORS]
+        data.append(
+            {
+                "id": image.error.image_id,
+                "name": image_name(image),
+                "box": box.tolist(),
+                "factor": factor,
+                "count": image.error.num_observations,
+                "rmse": image.error.rmse,
+                "sigma": sigmas.get(image.error.image_id),
+                "vectors": rounded(np.round(vectors, 2)),
+                "figure": f"residuals of {image_name(image)}" if is_drawn else None,
+                "photograph": None if is_drawn or picture is None else picture.address,
+            }
+        )
+    return data
+
+
+def _fits(picture: Photograph, image: ImageResiduals) -> bool:
+    """Tell whether a photograph has the aspect ratio of its camera's images."""
+    if min(image.size) <= 0:
+        return False
+    ratio = picture.size[0] / picture.size[1] * image.size[1] / image.size[0]
+    return abs(ratio - 1.0) < SHAPE
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(names[:3]) + more

@@ -1,0 +1,52 @@
+"""Sections of a report as markup: the page's rendering of :class:`Section`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+from bundle.interface.finding import Finding
+from bundle.reports.page.page import heading, tag
+from bundle.reports.page.svg import grid
+from bundle.reports.page.table import declared
+from bundle.reports.sections import Section, Table
+
+__all__ = ["findings_list", "rendered"]
+
+MOST_FINDINGS = 3
+
+
+def rendered(sections: Iterable[Section]) -> list[str]:
+    """Return the markup of sections; a detail without a title is folded under "Details"."""
+    return [_section(section) for section in sections]
+
+
+def findings_list(findings: Sequence[Finding]) -> str:
+    """Return findings with their commands; those beyond the third are folded away."""
+    drawn = [_finding(found) for found in findings]
+    if len(drawn) <= MOST_FINDINGS + 1:
+        return "".join(drawn)
+    summary = tag("summary", f"{len(drawn) - MOST_FINDINGS} more findings")
+    return "".join(drawn[:MOST_FINDINGS]) + tag("details", summary, *drawn[MOST_FINDINGS:])
+
+
+def _finding(found: Finding) -> str:
+    command = tag("pre", tag("code", escape(found.command))) if found.command else ""
+    kind = "finding problem" if found.is_problem else "finding"
+    return tag("div", tag("p", escape(found.sentence)), command, class_=kind)
+
+
+def _section(section: Section) -> str:
+    kind = "warn" if section.is_warning else "quiet"
+    facts = [Table.of(("", ""), section.facts, left=2)] if section.facts else []
+    parts = [
+        *(tag("p", escape(str(words)), class_="quiet") for words in section.text),
+        *(tag("p", escape(words), class_=kind) for words in section.notes),
+        *(declared(table) for table in [*facts, *section.tables]),
+        grid(section.figures, "h4") if section.figures else "",
+        tag("pre", tag("code", escape(section.command))) if section.command else "",
+    ]
+    if section.is_detail:
+        return tag("details", tag("summary", escape(section.title or "Details")), *parts)
+    title = tag("h3", escape(section.title)) if section.is_joined else heading(section.title)
+    return (title if section.title else "") + "".join(parts)

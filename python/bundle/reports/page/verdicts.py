@@ -1,0 +1,286 @@
+"""Verdicts of a report: one line per question, with a mark and its number.
+
+A mark is "attention" if a finding is about the question, or if the number is beyond the first of
+two limits; "problem" beyond the second. Limits:
+
+* error: the median reprojection error, 1.5 and 4 px. Least squares on keypoints of good images
+  leaves 0.3 to 1 px. Medians tolerate outliers, which have a line of their own.
+* outliers: the share of observations beyond 5 times the noise of their surroundings, 5 and 20 %.
+* lens: the share of image cells with a significant mean residual, 20 and 60 %, where 1 % is
+  expected, if these means are also larger than 0.3 times the noise. Smaller ones do no harm.
+* focal length: its median standard deviation, 1 and 10 %.
+* positions: their median standard deviation, 0.5 and 5 % of the extent of the cameras.
+* tracks: points below 1.5 degrees of parallax, 25 and 60 %.
+* worst image: the ratio of its RMSE to the median of the images, 3. A single image is no problem.
+* georeference: the root mean square of check points or positions in their sigmas, 3 and 10.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from bundle.analysis.statistics.description import Description
+from bundle.base.words import number, pixels, plural
+from bundle.figures.certainty import Certainty
+from bundle.figures.covisibility_graph import CovisibilityGraph
+from bundle.figures.image_residuals import ImageResiduals
+from bundle.figures.placement_errors import Placement
+from bundle.figures.residual_field import ResidualField
+from bundle.figures.track_statistics import TrackStatistics
+from bundle.interface.finding import Finding
+from bundle.judging.findings.measured import Measured
+from bundle.model.cameras import param_kinds
+from bundle.model.problem import Problem
+from bundle.reports.page.page import tag
+from bundle.solving.result import Result
+
+__all__ = ["Judged", "Verdict", "summarised", "verdict_list", "verdicts"]
+
+MARKS = {"good": "✓", "attention": "!", "problem": "✕", "unknown": "?"}
+FLAT = 1.5
+"""Parallax in degrees below which a point is uncertain in depth."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Answer to a question about a model.
+
+    Attributes:
+        name: subject, such as "outliers".
+        mark: "good", "attention", "problem" or "unknown".
+        number: the number behind the mark, in words.
+    """
+
+    name: str
+    mark: str
+    number: str
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Judged:
+    """The parts of a report that verdicts are made of; None where a part is unknown."""
+
+    problem: Problem
+    result: Result | None
+    description: Description
+    measured: Measured
+    fields: Sequence[ResidualField]
+    images: Sequence[ImageResiduals]
+    certainty: Certainty | None
+    no_certainty: str
+    place: Placement | None
+    tracks: TrackStatistics
+    graph: CovisibilityGraph
+    findings: Sequence[Finding]
+
+
+def verdicts(given: Judged) -> list[Verdict]:
+    """Return the verdicts that have a number, the most general first."""
+    made = (
+        (_solve, ("convergence",)), (_error, ()), (_outliers, ("outliers",)),
+        (_worst, ("motion", "rolling_shutter", "image")), (_lens, ("lens",)),
+        (_focal, ("intrinsics", "share", "focal")), (_positions, ("scale", "drift")),
+        (_tracks, ("duplicate",)), (_connection, ("joint", "connect")),
+        (_place, ("gps", "position")),
+    )  # fmt: skip
+    found = ((answer(given), kinds) for answer, kinds in made)
+    return [_with_findings(one, given.findings, kinds) for one, kinds in found if one is not None]
+
+
+def summarised(found: Sequence[Verdict]) -> str:
+    """Return the number of lines that need attention, in words."""
+    counts = [sum(one.mark == mark for one in found) for mark in ("problem", "attention")]
+    attention = plural(counts[1], "line needs attention", "lines need attention")
+    words = [plural(counts[0], "problem"), attention]
+    return ", ".join(text for text, count in zip(words, counts, strict=True) if count)
+
+
+def verdict_list(found: Iterable[Verdict]) -> str:
+    """Return the verdicts as a list with marks."""
+    rows = [
+        tag("div",
+            tag("dd", tag("span", MARKS[one.mark], class_=f"mark {one.mark}", role="img",
+                          aria_label=one.mark)),
+            tag("dt", escape(one.name)), tag("dd", escape(one.number), class_="number"))
+        for one in found
+    ]  # fmt: skip
+    return tag("dl", *rows, class_="verdicts")
+
+
+def _with_findings(one: Verdict, findings: Iterable[Finding], kinds: Collection[str]) -> Verdict:
+    """Return a verdict that is at least as severe as the findings about its subject."""
+    about = [each for each in findings if any(kind in each.kind for kind in kinds)]
+    order = ("unknown", "good", "attention", "problem")
+    marks = [one.mark, *("problem" if each.is_problem else "attention" for each in about)]
+    return Verdict(one.name, max(marks, key=order.index), one.number)
+
+
+def _mark(value: float, first: float, second: float = math.inf) -> str:
+    if not math.isfinite(value):
+        return "unknown"
+    return "good" if value <= first else "attention" if value <= second else "problem"
+
+
+def _share(value: float) -> str:
+    return f"{100 * value:.2g} %"
+
+
+def _solve(given: Judged) -> Verdict | None:
+    if given.result is None:
+        return None
+    summary = given.result.summary
+    steps = plural(summary.num_successful_steps, "step")
+    if not summary.is_solution_usable:
+        return Verdict("Solve", "problem", "no usable solution")
+    if summary.termination_type == "CONVERGENCE":
+        return Verdict("Solve", "good", f"converged in {steps}")
+    return Verdict("Solve", "attention", f"not converged after {steps}")
+
+
+def _error(given: Judged) -> Verdict:
+    error = given.description.reprojection_error
+    if error is None or not math.isfinite(error.median):
+        return Verdict("Reprojection error", "problem", "no observation counts")
+    words = f"median {pixels(error.median)} px, RMSE {pixels(error.rmse)} px"
+    if given.result is not None:
+        words += f" (before {pixels(given.result.reprojection_error_before.rmse)})"
+    return Verdict("Reprojection error", _mark(error.median, 1.5, 4.0), words)
+
+
+def _outliers(given: Judged) -> Verdict | None:
+    far, counted = given.measured.is_outlier, given.measured.counted
+    if not counted.any():
+        return None
+    share = float(far[counted].mean())
+    words = f"{_share(share)} of observations beyond 5 sigmas"
+    without = int((~counted).sum())
+    words += f", {without:,} without a projection" if without else ""
+    return Verdict("Outliers", _mark(float(far.mean()), 0.05, 0.2), words)
+
+
+def _worst(given: Judged) -> Verdict | None:
+    rmse = [image.error.rmse for image in given.images]
+    if len(rmse) < 3:
+        return None
+    name = given.images[0].error.name or f"image {given.images[0].error.image_id}"
+    ratio = rmse[0] / float(np.median(rmse)) if rmse[-1] > 0 else math.nan
+    words = f"{name}, RMSE {ratio:.2g} times the median of images"
+    return Verdict("Worst image", _mark(ratio, 3.0), words)
+
+
+def _lens(given: Judged) -> Verdict | None:
+    if not given.fields:
+        return None
+    field = given.fields[0]
+    many, cells = field.num_significant
+    if cells < 4:
+        return Verdict("Lens model", "unknown", "too few observations per part of the image")
+    length = np.hypot(field.mean[..., 0], field.mean[..., 1])
+    typical = float(np.median(length[np.isfinite(field.significance)]))
+    is_large = typical > 0.3 * given.measured.scale
+    words = f"{many} of {cells} image cells systematic, by {number(typical)} px"
+    return Verdict("Lens model", _mark(many / cells if is_large else 0.0, 0.2, 0.6), words)
+
+
+def _focal(given: Judged) -> Verdict:
+    problem, known = given.problem, given.certainty
+    cameras = np.unique(problem.image_camera)
+    words = f"{plural(len(cameras), 'camera', grouped=True)} for "
+    words += plural(problem.num_images, "image", grouped=True)
+    if known is None:
+        return Verdict("Intrinsics", "unknown", words)
+    shares = []
+    for camera in cameras.tolist():
+        kinds = param_kinds(problem.camera_models[camera])
+        focal = [k for k, kind in enumerate(kinds) if kind == "focal"]
+        if camera in known.cameras and focal:
+            sigma = known.sigmas(camera)[focal]
+            shares.append(float(np.max(sigma / problem.camera_params[camera, focal])))
+    finite = [share for share in shares if math.isfinite(share)]
+    if not finite:
+        return Verdict("Intrinsics", "good", f"{words}; focal length held")
+    share = float(np.median(finite))
+    words += f"; focal length to {_share(share)}"
+    return Verdict("Intrinsics", _mark(share, 0.01, 0.1), words)
+
+
+def _positions(given: Judged) -> Verdict | None:
+    if given.certainty is None:
+        mark = "unknown" if given.no_certainty else "good"
+        return Verdict("Positions", mark, "no covariance") if given.no_certainty else None
+    sigmas = given.certainty.position_sigmas
+    sigmas = sigmas[np.isfinite(sigmas) & (sigmas > 0)]
+    extent = float(np.ptp(given.problem.projection_centers, axis=0).max(initial=0.0))
+    if len(sigmas) == 0 or not extent > 0:
+        return None
+    middle, largest = float(np.median(sigmas)), float(sigmas.max())
+    unit = " m" if given.place is not None else ""
+    words = f"sigma {number(middle)}{unit} ({_share(middle / extent)} of the extent), "
+    words += f"largest {number(largest)}{unit}"
+    return Verdict("Positions", _mark(middle / extent, 0.005, 0.05), words)
+
+
+def _tracks(given: Judged) -> Verdict | None:
+    tracks = given.tracks
+    total = int(tracks.angles.sum())
+    if total == 0:
+        return None
+    limit = max(k for k, angle in enumerate(tracks.angle_limits) if angle <= 2.0)
+    flat = float(tracks.angles[: limit + 1].sum()) / total
+    double = float(tracks.lengths[2:3].sum()) / int(tracks.lengths.sum())
+    words = f"mean {number(given.description.track_length.mean)} images per point, "
+    words += f"{_share(double)} in two, {_share(flat)} below 2°"
+    return Verdict("Tracks", _mark(flat, 0.25, 0.6), words)
+
+
+def _connection(given: Judged) -> Verdict:
+    sizes = given.description.covisibility.component_sizes
+    images = given.problem.num_images
+    weights = np.zeros(images, np.int64)
+    for side in given.graph.edges.T:
+        np.maximum.at(weights, side, given.graph.weights)
+    alone = images - sum(sizes)
+    if len(sizes) != 1 or alone:
+        words = f"{plural(len(sizes), 'piece')} of {', '.join(f'{k:,}' for k in sizes[:4])}"
+        words += ", ..." if len(sizes) > 4 else " images" if sizes else ""
+        words += f", {plural(alone, 'image')} without points" if alone else ""
+        return Verdict("Connection", "problem", words)
+    if images < 2:
+        return Verdict("Connection", "unknown", "one image")
+    least = int(weights.min())
+    words = f"one piece; every image shares {least:,} or more points with another"
+    return Verdict("Connection", _mark(-least, -10), words)
+
+
+def _place(given: Judged) -> Verdict | None:
+    place = given.place
+    if place is None:
+        return None
+    checks = [one for one in place.targets if one.role == "check"]
+    if checks:
+        rms = float(place.rms("check")[4])
+        sigma = np.array([one.sigma for one in checks])
+        ratio = rms / float(np.sqrt(np.nanmean(sigma**2) * 3))
+        words = f"{plural(len(checks), 'check point')}, RMS {rms:.3g} m"
+    elif place.targets:
+        controls = [one for one in place.targets if one.role == "control"]
+        rms = float(place.rms("control")[4])
+        sigma = np.array([one.sigma for one in controls]).reshape(-1, 3)
+        ratio = rms / float(np.sqrt(np.nanmean(sigma**2) * 3)) if len(controls) else math.nan
+        words = f"{plural(len(controls), 'control point')}, RMS {rms:.3g} m; no check point"
+    else:
+        used = [image.sigmas for image in place.images if image.used]
+        known = np.array(used)[np.isfinite(used)]
+        ratio = float(np.sqrt(np.mean(known**2) / 3)) if len(known) else math.nan
+        words = f"{plural(len(used), 'position')}, RMS {place.rms('gps')[4]:.3g} m"
+    suspects = sum(one.suspect for one in place.targets)
+    unused = sum(not image.used for image in place.images if np.isfinite(image.residual).all())
+    words += f", {plural(suspects, 'suspect point')}" if suspects else ""
+    words += f", {unused} without influence" if unused else ""
+    mark = _mark(ratio, 3.0, 10.0)
+    return Verdict("Georeference", "attention" if suspects and mark == "good" else mark, words)
