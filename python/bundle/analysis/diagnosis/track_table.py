@@ -56,17 +56,13 @@ class TrackTable:
     @cached_property
     def firm_pieces(self) -> NDArray[np.int32]:
         """Components as in ``pieces``, where five shared points are needed for a connection."""
-        first, second = self._pairs()
-        code, count = np.unique(
-            first * max(self._problem.num_images, 1) + second, return_counts=True
-        )
-        code = code[count >= FEW_SHARED]
-        ends = np.stack(np.divmod(code, max(self._problem.num_images, 1)), axis=1)
+        first, second, count = self.pair_counts
+        ends = np.stack([first, second], axis=1)[count >= FEW_SHARED]
         # Each pair of images is treated as one point; single images as points of one image.
         alone = np.unique(self.images)
         images = np.concatenate([ends.ravel(), alone])
         points = np.concatenate(
-            [np.repeat(np.arange(len(code)), 2), len(code) + np.arange(len(alone))]
+            [np.repeat(np.arange(len(ends)), 2), len(ends) + np.arange(len(alone))]
         )
         return self._pieces(images, points)
 
@@ -86,6 +82,14 @@ class TrackTable:
         inside = np.isin(self.images, images)
         both = np.intersect1d(self.points[inside], self.points[~inside])
         return len(both)
+
+    @cached_property
+    def pair_counts(self) -> tuple[Ints, Ints, Ints]:
+        """Pairs of images on common points, first < second, and the number of these points."""
+        size = max(self._problem.num_images, 1)
+        first, second = self._pairs()
+        code, count = np.unique(first * size + second, return_counts=True)
+        return (*np.divmod(code, size), count)
 
     def _pairs(self) -> tuple[Ints, Ints]:
         """Return pairs of images on common points: each observation with the next ones.

@@ -2,22 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
+from bundle.judging.findings.duplicates import duplicate_points
+from bundle.judging.findings.focal_lengths import (
+    focal_drift,
+    focal_lengths,
+    shared_lens,
+    undetermined_intrinsics,
+)
+from bundle.judging.findings.images import image_fits, image_residuals, motion
+from bundle.judging.findings.lens_terms import lens_model
 from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.minimum import not_refined
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.outliers import outliers
+from bundle.judging.findings.positions import measured_positions, scale_drift
+from bundle.judging.findings.repaired import is_affordable, repaired
+from bundle.judging.findings.systematic import SystematicResiduals
+from bundle.judging.findings.weak_joints import weak_joint
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 
 __all__ = ["find"]
 
-TESTS: tuple[Callable[[Measured], Finding | None], ...] = (outliers,)
-"""One function per finding, in order of importance."""
+IMPORTANCE = (
+    *("not_refined", "outliers", "lens_model", "weak_joint", "undetermined_intrinsics", "motion"),
+    *("positions", "scale_drift", "focal_drift", "shared_lens", "image_residuals"),
+    "duplicate_points",
+)
+"""Kinds of findings, the most important first."""
 
 
 def find(
@@ -58,5 +76,39 @@ def find(
         priors=priors,
         is_minimum=is_minimum,
     )
-    found = (test(measured) for test in TESTS)
-    return tuple(finding for finding in found if finding is not None)
+    found = [finding for finding in _findings(measured) if finding is not None]
+    return tuple(sorted(found, key=lambda finding: IMPORTANCE.index(finding.kind)))
+
+
+def _findings(measured: Measured) -> Iterator[Finding | None]:
+    """Yield the findings in stages; see repaired.py."""
+    yield weak_joint(measured)
+    yield duplicate_points(measured)
+    start = not_refined(measured)
+    if start is not None:
+        yield start
+        return  # other tests need a minimum
+    spoiled = [outliers(measured), scale_drift(measured)]
+    if spoiled[1] is None:
+        spoiled.append(measured_positions(measured, has_outliers=spoiled[0] is not None))
+    yield from spoiled
+    is_spoiled = any(finding is not None for finding in spoiled)
+    can_repair = is_affordable(measured)
+    if is_spoiled and can_repair:
+        measured = repaired(measured) or measured
+    found = SystematicResiduals(measured)
+    lens = lens_model(measured, found)
+    yield lens
+    if lens is not None and can_repair:
+        measured = repaired(measured, lens.evidence["larger_model"]) or measured
+        found = SystematicResiduals(measured)
+    elif lens is not None or (is_spoiled and not can_repair):
+        return
+    fits = image_fits(found, measured.scale)
+    moves = motion(measured, found, fits)
+    yield moves
+    yield image_residuals(measured, found, fits, is_general=moves is not None)
+    groups = list(focal_lengths(measured))
+    yield undetermined_intrinsics(measured, groups)
+    yield focal_drift(measured, groups)
+    yield shared_lens(measured, groups)

@@ -18,18 +18,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import bundle._core as _core
+from bundle.analysis.statistics.depths import depths_of_observations
 from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.interface.options import SolveOptions
 from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem
-from bundle.model.reprojection import Linearization, linearize, resolve_cheirality
+from bundle.model.residuals import Residuals, residuals
 
 __all__ = ["Measured", "median_by_group"]
 
 RAYLEIGH_MEDIAN = 1.1774100225154747
 SMALLEST_SCALE = 0.01
 MOST_OBSERVATIONS = 200_000
+CHEAP_COVARIANCE = 100_000
+"""Observations plus 20 times the square of the images, up to which a covariance takes tens of
+milliseconds."""
+SURE_FOCAL_SIGMA = 0.002
+"""Predicted relative standard deviation of a focal length below which it is determined."""
 CLIP = 5.0
 """Errors in units of s beyond which an observation tells nothing about lenses and images."""
 CELLS = 8
@@ -72,25 +77,18 @@ class Measured:
         return whole.select(observations=whole.observation_point % step == 0).problem
 
     @cached_property
-    def _residuals(self) -> tuple[Floats, NDArray[np.bool_]]:
-        cheirality = resolve_cheirality(self.problem, self.options.cheirality)
-        xy, behind = _core.reprojection_residuals(
-            self.problem, self.options.num_threads, cheirality
-        )
-        counted = np.isfinite(xy[:, 0]) & np.isfinite(xy[:, 1])
-        if cheirality != "algebraic":
-            counted &= ~behind
-        return xy, counted
+    def _residuals(self) -> Residuals:
+        return residuals(self.problem, self.options.cheirality)
 
     @property
     def residuals(self) -> Floats:
         """(n, 2) projection minus measurement [px]."""
-        return self._residuals[0]
+        return self._residuals.xy
 
     @property
     def counted(self) -> NDArray[np.bool_]:
         """(n,) True for observations that count."""
-        return self._residuals[1]
+        return self._residuals.counted
 
     @cached_property
     def errors(self) -> Floats:
@@ -142,9 +140,45 @@ class Measured:
         return ~spoiled[point]
 
     @cached_property
-    def linearization(self) -> Linearization:
-        """Residuals and derivatives of all observations of `problem`."""
-        return linearize(self.problem, self.options.cheirality)
+    def known_covariance(self) -> Covariance | None:
+        """The covariance of the intrinsics, computed if it is not given and takes milliseconds."""
+        whole = self.whole
+        work = whole.num_observations + 20 * whole.num_images**2
+        if self.covariance is not None or work > CHEAP_COVARIANCE:
+            return self.covariance
+        if "focal" not in self.options.refine or (
+            len(set(whole.image_camera.tolist())) < 2
+            and (self._predicted_focal_sigma() < SURE_FOCAL_SIGMA)
+        ):
+            return None
+        from bundle.analysis.uncertainty.compute_covariance import covariance
+        from bundle.errors import InputError
+
+        options = self.options.replace(gauge="auto", num_threads=1)
+        try:
+            return covariance(whole, options, of="intrinsics", scale="sigma0")
+        except InputError:
+            return None
+
+    def _predicted_focal_sigma(self) -> float:
+        """Return about the relative standard deviation of a focal length that all images share.
+
+        A longer focal length enlarges an image as a nearer camera does, but by the same factor at
+        all depths. Their difference displaces an observation at the distance rho from the principal
+        point by rho (d - mean d) / d, with the depths d.
+        """
+        problem = self.problem
+        rows = np.flatnonzero(self.counted)
+        depth = depths_of_observations(problem)[rows]
+        image = problem.observation_image[rows]
+        count = np.maximum(np.bincount(image, minlength=problem.num_images), 1)
+        mean = (np.bincount(image, depth, problem.num_images) / count)[image]
+        size = problem.camera_sizes[problem.image_camera[image]]
+        radius = np.linalg.norm(problem.observation_xy[rows] - size / 2, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            moved = radius * np.abs(depth / mean - 1.0)
+        total = float(np.sqrt(np.nansum(moved**2)))
+        return self.scale / total if total > 0 else np.inf
 
     def _scales(self, group: NDArray[Any], count: int) -> Floats:
         known = self.counted

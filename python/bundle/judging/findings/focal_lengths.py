@@ -1,0 +1,224 @@
+r"""Focal lengths of many cameras: equal, drifting, or not determined.
+
+Given the covariance of the intrinsics with the scale sigma0, camera i has the mean focal length
+f_i and its standard deviation s_i. Cameras of one model and size belong to a group.
+
+Not determined. A focal length with s_i > 0.05 f_i, for the noise of the inliers, changes the shape
+of a scene without changing the residuals much. The command shares the lens of a group of several
+cameras, as the views together determine it; else it adds a prior of 2 %.
+
+Shared. If all cameras of a group of m have one focal length, Q = sum_i (f_i - f)^2 / s_i^2 with the
+weighted mean f is chi^2 with d = m - 1 degrees of freedom. The group is equal if Q is below the
+99 % quantile d + 2.33 sqrt(2 d) + 3.4 (an upper bound for d >= 1) and the focal lengths are
+determined. Covariances between cameras are neglected. Distortion does not decide: where the lens
+model is too small, each camera fits its own (two real models with one lens: Q / d of k is 5 and 11,
+of f 0.9 and 0.5). Beyond 25, the lenses are different.
+
+Drift. The weighted regression f_i = a + b t_i on the order t of the images, from -1 to 1, must
+explain Q better: b^2 / var b > 20 + Q_left / d, half of Q or more, and a change 2 |b| of 1 % of f.
+An image order without meaning shows no drift but by chance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.words import named, number, plural
+from bundle.interface.finding import Finding
+from bundle.judging.findings.measured import Measured
+from bundle.model.cameras import param_kinds
+
+__all__ = ["focal_drift", "focal_lengths", "shared_lens", "undetermined_intrinsics"]
+
+UNDETERMINED = 0.05
+DIFFERENT = 25.0
+DRIFT, DRIFT_STATISTIC, DRIFT_SHARE = 0.01, 20.0, 0.5
+FEWEST_CAMERAS = 2
+FEWEST_IN_ORDER = 6
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FocalLengths:
+    """Focal lengths of the cameras of one model and size, in the order of their images.
+
+    Attributes:
+        cameras: (m,) indices of the cameras.
+        focal: (m,) focal lengths [px], means over x and y.
+        sigma: (m,) their standard deviations.
+        distortion: largest Q / d over the distortion parameters; 0 without any.
+        inlier_factor: scale of the errors over sigma0, at most 1: without outliers and heavy tails.
+        order: (m,) order of the images of the cameras, from -1 to 1.
+        is_covered: True if the group has all observed cameras of the model.
+    """
+
+    cameras: NDArray[np.int64]
+    focal: Floats
+    sigma: Floats
+    distortion: float
+    inlier_factor: float
+    order: Floats
+    is_covered: bool
+
+    @property
+    def is_determined(self) -> NDArray[np.bool_]:
+        """(m,) True for cameras whose focal length is determined."""
+        return np.asarray(self.sigma * self.inlier_factor <= UNDETERMINED * self.focal)
+
+    @property
+    def statistic(self) -> float:
+        """Q, the weighted sum of squares about the weighted mean."""
+        return _statistic(self.focal, self.sigma)
+
+
+Groups = Sequence[FocalLengths]
+
+
+def undetermined_intrinsics(measured: Measured, groups: Groups) -> Finding | None:
+    """Return the finding about focal lengths that are not determined, or None."""
+    loose = [group for group in groups if not group.is_determined.all()]
+    if not loose:
+        return None
+    worst = max(loose, key=lambda group: int((~group.is_determined).sum()))
+    rows = np.flatnonzero(~worst.is_determined)
+    cameras = measured.whole.camera_ids[worst.cameras[rows]]
+    relative = worst.sigma[rows] * worst.inlier_factor / worst.focal[rows]
+    shares = len(worst.cameras) > 1
+    ids = ",".join(map(str, measured.whole.camera_ids[worst.cameras].tolist()))
+    if shares:
+        flags = ("--share-cameras", "all" if worst.is_covered else ids)
+    else:
+        flags = ("--set", f"camera {int(cameras[0])}: f prior 2 %")
+    return Finding(
+        kind="undetermined_intrinsics",
+        sentence=f"The focal length is not determined in {plural(len(rows), 'camera')} "
+        f"({named('camera', cameras.tolist())}): its standard deviation is "
+        f"{100 * float(np.median(relative)):.0f} % of it. "
+        f"{'Share the lens' if shares else 'Add a prior'}, or hold it.",
+        command=measured.command.refine(*flags),
+        evidence={
+            "camera_ids": cameras.tolist(),
+            "relative_sigma": relative.tolist(),
+            "spread": float(np.std(worst.focal) / np.mean(worst.focal)),
+        },
+    )
+
+
+def shared_lens(measured: Measured, groups: Groups) -> Finding | None:
+    """Return the finding about cameras that have one lens, or None."""
+    equal = [group for group in groups if _is_equal(group)]
+    if not equal:
+        return None
+    group = max(equal, key=lambda one: len(one.cameras))
+    ids = measured.whole.camera_ids[group.cameras].tolist()
+    dof = len(group.cameras) - 1
+    mean = _mean(group.focal, group.sigma)
+    flag = "all" if group.is_covered else ",".join(map(str, ids))
+    return Finding(
+        kind="shared_lens",
+        sentence=f"{plural(len(ids), 'camera')} of one model and size have the same focal length "
+        f"{number(mean)} px within their standard deviations (median "
+        f"{number(float(np.median(group.sigma)))} px; chi2 / dof {group.statistic / dof:.2f}): "
+        "share the lens.",
+        command=measured.command.refine("--share-cameras", flag),
+        evidence={
+            "camera_ids": ids,
+            "focal": mean,
+            "chi2": group.statistic,
+            "dof": dof,
+            "median_sigma": float(np.median(group.sigma)),
+            "distortion_chi2_per_dof": group.distortion,
+        },
+    )
+
+
+def focal_drift(measured: Measured, groups: Groups) -> Finding | None:
+    """Return the finding about focal lengths that change with the order of the images, or None."""
+    for group in groups:
+        if len(group.cameras) < FEWEST_IN_ORDER or not group.is_determined.all():
+            continue
+        weight = 1.0 / group.sigma**2
+        mean = _mean(group.focal, group.sigma)
+        time = group.order - float((weight * group.order).sum() / weight.sum())
+        spread = float((weight * time**2).sum())
+        slope = float((weight * time * (group.focal - mean)).sum()) / spread
+        gain, left = slope**2 * spread, group.statistic - slope**2 * spread
+        change = 2.0 * slope / mean
+        if (
+            gain > DRIFT_STATISTIC + left / (len(time) - 2)
+            and gain > DRIFT_SHARE * group.statistic
+            and abs(change) > DRIFT
+        ):
+            ids = measured.whole.camera_ids[group.cameras].tolist()
+            return Finding(
+                kind="focal_drift",
+                sentence=f"The focal length drifts by {100 * change:+.1f} % over the images of "
+                f"{named('camera', ids)} (zoom, focus or temperature): keep a lens per image, "
+                "with a prior if the views determine it weakly.",
+                command=measured.command.refine("--set", "cameras *: f prior 2 %"),
+                evidence={"camera_ids": ids, "change": change, "chi2": gain, "chi2_left": left},
+            )
+    return None
+
+
+def focal_lengths(measured: Measured) -> Iterator[FocalLengths]:
+    """Yield the groups of cameras with a covariance, the largest first."""
+    known = measured.known_covariance
+    if known is None:
+        return
+    problem = measured.whole
+    used = np.unique(problem.image_camera[np.unique(problem.observation_image)])
+    groups: dict[tuple[str, int, int], list[int]] = {}
+    for camera in used.tolist():
+        width, height = problem.camera_sizes[camera].tolist()
+        groups.setdefault((problem.camera_models[camera], width, height), []).append(camera)
+    variances = np.einsum("nii->ni", known.camera_covariance)
+    first = np.full(problem.num_cameras, problem.num_images)
+    np.minimum.at(first, problem.image_camera, np.argsort(np.argsort(problem.image_ids)))
+    for (model, _, _), cameras in sorted(groups.items(), key=lambda item: -len(item[1])):
+        kinds = param_kinds(model)
+        focal = [k for k, kind in enumerate(kinds) if kind == "focal"]
+        rows = np.array(cameras)[np.argsort(first[cameras], kind="stable")]
+        values = problem.camera_params[rows]
+        with np.errstate(invalid="ignore"):
+            sigmas = np.sqrt(variances[rows][:, : len(kinds)])
+        if not focal or not (sigmas[:, focal] > 0).all():
+            continue
+        extra = [
+            _statistic(values[:, k], sigmas[:, k]) / max(len(rows) - 1, 1)
+            for k, kind in enumerate(kinds)
+            if kind == "extra" and (sigmas[:, k] > 0).all()
+        ]
+        yield FocalLengths(
+            cameras=rows,
+            focal=values[:, focal].mean(axis=1),
+            sigma=sigmas[:, focal].mean(axis=1),
+            distortion=max(extra, default=0.0),
+            inlier_factor=min(measured.scale / known.sigma0, 1.0) if known.sigma0 > 0 else 1.0,
+            order=np.linspace(-1.0, 1.0, len(rows)) if len(rows) > 1 else np.zeros(1),
+            is_covered=len(groups) == 1,
+        )
+
+
+def _is_equal(group: FocalLengths) -> bool:
+    dof = len(group.cameras) - 1
+    return bool(
+        dof + 1 >= FEWEST_CAMERAS
+        and group.is_determined.all()
+        and group.statistic < dof + 2.33 * np.sqrt(2.0 * dof) + 3.4
+        and group.distortion < DIFFERENT
+    )
+
+
+def _mean(values: Floats, sigma: Floats) -> float:
+    weight = 1.0 / sigma**2
+    return float((weight * values).sum() / weight.sum())
+
+
+def _statistic(values: Floats, sigma: Floats) -> float:
+    return float((((values - _mean(values, sigma)) / sigma) ** 2).sum())

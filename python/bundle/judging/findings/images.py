@@ -1,0 +1,243 @@
+r"""Images whose residuals are systematic or large: motion, a rolling shutter, weak images.
+
+Motion during the exposure, and a rolling shutter, which exposes row after row, displace each image
+in its own way, so that no lens explains it. After the pose, the intrinsics and the field of the
+lens are removed (systematic.py), each image i is fitted by scale, anisotropy and shear: b_i with
+the sandwich covariance V_i.
+
+Motion. For anisotropy and shear, Q = sum_i (b_i - mean)^2 / V_i is chi^2 with m - 1 degrees of
+freedom if all m images agree. DerSimonian and Laird (1986) estimate the variance between images:
+
+    tau^2 = (Q - (m - 1)) / (sum w - sum w^2 / sum w),  w = 1 / V_i.
+
+Thresholds: Q / (m - 1) > 4, Q > d + 6 sqrt(2 d) + 20 with d = m - 1, and tau > 0.45 scales at the
+image border, over at least 6 images. A lens field that is absorbed differently from image to image
+reaches 0.42; row shifts of four times the noise 1.5, real models with motion 0.6 to 1.6.
+
+Rows against columns. Linear fields cannot tell them apart: rotation has absorbed the difference.
+The derivatives D of the pose can: a velocity times the row y gives the columns y D, times the
+column x gives x D. With S(y), S(x) and S(x, y) the sums of squares that these explain, rows explain
+S(x, y) - S(x) beyond columns, and columns S(x, y) - S(y) beyond rows. A direction is named if its
+part is 1.5 times the other.
+
+Single images. Without motion in general, an image has systematic residuals if b_i^T V_i^-1 b_i >
+3 + 6 sqrt(6) + 20 + 2 log m and its field has an rms of half a scale. It is weak if its scale is
+1.75 times the median of all, which is 3 times the spread of the logarithms and 5 times their
+standard error, 0.72 / sqrt(n), and if its errors without the linear field are as large.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.words import noun, number
+from bundle.errors import shown
+from bundle.interface.finding import Finding
+from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.systematic import SystematicResiduals
+from bundle.model.problem import Problem
+
+__all__ = ["image_residuals", "motion"]
+
+RATIO, SIZE = 4.0, 0.45
+ROWS_AGAINST_COLUMNS = 1.5
+FEWEST_IMAGES = 6
+FIELD = 0.5
+WEAK = 1.75
+WEAK_SPREADS, WEAK_ERRORS = 3.0, 5.0
+NAMED = 3
+LEFT = 0.01
+"""Share of a field that must be left for a test."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ImageFits:
+    """Linear fields of the images that take part; arrays have one entry per image.
+
+    Attributes:
+        coefficients: (m, 3) of scale, anisotropy and shear [px at the border].
+        variances: (m, 3) their variances; infinite where the field is not left.
+        chi2: (m,) statistic of all three.
+        sizes: (m,) rms of the field, in scales.
+        medians: (m,) median error without the field [px].
+    """
+
+    coefficients: Floats
+    variances: Floats
+    chi2: Floats
+    sizes: Floats
+    medians: Floats
+
+
+def motion(measured: Measured, found: SystematicResiduals, fits: ImageFits) -> Finding | None:
+    """Return the finding about motion or a rolling shutter, or None."""
+    ratios, sizes = {}, {}
+    fires = False
+    for name, column in (("anisotropy", 1), ("shear", 2)):
+        ratio, tau, excess = between_images(fits.coefficients[:, column], fits.variances[:, column])
+        ratios[name], sizes[name] = ratio, tau / measured.scale
+        fires |= ratio > RATIO and excess > 0 and tau > SIZE * measured.scale
+    if not fires:
+        return None
+    rows, columns = direction(found)
+    where = "the direction is not clear"
+    if rows > ROWS_AGAINST_COLUMNS * columns:
+        where = "along the rows' order, as a rolling shutter does"
+    elif columns > ROWS_AGAINST_COLUMNS * rows:
+        where = "along the columns' order, as a rolling shutter of a turned camera does"
+    worst = max(ratios, key=lambda name: ratios[name])
+    return Finding(
+        kind="motion",
+        sentence=f"Motion or a rolling shutter: the {worst} of the residuals differs from image to "
+        f"image, {number(ratios[worst])} times as much as the noise explains ({where}). Keep one "
+        "lens: a lens per image would absorb it and move the cameras.",
+        command=_shared(measured),
+        evidence={
+            "chi2_per_dof": ratios,
+            "sizes": sizes,
+            "rows": rows,
+            "columns": columns,
+            "image_ids": _ids(found, np.argsort(-fits.sizes)[:NAMED]),
+        },
+    )
+
+
+def image_residuals(
+    measured: Measured, found: SystematicResiduals, fits: ImageFits, *, is_general: bool
+) -> Finding | None:
+    """Return the finding about single images, or None.
+
+    Args:
+        measured: the model.
+        found: systematic residuals of its images.
+        fits: their linear fields.
+        is_general: True if motion was found in general: single images are not tested for it.
+    """
+    problem, images = measured.problem, found.images
+    limit = 3.0 + 6.0 * np.sqrt(6.0) + 20.0 + 2.0 * np.log(max(len(images), 1))
+    systematic = np.flatnonzero((fits.chi2 > limit) & (fits.sizes > FIELD) & (not is_general))
+    chosen = {images[k].image: "systematic" for k in systematic.tolist()}
+    weak, ratio = _weak(measured, found, fits)
+    chosen.update(dict.fromkeys(weak.tolist(), "weak"))
+    if not chosen or 3 * len(systematic) > len(images) or 3 * len(weak) > problem.num_images:
+        return None
+    order = sorted(chosen, key=lambda image: -ratio[image])
+    words = ", ".join(
+        f"{_name(problem, image)} ({chosen[image]}, {ratio[image]:.2f} times)"
+        for image in order[:NAMED]
+    )
+    more = f" and {len(order) - NAMED} more" if len(order) > NAMED else ""
+    is_plain = measured.options.loss == "trivial"
+    return Finding(
+        kind="image_residuals",
+        sentence=f"{len(order)} {noun(len(order), 'image has', 'images have')} larger or "
+        f"systematic residuals (noise against the median image): {words}{more}.",
+        command=measured.command.refine("--loss", "cauchy") if is_plain else "",
+        evidence={
+            "image_ids": [int(problem.image_ids[image]) for image in order],
+            "systematic": [int(problem.image_ids[images[k].image]) for k in systematic.tolist()],
+            "weak": [int(problem.image_ids[image]) for image in weak.tolist()],
+            "noise_ratio": [float(ratio[image]) for image in order],
+        },
+    )
+
+
+def image_fits(found: SystematicResiduals, scale: float) -> ImageFits:
+    """Fit scale, anisotropy and shear of each image."""
+    count = len(found.images)
+    fits = ImageFits(
+        coefficients=np.zeros((count, 3)),
+        variances=np.full((count, 3), np.inf),
+        chi2=np.zeros(count),
+        sizes=np.zeros(count),
+        medians=np.zeros(count),
+    )
+    for row, one in enumerate(found.images):
+        columns, normal = found.image_fields(one)
+        residual = found.residuals_without_lens[one.rows]
+        fits.medians[row] = np.median(np.hypot(*residual.T))
+        raw = np.sqrt((found.xy[one.rows] ** 2).sum())
+        left = np.flatnonzero(np.diag(normal) > (LEFT * raw) ** 2)
+        if not len(left):
+            continue
+        columns, inverse = columns[:, :, left], np.linalg.pinv(normal[np.ix_(left, left)])
+        fitted = inverse @ (columns * residual[:, :, None]).sum(axis=(0, 1))
+        rest = residual - columns @ fitted
+        fits.medians[row] = np.median(np.hypot(*rest.T))
+        scores = (columns * rest[:, :, None]).sum(axis=1)
+        covariance = inverse @ (scores.T @ scores) @ inverse * len(scores) / max(len(scores) - 6, 1)
+        fits.coefficients[row, left] = fitted
+        fits.variances[row, left] = np.diag(covariance)
+        fits.chi2[row] = fitted @ np.linalg.pinv(covariance, hermitian=True) @ fitted
+        fits.sizes[row] = np.sqrt(((columns @ fitted) ** 2).mean()) / scale
+    return fits
+
+
+def between_images(values: Floats, variances: Floats) -> tuple[float, float, float]:
+    """Return Q / (m - 1), the standard deviation tau between images, and Q minus its limit."""
+    known = np.isfinite(variances) & (variances > 0)
+    values, weight = values[known], 1.0 / variances[known]
+    dof = len(values) - 1
+    if len(values) < FEWEST_IMAGES:
+        return 0.0, 0.0, -np.inf
+    mean = float((weight * values).sum() / weight.sum())
+    statistic = float((weight * (values - mean) ** 2).sum())
+    spread = float(weight.sum() - (weight**2).sum() / weight.sum())
+    tau = float(np.sqrt(max(statistic - dof, 0.0) / spread)) if spread > 0 else 0.0
+    return statistic / dof, tau, statistic - (dof + 6.0 * np.sqrt(2.0 * dof) + 20.0)
+
+
+def direction(found: SystematicResiduals) -> tuple[float, float]:
+    """Return the sums of squares that rows explain beyond columns, and columns beyond rows."""
+    by_row, by_column, by_both = 0.0, 0.0, 0.0
+    for one in found.images:
+        pose, xy = found.d_pose[one.rows], found.xy[one.rows][:, None, :]
+        row, column = pose * xy[:, :, 1:], pose * xy[:, :, :1]
+        by_row += found.explained(one, row)
+        by_column += found.explained(one, column)
+        by_both += found.explained(one, np.concatenate([row, column], axis=2))
+    return by_both - by_column, by_both - by_row
+
+
+def _weak(
+    measured: Measured, found: SystematicResiduals, fits: ImageFits
+) -> tuple[NDArray[np.int64], Floats]:
+    """Return the weak images and the ratio of each image's scale to their median."""
+    scale = measured.image_scale
+    known = np.isfinite(scale)
+    ratio = np.where(known, scale / np.median(scale[known]) if known.any() else 1.0, 1.0)
+    count = np.bincount(measured.problem.observation_image, minlength=len(scale))
+    logarithm = np.log(np.maximum(ratio, 1e-12))
+    spread = 1.4826 * float(np.median(np.abs(logarithm[known]))) if known.any() else 0.0
+    error = WEAK_ERRORS * 0.72 / np.sqrt(np.maximum(count, 1))
+    limit = np.maximum(max(np.log(WEAK), WEAK_SPREADS * spread), error)
+    is_weak = known & (logarithm > limit)
+    # An image that moved is not weak: its errors are usual without its linear field.
+    usual = WEAK * float(np.median(fits.medians)) if len(fits.medians) else 0.0
+    rows = np.array([one.image for one in found.images], np.int64)
+    is_weak[rows] &= fits.medians > usual
+    return np.flatnonzero(is_weak), ratio
+
+
+def _shared(measured: Measured) -> str:
+    """Return the command that shares the cameras of one size; "" if they are shared already."""
+    problem = measured.whole
+    used = np.unique(problem.image_camera)
+    if len(used) < 2 or len(np.unique(problem.camera_sizes[used], axis=0)) > 1:
+        return ""
+    if len({problem.camera_models[camera] for camera in used.tolist()}) > 1:
+        return ""
+    return measured.command.refine("--share-cameras", "all")
+
+
+def _ids(found: SystematicResiduals, rows: NDArray[np.int64]) -> list[int]:
+    return [int(found.problem.image_ids[found.images[row].image]) for row in rows.tolist()]
+
+
+def _name(problem: Problem, image: int) -> str:
+    return shown(problem.image_names[image]) or f"image {problem.image_ids[image]}"

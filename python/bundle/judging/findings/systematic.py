@@ -1,0 +1,276 @@
+r"""Residuals of some images without what poses and intrinsics can still explain.
+
+An error of a lens or of a motion leaves a field of residuals, and poses and intrinsics have
+absorbed a part of it. What remains is orthogonal to their derivatives. A candidate column a (the
+derivative of the residuals by a missing parameter) must lose the same part before it is compared:
+by the theorem of Frisch, Waugh and Lovell the coefficient of a in a joint least-squares fit with
+the columns B is that of the regression of (I - P) r on (I - P) a, where P projects onto B. Here B
+has the six columns of the pose of each image, and the focal and distortion columns of each camera.
+The projections are successive, which is exact: first the poses, image by image, from all columns,
+then what remains of the intrinsics, camera by camera. Points are not projected out: their errors
+differ from point to point and act as noise.
+
+A column of one image only, a_i, is zero in all other rows. With an orthonormal basis Q of the
+intrinsics of a camera and its rows Q_i, a_i^T (I - Q Q^T) a_i = a_i^T a_i - (Q_i^T a_i)^2.
+
+Columns are functions of the projected position, not of the measured one, whose noise would
+correlate with the residual. With (x, y) the position from the principal point in halves of the
+longer side and rho^2 = x^2 + y^2, the candidate fields of a lens are
+
+    r2 = (x, y) rho^2,  r4 = (x, y) rho^4,  r6 = (x, y) rho^6,
+    t1 = (rho^2 + 2 x^2, 2 x y),  t2 = (2 x y, rho^2 + 2 y^2),  a = (x, -y):
+
+further radial terms, tangential distortion (a displaced principal point looks like it, because
+rotations absorb the rest), and different focal lengths in x and y. Those of an image are
+
+    s = (x, y),  a = (x, -y),  h = (y, x):
+
+scale, anisotropy and shear, the linear fields without rotation.
+
+At most 100 images with at most 400 observations each take part, spread evenly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.judging.findings.measured import Measured
+from bundle.model.cameras import param_kinds
+from bundle.model.problem import Problem
+from bundle.model.reprojection import linearize
+
+__all__ = ["LEFT", "LENS_TERMS", "ImageRows", "SystematicResiduals"]
+
+LENS_TERMS = ("r2", "r4", "r6", "t1", "t2", "a")
+IMAGE_TERMS = ("s", "a", "h")
+MOST_IMAGES = 100
+MOST_PER_IMAGE = 400
+LEFT = 0.01
+"""Share of a field below which poses and intrinsics have absorbed it."""
+FEWEST = 30
+"""Clean observations from which an image takes part."""
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class ImageRows:
+    """Clean observations of one image.
+
+    Attributes:
+        image: index of the image.
+        camera: index of its camera.
+        rows: slice of the arrays of :class:`SystematicResiduals`.
+    """
+
+    image: int
+    camera: int
+    rows: slice
+
+
+class SystematicResiduals:
+    """Residuals and candidate fields of the clean observations of some images.
+
+    Attributes:
+        problem: the problem.
+        images: images that take part, by index.
+        observations: (n,) indices of their observations, sorted by image.
+        camera: (n,) index of the camera of each observation.
+        xy: (n, 2) projected positions from the principal point, in halves of the longer side.
+    """
+
+    def __init__(self, measured: Measured) -> None:
+        problem = measured.problem
+        chosen, images = _chosen(measured)
+        self._selected = problem.select(observations=chosen).problem
+        self._order = np.argsort(self._selected.observation_image, kind="stable")
+        self._cheirality = measured.options.cheirality
+        image = self._selected.observation_image[self._order]
+        starts = np.searchsorted(image, images)
+        ends = np.searchsorted(image, images, side="right")
+        self.problem = problem
+        self.images = [
+            ImageRows(int(one), int(problem.image_camera[one]), slice(int(start), int(end)))
+            for one, start, end in zip(images, starts, ends, strict=True)
+        ]
+        self.observations = np.flatnonzero(chosen)[self._order]
+        self.camera = problem.image_camera[image].astype(np.int64)
+        self._residuals: Floats = measured.residuals[self.observations]
+        projected = problem.observation_xy[self.observations] + self._residuals
+        self.xy = _lens_coordinates(problem, self.camera, projected)
+
+    @cached_property
+    def _joint(self) -> tuple[Floats, int]:
+        """Columns without poses (n, 2, m): intrinsics, fields of lens and image, residual."""
+        pose, params = self._derivatives
+        joint = np.concatenate(
+            [params, self.lens_columns, self._image_columns, self._residuals[:, :, None]], axis=2
+        )
+        for one in self.images:
+            joint[one.rows] = remove(joint[one.rows], pose[one.rows])
+        return joint, params.shape[2]
+
+    @cached_property
+    def _bases(self) -> Floats:
+        """(n, 2, k) orthonormal basis of the intrinsics of each camera; zero columns beyond."""
+        joint, count = self._joint
+        bases = np.zeros((len(joint), 2, count))
+        for own in self._rows_of_cameras:
+            basis = orthonormal(joint[own, :, :count])
+            bases[own, :, : basis.shape[2]] = basis
+        return bases
+
+    @cached_property
+    def _rows_of_cameras(self) -> list[Indices]:
+        order = np.argsort(self.camera, kind="stable")
+        return np.split(order, np.flatnonzero(np.diff(self.camera[order])) + 1)
+
+    def _without_intrinsics(self, columns: Floats) -> Floats:
+        left = columns.copy()
+        for own in self._rows_of_cameras:
+            basis = self._bases[own].reshape(2 * len(own), -1)
+            part = columns[own].reshape(2 * len(own), -1)
+            left[own] = (part - basis @ (basis.T @ part)).reshape(left[own].shape)
+        return left
+
+    @cached_property
+    def lens_fields(self) -> Floats:
+        """(n, 2, 6) candidate fields of a lens, without poses and intrinsics."""
+        joint, first = self._joint
+        return self._without_intrinsics(joint[:, :, first : first + len(LENS_TERMS)])
+
+    @cached_property
+    def residuals(self) -> Floats:
+        """(n, 2) residuals without poses and intrinsics [px]."""
+        return self._without_intrinsics(self._joint[0][:, :, -1:])[:, :, 0]
+
+    @cached_property
+    def residuals_without_lens(self) -> Floats:
+        """(n, 2) residuals without the field that is common to the images of each lens [px]."""
+        left = self.residuals.copy()
+        before = np.sqrt((self.lens_columns**2).mean(axis=(0, 1)))
+        for _, rows in self.lenses:
+            fields = self.lens_fields[rows]
+            remains = np.sqrt((fields**2).mean(axis=(0, 1))) > LEFT * before
+            if remains.any() and 2 * len(fields) > len(LENS_TERMS):
+                left[rows] = remove(left[rows][:, :, None], fields[:, :, remains])[:, :, 0]
+        return left
+
+    @cached_property
+    def lenses(self) -> list[tuple[str, NDArray[np.bool_]]]:
+        """Model, and (n,) mask of the observations, of each camera model and image size."""
+        problem = self.problem
+        found: dict[tuple[str, int, int], list[int]] = {}
+        for camera in np.unique(self.camera).tolist():
+            width, height = problem.camera_sizes[camera].tolist()
+            found.setdefault((problem.camera_models[camera], width, height), []).append(camera)
+        return [(key[0], np.isin(self.camera, cameras)) for key, cameras in found.items()]
+
+    @property
+    def d_pose(self) -> Floats:
+        """(n, 2, 6) derivatives by the pose."""
+        return self._derivatives[0]
+
+    def explained(self, one: ImageRows, columns: Floats) -> float:
+        """Return the sum of squares of an image's residuals that columns (rows, 2, m) explain."""
+        fields = remove(columns, self._derivatives[0][one.rows])
+        residual = self.residuals_without_lens[one.rows][:, :, None]
+        return float((residual**2).sum() - (remove(residual, fields) ** 2).sum())
+
+    @cached_property
+    def lens_columns(self) -> Floats:
+        """(n, 2, 6) candidate fields of a lens."""
+        x, y = self.xy.T
+        square = x * x + y * y
+        outwards = np.stack([x, y], axis=1)
+        radial = [outwards * square[:, None] ** power for power in (1, 2, 3)]
+        tangential = [
+            np.stack([square + 2 * x * x, 2 * x * y], axis=1),
+            np.stack([2 * x * y, square + 2 * y * y], axis=1),
+        ]
+        return np.stack([*radial, *tangential, np.stack([x, -y], axis=1)], axis=2)
+
+    @cached_property
+    def _image_columns(self) -> Floats:
+        x, y = self.xy.T
+        return np.stack([np.stack(one, axis=1) for one in ((x, y), (x, -y), (y, x))], axis=2)
+
+    def image_fields(self, one: ImageRows) -> tuple[Floats, Floats]:
+        """Return the fields of an image without its pose, and their normal equations.
+
+        Returns:
+            (rows, 2, 3) columns, and the (3, 3) matrix of their products without intrinsics.
+        """
+        joint, first = self._joint
+        first += len(LENS_TERMS)
+        columns = joint[one.rows, :, first : first + len(IMAGE_TERMS)]
+        flat = columns.reshape(-1, columns.shape[2])
+        lost = self._bases[one.rows].reshape(len(flat), -1).T @ flat
+        return columns, flat.T @ flat - lost.T @ lost
+
+    @cached_property
+    def _derivatives(self) -> tuple[Floats, Floats]:
+        """(n, 2, 6) by the pose, and (n, 2, k) by focal lengths and distortion."""
+        found = linearize(self._selected, self._cheirality)
+        width = self.problem.camera_params.shape[1]
+        free = np.zeros((self.problem.num_cameras, width), bool)
+        for camera in np.unique(self.camera).tolist():
+            kinds = param_kinds(self.problem.camera_models[camera])
+            free[camera, : len(kinds)] = [kind in ("focal", "extra") for kind in kinds]
+        params = found.d_params[self._order] * free[self.camera][:, None, :]
+        return found.d_pose[self._order], params[:, :, free.any(axis=0)]
+
+
+def orthonormal(columns: Floats) -> Floats:
+    """Return an orthonormal basis of the space of columns (n, 2, m), without null directions."""
+    flat = columns.reshape(-1, columns.shape[2])
+    norm = np.linalg.norm(flat, axis=0)
+    flat = flat[:, norm > 0] / norm[norm > 0]
+    if not flat.size:
+        return np.zeros((len(columns), 2, 0))
+    left, values, _ = np.linalg.svd(flat, full_matrices=False)
+    return left[:, values > 1e-7 * values[0]].reshape(len(columns), 2, -1)
+
+
+def remove(columns: Floats, base: Floats) -> Floats:
+    """Return columns (n, 2, m) without their projections onto a base (n, 2, q)."""
+    basis = orthonormal(base).reshape(2 * len(base), -1)
+    flat = columns.reshape(2 * len(columns), -1)
+    left: Floats = (flat - basis @ (basis.T @ flat)).reshape(columns.shape)
+    return left
+
+
+def _lens_coordinates(problem: Problem, camera: Indices, xy: Floats) -> Floats:
+    """Return (n, 2) positions from the principal point, in halves of the longer image side."""
+    center = np.zeros((problem.num_cameras, 2))
+    for index in np.unique(camera).tolist():
+        kinds = param_kinds(problem.camera_models[index])
+        places = [k for k, kind in enumerate(kinds) if kind == "principal_point"]
+        if len(places) == 2:
+            center[index] = problem.camera_params[index, places]
+    offset = xy - center[camera]
+    half = problem.camera_sizes.max(axis=1) / 2.0
+    if not (half > 0).all():  # sizes are unknown in BAL
+        half = np.where(half > 0, half, max(float(np.abs(offset).max(initial=0.0)), 1e-9))
+    return np.asarray(offset / half[camera][:, None], np.float64)
+
+
+def _chosen(measured: Measured) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Return the mask of the observations and the indices of the images that take part."""
+    problem = measured.problem
+    usable = measured.is_clean & measured.counted
+    count = np.bincount(problem.observation_image[usable], minlength=problem.num_images)
+    images = np.flatnonzero(count >= FEWEST)
+    if len(images) > MOST_IMAGES:
+        images = images[np.linspace(0, len(images) - 1, MOST_IMAGES).astype(np.int64)]
+    step = np.zeros(problem.num_images, np.int64)
+    step[images] = -(-count[images] // MOST_PER_IMAGE)
+    of_observation = step[problem.observation_image]
+    # Points are numbered without regard to their places in an image.
+    kept = problem.observation_point % np.maximum(of_observation, 1) == 0
+    return usable & (of_observation > 0) & kept, images
