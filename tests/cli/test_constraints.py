@@ -21,7 +21,8 @@ def model(tmp_path):
 
 def refine(run, model, *words):
     out = model.parent / "out"
-    return run("refine", model, "-o", out, "--json", model.parent / "r.json", "--quiet", *words)
+    report = ("--json", model.parent / "r.json", "--quiet", "--verbose")
+    return run("refine", model, "-o", out, *report, *words)
 
 
 def test_rules_of_a_file_and_of_the_command_line(run, model, backend):

@@ -27,7 +27,14 @@ def made(tmp_path):
 
 def refine(run, folder, *words):
     return run(
-        "refine", folder / "model", "-o", f"{folder}/out/", "--json", folder / "r.json", *words
+        "refine",
+        folder / "model",
+        "-o",
+        f"{folder}/out/",
+        "--json",
+        folder / "r.json",
+        "--verbose",
+        *words,
     )
 
 

@@ -33,7 +33,14 @@ def write_geo(path, names, enu):
 
 def refine(run, model, *words):
     return run(
-        "refine", model, "-o", model.parent / "out", "--json", model.parent / "r.json", *words
+        "refine",
+        model,
+        "-o",
+        model.parent / "out",
+        "--json",
+        model.parent / "r.json",
+        "--verbose",
+        *words,
     )
 
 

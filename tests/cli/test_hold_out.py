@@ -18,7 +18,7 @@ def folder(tmp_path):
 
 def test_json_has_the_errors_of_the_solve(run, folder, tmp_path):
     report, output = tmp_path / "report.json", tmp_path / "out"
-    words = ("--hold-out", "10", "--hold-out-seed", "3", "--json", report)
+    words = ("--hold-out", "10", "--hold-out-seed", "3", "--json", report, "--verbose")
     code, out, _ = run("refine", folder, "-o", output, *words)
     assert code == 0
     assert "held out" in out

@@ -48,7 +48,7 @@ def test_a_bad_fit_is_a_warning(run, tmp_path):
 
 def test_refine_starts_with_the_changed_cameras(run, folder, tmp_path):
     code, out, _ = run(
-        *("refine", folder, "-o", tmp_path / "out", "--json", tmp_path / "j"),
+        *("refine", folder, "-o", tmp_path / "out", "--json", tmp_path / "j", "--verbose"),
         *("--camera-model", "RADIAL", "--split-cameras", "--fix-cameras", "3-10"),
     )
     assert code == 0

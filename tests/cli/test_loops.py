@@ -22,7 +22,7 @@ def test_refine_closes_loops_first(run, street, tmp_path):
     folder, truth = street
     report = tmp_path / "report.json"
     done = run("refine", folder / "model", "-o", tmp_path / "out", "--loops", folder / "x.g2o",
-               "--json", report)  # fmt: skip
+               "--json", report, "--verbose")  # fmt: skip
     assert done.code == 0 and "6 used, 2 rejected" in done.out
     assert ate(bundle.load(tmp_path / "out"), truth) < 0.05
     found = json.loads(report.read_text())["loops"]

@@ -56,10 +56,10 @@ def error_lines(text):
 
 def test_refines_as_one_process_does(model, tmp_path):
     output, report = tmp_path / "refined.txt", tmp_path / "report.json"
-    words = ("refine", model, "-o", output, "--json", report, "--threads", 1)
+    words = ("refine", model, "-o", output, "--json", report, "--threads", 1, "--verbose")
     code, out, err = mpirun(3, *words)
     assert (code, error_lines(err)) == (0, [])
-    assert out.count("outcome") == 1
+    assert out.count("RMSE [px]") == 2  # before and after, and of the worst images
     assert "messages and waiting" in out
     alone = bundle.solve(model, num_threads=1)
     given = json.loads(report.read_text())

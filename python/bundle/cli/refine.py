@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -40,6 +41,7 @@ from bundle.interface.validation_options import HoldOutOptions
 from bundle.io.open import check_target, load, output_format, save
 from bundle.reports.terminal.refine import refinement
 from bundle.reports.terminal.timing import WallTime
+from bundle.solving.kept_errors import Edit
 from bundle.solving.request import PartRequest, RunPlan, SolveRequest
 from bundle.solving.rounds import solve_rounds
 
@@ -95,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
         if asked.check_gradients and _has_wrong_jacobians(asked, opened, progress):
             return EXIT_NO_SOLUTION
         closed = _close_loops(asked.loops, opened, progress)
-        solved = _solve(asked, opened, closed, progress)
+        solved = _with_edits(_solve(asked, opened, closed, progress), opened, closed)
         georeference = None if opened.known is None else opened.known.georeference(solved)
         begun = perf_counter()
         written, lost = _write(opened, solved, georeference, progress)
@@ -201,6 +203,21 @@ def _solve(
         return solve_rounds.run(request, plan, progress.iteration)
 
 
+def _with_edits(solved: Result, opened: Opened, closed: LoopClosing | None) -> Result:
+    """Return the result with the edits of cameras, rigs and loops before those of the solve."""
+    problem = opened.loaded
+    edits = []
+    for edit, edited in (
+        *(() if opened.edits is None else opened.edits.stages),
+        ("rig_config", opened.problem),
+        ("loops", opened.problem if closed is None else closed.problem),
+    ):
+        if edited is not problem:
+            edits.append(Edit(edit, problem, edited))
+            problem = edited
+    return dataclasses.replace(solved, edits=(*edits, *solved.edits)) if edits else solved
+
+
 def _write(
     opened: Opened, solved: Result, georeference: Georeference | None, progress: Progress
 ) -> tuple[dict[str, str] | None, tuple[str, ...]]:
@@ -226,8 +243,6 @@ def _measure(opened: Opened, solved: Result, progress: Progress) -> float:
     begun = perf_counter()
     if opened.sliced is not None:
         opened.sliced.measure(solved)
-    _ = solved.reprojection_error_before
-    progress.share(0.5)
     solved.measure()
     return perf_counter() - begun
 

@@ -7,7 +7,7 @@ import re
 from bundle.base.words import plural
 from bundle.interface.summary import Summary
 
-__all__ = ["sentence"]
+__all__ = ["sentence", "short_outcome"]
 
 # First words of Ceres' messages (trust_region_minimizer.cc, solver.cc), identical in versions 1.14
 # to 2.2. "{limit}" is the tolerance at the end of the message.
@@ -35,6 +35,21 @@ _VERDICTS = {
     "NO_CONVERGENCE": "Not converged after",
     "FAILURE": "Failed after",
 }
+
+
+def short_outcome(summary: Summary, done: str) -> str:
+    """Return the outcome as "Not converged after 5 steps (time limit reached)".
+
+    `done` is the work done, such as "5 steps". A tolerance that was reached is not named.
+    """
+    if summary.interrupted:
+        return f"Interrupted after {done}"
+    verdict = f"{_VERDICTS.get(summary.termination_type, 'Ended after')} {done}"
+    for beginning, reason in _REASONS.items():
+        if summary.message.startswith(beginning):
+            why = reason.partition(": ")[2].removesuffix(". The best state is kept")
+            return f"{verdict} ({why})" if why else verdict
+    return verdict
 
 
 def sentence(summary: Summary, num_steps: int, num_rejected: int = 0) -> str:

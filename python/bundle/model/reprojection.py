@@ -19,6 +19,7 @@ __all__ = [
     "Linearization",
     "ReprojectionError",
     "linearize",
+    "quantiles",
     "reprojection_error",
     "reprojection_errors",
     "resolve_cheirality",
@@ -138,13 +139,13 @@ def summarize_errors(
                 "max": float(errors.max()),
             }
         # Quantiles come last because they reorder the errors.
-        statistics["median"], statistics["p95"] = _quantiles(errors, [0.5, 0.95])
+        statistics["median"], statistics["p95"] = quantiles(errors, [0.5, 0.95])
     return ReprojectionError(
         **statistics, num_observations=len(errors), num_behind_camera=int(behind.sum())
     )
 
 
-def _quantiles(values: NDArray[np.float64], shares: list[float]) -> list[float]:
+def quantiles(values: NDArray[np.float64], shares: list[float]) -> list[float]:
     """Return np.quantile(values, shares) without its imports, which take 25 ms.
 
     The values are reordered.

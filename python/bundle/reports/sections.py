@@ -146,6 +146,7 @@ class Report:
         command: name of the command.
         input: path, format and counts of the input; None if the data contain them.
         headline: verdict in sentences.
+        warnings: sentences that restrict the headline.
         findings: facts to act on, the most important first.
         sections: sections for people.
         data: data for programs, in addition to schema, command, version and input.
@@ -154,6 +155,7 @@ class Report:
     command: str
     input: Mapping[str, Any] | None = None
     headline: Sequence[str] = ()
+    warnings: Sequence[str] = ()
     findings: Sequence[Finding] = ()
     sections: Sequence[Section] = ()
     data: Mapping[str, Any] = field(default_factory=dict)

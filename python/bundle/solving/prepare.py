@@ -18,6 +18,7 @@ from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.interface.solve_record import Progress, record_fields, with_warnings
 from bundle.model.problem import Problem
+from bundle.solving.kept_errors import Edit
 from bundle.solving.layout import Layout, lay_out
 from bundle.solving.placed_problem import PlacedProblem, place_at_priors
 from bundle.solving.request import Bounds, PartRequest, SolveRequest
@@ -134,8 +135,10 @@ class Prepared:
                 rounds=rounds,
                 constraints=ends,
                 part=record,
+                observation_mask=self.part.observation_mask(state),
             )
         refined = placed.taken_from(last)
+        mask = None if state is None else state.observation_mask[: given.num_observations]
         return dataclasses.replace(
             result,
             problem=refined,
@@ -144,7 +147,19 @@ class Prepared:
             constraints=ends,
             similarity=placed.similarity,
             control_points=placed.control_points(refined),
+            edits=self._edits(),
+            observation_mask=None if mask is None or mask.all() else mask,
         )
+
+    def _edits(self) -> tuple[Edit, ...]:
+        """Return the changes of the entire problem before the solve."""
+        last, edits, placed = self.request.problem, [], self.placed
+        if placed.similarity is not None:
+            edits.append(Edit("alignment", last, placed.taken_from(placed.problem)))
+            last = edits[-1].after
+        if self.start is not self.before:
+            edits.append(Edit("rules", last, placed.taken_from(self.start)))
+        return tuple(edits)
 
 
 class Executor(Protocol):

@@ -2,41 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass
 
 from bundle.base.display import Display
-from bundle.base.words import change, contents, pixels, plural, seconds
-from bundle.interface.solve_record import SolveRecord
+from bundle.base.words import change, contents, plural, seconds
 from bundle.interface.summary import held_facts
-from bundle.model.clipped_errors import HeldOut
-from bundle.model.problem import Problem
-from bundle.model.reprojection import (
-    ReprojectionError,
-    reprojection_error,
-    reprojection_errors,
-    resolve_cheirality,
-    summarize_errors,
-)
-from bundle.model.worst_images import ImageError, worst_images, worst_of_errors
-from bundle.solving.constraints.camera_bounds import ActiveBound
-from bundle.solving.constraints.constraint_record import RuleEnd
-from bundle.solving.gauge_freedom import GaugeFreedom, gauge_freedom
-from bundle.solving.round_record import PartRecord, Round
-
-if TYPE_CHECKING:
-    from bundle.georeference.alignment_result import ControlPointError
-    from bundle.georeference.similarity import Similarity
+from bundle.solving.headline import edit_facts, headline
+from bundle.solving.measured_result import MeasuredResult
 
 __all__ = ["Result"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Result(SolveRecord):
+class Result(MeasuredResult):
     """A refined problem, and the record of its solve.
 
     Attributes:
@@ -66,67 +44,9 @@ class Result(SolveRecord):
             them, beside the errors of the observations that this fit saw. All other attributes
             describe the fit to all observations. None: not requested, or the solve was interrupted
             or has no usable solution.
+        edits: changes of the input before the solve, in order.
+        observation_mask: mask of the observations of the input that the output has; None: all.
     """
-
-    problem: Problem
-    initial_problem: Problem
-    factor_costs_before: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    factor_costs_after: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    active_bounds: tuple[ActiveBound, ...] = ()
-    constraints: tuple[RuleEnd, ...] = ()
-    similarity: Similarity | None = None
-    control_points: tuple[ControlPointError, ...] = ()
-    rounds: tuple[Round, ...] = ()
-    part: PartRecord | None = None
-    held_out: HeldOut | None = None
-
-    @cached_property
-    def reprojection_error_before(self) -> ReprojectionError:
-        """Statistics in pixels at the input, computed at the first access."""
-        return self._measure(self.initial_problem)
-
-    @cached_property
-    def reprojection_error_after(self) -> ReprojectionError:
-        """Statistics in pixels at the output, computed at the first access."""
-        return self._measure(self.problem)
-
-    @cached_property
-    def worst_images(self) -> tuple[ImageError, ...]:
-        """Images with the largest errors at the output, computed at the first access."""
-        options = self.options
-        return worst_images(self.problem, options.cheirality, num_threads=options.num_threads)
-
-    @cached_property
-    def gauge_freedom(self) -> GaugeFreedom:
-        """Degrees of freedom that the observations leave undetermined at the input."""
-        return gauge_freedom(self.initial_problem, self.options)
-
-    def measure(self) -> None:
-        """Measure the statistics now; later access takes no time."""
-        _ = self.reprojection_error_before
-        if {"reprojection_error_after", "worst_images"} <= vars(self).keys():
-            return
-        # Both statistics use the same errors, which are computed once and not stored.
-        problem, options = self.problem, self.options
-        cheirality = resolve_cheirality(problem, options.cheirality)
-        errors, behind = reprojection_errors(
-            problem, cheirality=cheirality, num_threads=options.num_threads
-        )
-        values = vars(self)  # storage of cached_property; the dataclass itself is frozen
-        values["worst_images"] = worst_of_errors(problem, errors, behind, cheirality)
-        values["reprojection_error_after"] = summarize_errors(errors, behind, cheirality)
-
-    def _held_out_facts(self) -> tuple[tuple[str, str], ...]:
-        if self.held_out is None:
-            return ()
-        held, fitted = self.held_out, self.held_out.fitted
-        return (
-            (
-                "held out",
-                f"{plural(held.num_observations, 'observation')}, RMSE clipped at {held.clip:g} px "
-                f"{pixels(held.clipped_rmse)} px, of the fitted {pixels(fitted.clipped_rmse)} px",
-            ),
-        )
 
     def _factor_facts(self) -> tuple[tuple[str, str], ...]:
         count = self.summary.num_factors
@@ -173,22 +93,18 @@ class Result(SolveRecord):
             ),
         )
 
-    def _measure(self, problem: Problem) -> ReprojectionError:
-        options = self.options
-        return reprojection_error(problem, options.cheirality, num_threads=options.num_threads)
-
     def _display(self) -> Display:
         summary = self.summary
-        before, after = self.reprojection_error_before, self.reprojection_error_after
+        verdict, *others = headline(self)
         solver = f"{summary.backend_used} {summary.linear_solver_type_used}"
         facts = [
+            *(("", sentence) for sentence in others),
+            *edit_facts(self),
             (
                 "last adjustment's cost" if self.rounds else "cost",
                 change(summary.initial_cost, summary.final_cost),
             ),
             *held_facts(summary),
-            ("RMSE", f"{pixels(before.rmse)} -> {pixels(after.rmse)} px"),
-            *self._held_out_facts(),
             ("time", f"{seconds(self.build_time_in_seconds + self.solve_time_in_seconds)} s"),
             ("solver", f"{solver} on {plural(summary.num_threads_used, 'thread')}"),
             ("problem", contents(self.problem)),
@@ -199,4 +115,4 @@ class Result(SolveRecord):
             *self._rule_facts(),
             *(("warning", warning) for warning in summary.warnings),
         ]
-        return Display(title=f"Result: {self.outcome}", facts=tuple(facts))
+        return Display(title=f"Result: {verdict}", facts=tuple(facts))

@@ -11,6 +11,8 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary
 from bundle.model.problem import Problem
 from bundle.model.reprojection import ReprojectionError
+from bundle.model.worst_images import worst_images
+from bundle.solving.kept_errors import KeptErrors
 from bundle.solving.result import Result
 
 CONVERGED = Summary(
@@ -118,7 +120,11 @@ def result(problem: Problem, **changes: Any) -> Result:
     }
     made = Result(**{**values, **changes})
     # As if measured already: what a property has found is kept beside the fields.
+    before, after = error(2.5, behind=31), error(0.25)
     vars(made).update(
-        reprojection_error_before=error(2.5, behind=31), reprojection_error_after=error(0.25)
+        reprojection_error_before=before,
+        reprojection_error_after=after,
+        worst_images=worst_images(problem),
+        kept=KeptErrors(before=before, after=after, num_observations=83718),
     )
     return made

@@ -58,7 +58,7 @@ def problem() -> Problem:
 
 
 def text_of(*arguments) -> str:
-    return render(*laid_out(refinement(*arguments)))
+    return render(*laid_out(refinement(*arguments), verbose=True))
 
 
 def rows(text: str) -> dict[str, list[str]]:
@@ -194,7 +194,8 @@ def test_report_of_a_refinement(problem):
     assert table["statistics"] == ["0.125", "6.2 %"]
     assert table["everything else"] == ["0.250", "12.5 %"]
     assert table["linear solver"] == ["0.250", "25.0 %", "12.5 %"]
-    assert figures(table["outcome"][0])[:2] == ["2", "1"]  # steps, rejected
+    first = " ".join(report.split())
+    assert figures(first)[:5] == ["2", "10.0000", "1.0000", "5.0000", "0.5000"]  # steps, errors
     assert "out.txt (BAL)" in report
     assert "image names" in report
     assert max(map(len, report.splitlines())) <= 100
@@ -239,6 +240,9 @@ def test_json_has_what_the_contract_lists(problem):
         "iterations",
         "reprojection_error",
         "held_cost",
+        "deleted",
+        "edits",
+        "movement",
         "cameras",
         "worst_images",
         "wall_time",

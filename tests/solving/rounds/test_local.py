@@ -192,7 +192,7 @@ def test_the_command_leaves_the_rest(run, model, tmp_path):
     report = tmp_path / "report.json"
     code, out, _ = run(
         *("refine", model, "-o", tmp_path / "out", "--only-images", "4-5,image6*"),
-        *("--fix-images", "image1.*", "--json", report),
+        *("--fix-images", "image1.*", "--json", report, "--verbose"),
     )
     assert code == 0
     found = json.loads(report.read_text())

@@ -521,7 +521,7 @@ def test_the_command(run, tmp_path):
     bundle.save(chain(), tmp_path / "model")
     report = tmp_path / "report.json"
     line = ("refine", tmp_path / "model", "-o", tmp_path / "out", "--json", report)
-    code, out, _ = run(*line, "--only-images", "4-5", "--rest", "marginal")
+    code, out, _ = run(*line, "--only-images", "4-5", "--rest", "marginal", "--verbose")
     assert code == 0
     found = json.loads(report.read_text())
     assert found["options"]["rest"] == "marginal"

@@ -175,9 +175,8 @@ def colmap_model(tmp_path):
 def test_the_command_reports_each_round(run, colmap_model, tmp_path):
     report = tmp_path / "report.json"
     limits = ["--max-error", "3", "--min-angle", "2", "--min-track", "3"]
-    code, out, _ = run(
-        "refine", colmap_model, "-o", tmp_path / "out", "--rounds", "3", *limits, "--json", report
-    )
+    limits += ["--json", report, "--verbose"]
+    code, out, _ = run("refine", colmap_model, "-o", tmp_path / "out", "--rounds", "3", *limits)
     assert code == 0
     found = json.loads(report.read_text())
     expected = bundle.solve_rounds(

@@ -30,6 +30,7 @@ class CameraEdits:
         before: reprojection errors of the given problem.
         after: reprojection errors of the new problem.
         warnings: one sentence for each bad fit.
+        stages: name of each edit and the problem after it, in order.
     """
 
     problem: Problem
@@ -41,12 +42,13 @@ class CameraEdits:
     before: ReprojectionError
     after: ReprojectionError
     warnings: tuple[str, ...]
+    stages: tuple[tuple[str, Problem], ...]
 
     def asdict(self) -> dict[str, Any]:
-        """Return all fields except the problem, for JSON."""
+        """Return all fields except the problems, for JSON."""
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         errors = {name: dataclasses.asdict(fields.pop(name)) for name in ("before", "after")}
-        del fields["problem"]
+        del fields["problem"], fields["stages"]
         return fields | {
             "changes": [dataclasses.asdict(change) for change in self.changes],
             "reprojection_error": errors,
@@ -72,19 +74,22 @@ def edit_cameras(
     """
     if model is None and share is False and not split:
         return None
-    edited = problem
+    edited, stages = problem, []
     changes: tuple[CameraModelChange, ...] = ()
     warnings: tuple[str, ...] = ()
     if model is not None:
         changed = change_camera_model(problem, model)
         edited, changes, warnings = changed.problem, changed.changes, changed.warnings
+        stages.append(("camera_model", edited))
     shared: list[int] = []
     if share is not False:
         shared = sorted(problem.camera_ids.tolist() if share is True else set(share))
         edited = share_cameras(edited, shared)
+        stages.append(("share_cameras", edited))
     before_split = edited.num_cameras
     if split:
         edited = split_cameras(edited)
+        stages.append(("split_cameras", edited))
     return CameraEdits(
         problem=edited,
         model=model,
@@ -95,4 +100,5 @@ def edit_cameras(
         before=reprojection_error(problem),
         after=reprojection_error(edited),
         warnings=warnings,
+        stages=tuple(stages),
     )

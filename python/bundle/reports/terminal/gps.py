@@ -11,10 +11,33 @@ from bundle.georeference.georeferenced import Georeference
 from bundle.reports.sections import Section, Table
 from bundle.reports.terminal.control_points import control_points, suspicions
 
-__all__ = ["gps_report"]
+__all__ = ["gps_report", "place_sentences", "place_warnings"]
 
 MOST_IMAGES = 5
 """Number of listed images with large residuals."""
+
+
+def place_sentences(georeference: Georeference) -> list[str]:
+    """Return the errors of positions, control points and check points, one sentence for all."""
+    said = []
+    for kind, noun in (("gps", "position"), ("control", "control point"), ("check", "check point")):
+        rms = georeference.rms_of(kind)
+        if not np.isnan(rms[0]):
+            said.append(f"{noun}s {' / '.join(map(_plain, rms))}")
+    return [f"RMS east / north / up [m]: {'; '.join(said)}."] if said else []
+
+
+def place_warnings(georeference: Georeference) -> list[str]:
+    """Return the positions and control points that are probably wrong, then notes."""
+    suspects = georeference.suspects
+    said = []
+    if suspects:
+        worst = max(suspects, key=lambda image: image.sigmas)
+        said.append(
+            f"{plural(len(suspects), 'position')} off by over 3 sigmas, {shown(worst.name)} by "
+            f"{worst.sigmas:.1f}."
+        )
+    return [*said, *suspicions(georeference.control_points), *georeference.notes]
 
 
 def gps_report(georeference: Georeference) -> list[Section]:
@@ -49,7 +72,7 @@ def gps_report(georeference: Georeference) -> list[Section]:
         east, north, up = georeference.rms_of(kind)
         if not np.isnan(east):
             rows.append((title, f"{east:.4f} m east, {north:.4f} m north, {_plain(up)} m up"))
-    sections = [Section(facts=rows, notes=georeference.notes)]
+    sections = [Section(facts=rows)]
     suspects = georeference.suspects
     if suspects:
         cells = [
@@ -59,9 +82,8 @@ def gps_report(georeference: Georeference) -> list[Section]:
         head = ("position off by over 3 sigmas", "east [m]", "north [m]", "up [m]", "sigmas")
         table = Table.of(head, cells, most=MOST_IMAGES, others=_others)
         sections.append(Section(tables=[table]))
-    wrong = suspicions(points)
     sections += control_points(points, adjusted=True)
-    return [*sections, *([Section(notes=wrong, is_warning=True)] if wrong else [])]
+    return sections
 
 
 def _others(count: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ from bundle.reports.terminal.rig_tables import sensor_sections
 from bundle.reports.terminal.solve_data import ERRORS, ROUNDS, factor_fact, result_data
 from bundle.reports.terminal.timing import WallTime, wall_section
 from bundle.solving.camera_changes import CameraChange, camera_changes
+from bundle.solving.headline import edit_facts, headline
 from bundle.solving.result import Result
 from bundle.solving.round_record import RestRecord
 from bundle.solving.sensor_changes import sensor_changes
@@ -63,8 +65,8 @@ def refinement(
     """
     summary, changes = solved.summary, camera_changes(solved)
     warnings = (*(edits.warnings if edits else ()), *summary.warnings)
-    outcome = Section(facts=[("outcome", solved.outcome)], notes=warnings, is_warning=True)
-    sections = [
+    places, place_warnings = _places(georeference)
+    details = [
         Section(facts=_facts(path, problem, solved, edits)),
         *([] if closed is None else _loops(closed)),
         *([Section(tables=[Table(ROUNDS, solved.rounds)])] if solved.rounds else []),
@@ -75,10 +77,8 @@ def refinement(
         *_constraints(solved),
         *sensor_sections(sensor_changes(solved)),
         *worst_sections(solved.worst_images, "worst images, after"),
-        outcome,
         wall_section(summary, wall),
         *process_sections(summary.processes),
-        Section(facts=[written(output)], notes=[f"lost: {what}" for what in lost]),
     ]
     about = result_data(solved)
     about["options"] |= more_options or {}
@@ -91,6 +91,9 @@ def refinement(
         **({"part": solved.part} if solved.part else {}),
         **({"constraints": solved.constraints} if solved.constraints else {}),
         "held_cost": summary.held_cost,
+        "deleted": solved.deleted,
+        "edits": _edits(solved),
+        "movement": solved.movement,
         "cameras": changes,
         **({"sensors": sensor_changes(solved)} if problem.num_frames else {}),
         "worst_images": solved.worst_images,
@@ -101,8 +104,12 @@ def refinement(
     return Report(
         command="refine",
         input=about_problem(path, problem),
-        headline=[solved.outcome],
-        sections=sections,
+        headline=[*headline(solved), *places],
+        warnings=[*warnings, *place_warnings, *(f"lost: {what}" for what in lost)],
+        sections=[
+            Section(facts=[*edit_facts(solved), written(output)]),
+            *(dataclasses.replace(section, is_detail=True) for section in details),
+        ],
         data=data,
     )
 
@@ -166,6 +173,15 @@ def _held_out(solved: Result) -> list[Section]:
     return [Section(tables=[Table.of(head, rows)], notes=notes)]
 
 
+def _places(georeference: Georeference | None) -> tuple[list[str], list[str]]:
+    """Return the errors of measured positions in a sentence, and warnings about them."""
+    if georeference is None:
+        return [], []
+    from bundle.reports.terminal import gps  # most solves have no positions
+
+    return gps.place_sentences(georeference), gps.place_warnings(georeference)
+
+
 def _constraints(solved: Result) -> list[Section]:
     if not solved.constraints:
         return []
@@ -213,6 +229,14 @@ def _rest(rest: RestRecord) -> list[tuple[str, str]]:
         return [("", prior)]
     degrees = plural(rest.gauge_degrees, "degree")
     return [("", prior), ("gauge", f"mean of the neighbours constant, {degrees} of freedom")]
+
+
+def _edits(solved: Result) -> list[dict[str, Any]]:
+    """Return each edit and the deletion of observations, with the errors before and after."""
+    rows = [*solved.edit_errors]
+    if solved.deleted.num_observations:
+        rows.append(("deletion", solved.reprojection_error_before, solved.kept.before))
+    return [{"edit": edit, "before": before, "after": after} for edit, before, after in rows]
 
 
 def worst_sections(images: Sequence[ImageError], title: str) -> list[Section]:

@@ -1,6 +1,6 @@
 """Layout of a report on a terminal: headline, sections, findings with their commands.
 
-Without --verbose, sections of details and all findings after the third are hidden.
+Without --verbose, details and all but the first warnings and findings are hidden.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from bundle.reports.sections import Report, Section, Table
 
 __all__ = ["CommandLine", "laid_out"]
 
-MOST_FINDINGS = 3
-"""Number of findings that are shown without --verbose."""
+MOST_FINDINGS, MOST_WARNINGS = 3, 2
+"""Numbers of findings and of warnings that are shown without --verbose."""
 
 
 def laid_out(report: Report | Iterable[Section], verbose: bool = False) -> list[RenderableType]:
@@ -31,7 +31,8 @@ def laid_out(report: Report | Iterable[Section], verbose: bool = False) -> list[
     """
     if not isinstance(report, Report):
         return _sections(report, verbose)
-    headline = [Text(sentence, "bold") for sentence in report.headline]
+    headline: list[RenderableType] = [Text(sentence, "bold") for sentence in report.headline]
+    headline += _warnings(report.warnings, verbose)
     findings = _findings(report.findings, verbose)
     parts: list[RenderableType] = []
     for part in (headline, _sections(report.sections, verbose), findings):
@@ -55,6 +56,13 @@ def _sections(sections: Iterable[Section], verbose: bool) -> list[RenderableType
             parts.append(CommandLine(section.command))
         parts += notes(section.notes, style="yellow" if section.is_warning else "")
     return parts
+
+
+def _warnings(sentences: Sequence[str], verbose: bool) -> list[RenderableType]:
+    shown = sentences if verbose else sentences[:MOST_WARNINGS]
+    hidden = len(sentences) - len(shown)
+    more = [f"{plural(hidden, 'more warning')} (--verbose)"] if hidden else []
+    return notes([*shown, *more], style="yellow")
 
 
 def _findings(findings: Sequence[Finding], verbose: bool) -> list[RenderableType]:

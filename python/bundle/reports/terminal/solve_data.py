@@ -45,6 +45,7 @@ def result_data(solved: Result) -> dict[str, Any]:
         "reprojection_error": {
             "before": solved.reprojection_error_before,
             "after": solved.reprojection_error_after,
+            "kept": solved.kept,
         },
     }
 

@@ -207,10 +207,9 @@ class LocalPart:
             state: state of the rounds, with masks of the remaining rows; None: nothing was removed.
         """
         whole, part = self._whole, self.selection
-        left = np.ones(whole.num_observations, bool)
+        left = self.observation_mask(state)
         stays = np.ones(whole.num_points, bool)
         if state is not None:
-            left[part.observations] = state.observation_mask
             stays[part.points] = state.point_mask
             part = part.restricted(state.observation_mask, state.point_mask)
         values = part.put_back(
@@ -222,6 +221,14 @@ class LocalPart:
             points=self.seen[part.points],
         )
         return values.select(points=stays, observations=left).problem
+
+    def observation_mask(self, state: State | None) -> _Mask | None:
+        """Return the mask of the remaining observations of the full problem; None: all."""
+        if state is None or state.observation_mask.all():
+            return None
+        left = np.ones(self._whole.num_observations, bool)
+        left[self.selection.observations] = state.observation_mask
+        return left
 
 
 def _frames_of(problem: Problem, images: _Mask) -> _Mask:

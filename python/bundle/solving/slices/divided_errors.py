@@ -9,14 +9,37 @@ the middle. The result is exact, and no process needs the errors of another one.
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.model.reprojection import ReprojectionError, between, counted_errors, summarize_errors
+from bundle.solving.kept_errors import PixelErrors, Totals
 from bundle.solving.slices.slice_reading import Meeting
 
-__all__ = ["divided_statistics", "order_statistics"]
+__all__ = ["DividedErrors", "divided_statistics", "order_statistics"]
+
+
+class DividedErrors(Totals):
+    """Errors of all processes of a meeting; rank 0 gets the statistics."""
+
+    def __init__(self, meeting: Meeting) -> None:
+        self._meeting = meeting
+
+    def add_up(self, sums: NDArray[Any]) -> NDArray[Any] | None:
+        """Return the sums over all ranks to rank 0."""
+        given = self._meeting.gather(sums)
+        total: NDArray[Any] | None = None if given is None else np.sum(given, axis=0)
+        return total
+
+    def tell(self, value: Any) -> Any:
+        """Return the value of rank 0."""
+        return self._meeting.broadcast(value)
+
+    def summarize(self, found: PixelErrors) -> ReprojectionError | None:
+        """Return statistics of the errors of all ranks to rank 0."""
+        return divided_statistics(self._meeting, *found)
 
 
 def divided_statistics(

@@ -14,12 +14,14 @@ import bundle._core as _core
 from bundle.base.arrays import freeze
 from bundle.io import colmap
 from bundle.model.worst_images import sums_of_images
+from bundle.solving import kept_errors
+from bundle.solving.kept_errors import PixelErrors
 from bundle.solving.prepare import STATE
 from bundle.solving.ranks.crew import Job, PartOfOutput, Ranks
 from bundle.solving.ranks.divided_solve import work_on
 from bundle.solving.ranks.partition import ProblemPart
 from bundle.solving.rounds.input_digest import sums_of_rows
-from bundle.solving.slices.divided_errors import divided_statistics
+from bundle.solving.slices.divided_errors import DividedErrors
 from bundle.solving.slices.gauge_problem import gauge_problem
 from bundle.solving.slices.slice_reading import Meeting, Survey, read_slice
 
@@ -107,22 +109,25 @@ class Process:
             colmap.point_errors(errors, behind, part.observation_point, len(part.points))
         )
 
-    def measure(self, options: dict[str, Any]) -> tuple[Any, Any, Any, Any]:
+    def measure(self, options: dict[str, Any], limit: float | None) -> tuple[Any, Any, Any]:
         """Return the statistics before and after, the sums per image, and the gauge problem.
 
         The gauge problem is None without rigs, and with gauge "none".
+
+        Args:
+            options: options of the solve.
+            limit: error of an outlier in pixels, or None.
         """
         own, meeting = self.slice, self._meeting
         threads, cheirality = options["num_threads"], options["cheirality"]
-        before = divided_statistics(meeting, *_errors_of(own.part, threads, cheirality), cheirality)
-        errors, behind = self._errors_now(threads, cheirality)
-        sums = sums_of_images(
-            own.part.observation_image, own.cameras.num_images, errors, behind, cheirality
-        )
-        after = divided_statistics(meeting, errors, behind, cheirality)
+        before = PixelErrors(*_errors_of(own.part, threads, cheirality), cheirality)
+        after = PixelErrors(*self._errors_now(threads, cheirality), cheirality)
+        image = own.part.observation_image
+        sums = meeting.gather(sums_of_images(image, own.cameras.num_images, *after))
+        measured = kept_errors.measure(before, after, None, limit, DividedErrors(meeting))
         asked = own.cameras.num_frames > 0 and options["gauge"] != "none"
         gauge = gauge_problem(meeting, own, options["fixed_point_ids"]) if asked else None
-        return before, after, meeting.gather(sums), gauge
+        return measured, sums, gauge
 
     def _move(self, points: NDArray[np.float64], state: dict[str, Any]) -> None:
         shared = self._part.shared | state

@@ -24,6 +24,7 @@ from bundle.model.problem import Problem
 from bundle.model.worst_images import worst_of_sums
 from bundle.solving.executors import solve_prepared
 from bundle.solving.gauge_freedom import gauge_freedom
+from bundle.solving.kept_errors import outlier_limit
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.ranks.crew import Crew
 from bundle.solving.ranks.divided_solve import heeding, process_record
@@ -217,10 +218,10 @@ class SlicedRefinement:
 
     def measure(self, result: Result) -> None:
         """Compute the errors before and after and the worst images; store them in the result."""
-        before, after, sums, gauge = self._process.run_on_all("measure", self._options)
+        limit = outlier_limit(self._slice.cameras, result.options)
+        measured, sums, gauge = self._process.run_on_all("measure", self._options, limit)
+        result.measured(measured)
         values = vars(result)  # storage of cached_property; the dataclass itself is frozen
-        values["reprojection_error_before"] = before
-        values["reprojection_error_after"] = after
         count, total, largest = zip(*sums, strict=True)
         values["worst_images"] = worst_of_sums(
             self._refined, sum(count), sum(total), np.max(largest, axis=0)
