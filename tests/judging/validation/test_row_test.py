@@ -38,7 +38,7 @@ def test_slopes_and_errors_are_those_of_a_regression_of_an_image():
     sigma = np.median(np.hypot(*r.T)) / np.sqrt(2 * np.log(2))
     for index, image in enumerate(found.images):
         rows = (problem.observation_image == image) & (np.hypot(*r.T) < 5 * sigma)
-        x, y = ((problem.observation_xy[rows] - CENTER) / HALF).T
+        x, y = ((problem.observation_xy[rows] + r[rows] - CENTER) / HALF).T
         one, zero, n = np.ones(len(x)), np.zeros(len(x)), len(x)
         fields = [(one, zero), (zero, one), (-y, x), (x, y), (x, -y), (y, x)]
         a = np.stack([np.concatenate(field) for field in fields], axis=1)

@@ -3,8 +3,8 @@
 Held-out errors cannot tell a lens per image from motion during the exposure: a lens per image
 absorbs part of the motion, predicts better, and moves the cameras. The residuals can. Under a
 rolling shutter, an image that moves by (a, b) pixels during the readout has the displacement
-(a, b) y, where y is the row. Let x, y be pixels from the centre of the image in halves of its
-longer side, and fit the residuals of each image by the affine field
+(a, b) y, where y is the row. Let x, y be the projections, relative to the centre of the image, in
+halves of its longer side, and fit the residuals of each image by the affine field
 
     r_x = a_0 + a_x x + a_y y,    r_y = b_0 + b_x x + b_y y.
 
@@ -119,7 +119,8 @@ def row_test(problem: Problem, residuals: _Floats) -> RowTest:
     scale = size.max(axis=1, keepdims=True, initial=0) / 2
     if not scale.all():  # images of unknown size: pixels from the principal point, as in BAL
         size, scale = np.zeros_like(size), np.abs(problem.observation_xy).max(initial=1.0)
-    position = (problem.observation_xy[rows] - size / 2) / scale
+    # Measured positions contain the noise of r, which would bias the slope along (x, y).
+    position = (problem.observation_xy[rows] + r - size / 2) / scale
     images, slopes, variances = _slopes(image, position, r, problem.num_images)
     camera = problem.image_camera[images]
     shared = np.bincount(camera, minlength=problem.num_cameras)[camera] > 1
