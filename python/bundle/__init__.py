@@ -78,6 +78,8 @@ if TYPE_CHECKING:
     from bundle.io.files import load, reprojection_errors, save
     from bundle.io.sequences.sequence_folder import load_sequence, save_sequence
     from bundle.io.sequences.trajectory_files import Trajectory, load_trajectory
+    from bundle.judging.validation.validate_problem import validate
+    from bundle.judging.validation.validation_result import ValidatedCandidate, Validation
     from bundle.model import losses
     from bundle.model.cameras import camera_models, project
     from bundle.model.pose_graph_arrays import PoseGraph
@@ -183,6 +185,8 @@ __all__ = [
     "TrackRows",
     "Trajectory",
     "TrajectoryError",
+    "ValidatedCandidate",
+    "Validation",
     "VioStart",
     "WindowLoop",
     "WindowOptions",
@@ -237,6 +241,7 @@ __all__ = [
     "synthesize_flight",
     "track_rows",
     "two_loops",
+    "validate",
     "warning_kinds",
 ]
 
@@ -305,6 +310,8 @@ _DEFERRED = {
     "io.files": ("load", "reprojection_errors", "save"),
     "io.sequences.sequence_folder": ("load_sequence", "save_sequence"),
     "io.sequences.trajectory_files": ("Trajectory", "load_trajectory"),
+    "judging.validation.validate_problem": ("validate",),
+    "judging.validation.validation_result": ("ValidatedCandidate", "Validation"),
     "io.source": ("reprojection_errors",),
     "model.cameras": ("camera_models", "project"),
     "model.pose_graph_arrays": ("PoseGraph",),

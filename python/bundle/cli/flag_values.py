@@ -77,8 +77,8 @@ def _pairs(text: str, expected: str) -> tuple[tuple[int, int], ...]:
     return tuple(pairs)
 
 
-def _parse_ids_or_all(text: str) -> tuple[int, ...] | bool:
-    return True if text == "all" else parse_ids(text)
+def _parse_ids_or_all(text: str) -> tuple[int, ...] | bool | str:
+    return True if text == "all" else text if text == "size" else parse_ids(text)
 
 
 def _parse_words(text: str) -> tuple[str, ...]:

@@ -23,12 +23,12 @@ class LensOptions(Options):
         metavar="MODEL",
         unset="they keep theirs",
     )
-    share_cameras: tuple[int, ...] | bool | None = option(
+    share_cameras: tuple[int, ...] | bool | str | None = option(
         None,
         "--share-cameras",
-        "make these cameras, of one model and size, the one with the lowest id; parameters are the "
-        "means weighted by observations",
-        metavar="IDS|all",
+        "make these cameras, of one model and size, the one with the lowest id; size: the cameras "
+        "of each image size; parameters are the means weighted by observations",
+        metavar="IDS|all|size",
         value="ids or all",
     )
     split_cameras: bool = option(

@@ -14,7 +14,7 @@ from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 
-__all__ = ["share_cameras", "split_cameras"]
+__all__ = ["cameras_by_size", "share_cameras", "split_cameras"]
 
 MAX_ID = 2**32 - 2
 """COLMAP's largest camera id."""
@@ -51,6 +51,20 @@ def share_cameras(problem: Source, camera_ids: Iterable[int] | None = None) -> P
         image_camera=index[problem.image_camera],
         **_cameras(problem, np.flatnonzero(stays), params),
     )
+
+
+def cameras_by_size(problem: Problem) -> list[list[int]]:
+    """Return the ids of the cameras of each image size that several cameras have.
+
+    Cameras without an image and cameras of unknown size do not count.
+    """
+    used = np.unique(problem.image_camera)
+    used = used[(problem.camera_sizes[used] > 0).all(axis=1)]
+    groups: dict[tuple[int, ...], list[int]] = {}
+    for camera in used.tolist():
+        size = tuple(problem.camera_sizes[camera].tolist())
+        groups.setdefault(size, []).append(int(problem.camera_ids[camera]))
+    return [sorted(ids) for ids in groups.values() if len(ids) > 1]
 
 
 def split_cameras(problem: Source) -> Problem:

@@ -7,8 +7,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from bundle.editing.cameras.camera_sharing import share_cameras, split_cameras
+from bundle.editing.cameras.camera_sharing import (
+    cameras_by_size,
+    share_cameras,
+    split_cameras,
+)
 from bundle.editing.cameras.model_change import CameraModelChange, change_camera_model
+from bundle.errors import InputError
 from bundle.model.problem import Problem
 from bundle.model.reprojection import ReprojectionError, reprojection_error
 
@@ -23,9 +28,10 @@ class CameraEdits:
         problem: the new problem.
         model: new model of all cameras; None: unchanged.
         changes: results for the cameras that had another model.
-        shared_camera_id: id of the camera into which others were merged; None: no cameras were
-            merged.
+        shared_camera_id: id of the camera into which others were merged, the first of several;
+            None: no cameras were merged.
         shared_camera_ids: ids of all merged cameras, including this one.
+        shared_groups: the same ids by the camera that they became; its id comes first.
         num_copies: number of cameras created for single images; None: no camera was split.
         before: reprojection errors of the given problem.
         after: reprojection errors of the new problem.
@@ -38,6 +44,7 @@ class CameraEdits:
     changes: tuple[CameraModelChange, ...]
     shared_camera_id: int | None
     shared_camera_ids: tuple[int, ...]
+    shared_groups: tuple[tuple[int, ...], ...]
     num_copies: int | None
     before: ReprojectionError
     after: ReprojectionError
@@ -58,7 +65,7 @@ class CameraEdits:
 def edit_cameras(
     problem: Problem,
     model: str | None = None,
-    share: Iterable[int] | bool = False,
+    share: Iterable[int] | bool | str = False,
     split: bool = False,
 ) -> CameraEdits | None:
     """Change models, then share or split cameras; return None if no edit is requested.
@@ -66,7 +73,7 @@ def edit_cameras(
     Args:
         problem: problem to edit; not modified.
         model: model of all cameras; None: unchanged.
-        share: ids of cameras to merge; True: all.
+        share: ids of cameras to merge; True: all; "size": those of each image size.
         split: give each image its own camera.
 
     Raises:
@@ -81,10 +88,10 @@ def edit_cameras(
         changed = change_camera_model(problem, model)
         edited, changes, warnings = changed.problem, changed.changes, changed.warnings
         stages.append(("camera_model", edited))
-    shared: list[int] = []
-    if share is not False:
-        shared = sorted(problem.camera_ids.tolist() if share is True else set(share))
-        edited = share_cameras(edited, shared)
+    groups = [] if share is False else _groups(problem, share)
+    for group in groups:
+        edited = share_cameras(edited, group)
+    if groups:
         stages.append(("share_cameras", edited))
     before_split = edited.num_cameras
     if split:
@@ -94,11 +101,23 @@ def edit_cameras(
         problem=edited,
         model=model,
         changes=changes,
-        shared_camera_id=shared[0] if shared else None,
-        shared_camera_ids=tuple(shared),
+        shared_camera_id=groups[0][0] if groups else None,
+        shared_camera_ids=tuple(camera_id for group in groups for camera_id in group),
+        shared_groups=tuple(map(tuple, groups)),
         num_copies=edited.num_cameras - before_split if split else None,
         before=reprojection_error(problem),
         after=reprojection_error(edited),
         warnings=warnings,
         stages=tuple(stages),
     )
+
+
+def _groups(problem: Problem, share: Iterable[int] | bool | str) -> list[list[int]]:
+    """Return the ids of the cameras to merge, by the camera that they become."""
+    if share == "size":
+        groups = cameras_by_size(problem)
+        if not groups:
+            raise InputError("camera_ids: expected cameras of one known image size, found 0")
+        return groups
+    assert not isinstance(share, str)
+    return [sorted(problem.camera_ids.tolist() if share is True else set(share))]  # type: ignore[arg-type]

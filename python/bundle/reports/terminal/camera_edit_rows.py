@@ -19,11 +19,11 @@ def edit_rows(edits: CameraEdits | None) -> list[tuple[str, str]]:
     if edits is None:
         return []
     sentences = [*_models(edits)]
-    if edits.shared_camera_id is not None:
-        ids = ", ".join(map(str, edits.shared_camera_ids[:MOST_IDS]))
-        more = len(edits.shared_camera_ids) - MOST_IDS
+    for group in edits.shared_groups:
+        ids = ", ".join(map(str, group[:MOST_IDS]))
+        more = len(group) - MOST_IDS
         and_more = f" and {more} more" if more > 0 else ""
-        sentences.append(f"{ids}{and_more} become camera {edits.shared_camera_id}")
+        sentences.append(f"{ids}{and_more} become camera {group[0]}")
     if edits.num_copies is not None:
         sentences.append(f"one for each image: {plural(edits.num_copies, 'new camera')}")
     if edits.before.num_observations:

@@ -1,0 +1,242 @@
+"""Judgement of fits: normalised errors, row test, decision, and a record per candidate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.interface.options import SolveOptions
+from bundle.judging.validation.candidate_fits import CandidateFit, Fitting
+from bundle.judging.validation.candidates import groups_of
+from bundle.judging.validation.decision import Decision, DecisionRule, decide
+from bundle.judging.validation.information_criteria import dispersion, information_criteria
+from bundle.judging.validation.known_positions import KnownErrors, known_errors
+from bundle.judging.validation.position_certainty import Certainty, certainty
+from bundle.judging.validation.prediction import normalized_errors, prediction_covariances
+from bundle.judging.validation.refine_command import refine_command
+from bundle.judging.validation.row_test import RowTest, row_test
+from bundle.judging.validation.validation_result import ValidatedCandidate, Validation
+from bundle.judging.validation.verdict import verdict_of
+from bundle.model.cameras import param_kinds
+from bundle.model.clipped_errors import summarize_clipped
+from bundle.model.problem import Problem
+
+__all__ = ["judged"]
+
+MOTION = "motion or rolling shutter: a lens per image would absorb it"
+
+_Floats = NDArray[np.float64]
+
+
+def judged(
+    fitting: Fitting,
+    fits: Sequence[CandidateFit],
+    *,
+    rule: DecisionRule,
+    clip: float,
+    num_folds: int,
+    seed: int,
+    source: str,
+    begun: float,
+) -> Validation:
+    """Return the validation of fits, at least one of which exists."""
+    problem = fitting.problem
+    rows = np.flatnonzero(fitting.folds >= 0)
+    residuals = np.stack(
+        [fit.held_out[rows] if not fit.error else np.full((len(rows), 2), np.nan) for fit in fits]
+    )
+    sigmas = 1.0 if problem.observation_sigma is None else problem.observation_sigma[rows, None]
+    reference = _reference(fits)
+    covariances = prediction_covariances(
+        reference.refined, fitting.folds, fitting.options.cheirality
+    )
+    normalized, sigma = normalized_errors(residuals / sigmas, covariances[rows])
+    errors = np.hypot(residuals[..., 0], residuals[..., 1])
+    test = _row_test(fits, problem)
+    vetoes = [_veto(fit, test) for fit in fits]
+    certainties = [_certainty(fit) for fit in fits]
+    num_intrinsics = [0 if fit.error else _num_intrinsics(fit) for fit in fits]
+    image = problem.observation_image[rows].astype(np.int64)
+    decision = decide(normalized, image, num_intrinsics, vetoes, rule)
+    criteria = _criteria(fits, certainties, fitting)
+    records = tuple(
+        _record(
+            fit, fitting, certainties[k], errors[k], clip, decision, k, criteria[k], vetoes[k],
+            num_intrinsics[k], source,
+        )
+        for k, fit in enumerate(fits)
+    )  # fmt: skip
+    found = verdict_of(records, decision, test, problem)
+    return Validation(
+        candidates=records,
+        recommended=decision.recommended,
+        best=decision.best,
+        present=found.present,
+        verdict=found.verdict,
+        headline=found.headline,
+        command=records[decision.recommended].command,
+        num_folds=num_folds,
+        seed=seed,
+        clip=clip,
+        sigma=sigma,
+        row_test=test,
+        rule=rule,
+        decision=decision,
+        observations=rows,
+        image=image,
+        errors=errors,
+        normalized=normalized,
+        notes=found.notes,
+        time_in_seconds=perf_counter() - begun,
+    )
+
+
+def _reference(fits: Sequence[CandidateFit]) -> CandidateFit:
+    """Return the fit whose geometry gives the prediction covariances.
+
+    It is the one with the fewest lenses, and of these the one with the largest model: its points
+    are the least bent by lens parameters.
+    """
+    with_fit = [fit for fit in fits if not fit.error]
+    return min(with_fit, key=lambda fit: (len(_lenses(fit)), -_num_intrinsics(fit)))
+
+
+def _row_test(fits: Sequence[CandidateFit], problem: Problem) -> RowTest | None:
+    """Return the test of the largest lens that images share; None if no images share a lens."""
+    shared = [fit for fit in fits if not fit.error and len(_lenses(fit)) < problem.num_images]
+    if not shared:
+        return None
+    best = min(
+        shared,
+        key=lambda fit: (
+            fit.candidate.loss == "trivial",
+            len(_lenses(fit)),
+            -_num_intrinsics(fit),
+        ),
+    )
+    return row_test(best.refined, best.residuals)
+
+
+def _veto(fit: CandidateFit, test: RowTest | None) -> str:
+    if fit.error or test is None or not test.fires:
+        return ""
+    return MOTION if fit.candidate.share in ("each", "focal") else ""
+
+
+def _lenses(fit: CandidateFit) -> set[int]:
+    return set(fit.refined.image_camera.tolist())
+
+
+def _certainty(fit: CandidateFit) -> Certainty:
+    if fit.prepared is None or fit.full is None:
+        return Certainty(float("nan"), 0)
+    return certainty(fit.prepared, fit.full)
+
+
+def _num_intrinsics(fit: CandidateFit) -> int:
+    """Return the number of free lens parameters; tied parameters count once."""
+    assert fit.prepared is not None
+    problem, applied = fit.refined, fit.prepared.applied
+    options = fit.prepared.options
+    fixed = set(options.fixed_camera_ids)
+    free = {
+        (int(problem.camera_ids[camera]), column)
+        for camera in _lenses(fit)
+        for column, kind in enumerate(param_kinds(problem.camera_models[camera]))
+        if kind in options.refine and int(problem.camera_ids[camera]) not in fixed
+    }
+    if applied is not None:
+        held = {(key, c) for key, columns in applied.held_params.items() for c in columns}
+        free -= held
+        for tie in applied.ties:
+            free -= {(key, column) for key, column, _ in tie.members[1:]}
+    return len(free)
+
+
+def _criteria(
+    fits: Sequence[CandidateFit], certainties: Sequence[Certainty], fitting: Fitting
+) -> list[tuple[float, float]]:
+    """Return AIC and BIC relative to the smallest of each loss."""
+    found = [(float("nan"), float("nan"))] * len(fits)
+    sigmas = fitting.problem.observation_sigma
+    for loss in {fit.candidate.loss for fit in fits}:
+        known = [
+            k
+            for k, fit in enumerate(fits)
+            if fit.candidate.loss == loss and not fit.error and certainties[k].num_parameters
+        ]
+        if not known:
+            continue
+        largest = max(known, key=lambda k: certainties[k].num_parameters)
+        lengths = np.hypot(*fits[largest].residuals.T)
+        options = fitting.options.replace(loss=loss)
+        variance = dispersion(lengths if sigmas is None else lengths / sigmas, options)
+        values = np.array([_criterion(fits[k], certainties[k], variance) for k in known])
+        for k, row in zip(known, values - values.min(axis=0), strict=True):
+            found[k] = (float(row[0]), float(row[1]))
+    return found
+
+
+def _criterion(fit: CandidateFit, known: Certainty, variance: float) -> tuple[float, float]:
+    assert fit.full is not None
+    summary = fit.full.summary
+    return information_criteria(
+        summary.final_cost, variance, known.num_parameters, summary.num_residuals
+    )
+
+
+def _record(
+    fit: CandidateFit,
+    fitting: Fitting,
+    known: Certainty,
+    errors: _Floats,
+    clip: float,
+    decision: Decision,
+    k: int,
+    criteria: tuple[float, float],
+    veto: str,
+    num_intrinsics: int,
+    source: str,
+) -> ValidatedCandidate:
+    """Return the record of one candidate."""
+    candidate, problem = fit.candidate, fitting.problem
+    held = summarize_clipped(errors, clip)
+    fitted = summarize_clipped(np.hypot(*fit.residuals.T), clip)
+    nan = float("nan")
+    known_at = KnownErrors(nan, nan)
+    if fit.prepared is not None and fit.full is not None:
+        known_at = known_errors(fit.prepared, fit.full, fitting.priors)
+    return ValidatedCandidate(
+        **{name: getattr(candidate, name) for name in ("camera_model", "share", "loss", "refine")},
+        num_cameras=len(set(groups_of(problem, candidate.share).tolist())),
+        num_intrinsics=num_intrinsics,
+        num_parameters=known.num_parameters,
+        fitted_rmse=fitted.rmse,
+        fitted_median=fitted.median,
+        held_out_rmse=nan if fit.error else held.clipped_rmse,
+        held_out_median=nan if fit.error else held.median,
+        share_clipped=nan if fit.error else held.share_clipped,
+        num_without_projection=0 if fit.error else held.num_without_projection,
+        score=float(decision.scores[k]),
+        difference=float(decision.differences[k]),
+        standard_error=float(decision.standard_errors[k]),
+        aic=criteria[0],
+        bic=criteria[1],
+        position_sigma=known.position_sigma,
+        check_points_rms=known_at.check_points,
+        gps_rms=known_at.positions,
+        is_converged=fit.is_converged and not fit.error,
+        num_iterations=fit.num_iterations,
+        vetoed=veto,
+        error=fit.error,
+        command=refine_command(problem, candidate, _asked(fitting.options), source),
+    )
+
+
+def _asked(options: SolveOptions) -> SolveOptions:
+    """Return the options that a solve with the same minimum needs."""
+    names = ("function_tolerance", "num_threads", "max_num_iterations")
+    return options.replace(**{name: getattr(SolveOptions(), name) for name in names})
