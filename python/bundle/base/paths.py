@@ -9,9 +9,9 @@ from typing import Any, TypeGuard
 
 from bundle.errors import InputError, brief, shown
 
-__all__ = ["as_path", "get_include", "is_path", "numbered_lines"]
+__all__ = ["UTF16", "as_path", "get_include", "is_path", "numbered_lines"]
 
-_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def as_path(path: Any, name: str = "path") -> Path:
@@ -52,7 +52,7 @@ def numbered_lines(path: str | os.PathLike[str]) -> list[tuple[int, str]]:
     """
     content = Path(path).read_bytes()
     try:
-        text = content.decode("utf-16" if content.startswith(_UTF16) else "utf-8-sig")
+        text = content.decode("utf-16" if content.startswith(UTF16) else "utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(
             f"{shown(path)}: expected text in UTF-8, found bytes that are not UTF-8"

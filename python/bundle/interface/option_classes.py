@@ -17,6 +17,7 @@ OPTION_CLASSES = {
     "CheckpointOptions": "round_options",
     "CompareOptions": "compare_options",
     "CovarianceOptions": "covariance_options",
+    "EvaluateOptions": "evaluate_options",
     "FlightOptions": "flight_options",
     "GeoreferenceOptions": "georeference_options",
     "GraphFileOptions": "inspect_options",

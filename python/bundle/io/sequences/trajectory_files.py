@@ -75,8 +75,12 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     raise InputError(f"{shown(as_path(path))}: expected poses, found an empty file")
 
 
-def load_ground_truth(path: str | os.PathLike[str]) -> Trajectory:
+def load_ground_truth(path: str | os.PathLike[str], *, in_order: bool = True) -> Trajectory:
     """Read EuRoC's ground truth; velocities and biases are nan in a file with poses only.
+
+    Args:
+        path: path of the file.
+        in_order: require ascending time stamps; otherwise, sort the poses.
 
     Raises:
         InputError: a line has too few columns, a word instead of a number, or an invalid
@@ -90,11 +94,15 @@ def load_ground_truth(path: str | os.PathLike[str]) -> Trajectory:
     table = read_csv(path, ["timestamp"], names, extra=True)
     states = np.full((len(table), 16), np.nan)
     states[:, : len(names)] = table.numbers[:, _FROM_EUROC[: len(names)]]
-    return _checked(table.whole[:, 0], states, table.place)
+    return _checked(table.whole[:, 0], states, table.place, in_order)
 
 
-def load_tum(path: str | os.PathLike[str]) -> Trajectory:
+def load_tum(path: str | os.PathLike[str], *, in_order: bool = True) -> Trajectory:
     """Read a TUM trajectory; stamps keep their nanoseconds.
+
+    Args:
+        path: path of the file.
+        in_order: require ascending time stamps; otherwise, sort the poses.
 
     Raises:
         InputError: a line has too few columns, a word instead of a number, or an invalid
@@ -113,7 +121,7 @@ def load_tum(path: str | os.PathLike[str]) -> Trajectory:
     ]
     states = np.full((len(table), 16), np.nan)
     states[:, :4], states[:, 4:7] = table.numbers[:, 4:], table.numbers[:, 1:4]
-    return _checked(np.array(stamps, np.int64), states, table.place)
+    return _checked(np.array(stamps, np.int64), states, table.place, in_order)
 
 
 def save_tum(path: str | os.PathLike[str], timestamps_ns: ArrayLike, states: ArrayLike) -> None:
@@ -151,7 +159,10 @@ def save_ground_truth(
 
 
 def _checked(
-    stamps: NDArray[np.int64], states: NDArray[np.float64], place: Callable[[int], str]
+    stamps: NDArray[np.int64],
+    states: NDArray[np.float64],
+    place: Callable[[int], str],
+    in_order: bool,
 ) -> Trajectory:
     if not len(stamps):
         raise InputError(f"{place(0)}: expected poses, found an empty file")
@@ -163,12 +174,13 @@ def _checked(
             f"{place(row)}: expected finite numbers and a quaternion of norm 1, found norm "
             f"{norm[row]:g}"
         )
-    back = np.flatnonzero(np.diff(stamps) <= 0)
+    order = np.arange(len(stamps)) if in_order else np.argsort(stamps, kind="stable")
+    back = np.flatnonzero(np.diff(stamps[order]) <= 0)
     if len(back):
-        row = int(back[0]) + 1
+        before, row = (int(order[back[0] + k]) for k in (0, 1))
+        trouble = "time goes back" if in_order else "a second pose at one time"
         raise InputError(
-            f"{place(row)}: time goes back: expected more than {stamps[row - 1]} ns, found "
-            f"{stamps[row]}"
+            f"{place(row)}: {trouble}: expected more than {stamps[before]} ns, found {stamps[row]}"
         )
     states[:, :4] /= norm[:, None]
-    return Trajectory(stamps, states)
+    return Trajectory(stamps[order], states[order])

@@ -1,0 +1,90 @@
+"""Poses of a reconstruction, of a trajectory or of a list, in one form: world_from_camera.
+
+Reconstructions store cam_from_world, trajectories world_from_body. Here every pose maps points of
+the camera (or of the body that the file describes) to the world, so that the translation is the
+centre.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.arrays import immutable
+from bundle.base.display import Display, Displayed
+from bundle.base.words import plural
+from bundle.errors import InputError
+from bundle.model.problem import Problem
+from bundle.model.problem_fields import strings
+from bundle.model.rigid_motions import inverse_poses, unit_poses
+
+__all__ = ["PoseTable"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseTable(Displayed):
+    """Poses world_from_camera with names or time stamps.
+
+    Attributes:
+        poses: (n, 7) as qx qy qz qw x y z: the rotation world_from_camera as unit quaternion, and
+            the centre in the length unit of the source.
+        names: n names of images; "" for poses without a name.
+        timestamps_ns: (n,) time stamps in nanoseconds; None without time stamps.
+        format: "tum", "euroc", "kitti", "poses", a format of :class:`bundle.Problem`, or "memory".
+
+    Raises:
+        InputError: an array has the wrong shape, a number is not finite, or a quaternion is zero.
+    """
+
+    poses: Array
+    names: tuple[str, ...] = ()
+    timestamps_ns: NDArray[np.int64] | None = None
+    format: str = "memory"
+
+    def __post_init__(self) -> None:
+        poses = np.asarray(immutable("poses", self.poses, np.float64))
+        if poses.ndim != 2 or poses.shape[1] != 7:
+            raise InputError(f"poses: expected shape (n, 7), found {poses.shape}")
+        if not np.isfinite(poses).all():
+            row = int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
+            raise InputError(f"poses: row {row}: expected finite numbers, found {poses[row]}")
+        zero = np.flatnonzero(~(np.abs(poses[:, :4]).max(axis=1) > 0))
+        if len(zero):
+            raise InputError(f"poses: row {int(zero[0])}: expected a quaternion, found zeros")
+        names = strings("names", self.names or ("",) * len(poses))
+        if len(names) != len(poses):
+            raise InputError(f"names: expected {len(poses)}, found {len(names)}")
+        object.__setattr__(self, "poses", immutable("poses", unit_poses(poses), np.float64))
+        object.__setattr__(self, "names", names)
+        if self.timestamps_ns is not None:
+            stamps = immutable("timestamps_ns", self.timestamps_ns, np.int64)
+            if stamps.shape != (len(poses),):
+                raise InputError(
+                    f"timestamps_ns: expected shape ({len(poses)},), found {stamps.shape}"
+                )
+            object.__setattr__(self, "timestamps_ns", stamps)
+
+    @classmethod
+    def of_problem(cls, problem: Problem) -> PoseTable:
+        """Return the poses of the images of a problem, in its order."""
+        poses = inverse_poses(unit_poses(problem.cam_from_world))
+        return cls(poses, problem.image_names, None, problem.format)
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def inverse(self) -> PoseTable:
+        """Return the table for poses that were given as camera_from_world."""
+        return PoseTable(inverse_poses(self.poses), self.names, self.timestamps_ns, self.format)
+
+    def _display(self) -> Display:
+        named = sum(map(bool, self.names))
+        facts = [("names", f"{named} of {len(self)}")]
+        if self.timestamps_ns is not None and len(self):
+            first, last = int(self.timestamps_ns.min()), int(self.timestamps_ns.max())
+            facts.append(("time", f"{first} to {last} ns"))
+        return Display(title=f"{plural(len(self), 'pose')} ({self.format})", facts=tuple(facts))
