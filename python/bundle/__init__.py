@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from bundle.inertial.vio.trajectory_comparison import TrajectoryError, compare_trajectories
     from bundle.inertial.vio.window_frame import ImuInterval
     from bundle.interface import warning_kinds
+    from bundle.interface.evaluate_options import EvaluateOptions
     from bundle.interface.flight_options import FlightOptions
     from bundle.interface.options import SolveOptions
     from bundle.interface.pose_graph_options import PoseGraphOptions
@@ -76,13 +77,18 @@ if TYPE_CHECKING:
     from bundle.interface.summary import Summary
     from bundle.interface.window_options import WindowOptions
     from bundle.io.files import load, reprojection_errors, save
+    from bundle.io.pose_files import load_poses
     from bundle.io.sequences.sequence_folder import load_sequence, save_sequence
     from bundle.io.sequences.trajectory_files import Trajectory, load_trajectory
+    from bundle.judging.evaluation.check_points import CheckPointEvaluation
+    from bundle.judging.evaluation.evaluate_models import evaluate
+    from bundle.judging.evaluation.evaluation_result import Evaluation
     from bundle.judging.validation.validate_problem import validate
     from bundle.judging.validation.validation_result import ValidatedCandidate, Validation
     from bundle.model import losses
     from bundle.model.cameras import camera_models, project
     from bundle.model.pose_graph_arrays import PoseGraph
+    from bundle.model.pose_table import PoseTable
     from bundle.model.problem import Problem
     from bundle.model.reprojection import ReprojectionError
     from bundle.model.selection import Selection
@@ -118,6 +124,7 @@ __all__ = [
     "Calibration",
     "CameraModelChange",
     "ChangedModels",
+    "CheckPointEvaluation",
     "ClosureLoop",
     "Comparison",
     "Constraints",
@@ -125,6 +132,8 @@ __all__ = [
     "Description",
     "Diagnosis",
     "DigitsLeft",
+    "EvaluateOptions",
+    "Evaluation",
     "Excitation",
     "FactorGraph",
     "Filtered",
@@ -160,6 +169,7 @@ __all__ = [
     "PoseGraphResult",
     "PoseGraphSummary",
     "PosePublisher",
+    "PoseTable",
     "PositionFactor",
     "PositionPrior",
     "Preintegration",
@@ -206,6 +216,7 @@ __all__ = [
     "covariance",
     "describe",
     "diagnose",
+    "evaluate",
     "excitation",
     "figures",
     "filter_observations",
@@ -219,6 +230,7 @@ __all__ = [
     "inspect",
     "inspect_graph",
     "load",
+    "load_poses",
     "load_sequence",
     "load_trajectory",
     "losses",
@@ -301,6 +313,7 @@ _DEFERRED = {
     "inertial.vio.sliding_window": ("SlidingWindow",),
     "inertial.vio.trajectory_comparison": ("TrajectoryError", "compare_trajectories"),
     "inertial.vio.window_frame": ("ImuInterval",),
+    "interface.evaluate_options": ("EvaluateOptions",),
     "interface.flight_options": ("FlightOptions",),
     "interface.options": ("SolveOptions",),
     "interface.pose_graph_options": ("PoseGraphOptions",),
@@ -308,13 +321,18 @@ _DEFERRED = {
     "interface.summary": ("Summary",),
     "interface.window_options": ("WindowOptions",),
     "io.files": ("load", "reprojection_errors", "save"),
+    "io.pose_files": ("load_poses",),
     "io.sequences.sequence_folder": ("load_sequence", "save_sequence"),
     "io.sequences.trajectory_files": ("Trajectory", "load_trajectory"),
     "judging.validation.validate_problem": ("validate",),
     "judging.validation.validation_result": ("ValidatedCandidate", "Validation"),
     "io.source": ("reprojection_errors",),
+    "judging.evaluation.check_points": ("CheckPointEvaluation",),
+    "judging.evaluation.evaluate_models": ("evaluate",),
+    "judging.evaluation.evaluation_result": ("Evaluation",),
     "model.cameras": ("camera_models", "project"),
     "model.pose_graph_arrays": ("PoseGraph",),
+    "model.pose_table": ("PoseTable",),
     "model.problem": ("Problem",),
     "model.reprojection": ("ReprojectionError",),
     "model.selection": ("Selection",),

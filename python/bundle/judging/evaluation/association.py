@@ -1,0 +1,262 @@
+"""Association of the poses of an estimate A with those of a reference B.
+
+Names: equal names are the same image. If more names are equal without folders, or without folders
+and suffix, these count. A name that several images share at that level has no partner.
+
+Time stamps: the nearest stamp of B is the partner, if it is also the nearest in the other direction
+and differs by at most the tolerance. Names that are numbers, such as 1403636579763555584.png
+(nanoseconds) or 1305031102.175304.png (seconds), are time stamps if the other input has no names.
+
+Order, without names and stamps: line k of a KITTI file is frame k, and names that end in numbers,
+such as 000012.png, are frames. Otherwise, both inputs must have the same number of poses; images
+with names are sorted by them.
+
+Pairs are sorted by name or by time, so that the order of the input has no influence on any result.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from decimal import Decimal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.words import noun, number
+from bundle.errors import InputError, brief
+from bundle.georeference.image_index import last_part
+from bundle.model.pose_table import PoseTable
+from bundle.model.sequence.stamp_units import other_unit
+
+__all__ = ["FEWEST", "Association", "associate"]
+
+FEWEST = 3
+"""Number of shared poses that an alignment needs."""
+
+NANOSECONDS = 10**14
+"""Whole numbers in names from which they are nanoseconds; as seconds, three million years."""
+
+LATEST_STAMP = Decimal(2**63)
+
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Association:
+    """Pairs of poses of the same image or time.
+
+    Attributes:
+        rows_a: (n,) indices of the poses of A.
+        rows_b: (n,) indices of the poses of B.
+        names: n names of the pairs: those of A if it has names, otherwise of B, times or numbers.
+        only_a: names of the poses of A without a partner.
+        only_b: names of the poses of B without a partner.
+        by: "name", "base name", "stem", "time", "frame number" or "order".
+        sentence: the rule in words.
+    """
+
+    rows_a: Indices
+    rows_b: Indices
+    names: tuple[str, ...]
+    only_a: tuple[str, ...]
+    only_b: tuple[str, ...]
+    by: str
+    sentence: str
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def associate(a: PoseTable, b: PoseTable, tolerance: float = 0.01) -> Association:
+    """Return the pairs of poses of A and B; see the top of this file.
+
+    Args:
+        a: poses of the estimate.
+        b: poses of the reference.
+        tolerance: largest difference of time stamps in seconds.
+
+    Raises:
+        InputError: fewer than three poses have a partner, a name exists twice, or the numbers of
+            poses without names or stamps differ.
+    """
+    named = [_is_named(table) for table in (a, b)]
+    timed = [table.timestamps_ns is not None for table in (a, b)]
+    if all(named):
+        found = _by_name(a, b)
+    elif any(timed) and all(t or n for t, n in zip(timed, named, strict=True)):
+        found = _by_time(a, b, tolerance)
+    else:
+        found = _by_order(a, b)
+    if len(found) < FEWEST:
+        raise InputError(_too_few(a, b, found, named, tolerance))
+    return found
+
+
+def _is_named(table: PoseTable) -> bool:
+    return len(table) > 0 and all(table.names)
+
+
+def _by_name(a: PoseTable, b: PoseTable) -> Association:
+    for argument, table in (("a", a), ("b", b)):
+        again = [name for name, count in Counter(table.names).items() if count > 1]
+        if again:
+            raise InputError(
+                f"{argument}: expected a different name for each image, found {brief(again[0])} "
+                f"{Counter(table.names)[again[0]]} times"
+            )
+    best: tuple[int, str, list[tuple[int, int]]] | None = None
+    for by, key in _LEVELS.items():
+        known_a, known_b = _unique(a.names, key), _unique(b.names, key)
+        pairs = [(row, known_b[name]) for name, row in known_a.items() if name in known_b]
+        if best is None or len(pairs) > best[0]:
+            best = len(pairs), by, pairs
+    assert best is not None
+    count, by, pairs = best
+    pairs.sort(key=lambda pair: a.names[pair[0]])
+    sentence = f"by {_SAID[by]}"
+    return _made(a, b, np.array(pairs, np.int64).reshape(count, 2), by, sentence)
+
+
+_LEVELS: dict[str, Callable[[str], str]] = {
+    "name": lambda name: name,
+    "base name": last_part,
+    "stem": lambda name: re.sub(r"(?<=.)\.[A-Za-z]\w*$", "", last_part(name)),
+}
+_SAID = {
+    "name": "name",
+    "base name": "name without folders",
+    "stem": "name without folders and suffix",
+}
+
+
+def _unique(names: tuple[str, ...], key: Callable[[str], str]) -> dict[str, int]:
+    """Return the rows of the keys that only one name has."""
+    keys = [key(name) for name in names]
+    counts = Counter(keys)
+    return {name: row for row, name in enumerate(keys) if counts[name] == 1}
+
+
+def _by_time(a: PoseTable, b: PoseTable, tolerance: float) -> Association:
+    stamps = [_stamps(argument, table) for argument, table in (("a", a), ("b", b))]
+    orders = [np.argsort(one, kind="stable") for one in stamps]
+    first, second = (one[order] for one, order in zip(stamps, orders, strict=True))
+    forward, back = _nearest(first, second), _nearest(second, first)
+    gap = np.abs(first - second[forward])
+    mutual = back[forward] == np.arange(len(first))
+    chosen = np.flatnonzero(mutual & (gap <= round(1e9 * tolerance)))
+    pairs = np.column_stack([orders[0][chosen], orders[1][forward[chosen]]])
+    largest = 1e-9 * float(gap[chosen].max()) if len(chosen) else 0.0
+    sentence = (
+        f"by time, at most {tolerance:g} s apart (the largest difference is {number(largest)} s)"
+    )
+    return _made(a, b, pairs, "time", sentence)
+
+
+def _nearest(wanted: Indices, among: Indices) -> Indices:
+    """Return the index of the nearest of ascending stamps for each stamp."""
+    after = np.clip(np.searchsorted(among, wanted), 0, len(among) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.abs(wanted - among[before]) <= np.abs(among[after] - wanted)
+    found: Indices = np.where(nearer, before, after)
+    return found
+
+
+def _stamps(argument: str, table: PoseTable) -> Indices:
+    """Return time stamps in nanoseconds, from names if there are no others."""
+    if table.timestamps_ns is not None:
+        return table.timestamps_ns
+    stamps = []
+    for name in table.names:
+        words = re.findall(r"\d+(?:\.\d+)?", last_part(name))
+        stamp = Decimal(words[0]) if len(words) == 1 else LATEST_STAMP
+        if stamp < NANOSECONDS:
+            stamp *= 10**9
+        if stamp >= LATEST_STAMP:
+            raise InputError(
+                f"{argument}: expected names that are time stamps, in seconds or nanoseconds, "
+                f"because the other input has time stamps only, found {brief(name)}"
+            )
+        stamps.append(int(stamp))
+    return np.array(stamps, np.int64)
+
+
+def _by_order(a: PoseTable, b: PoseTable) -> Association:
+    first, second = _frames(a), _frames(b)
+    if first is not None and second is not None and "kitti" in (a.format, b.format):
+        _, rows_a, rows_b = np.intersect1d(first, second, assume_unique=True, return_indices=True)
+        pairs = np.column_stack([rows_a, rows_b]).astype(np.int64)
+        sentence = "by frame number: line k of a KITTI file, from 0, is frame k"
+        return _made(a, b, pairs, "frame number", sentence)
+    if len(a) != len(b):
+        raise InputError(
+            "b: expected as many poses as A, because one of them has neither names nor time "
+            f"stamps, found {len(b)} for {len(a)}"
+        )
+    pairs = np.column_stack([_sorted_rows(a), _sorted_rows(b)])
+    return _made(a, b, pairs, "order", "by order, since one input has neither names nor times")
+
+
+def _frames(table: PoseTable) -> Indices | None:
+    """Return the frame numbers; None if the names do not end in different numbers."""
+    if table.format == "kitti":
+        return np.arange(len(table))
+    words = [re.search(r"(\d{1,18})$", _LEVELS["stem"](name)) for name in table.names]
+    if not len(table) or not all(words):
+        return None
+    frames = np.array([int(word[1]) for word in words if word], np.int64)
+    return frames if len(np.unique(frames)) == len(frames) else None
+
+
+def _sorted_rows(table: PoseTable) -> Indices:
+    if table.timestamps_ns is not None:
+        return np.argsort(table.timestamps_ns, kind="stable")
+    if _is_named(table):
+        return np.array(sorted(range(len(table)), key=table.names.__getitem__), np.int64)
+    return np.arange(len(table))
+
+
+def _made(a: PoseTable, b: PoseTable, pairs: Indices, by: str, sentence: str) -> Association:
+    rows_a, rows_b = pairs[:, 0], pairs[:, 1]
+    label_a, label_b = _labels(a), _labels(b)
+    from_a = _is_named(a) or not (_is_named(b) or b.timestamps_ns is not None)
+    names = [label_a[k] for k in rows_a] if from_a else [label_b[k] for k in rows_b]
+    taken_a, taken_b = set(rows_a.tolist()), set(rows_b.tolist())
+    return Association(
+        rows_a=rows_a,
+        rows_b=rows_b,
+        names=tuple(names),
+        only_a=tuple(name for row, name in enumerate(label_a) if row not in taken_a),
+        only_b=tuple(name for row, name in enumerate(label_b) if row not in taken_b),
+        by=by,
+        sentence=sentence,
+    )
+
+
+def _labels(table: PoseTable) -> list[str]:
+    if _is_named(table):
+        return list(table.names)
+    if table.timestamps_ns is not None:
+        return [f"{stamp // 10**9}.{stamp % 10**9:09d}" for stamp in table.timestamps_ns.tolist()]
+    return [str(row) for row in range(len(table))]
+
+
+def _too_few(
+    a: PoseTable, b: PoseTable, found: Association, named: list[bool], tolerance: float
+) -> str:
+    wanted = f"expected at least {FEWEST} shared poses of A and B {_short(found.by)}"
+    count = f"found {len(found)} of {len(a)} and {len(b)}"
+    if found.by == "time":
+        stamps = _stamps("a", a), _stamps("b", b)
+        hint = "" if len(found) else other_unit(*stamps)
+        return f"b: {wanted} (within {tolerance:g} s), {count}{hint}"
+    hint = ""
+    if all(named) and not len(found):
+        hint = f": A has {brief(min(a.names))}, B has {brief(min(b.names))}"
+    return f"b: {wanted}, {count} {noun(len(b), 'pose', 'poses')}{hint}"
+
+
+def _short(by: str) -> str:
+    return {"time": "by time", "order": "by order"}.get(by, f"with the same {by}")

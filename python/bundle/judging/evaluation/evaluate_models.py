@@ -1,0 +1,279 @@
+"""Comparison of a model or a trajectory with a reference: truth, or another model."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from bundle.base.paths import is_path
+from bundle.base.words import plural
+from bundle.errors import InputError, shown
+from bundle.georeference.control_point import GroundControlPoint
+from bundle.georeference.pose_alignment import align_centers, moved_poses
+from bundle.interface.evaluate_options import (
+    DIRECTIONS,
+    INPUT_FORMATS,
+    POSE_FORMATS,
+    REFERENCE_FORMATS,
+    EvaluateOptions,
+)
+from bundle.interface.finding import Finding
+from bundle.interface.option_class import takes_options
+from bundle.interface.option_fields import choice
+from bundle.io.files import Source, as_problem
+from bundle.io.pose_files import load_poses, pose_format
+from bundle.io.sequences.trajectory_files import Trajectory
+from bundle.judging.evaluation.association import Association, associate
+from bundle.judging.evaluation.check_points import CheckPointEvaluation, check_points_of
+from bundle.judging.evaluation.evaluation_result import Evaluation, RelativeErrors
+from bundle.judging.evaluation.lens_difference import lens_differences
+from bundle.judging.evaluation.movement_in_sigmas import SigmaMovement, movement_in_sigmas
+from bundle.judging.evaluation.pair_errors import MOST_IMAGES as MOST_IN_PAIRS
+from bundle.judging.evaluation.pair_errors import pair_errors
+from bundle.judging.evaluation.pose_errors import (
+    ErrorStatistics,
+    absolute_errors,
+    relative_errors,
+)
+from bundle.judging.evaluation.sentences import headline_of
+from bundle.judging.evaluation.shared_points import point_difference, shared_points
+from bundle.judging.evaluation.verdict_word import Compared, findings_of, word_of
+from bundle.model.pose_table import PoseTable
+from bundle.model.problem import Problem
+
+__all__ = ["Compare", "evaluate", "open_input"]
+
+MOST_IMAGES = 300
+"""Number of images up to which sigmas "auto" computes the covariance of A."""
+
+METRIC = ("tum", "euroc", "kitti")
+"""Formats of trajectories, whose length unit is the metre."""
+
+Compare: TypeAlias = "Source | PoseTable | Trajectory"
+"""A reconstruction in any form, a table of poses, a trajectory, or the path of one of them."""
+
+
+@takes_options(EvaluateOptions)
+def evaluate(
+    a: Compare,
+    b: Compare | Sequence[GroundControlPoint],
+    options: EvaluateOptions | None = None,
+    **changes: Any,
+) -> Evaluation | CheckPointEvaluation:
+    """Compare a model or a trajectory with a reference.
+
+    The reference is the truth, a measured trajectory, or another model. Errors are in the frame and
+    the length unit of the reference, after the alignment of the shared centres. Two models are also
+    compared by their lenses, by the points of common tracks, and in sigmas of A's covariance.
+
+    Args:
+        a: a Problem, a PoseTable, a Trajectory, a pycolmap.Reconstruction, or a path: of a COLMAP
+            model, a BAL file, or a file of poses (TUM, EuRoC, KITTI, a list).
+        b: the reference, in the same forms; or check points: the path of ODM's gcp_list.txt, or
+            ground control points.
+        options: options; None: the defaults.
+        **changes: options by name.
+
+    Raises:
+        InputError: an input has a wrong format, fewer than three poses are shared, or their centres
+            lie on one line.
+        OSError: a path cannot be read.
+
+    Example:
+        >>> found = bundle.evaluate("refined", "truth.tum", align="similarity")
+        >>> found.position.rmse, found.rotation.rmse, found.auc["5"]
+    """
+    chosen = EvaluateOptions.of(options, changes, "evaluate")
+    for name, formats in (("format", REFERENCE_FORMATS), ("input_format", INPUT_FORMATS)):
+        if getattr(chosen, name) is not None:
+            choice(name, getattr(chosen, name), formats)
+    model = open_input(a, "a", chosen.input_format, chosen.input_pose_direction)
+    points = check_points_of(b, chosen.format)
+    if points is not None:
+        if not isinstance(model, Problem):
+            raise InputError("a: expected a model to compare with check points, found poses")
+        return CheckPointEvaluation.of(model, points)
+    other = open_input(b, "b", chosen.format, chosen.pose_direction)
+    words = [_word(a, "A"), _word(b, "B")]
+    return _evaluate(model, other, chosen, words)
+
+
+def open_input(
+    given: Any, name: str, format: str | None = None, direction: str = DIRECTIONS[0]
+) -> Problem | PoseTable:
+    """Return a model or a table of poses from any form of input.
+
+    Args:
+        given: the input.
+        name: name of the argument, for messages.
+        format: format of a path; None: by its content.
+        direction: direction of the poses in a list.
+
+    Raises:
+        InputError: the input has another type or format.
+        OSError: a path cannot be read.
+    """
+    if isinstance(given, PoseTable):
+        return given
+    if isinstance(given, Trajectory):
+        return PoseTable(given.states[:, :7], (), given.timestamps_ns, "memory")
+    if is_path(given):
+        path = Path(os.fspath(given))
+        found = format if format in POSE_FORMATS else None
+        if format is None and path.is_file():
+            found = pose_format(path)
+        if found is not None:
+            return load_poses(given, found, direction)
+        if path.is_file() and format is None and _is_text_of_poses(path):
+            return load_poses(given, None, direction)
+    problem = as_problem(given, name)
+    if format in ("colmap", "bal") and problem.format != format and is_path(given):
+        raise InputError(f"{shown(given)}: expected {format}, found {problem.format}")
+    return problem
+
+
+def _is_text_of_poses(path: Path) -> bool:
+    """Return True for the name of a file of poses whose first line has a wrong format."""
+    return path.suffix.lower() in (".tum", ".kitti", ".poses", ".csv")
+
+
+def _word(given: Any, otherwise: str) -> str:
+    return shlex.quote(shown(given)) if is_path(given) else otherwise
+
+
+def _evaluate(
+    a: Problem | PoseTable, b: Problem | PoseTable, options: EvaluateOptions, words: list[str]
+) -> Evaluation:
+    tables = [PoseTable.of_problem(one) if isinstance(one, Problem) else one for one in (a, b)]
+    pairs = associate(tables[0], tables[1], options.max_time_difference)
+    given, reference = tables[0].poses[pairs.rows_a], tables[1].poses[pairs.rows_b]
+    similarity = align_centers(given[:, 4:], reference[:, 4:], options.align)
+    moved = moved_poses(given, similarity)
+    position, rotation = absolute_errors(moved, reference)
+    compared = Compared(
+        given=given,
+        moved=moved,
+        reference=reference,
+        alignment=options.align,
+        similarity=similarity,
+        position=position,
+        rotation=rotation,
+        association=pairs,
+        directions=_directions(tables, options, words),
+    )
+    steps = [
+        ErrorStatistics.of(errors) for errors in relative_errors(moved, reference, options.delta)
+    ]
+    word = word_of(compared)
+    common: dict[str, Any] = {"lenses": (), "points": None, "movement": None}
+    notes: list[str] = []
+    if isinstance(a, Problem) and isinstance(b, Problem):
+        wanted = "off" if word == "identical" and options.sigmas == "auto" else options.sigmas
+        common, notes = _of_models(a, b, pairs, compared, wanted)
+    elif options.sigmas == "on":
+        raise InputError("sigmas: expected two models, found poses")
+    findings = [*findings_of(compared), *_missing(pairs)]
+    result = {
+        "verdict": word,
+        "findings": tuple(sorted(findings, key=lambda one: not one.is_problem)),
+        "association": pairs,
+        "formats": tuple(table.format for table in tables),
+        "unit": "m" if tables[1].format in METRIC else "units",
+        "alignment": options.align,
+        "similarity": similarity,
+        "size": compared.size,
+        "position": ErrorStatistics.of(position),
+        "rotation": ErrorStatistics.of(rotation),
+        "position_errors": position,
+        "rotation_errors": rotation,
+        "relative": RelativeErrors(options.delta, *steps),
+        "pairs": pair_errors(given, reference, len(pairs.only_b)),
+        "auc_definition": options.auc,
+        "notes": (*_notes(pairs), *notes),
+        "estimate": moved[:, 4:],
+        "reference": reference[:, 4:],
+        **common,
+    }
+    return Evaluation(headline=headline_of(result), **result)
+
+
+def _directions(
+    tables: Sequence[PoseTable], options: EvaluateOptions, words: list[str]
+) -> dict[str, str]:
+    """Return commands that read A or B as inverse poses; "" for a format with one direction."""
+    given = (options.input_pose_direction, options.pose_direction)
+    flags = ("--input-pose-direction", "--pose-direction")
+    commands = {}
+    for name, table, way, flag in zip("AB", tables, given, flags, strict=True):
+        if table.format not in (*POSE_FORMATS, "memory"):
+            continue
+        other = DIRECTIONS[way == DIRECTIONS[0]].replace("_", "-")
+        command = f"bundle evaluate {words[0]} --reference {words[1]} {flag} {other}"
+        commands[name] = command if table.format == "poses" else ""
+    return commands
+
+
+def _of_models(
+    a: Problem, b: Problem, pairs: Association, compared: Compared, sigmas: str
+) -> tuple[dict[str, Any], list[str]]:
+    """Return what only two models have: lenses, points and movement; and remarks."""
+    rows = pairs.rows_a, pairs.rows_b
+    points = shared_points(a, b, *rows)
+    movement, notes = _movement(a, b, pairs, points, compared, sigmas)
+    found = {
+        "lenses": lens_differences(a, b, *rows),
+        "points": point_difference(a, b, points, compared.similarity) if len(points) else None,
+        "movement": movement,
+    }
+    return found, notes
+
+
+def _movement(
+    a: Problem,
+    b: Problem,
+    pairs: Association,
+    points: Any,
+    compared: Compared,
+    sigmas: str,
+) -> tuple[SigmaMovement | None, list[str]]:
+    """Return the movement in sigmas, or the reason why it is missing."""
+    if sigmas == "off" or not a.num_observations:
+        return None, []
+    if sigmas == "auto" and a.num_images > MOST_IMAGES:
+        return None, [f"No sigmas: A has more than {MOST_IMAGES} images (--sigmas on)."]
+    try:
+        start = compared.similarity
+        found = movement_in_sigmas(a, b, pairs.rows_a, pairs.rows_b, points, start)
+    except InputError as error:
+        if sigmas == "on":
+            raise
+        return None, [f"No sigmas: {error}."]
+    return found, list(found.notes)
+
+
+def _missing(pairs: Association) -> list[Finding]:
+    """Return the finding about images of B that A lacks."""
+    count = len(pairs.only_b)
+    if not count or pairs.by == "time":
+        return []
+    named = ", ".join(pairs.only_b[:3])
+    more = f" and {count - 3} more" if count > 3 else ""
+    return [
+        Finding(
+            kind="missing_images",
+            sentence=f"A lacks {plural(count, 'image')} of B: {named}{more}.",
+            evidence={"num_images": count, "num_shared": len(pairs)},
+        )
+    ]
+
+
+def _notes(pairs: Association) -> Iterable[str]:
+    if pairs.by not in ("name", "time"):
+        yield f"Poses are associated {pairs.sentence}."
+    if len(pairs) > MOST_IN_PAIRS:
+        yield f"Pairs are those of {MOST_IN_PAIRS} evenly spaced poses of {len(pairs)}."
+    if pairs.only_a and pairs.by != "time":
+        yield f"B lacks {plural(len(pairs.only_a), 'image')} of A, which have no influence."

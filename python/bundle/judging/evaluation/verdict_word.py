@@ -1,0 +1,263 @@
+"""Verdict on a comparison: one word, sentences, and causes of large differences.
+
+The word depends on the position error relative to the size of B (root mean square distance of its
+shared centres from their mean) and on the rotation error, both as root mean squares over images:
+
+    identical    positions within 1e-9 of the coordinates, rotations within 1e-6 degrees
+    agrees       positions within 1 % of the size, and rotations within 1 degree
+    close        positions within 5 % of the size, and rotations within 5 degrees
+    contradicts  positions beyond 50 % of the size, or rotations beyond 45 degrees
+    differs      otherwise
+
+Causes are tried one by one. A cause is a finding if it removes at least 80 % of the error:
+
+    outlier_images  errors of the images that agree with the majority (``georeference.consensus``)
+    mirrored        A's centres with one coordinate negated, then aligned again
+    direction       A or B read as inverse poses, if it is a table of poses; half of the position
+                    error suffices, because rotations decide
+    axes            one rotation Q of the camera, R_B^T R_A = Q for all images, as between a camera
+                    and an IMU, or between the axes of OpenCV and OpenGL. Q is the eigenvector of
+                    sum q q^T of the quaternions of the errors (Markley et al. 2007). A path that is
+                    mirrored in a plane has the same effect, with 180 degrees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.words import noun, number, plural
+from bundle.errors import InputError
+from bundle.georeference.consensus import agreeing
+from bundle.georeference.pose_alignment import align_centers, angle_about_line, moved_poses
+from bundle.georeference.similarity import Similarity
+from bundle.interface.finding import Finding
+from bundle.judging.evaluation.association import Association
+from bundle.judging.evaluation.pose_errors import ErrorStatistics, absolute_errors, angles_of
+from bundle.model.rigid_motions import inverse_poses
+from bundle.model.rotations import quaternion_inverse, quaternion_multiply
+
+__all__ = ["Compared", "findings_of", "size_of", "word_of"]
+
+IDENTICAL = (1e-9, 1e-6)
+AGREES, CLOSE, CONTRADICTS = (0.01, 1.0), (0.05, 5.0), (0.5, 45.0)
+"""Limits of the position error relative to the size, and of the rotation error in degrees."""
+
+EXPLAINED = 0.2
+"""Remaining share of an error below which its cause is a finding."""
+
+WORST_ANGLE = np.radians(1.0)
+"""Uncertainty of the rotation about the line of the centres above which it is a finding."""
+
+THIN = 0.2
+"""Ratio of width to length below which centres are near a line."""
+
+MOST_NAMES = 3
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Compared:
+    """Poses of the pairs, and their errors.
+
+    Attributes:
+        given: (n, 7) poses world_from_camera of A in A's frame.
+        moved: (n, 7) aligned poses of A.
+        reference: (n, 7) poses of B.
+        alignment: alignment of A to B.
+        similarity: the map from A to B.
+        position: (n,) position errors.
+        rotation: (n,) rotation errors in degrees.
+        association: names of the pairs.
+        directions: command that reads A or B as inverse poses, by "A" and "B", for tables of poses.
+    """
+
+    given: Array
+    moved: Array
+    reference: Array
+    alignment: str
+    similarity: Similarity
+    position: Array
+    rotation: Array
+    association: Association
+    directions: Mapping[str, str]
+
+    @property
+    def size(self) -> float:
+        """Root mean square distance of B's centres from their mean."""
+        return size_of(self.reference)
+
+    def rms(self) -> tuple[float, float]:
+        """Return the root mean squares of position and rotation errors."""
+        return ErrorStatistics.of(self.position).rmse, ErrorStatistics.of(self.rotation).rmse
+
+
+def size_of(poses: Array) -> float:
+    """Return the root mean square distance of the centres of poses from their mean."""
+    centers = poses[:, 4:]
+    return ErrorStatistics.of(np.linalg.norm(centers - centers.mean(axis=0), axis=1)).rmse
+
+
+def word_of(given: Compared) -> str:
+    """Return the verdict in one word."""
+    position, rotation = given.rms()
+    relative = position / given.size if given.size > 0 else np.inf
+    largest = float(np.abs(given.reference[:, 4:]).max())
+    if given.position.max() <= IDENTICAL[0] * largest and given.rotation.max() <= IDENTICAL[1]:
+        return "identical"
+    for word, (length, angle) in (("agrees", AGREES), ("close", CLOSE)):
+        if relative <= length and rotation <= angle:
+            return word
+    is_far = relative > CONTRADICTS[0] or rotation > CONTRADICTS[1]
+    return "contradicts" if is_far else "differs"
+
+
+def findings_of(given: Compared) -> list[Finding]:
+    """Return the causes of large differences."""
+    if word_of(given) == "identical":
+        return []
+    direction = _direction(given)
+    if direction is not None:
+        return [direction]
+    tests = (_mirrored, _outlier_images, _axes)
+    found = [finding for test in tests if (finding := test(given)) is not None]
+    if not found and (line := _near_line(given)) is not None:  # other causes leave residuals, too
+        found.append(line)
+    return found
+
+
+def _outlier_images(given: Compared) -> Finding | None:
+    count = len(given.position)
+    source, target = given.given[:, 4:], given.reference[:, 4:]
+    if count < 5 or given.alignment not in ("similarity", "rigid"):
+        return None
+    sigmas = np.full((count, 3), 1e-9 * given.size)
+    chosen = agreeing(source, target, sigmas)
+    if chosen.all():
+        return None
+    try:
+        similarity = align_centers(source[chosen], target[chosen], given.alignment)
+    except InputError:
+        return None
+    errors = np.linalg.norm(similarity.apply(source) - target, axis=1)
+    usual = ErrorStatistics.of(errors[chosen]).rmse
+    far = np.flatnonzero(errors > 5 * usual)
+    if not len(far) or usual > EXPLAINED * given.rms()[0]:
+        return None
+    far = far[np.argsort(-errors[far])]
+    names = ", ".join(given.association.names[row] for row in far[:MOST_NAMES])
+    more = f" and {len(far) - MOST_NAMES} more" if len(far) > MOST_NAMES else ""
+    rest = ErrorStatistics.of(np.delete(errors, far)).rmse
+    return Finding(
+        kind="outlier_images",
+        sentence=f"{plural(len(far), 'image')} {noun(len(far), 'is', 'are')} far off ({names}"
+        f"{more}; up to {number(float(errors.max()))}). The other {count - len(far)} agree within "
+        f"{number(rest)} rms if they alone determine the alignment.",
+        evidence={
+            "images": [given.association.names[row] for row in far],
+            "max": float(errors.max()),
+            "rmse_of_others": rest,
+        },
+    )
+
+
+def _explains(given: Compared, poses: Array, reference: Array) -> float | None:
+    """Return the position error of other poses if it is much smaller; None otherwise."""
+    try:
+        similarity = align_centers(poses[:, 4:], reference[:, 4:], given.alignment)
+    except InputError:
+        return None
+    error = np.linalg.norm(similarity.apply(poses[:, 4:]) - reference[:, 4:], axis=1)
+    relative = ErrorStatistics.of(error).rmse / size_of(reference)
+    before = given.rms()[0] / given.size if given.size > 0 else np.inf
+    return relative if relative <= EXPLAINED * before and before > CLOSE[0] else None
+
+
+def _mirrored(given: Compared) -> Finding | None:
+    mirrored = given.given * np.array([1.0, 1, 1, 1, 1, 1, -1])
+    relative = _explains(given, mirrored, given.reference)
+    if relative is None:
+        return None
+    return Finding(
+        kind="mirrored",
+        sentence="A is a mirror image of B: with one coordinate negated, positions differ by "
+        f"{number(100 * relative)} % of the size of B. A handedness or an axis differs.",
+        evidence={"relative_rmse": relative},
+        is_problem=True,
+    )
+
+
+def _direction(given: Compared) -> Finding | None:
+    found = {}
+    for name, command in given.directions.items():
+        after = _errors_of_inverse(given, name)
+        before = given.rms()[0] / given.size, given.rms()[1]
+        if after[0] <= before[0] / 2 and after[1] <= EXPLAINED * before[1]:
+            found[name] = command, after
+    if not found:
+        return None
+    names = " or ".join(found)
+    command, (position, rotation) = next(iter(found.values()))
+    return Finding(
+        kind="direction",
+        sentence=f"The poses of {names} have the opposite direction: read as inverses, they differ "
+        f"by {number(100 * position)} % of the size of B and {number(rotation)} degrees.",
+        command=command,
+        evidence={"inputs": list(found), "relative_rmse": position, "rotation_rmse": rotation},
+        is_problem=True,
+    )
+
+
+def _errors_of_inverse(given: Compared, name: str) -> tuple[float, float]:
+    """Return errors relative to the size and in degrees, with one input read as inverse poses."""
+    poses, reference = given.given, given.reference
+    if name == "A":
+        poses = inverse_poses(poses)
+    else:
+        reference = inverse_poses(reference)
+    try:
+        similarity = align_centers(poses[:, 4:], reference[:, 4:], given.alignment)
+    except InputError:
+        return np.inf, np.inf
+    position, rotation = absolute_errors(moved_poses(poses, similarity), reference)
+    size = size_of(reference)
+    return ErrorStatistics.of(position).rmse / size, ErrorStatistics.of(rotation).rmse
+
+
+def _axes(given: Compared) -> Finding | None:
+    errors = quaternion_multiply(quaternion_inverse(given.reference[:, :4]), given.moved[:, :4])
+    common = np.linalg.eigh(errors.T @ errors)[1][:, -1]
+    rest = quaternion_multiply(errors, quaternion_inverse(np.tile(common, (len(errors), 1))))
+    before, after = given.rms()[1], ErrorStatistics.of(angles_of(rest)).rmse
+    if before <= CLOSE[1] or after > EXPLAINED * before:
+        return None
+    angle = float(angles_of(common[None])[0])
+    why = (
+        "The axes of the cameras differ (camera against IMU, or OpenCV against OpenGL), or a path "
+        "in a plane is mirrored."
+    )
+    return Finding(
+        kind="axes",
+        sentence=f"Rotation errors are one rotation of {number(angle)} degrees for all images; "
+        f"{number(after)} degrees rms remain without it. {why}",
+        evidence={"rotation_degrees": angle, "rmse_without": after, "quaternion": common.tolist()},
+    )
+
+
+def _near_line(given: Compared) -> Finding | None:
+    if given.alignment not in ("similarity", "rigid"):
+        return None
+    angle, ratio = angle_about_line(given.reference[:, 4:], given.position)
+    if angle <= WORST_ANGLE or ratio > THIN:
+        return None
+    degrees = min(float(np.degrees(angle)), 180.0)
+    return Finding(
+        kind="near_line",
+        sentence="The shared centres lie nearly on one line: the rotation about it is known to "
+        f"{number(degrees)} degrees only (one sigma), and rotation errors contain it.",
+        evidence={"sigma_degrees": degrees},
+    )

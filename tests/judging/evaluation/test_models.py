@@ -1,0 +1,193 @@
+"""Lenses, points of common tracks, and movement in sigmas, of two models."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+import bundle
+from bundle.editing.cameras.pixel_rays import pixel_rays
+from bundle.georeference.similarity import Similarity, moved
+from bundle.judging.evaluation.lens_difference import lens_differences
+from bundle.judging.evaluation.shared_points import shared_points
+from tests.rig_scenes import rig_problem
+from tests.scenes import make_problem
+
+ROWS = np.arange(5)
+
+
+def lens(model, params, problem=None):
+    problem = make_problem(num_points=80, shared=True) if problem is None else problem
+    return problem.replace(camera_models=[model], camera_params=[params])
+
+
+def test_equal_lenses_do_not_differ_in_any_model():
+    for model, params in (
+        ("EQUIRECTANGULAR", [800, 400]),
+        ("OPENCV", [700, 700, 400, 300, 0.1, 0, 0, 0]),
+    ):
+        same = lens(model, params)
+        (found,) = lens_differences(same, same, ROWS, ROWS)
+        assert found.pixels.max == 0 and found.angle == 0 and found.num_images == 5
+
+
+def test_a_shift_of_the_principal_point_is_mostly_a_rotation():
+    a, b = (lens("PINHOLE", [700, 700, 400 + shift, 300]) for shift in (0, 5))
+    (found,) = lens_differences(a, b, ROWS, ROWS)
+    assert found.angle == pytest.approx(np.degrees(np.arctan(5 / 700)), rel=0.2)
+    assert 0 < found.pixels.rmse < 1
+
+
+def test_the_difference_is_the_least_squares_one():
+    a = lens("OPENCV", [700, 705, 400, 300, -0.1, 0.02, 0.001, -0.001])
+    b = lens("SIMPLE_RADIAL", [710, 405, 297, -0.05])
+    (found,) = lens_differences(a, b, ROWS, ROWS)
+    rows, columns = found.field.shape[:2]
+    left, top, right, bottom = found.box
+    x = left + (right - left) * (np.arange(columns) + 0.5) / columns
+    y = top + (bottom - top) * (np.arange(rows) + 0.5) / rows
+    known = np.isfinite(found.field).all(axis=-1)
+    assert 100 < known.sum() <= known.size
+    xy = np.stack(np.meshgrid(x, y), axis=-1)[known]
+    rays, _ = pixel_rays("OPENCV", a.camera_params[0], xy)
+
+    def residuals(vector):
+        turned = rays @ Rotation.from_rotvec(vector).as_matrix().T
+        return (bundle.project("SIMPLE_RADIAL", b.camera_params[0], turned)[0] - xy).ravel()
+
+    best = least_squares(residuals, np.zeros(3), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    assert found.field[known].ravel() == pytest.approx(best.fun, abs=1e-6)
+    assert found.angle == pytest.approx(np.degrees(np.linalg.norm(best.x)), rel=1e-4)
+
+
+def test_other_sizes_are_scaled_and_a_camera_without_observations_is_unknown():
+    a = lens("PINHOLE", [700, 700, 400, 300])
+    half = lens("PINHOLE", [350, 350, 200, 150]).replace(camera_sizes=[[400, 300]])
+    (found,) = lens_differences(a, half, ROWS, ROWS)
+    assert found.pixels.max < 1e-9
+    bare = a.replace(
+        camera_sizes=[[0, 0]],
+        **{
+            f"observation_{name}": getattr(a, f"observation_{name}")[:0]
+            for name in ("image", "point", "xy", "keypoint")
+        },
+    )
+    (found,) = lens_differences(bare, half, ROWS, ROWS)
+    assert np.isnan(found.pixels.rmse)
+    assert bundle.evaluate(bare, half).lens_difference["rmse"] != 0
+
+
+def test_cameras_of_images_pair_up():
+    a = make_problem(num_images=6)
+    b = a.replace(camera_ids=a.camera_ids + 10)
+    found = lens_differences(a, b, np.arange(6), np.arange(6))
+    assert [(one.camera_a, one.camera_b) for one in found] == [(k, k + 10) for k in range(1, 7)]
+    shared = make_problem(num_images=6, shared=True)
+    assert len(lens_differences(a, shared, np.arange(6), np.arange(6))) == 6
+
+
+@pytest.fixture(params=["keypoints", "pixels"])
+def model(request):
+    problem = make_problem(num_images=6, num_points=50, track=4, seed=2)
+    if request.param == "pixels":
+        return problem
+    keypoint = np.empty(problem.num_observations, int)
+    for image in range(6):
+        rows = np.flatnonzero(problem.observation_image == image)
+        keypoint[rows] = np.arange(len(rows))
+    return problem.replace(observation_keypoint=keypoint)
+
+
+def test_points_of_the_same_track_are_found_in_any_order(model):
+    rng = np.random.default_rng(0)
+    order = rng.permutation(model.num_points)
+    place = np.argsort(order)
+    rows = rng.permutation(model.num_observations)
+    images = rng.permutation(6)
+    names = ("image", "point", "xy", "keypoint")
+    changes = {f"observation_{n}": getattr(model, f"observation_{n}")[rows] for n in names}
+    changes["observation_point"] = place[changes["observation_point"]]
+    changes["observation_image"] = np.argsort(images)[changes["observation_image"]]
+    other = model.replace(
+        points=model.points[order],
+        point_ids=model.point_ids[order],
+        cam_from_world=model.cam_from_world[images],
+        image_camera=model.image_camera[images],
+        image_names=[model.image_names[k] for k in images],
+        image_ids=model.image_ids[images],
+        **changes,
+    )
+    pairs = shared_points(model, other, images, np.arange(6))
+    assert len(pairs) == model.num_points
+    assert np.array_equal(order[pairs[:, 1]], pairs[:, 0])
+    found = bundle.evaluate(model, other)
+    assert found.points.num_shared == 50 and found.points.distance.max < 1e-12
+    assert found.verdict == "identical"
+
+
+def test_a_wrong_vote_and_repeated_pixels_do_not_make_pairs(model):
+    xy = model.observation_xy.copy()
+    first = np.flatnonzero(model.observation_image == 0)
+    xy[first[1]] = xy[first[0]]
+    twice = model.replace(observation_xy=xy)
+    pairs = shared_points(twice, twice, np.arange(6), np.arange(6))
+    assert (pairs[:, 0] == pairs[:, 1]).all() and len(pairs) == 50
+    point = model.observation_point.copy()
+    point[first[2]] = point[first[3]]
+    wrong = model.replace(observation_point=point)
+    pairs = shared_points(model, wrong, np.arange(6), np.arange(6))
+    assert (pairs[:, 0] == pairs[:, 1]).all() and len(pairs) == 50
+    far = model.replace(observation_xy=model.observation_xy + 1.0)
+    assert len(shared_points(model, far, np.arange(6), np.arange(6))) == 0
+
+
+@pytest.fixture(scope="module")
+def solved():
+    """Solutions of the same scene with other noise, and the scene itself."""
+    truth = make_problem(num_images=8, num_points=60, perturbation=0, noise=0, shared=True)
+    models = []
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        noisy = truth.replace(
+            observation_xy=truth.observation_xy
+            + 0.3 * rng.standard_normal(truth.observation_xy.shape)
+        )
+        models.append(bundle.solve(noisy, function_tolerance=1e-14).problem)
+    return truth, models
+
+
+def test_errors_against_the_truth_are_one_sigma_in_any_world(solved):
+    truth, models = solved
+    squares = []
+    for row, problem in enumerate(models):
+        found = bundle.evaluate(problem, truth)
+        squares.append((found.movement.sigmas**2).mean())
+        assert found.movement.sigma0 == pytest.approx(0.3, rel=0.15)
+        if row < 3:
+            turn = Rotation.from_rotvec([1, 2, 3]).as_matrix()
+            world = moved(truth, Similarity(1e4, turn, np.array([5e4, 0, 1e3])))
+            again = bundle.evaluate(problem, world)
+            assert again.movement.sigmas == pytest.approx(found.movement.sigmas, rel=1e-5)
+    assert np.mean(squares) == pytest.approx(1, abs=0.25)
+
+
+def test_a_large_move_has_many_sigmas(solved):
+    _, models = solved
+    poses = models[0].cam_from_world.copy()
+    poses[3, 4] += 0.2
+    found = bundle.evaluate(models[0], models[0].replace(cam_from_world=poses))
+    assert np.argmax(found.movement.sigmas) == 3 and found.movement.largest > 10
+    assert found.images[3].sigmas == found.movement.sigmas[3]
+
+
+def test_when_sigmas_are_missing():
+    a, b = make_problem(seed=1), make_problem(seed=2)
+    assert bundle.evaluate(a, b, sigmas="off").movement is None
+    rigs = rig_problem()
+    rigs = dataclasses.replace(rigs) if isinstance(rigs, bundle.Problem) else rigs[0]
+    found = bundle.evaluate(rigs, rigs.without_rigs().replace(points=rigs.points * 1.5))
+    assert found.verdict == "identical"
+    with pytest.raises(bundle.InputError, match="rigs"):
+        bundle.evaluate(rigs, rigs.without_rigs(), sigmas="on")
