@@ -29,6 +29,7 @@ WITH_DATA: dict[str, Callable[[Path, Path], None]] = {
     "docs/drone_block.md": workspace.flights,
     "docs/align.md": workspace.one_flight,
     "docs/rounds.md": workspace.photographs,
+    "docs/evaluate.md": workspace.photographs,
 }
 
 

@@ -118,6 +118,32 @@ def _merge(parser: Parser) -> None:
     )
 
 
+def _evaluate(parser: Parser) -> None:
+    parser.usage = "bundle evaluate A --reference B [options]"
+    parser.add_argument(
+        "a",
+        metavar="A",
+        type=reconstruction,
+        help="a COLMAP model, a BAL file, or a file of poses: TUM, EuRoC, KITTI, or a list with "
+        "lines of name qw qx qy qz tx ty tz; told by its content",
+    )
+    parser.add_argument(
+        "--reference",
+        metavar="B",
+        type=reconstruction,
+        required=True,
+        help="the truth or another model, in the same formats, or check points in ODM's "
+        "gcp_list.txt; errors are in its frame and its length unit",
+    )
+    add_options(parser, "EvaluateOptions", "options of the comparison")
+    parser.add_argument(
+        "--html",
+        metavar="FILE",
+        type=page_path(),
+        help="also write a page with errors per image, paths from above and lenses",
+    )
+
+
 def _vio(parser: Parser) -> None:
     parser.usage = "bundle vio SEQUENCE -o FILE.tum [options]"
     parser.add_argument(
@@ -233,6 +259,7 @@ ARGUMENTS = {
     "diagnose": add_diagnose,
     "align": _align,
     "merge": _merge,
+    "evaluate": _evaluate,
     "report": add_report,
     "vio": _vio,
     "convert": _convert,

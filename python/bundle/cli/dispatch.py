@@ -36,6 +36,7 @@ COMMANDS = {
     "rank, weak directions, pieces, points, suspicious edges",
     "align": "puts a reconstruction where GPS, control points or another model say it is",
     "merge": "makes two reconstructions of partly the same images one",
+    "evaluate": "errors of a model or trajectory A against a reference: truth, or another model",
     "report": "one page (HTML, no network) on a reconstruction: residuals, lenses, tracks, a 3-D "
     "view",
     "vio": "visual-inertial odometry from feature tracks and IMU samples",
@@ -67,6 +68,7 @@ HANDLERS = {
     ("diagnose", Kind.POSE_GRAPH): "pose_graph_analyses:diagnose",
     ("align", Kind.RECONSTRUCTION): "align:run",
     ("merge", Kind.RECONSTRUCTION): "merge:run",
+    ("evaluate", Kind.RECONSTRUCTION): "evaluate:run",
     ("report", Kind.RECONSTRUCTION): "report:run",
     ("vio", Kind.RECONSTRUCTION): "vio:run",
     ("convert", Kind.RECONSTRUCTION): "convert:run",

@@ -11,6 +11,7 @@ import re
 from itertools import groupby
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bundle import _core
@@ -19,15 +20,18 @@ from bundle.base.tables import render
 from bundle.checking.jacobians import check_jacobians
 from bundle.cli.synth import _tally
 from bundle.georeference.alignment import align
+from bundle.interface.evaluate_options import EvaluateOptions
 from bundle.interface.options import SolveOptions
 from bundle.interface.scene_options import SceneOptions
 from bundle.interface.termination import sentence
+from bundle.judging.evaluation.evaluate_models import evaluate
 from bundle.planning.inspection.graph_inspection import inspect_graph
 from bundle.planning.inspection.problem_inspection import inspect
 from bundle.planning.inspection.rank_prediction import NETWORK
 from bundle.reports.sections import Report
 from bundle.reports.terminal import align as align_report
 from bundle.reports.terminal import check, compare, convert, info, refine, synth
+from bundle.reports.terminal import evaluate as evaluate_report
 from bundle.reports.terminal import inspect as inspect_report
 from bundle.reports.terminal import inspect_graph as inspect_graph_report
 from bundle.reports.terminal.screen import laid_out
@@ -134,7 +138,22 @@ def terminated(_):
     return [sentence(fakes.summary(**end), 5, 2) for end in ends]
 
 
+def evaluated(_):
+    """A model with a lens of its own, two images far off, against its truth."""
+    truth = make_problem(num_images=12, perturbation=0, shared=True, format="colmap")
+    poses = truth.cam_from_world.copy()
+    poses[:, 4:] += 0.01 * np.random.default_rng(0).standard_normal((12, 3))
+    poses[[2, 7], 4] += [0.5, 0.3]
+    names = tuple(f"other/{name}" for name in truth.image_names)
+    lens = truth.camera_params * [[1.02, 1, 1, 1]]
+    made = truth.replace(cam_from_world=poses, camera_params=lens, image_names=names)
+    options = EvaluateOptions(align="rigid")
+    found = evaluate(made, truth, options)
+    return evaluate_report.evaluated(("refined", "truth"), found, options)
+
+
 REPORTS = {
+    "evaluate": evaluated,
     "termination": terminated,
     "info": informed,
     "refine": refined,

@@ -1,9 +1,10 @@
-"""HTML pages about a reconstruction, an inspection, a comparison or an odometry, one file each.
+"""HTML pages about reconstructions, inspections, comparisons and odometries, one file each.
 
 A browser shows a page without any other file and without network access.
 """
 
 from bundle.reports.page.comparison_page import write_comparison
+from bundle.reports.page.evaluation_page import write_evaluation
 from bundle.reports.page.inspection_page import write_inspection
 from bundle.reports.page.odometry_page import write_odometry
 from bundle.reports.page.report_page import write_report
@@ -11,4 +12,11 @@ from bundle.reports.page.report_page import write_report
 report = write_report
 """The name of :func:`write_report` directly in ``bundle``."""
 
-__all__ = ["report", "write_comparison", "write_inspection", "write_odometry", "write_report"]
+__all__ = [
+    "report",
+    "write_comparison",
+    "write_evaluation",
+    "write_inspection",
+    "write_odometry",
+    "write_report",
+]
