@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bundle.base.words import plural
+from bundle.base.words import pixels, plural
 from bundle.errors import shown
 from bundle.figures.axes import linear, logarithmic, round_down
 from bundle.figures.drawing import Figure, over_image
@@ -14,6 +14,8 @@ from bundle.figures.image_residuals import ImageResiduals
 from bundle.figures.marks import GREY, Array, Cells, Dots, Line, Photo, Steps, Vectors
 from bundle.figures.residual_field import SIGNIFICANT, ResidualField
 from bundle.figures.residual_histogram import ResidualHistogram
+from bundle.model.problem import Problem
+from bundle.model.residuals import Residuals
 
 __all__ = [
     "CELL_NUMBERS",
@@ -21,6 +23,7 @@ __all__ = [
     "coordinate_figure",
     "direction_figure",
     "field_figures",
+    "image_error_figure",
     "image_figure",
     "image_frame",
     "image_name",
@@ -28,6 +31,9 @@ __all__ = [
     "profile_figure",
     "vector_figure",
 ]
+
+MOST_IMAGES = 2000
+"""Number of images with a dot each; of more images every k-th has one."""
 
 LONGEST = 0.08
 """Drawn length of the largest residual, relative to the longer side of the image."""
@@ -69,6 +75,30 @@ def length_figure(histogram: ResidualHistogram) -> Figure:
         x=logarithmic(histogram.length_edges.tolist(), label),
         y=linear([0.0, 1.05 * _highest(histogram.lengths)], "count"),
         marks=_histograms(histogram.length_edges, histogram.lengths),
+    )
+
+
+def image_error_figure(problem: Problem, found: Residuals) -> Figure:
+    """Return the RMSE of each image by its id, and their median."""
+    of = problem.observation_image[found.counted]
+    squares = np.bincount(of, found.lengths[found.counted] ** 2, problem.num_images)
+    count = np.bincount(of, minlength=problem.num_images)
+    there = np.flatnonzero(count)
+    order = there[np.argsort(problem.image_ids[there], kind="stable")]
+    order = order[:: max(-(-len(order) // MOST_IMAGES), 1)]
+    ids, rmse = problem.image_ids[order].astype(float), np.sqrt(squares[order] / count[order])
+    ends = np.array([ids.min(initial=0.0), ids.max(initial=1.0)])
+    middle = np.full(2, np.median(rmse)) if len(rmse) else np.full(2, np.nan)
+    return Figure(
+        name="rmse_by_image",
+        title="RMSE by image",
+        x=linear([ends[0] - 0.5, ends[1] + 0.5], "image id", low=None),
+        y=linear([0.0, *(1.05 * rmse).tolist()], "RMSE [px]"),
+        marks=(
+            Line("", ids, rmse, colour=0, is_dotted=True),
+            Line("", ends, middle, colour=GREY, dash=1),
+        ),
+        note="Dashed: the median.",
     )
 
 
@@ -196,13 +226,15 @@ def image_figure(
     """
     box, round_factor = image_frame(image)
     factor = round_factor if factor is None else factor
-    words = f"{image_name(image)}: {plural(len(image.xy), 'residual')}"
+    words = plural(len(image.xy), "residual")
     if len(image.xy) < image.error.num_observations:
-        words = f"{image_name(image)}: the largest {len(image.xy)} residuals"
+        words = f"the largest {len(image.xy)} residuals"
     vectors = Vectors(image.xy, factor * image.residual)
     marks = (vectors,) if picture is None else (Photo(picture), vectors)
     note = f"{words}, {factor:g} times as long"
-    return over_image(box, f"residuals of {image_name(image)}", "", *marks, note=note)
+    name = image_name(image)
+    title = f"{name}, RMSE {pixels(image.error.rmse)} px"
+    return over_image(box, f"residuals of {name}", title, *marks, note=note)
 
 
 def image_name(image: ImageResiduals) -> str:

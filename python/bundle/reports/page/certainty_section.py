@@ -50,13 +50,17 @@ def certainty_sections(
     table = Table.of(head, [row for row in rows if row])
     made = (correlation_figure(problem, known, k) for k in cameras if k in known.cameras)
     correlations = [figure for figure in made if figure is not None]
-    return [
-        Section(title="Certainty", text=[words], notes=known.notes, is_warning=True,
-                tables=[table] if table.rows else []),
+    first, *rest = [
+        Section(
+            title="Certainty", text=[words], notes=known.notes, is_warning=True,
+            tables=[table] if table.rows else [],
+        ),
         *projection_sections(projections),
-        *([Section(title="Correlations of intrinsics", figures=correlations, is_detail=True)]
-          if correlations else []),
     ]  # fmt: skip
+    if correlations:
+        details = Section(title="Correlations of intrinsics", figures=correlations, is_detail=True)
+        rest.insert(min(len(rest), 1), details)
+    return [first, *rest]
 
 
 def scene_ellipsoids(view: SceneView, known: Certainty) -> tuple[dict[str, Any], str]:

@@ -10,7 +10,7 @@ from bundle.analysis.statistics.description import Description
 from bundle.base.words import contents, pixels, plural, seconds
 from bundle.figures.cost_figures import iteration_figure
 from bundle.figures.drawing import Figure
-from bundle.figures.residual_figures import coordinate_figure, length_figure
+from bundle.figures.residual_figures import coordinate_figure, image_error_figure, length_figure
 from bundle.figures.residual_histogram import ResidualHistogram
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
@@ -36,17 +36,17 @@ def contents_of(problem: Problem) -> str:
 
 
 def residual_section(
+    problem: Problem,
     result: Result | None,
     description: Description,
-    found: Residuals | None,
+    found: Residuals,
     histogram: ResidualHistogram | None,
 ) -> list[Section]:
     """Return the distribution of residuals, and the table of errors."""
     figures: list[Figure] = []
     if histogram is not None:
         figures += [coordinate_figure(histogram), length_figure(histogram)]
-    if result is not None and len(result.iterations.get("cost", ())) > 1:
-        figures.append(iteration_figure(np.asarray(result.iterations["cost"], float)))
+        figures.append(image_error_figure(problem, found))
     table = _errors_now(description, found) if result is None else _errors_of(result)
     sections = [Section(title="Residuals", figures=figures)]
     if table is not None:
@@ -66,15 +66,23 @@ def solve_sections(result: Result) -> list[Section]:
     facts += [(name, _value(value)) for name, value in used.items() if value != usual.get(name)]
     rest = [(name, _value(value)) for name, value in used.items() if value == usual.get(name)]
     rounds = [Table(ROUNDS, result.rounds)] if result.rounds else []
+    costs = np.asarray(result.iterations.get("cost", ()), float)
+    figures = [iteration_figure(costs)] if len(costs) > 1 else []
     return [
-        Section(title="Solver and options", text=[result.outcome], facts=facts, tables=rounds),
+        Section(
+            title="Solver and options",
+            text=[result.outcome],
+            facts=facts,
+            tables=rounds,
+            figures=figures,
+        ),
         Section(title=f"{plural(len(rest), 'option')} at the default", facts=rest, is_detail=True),
     ]
 
 
-def _errors_now(description: Description, found: Residuals | None) -> Table | None:
+def _errors_now(description: Description, found: Residuals) -> Table | None:
     error = description.reprojection_error
-    if error is None or found is None:
+    if error is None:
         return None
     half = 0.5 * float((found.xy[found.counted] ** 2).sum())
     rows = [

@@ -71,6 +71,8 @@ if TYPE_CHECKING:
 __all__ = ["write_report"]
 
 MOST_EDGES = 1500
+PROBLEMS = ("collapsed_points", "no_observations", "unsupported_camera_models")
+"""Kinds of suspicions with which a model is no reconstruction."""
 
 
 # Valid problems may hold numbers up to the largest double; infinite results get a note.
@@ -161,7 +163,7 @@ class _Page:
         photographs = Photographs(images, folder)
         self.notes += photographs.notes
         if findings is None:
-            findings = _findings(result, problem, self.name, description)
+            findings = self._findings(description)
         judged = verdicts(
             Judged(
                 problem=problem, result=result, description=description, fields=planes,
@@ -191,7 +193,7 @@ class _Page:
             self.data["placement"] = plain(self.place)
         first = [
             tag("p", escape(contents_of(problem)), class_="quiet"),
-            *(tag("p", escape(words), class_="warn") for words in self.notes),
+            "" if counts else tag("p", escape(self.notes[-1]), class_="warn"),
             tag(
                 "div",
                 tag("div", verdict_list(judged), findings_list(findings)),
@@ -204,13 +206,13 @@ class _Page:
             f"Report on {self.name}" if self.name else "Report on a reconstruction",
             [*first, *rendered(sections)],
             self.data,
-            headline=self._headline(judged),
+            headline=self._headline(judged, findings),
             script=scene_script(),
         )
 
-    def _headline(self, judged: Sequence[Verdict]) -> str:
-        words = summarised(judged) or "nothing needs attention"
-        return f"{self.name or 'The reconstruction'}: {words}"
+    def _headline(self, judged: Sequence[Verdict], findings: Sequence[Finding]) -> str:
+        name = "/".join(Path(self.name).parts[-2:]) or "The reconstruction"
+        return f"{name}: {summarised(judged, findings)}"
 
     def _residuals(self, found: Residuals, description: Description) -> list[Section]:
         sets = {"now": found}
@@ -220,7 +222,7 @@ class _Page:
         histogram = residual_histogram(sets)
         if histogram is not None:
             self.data["histogram"] = plain(histogram)
-        return residual_section(self.result, description, found, histogram)
+        return residual_section(self.problem, self.result, description, found, histogram)
 
     def _lenses(self) -> list[Section]:
         cameras = most_observed_cameras(self.problem, MOST_LENSES)
@@ -246,9 +248,7 @@ class _Page:
             before = scene_before(view, problem, self.initial, earlier)
         lengths = np.bincount(problem.observation_point, minlength=problem.num_points)
         seen = lengths[view.point_indices].astype(float)
-        shades = [
-            Shades("images per point", seen, (max(float(seen.max(initial=3.0)), 3.0), 2.0), "")
-        ]
+        shades = [Shades("images", seen, (max(float(seen.max(initial=3.0)), 3.0), 2.0), "")]
         data: dict[str, Any] = {}
         words = ""
         if self.known is not None:
@@ -275,7 +275,9 @@ class _Page:
                     source, priors=priors, constraints=constraints, scale="sigma0"
                 )
             except InputError as error:
-                self.no_certainty = f"No covariance: {str(error).rstrip('.')}."
+                self.no_certainty = (
+                    f"No covariance: {str(error).removeprefix('problem: ').rstrip('.')}."
+                )
                 self._note(self.no_certainty)
         return None if given is None else certainty(self.problem, given)
 
@@ -301,6 +303,31 @@ class _Page:
             loss=options.loss, loss_scale=options.loss_scale,
         )  # fmt: skip
 
+    def _findings(self, description: Description) -> list[Finding]:
+        """Return what is not determined, warnings and suspicions, and the findings."""
+        result, source = self.result, self.name or "INPUT"
+        found = []
+        if self.no_certainty:
+            command = NextCommand(source).other("diagnose")
+            found.append(
+                Finding(
+                    kind="no_covariance",
+                    sentence=self.no_certainty,
+                    command=command,
+                    is_problem="full rank" in self.no_certainty,
+                )
+            )
+        for words in () if result is None else dict.fromkeys(result.summary.warnings):
+            found.append(Finding(kind="warning", sentence=words))
+        for one in description.suspicions:
+            severe = one.kind in PROBLEMS
+            found.append(Finding(kind=one.kind, sentence=one.sentence, is_problem=severe))
+        options, rounds = None, 0
+        if result is not None:
+            options, rounds = result.options, len(result.rounds)
+        found += find(self.problem, source=source, options=options, rounds=rounds)
+        return sorted(found, key=lambda one: not one.is_problem)
+
     def _num_observed(self) -> int:
         return len(np.unique(self.problem.image_camera[self.problem.observation_image]))
 
@@ -313,21 +340,6 @@ def _initial(result: Result) -> Problem:
     if result.similarity is None:
         return result.initial_problem
     return moved(result.initial_problem, result.similarity)
-
-
-def _findings(
-    result: Result | None, problem: Problem, name: str, description: Description
-) -> list[Finding]:
-    """Return the findings about a model, warnings of its solve and suspicions first."""
-    words = {} if result is None else dict.fromkeys(result.summary.warnings, "warning")
-    words |= {one.sentence: one.kind for one in description.suspicions}
-    options, rounds = None, 0
-    if result is not None:
-        options, rounds = result.options, len(result.rounds)
-    return [
-        *(Finding(kind=kind, sentence=sentence) for sentence, kind in words.items()),
-        *find(problem, source=name or "INPUT", options=options, rounds=rounds),
-    ]
 
 
 def _rounded(curve: LensCurve) -> dict[str, Any]:

@@ -77,7 +77,7 @@ def scene_section(view: SceneView, num_points: int, *, is_solved: bool, more: st
         tag("select", id="image", aria_label="image to show"),
         tag("button", "Reset", id="scene-home", type="button"),
         tag("button", "Full screen", id="scene-full", type="button"),
-    ]
+    ]  # fmt: skip
     words = (
         f"{plural(len(view.points), 'point', grouped=True)}, "
         f"{plural(len(view.centers), 'camera', grouped=True)}"

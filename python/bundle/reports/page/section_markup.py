@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from html import escape
+from itertools import groupby
 
 from bundle.interface.finding import Finding
 from bundle.reports.page.page import heading, tag
@@ -14,11 +15,19 @@ from bundle.reports.sections import Section, Table
 __all__ = ["findings_list", "rendered"]
 
 MOST_FINDINGS = 3
+MOST_DETAILS = 3
 
 
 def rendered(sections: Iterable[Section]) -> list[str]:
-    """Return the markup of sections; a detail without a title is folded under "Details"."""
-    return [_section(section) for section in sections]
+    """Return the markup of sections; of many details in a row all but the first are one fold."""
+    made: list[str] = []
+    for is_detail, group in groupby(sections, key=lambda section: section.is_detail):
+        drawn = [_section(section) for section in group]
+        if is_detail and len(drawn) > MOST_DETAILS:
+            summary = tag("summary", f"{len(drawn) - 1} more")
+            drawn[1:] = [tag("details", summary, *drawn[1:])]
+        made += drawn
+    return made
 
 
 def findings_list(findings: Sequence[Finding]) -> str:

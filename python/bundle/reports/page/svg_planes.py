@@ -42,6 +42,7 @@ def plane(figure: Figure) -> str:
     photographed = any(isinstance(mark, Photo) for mark in figure.marks)
     drawing = tag(
         "svg", frame, *content, *corners, viewBox=view, role="img", aria_label=figure.name,
+        preserveAspectRatio="xMinYMid",
         class_="photographed" if photographed else None,
     )  # fmt: skip
     return drawing + "".join(map(_scale, figure.marks))

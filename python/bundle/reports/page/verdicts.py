@@ -9,8 +9,9 @@ two limits; "problem" beyond the second. Limits:
 * lens: the share of image cells with a significant mean residual, 20 and 60 %, where 1 % is
   expected, if these means are also larger than 0.3 times the noise. Smaller ones do no harm.
 * focal length: its median standard deviation, 1 and 10 %.
-* positions: their median standard deviation, 0.5 and 5 % of the extent of the cameras.
-* tracks: points below 1.5 degrees of parallax, 25 and 60 %.
+* positions: their median standard deviation, 3 and 10 % of the extent of the cameras.
+* held-out error: the ratio of its median to that of the fitted observations, 2 and 5.
+* tracks: points with less than 2 degrees of parallax, 25 and 60 %.
 * worst image: the ratio of its RMSE to the median of the images, 3. A single image is no problem.
 * georeference: the root mean square of check points or positions in their sigmas, 3 and 10.
 """
@@ -18,14 +19,16 @@ two limits; "problem" beyond the second. Limits:
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
 from bundle.analysis.statistics.description import Description
-from bundle.base.words import number, pixels, plural
+from bundle.base.words import plural
+from bundle.errors import shown
+from bundle.figures.axes import short
 from bundle.figures.certainty import Certainty
 from bundle.figures.covisibility_graph import CovisibilityGraph
 from bundle.figures.image_residuals import ImageResiduals
@@ -42,7 +45,8 @@ from bundle.solving.result import Result
 __all__ = ["Judged", "Verdict", "summarised", "verdict_list", "verdicts"]
 
 MARKS = {"good": "✓", "attention": "!", "problem": "✕", "unknown": "?"}
-FLAT = 1.5
+SEVERE = ("problem", "attention")
+FLAT = 2.0
 """Parallax in degrees below which a point is uncertain in depth."""
 
 
@@ -81,23 +85,19 @@ class Judged:
 
 def verdicts(given: Judged) -> list[Verdict]:
     """Return the verdicts that have a number, the most general first."""
-    made = (
-        (_solve, ("convergence",)), (_error, ()), (_outliers, ("outliers",)),
-        (_worst, ("motion", "rolling_shutter", "image")), (_lens, ("lens",)),
-        (_focal, ("intrinsics", "share", "focal")), (_positions, ("scale", "drift")),
-        (_tracks, ("duplicate",)), (_connection, ("joint", "connect")),
-        (_place, ("gps", "position")),
-    )  # fmt: skip
-    found = ((answer(given), kinds) for answer, kinds in made)
-    return [_with_findings(one, given.findings, kinds) for one, kinds in found if one is not None]
+    made = [(answer(given), kinds) for answer, kinds in QUESTIONS]
+    return [_with_findings(one, given.findings, kinds) for one, kinds in made if one is not None]
 
 
-def summarised(found: Sequence[Verdict]) -> str:
+def summarised(found: Sequence[Verdict], findings: Sequence[Finding]) -> str:
     """Return the number of lines that need attention, in words."""
-    counts = [sum(one.mark == mark for one in found) for mark in ("problem", "attention")]
-    attention = plural(counts[1], "line needs attention", "lines need attention")
-    words = [plural(counts[0], "problem"), attention]
-    return ", ".join(text for text, count in zip(words, counts, strict=True) if count)
+    problems, attention = (sum(one.mark == mark for one in found) for mark in SEVERE)
+    words = [plural(problems, "problem")] if problems else []
+    if attention:
+        words.append(plural(attention, "line needs attention", "lines need attention"))
+    if not words and findings:
+        words.append(plural(len(findings), "finding"))
+    return ", ".join(words) or "nothing needs attention"
 
 
 def verdict_list(found: Iterable[Verdict]) -> str:
@@ -114,7 +114,7 @@ def verdict_list(found: Iterable[Verdict]) -> str:
 
 def _with_findings(one: Verdict, findings: Iterable[Finding], kinds: Collection[str]) -> Verdict:
     """Return a verdict that is at least as severe as the findings about its subject."""
-    about = [each for each in findings if any(kind in each.kind for kind in kinds)]
+    about = [each for each in findings if each.kind in kinds]
     order = ("unknown", "good", "attention", "problem")
     marks = [one.mark, *("problem" if each.is_problem else "attention" for each in about)]
     return Verdict(one.name, max(marks, key=order.index), one.number)
@@ -126,8 +126,13 @@ def _mark(value: float, first: float, second: float = math.inf) -> str:
     return "good" if value <= first else "attention" if value <= second else "problem"
 
 
+def _two(value: float) -> str:
+    return short(float(f"{value:.2g}"))
+
+
 def _share(value: float) -> str:
-    return f"{100 * value:.2g} %"
+    percent = 100 * value
+    return f"{percent:,.0f} %" if percent >= 10 else f"{percent:.2g} %"
 
 
 def _solve(given: Judged) -> Verdict | None:
@@ -146,10 +151,20 @@ def _error(given: Judged) -> Verdict:
     error = given.description.reprojection_error
     if error is None or not math.isfinite(error.median):
         return Verdict("Reprojection error", "problem", "no observation counts")
-    words = f"median {pixels(error.median)} px, RMSE {pixels(error.rmse)} px"
+    words = f"median {error.median:.3g} px, RMSE {error.rmse:.3g} px"
     if given.result is not None:
-        words += f" (before {pixels(given.result.reprojection_error_before.rmse)})"
+        words += f" (before {given.result.reprojection_error_before.rmse:.3g})"
     return Verdict("Reprojection error", _mark(error.median, 1.5, 4.0), words)
+
+
+def _held_out(given: Judged) -> Verdict | None:
+    held = None if given.result is None else given.result.held_out
+    if held is None:
+        return None
+    words = f"median {held.median:.3g} px of {held.num_observations:,} observations, "
+    words += f"fitted {held.fitted.median:.3g} px"
+    ratio = held.median / held.fitted.median if held.fitted.median > 0 else math.nan
+    return Verdict("Held-out error", _mark(ratio, 2.0, 5.0), words)
 
 
 def _outliers(given: Judged) -> Verdict | None:
@@ -159,7 +174,7 @@ def _outliers(given: Judged) -> Verdict | None:
     share = float(far[counted].mean())
     words = f"{_share(share)} of observations beyond 5 sigmas"
     without = int((~counted).sum())
-    words += f", {without:,} without a projection" if without else ""
+    words += f", {without:,} without a value" if without else ""
     return Verdict("Outliers", _mark(float(far.mean()), 0.05, 0.2), words)
 
 
@@ -169,7 +184,7 @@ def _worst(given: Judged) -> Verdict | None:
         return None
     name = given.images[0].error.name or f"image {given.images[0].error.image_id}"
     ratio = rmse[0] / float(np.median(rmse)) if rmse[-1] > 0 else math.nan
-    words = f"{name}, RMSE {ratio:.2g} times the median of images"
+    words = f"{shown(name)}, {ratio:.2g} x the typical RMSE"
     return Verdict("Worst image", _mark(ratio, 3.0), words)
 
 
@@ -183,7 +198,7 @@ def _lens(given: Judged) -> Verdict | None:
     length = np.hypot(field.mean[..., 0], field.mean[..., 1])
     typical = float(np.median(length[np.isfinite(field.significance)]))
     is_large = typical > 0.3 * given.measured.scale
-    words = f"{many} of {cells} image cells systematic, by {number(typical)} px"
+    words = f"{many} of {cells} image cells systematic, by {typical:.2g} px"
     return Verdict("Lens model", _mark(many / cells if is_large else 0.0, 0.2, 0.6), words)
 
 
@@ -211,8 +226,7 @@ def _focal(given: Judged) -> Verdict:
 
 def _positions(given: Judged) -> Verdict | None:
     if given.certainty is None:
-        mark = "unknown" if given.no_certainty else "good"
-        return Verdict("Positions", mark, "no covariance") if given.no_certainty else None
+        return Verdict("Positions", "unknown", "no covariance") if given.no_certainty else None
     sigmas = given.certainty.position_sigmas
     sigmas = sigmas[np.isfinite(sigmas) & (sigmas > 0)]
     extent = float(np.ptp(given.problem.projection_centers, axis=0).max(initial=0.0))
@@ -220,9 +234,9 @@ def _positions(given: Judged) -> Verdict | None:
         return None
     middle, largest = float(np.median(sigmas)), float(sigmas.max())
     unit = " m" if given.place is not None else ""
-    words = f"sigma {number(middle)}{unit} ({_share(middle / extent)} of the extent), "
-    words += f"largest {number(largest)}{unit}"
-    return Verdict("Positions", _mark(middle / extent, 0.005, 0.05), words)
+    words = f"sigma {_two(middle)}{unit}, {_share(middle / extent)} of the extent; "
+    words += f"largest {_two(largest)}{unit}"
+    return Verdict("Positions", _mark(middle / extent, 0.03, 0.1), words)
 
 
 def _tracks(given: Judged) -> Verdict | None:
@@ -230,11 +244,11 @@ def _tracks(given: Judged) -> Verdict | None:
     total = int(tracks.angles.sum())
     if total == 0:
         return None
-    limit = max(k for k, angle in enumerate(tracks.angle_limits) if angle <= 2.0)
-    flat = float(tracks.angles[: limit + 1].sum()) / total
+    below = max(k for k, angle in enumerate(tracks.angle_limits) if angle <= FLAT)
+    flat = float(tracks.angles[: below + 1].sum()) / total
     double = float(tracks.lengths[2:3].sum()) / int(tracks.lengths.sum())
-    words = f"mean {number(given.description.track_length.mean)} images per point, "
-    words += f"{_share(double)} in two, {_share(flat)} below 2°"
+    words = f"{given.description.track_length.mean:.3g} images per point; "
+    words += f"{_share(double)} in two, {_share(flat)} below {FLAT:g}°"
     return Verdict("Tracks", _mark(flat, 0.25, 0.6), words)
 
 
@@ -253,7 +267,7 @@ def _connection(given: Judged) -> Verdict:
     if images < 2:
         return Verdict("Connection", "unknown", "one image")
     least = int(weights.min())
-    words = f"one piece; every image shares {least:,} or more points with another"
+    words = f"one piece; an image shares {least:,} points or more"
     return Verdict("Connection", _mark(-least, -10), words)
 
 
@@ -284,3 +298,19 @@ def _place(given: Judged) -> Verdict | None:
     words += f", {unused} without influence" if unused else ""
     mark = _mark(ratio, 3.0, 10.0)
     return Verdict("Georeference", "attention" if suspects and mark == "good" else mark, words)
+
+
+QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], Collection[str]], ...] = (
+    (_solve, ()),
+    (_error, ("not_refined", "no_observations", "unsupported_camera_models", "observations")),
+    (_held_out, ()),
+    (_outliers, ("outliers",)),
+    (_worst, ("motion", "image_residuals")),
+    (_lens, ("lens_model", "folding_distortion")),
+    (_focal, ("undetermined_intrinsics", "shared_lens", "focal_drift", "absurd_focal_lengths")),
+    (_positions, ("scale_drift", "no_covariance", "images_with_few_observations")),
+    (_tracks, ("duplicate_points", "collapsed_points", "far_points")),
+    (_connection, ("weak_joint", "disconnected", "images_without_observations")),
+    (_place, ("positions",)),
+)
+"""Functions that answer a question, and the kinds of findings about its subject."""
