@@ -29,7 +29,6 @@ from bundle.georeference.similarity import moved
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
-from bundle.judging.findings.find import find
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem
@@ -46,6 +45,7 @@ from bundle.reports.page.overview_section import contents_of, residual_section, 
 from bundle.reports.page.page import tag, write_page
 from bundle.reports.page.placement_section import placement_sections
 from bundle.reports.page.projection_section import projection_data
+from bundle.reports.page.report_findings import report_findings
 from bundle.reports.page.residual_section import field_data, field_sections
 from bundle.reports.page.scene_section import (
     Shades,
@@ -71,8 +71,6 @@ if TYPE_CHECKING:
 __all__ = ["write_report"]
 
 MOST_EDGES = 1500
-PROBLEMS = ("collapsed_points", "no_observations", "unsupported_camera_models")
-"""Kinds of suspicions with which a model is no reconstruction."""
 
 
 # Valid problems may hold numbers up to the largest double; infinite results get a note.
@@ -124,7 +122,8 @@ def write_report(
     if georeference is not None:
         given = georeference if isinstance(georeference, Mapping) else georeference.asdict()
         page.place = placement(problem, given)
-    page.known = page.certainty_of(covariance, priors, constraints)
+    page.priors = tuple(priors)
+    page.known = page.certainty_of(covariance, constraints)
     page.write(target, images, findings)
     return tuple(page.notes)
 
@@ -142,6 +141,8 @@ class _Page:
         self.place: Placement | None = None
         self.known: Certainty | None = None
         self.no_certainty = ""
+        self.priors: tuple[Prior, ...] = ()
+        self.covariance: Covariance | None = None
 
     def write(
         self,
@@ -163,7 +164,14 @@ class _Page:
         photographs = Photographs(images, folder)
         self.notes += photographs.notes
         if findings is None:
-            findings = self._findings(description)
+            findings = report_findings(
+                problem,
+                result,
+                description,
+                source=self.name or "INPUT",
+                covariance=self.covariance or self.no_certainty,
+                priors=self.priors,
+            )
         judged = verdicts(
             Judged(
                 problem=problem, result=result, description=description, fields=planes,
@@ -264,7 +272,6 @@ class _Page:
     def certainty_of(
         self,
         given: Covariance | None,
-        priors: Iterable[Prior],
         constraints: Constraints | Iterable[str | Rule],
     ) -> Certainty | None:
         """Return the certainty; None, with a note, if it cannot be computed."""
@@ -272,13 +279,14 @@ class _Page:
             source = self.problem if self.result is None else self.result
             try:
                 given = compute_covariance(
-                    source, priors=priors, constraints=constraints, scale="sigma0"
+                    source, priors=self.priors, constraints=constraints, scale="sigma0"
                 )
             except InputError as error:
                 self.no_certainty = (
                     f"No covariance: {str(error).removeprefix('problem: ').rstrip('.')}."
                 )
                 self._note(self.no_certainty)
+        self.covariance = given
         return None if given is None else certainty(self.problem, given)
 
     def _certainty(self, found: Residuals) -> list[Section]:
@@ -302,31 +310,6 @@ class _Page:
             sigma=known.sigma0 if known.scale == "sigma0" else 1.0,
             loss=options.loss, loss_scale=options.loss_scale,
         )  # fmt: skip
-
-    def _findings(self, description: Description) -> list[Finding]:
-        """Return what is not determined, warnings and suspicions, and the findings."""
-        result, source = self.result, self.name or "INPUT"
-        found = []
-        if self.no_certainty:
-            command = NextCommand(source).other("diagnose")
-            found.append(
-                Finding(
-                    kind="no_covariance",
-                    sentence=self.no_certainty,
-                    command=command,
-                    is_problem="full rank" in self.no_certainty,
-                )
-            )
-        for words in () if result is None else dict.fromkeys(result.summary.warnings):
-            found.append(Finding(kind="warning", sentence=words))
-        for one in description.suspicions:
-            severe = one.kind in PROBLEMS
-            found.append(Finding(kind=one.kind, sentence=one.sentence, is_problem=severe))
-        options, rounds = None, 0
-        if result is not None:
-            options, rounds = result.options, len(result.rounds)
-        found += find(self.problem, source=source, options=options, rounds=rounds)
-        return sorted(found, key=lambda one: not one.is_problem)
 
     def _num_observed(self) -> int:
         return len(np.unique(self.problem.image_camera[self.problem.observation_image]))

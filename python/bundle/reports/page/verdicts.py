@@ -113,11 +113,13 @@ def verdict_list(found: Iterable[Verdict]) -> str:
 
 
 def _with_findings(one: Verdict, findings: Iterable[Finding], kinds: Collection[str]) -> Verdict:
-    """Return a verdict that is at least as severe as the findings about its subject."""
+    """Return a verdict that names the findings about its subject and is as severe as these."""
     about = [each for each in findings if each.kind in kinds]
     order = ("unknown", "good", "attention", "problem")
     marks = [one.mark, *("problem" if each.is_problem else "attention" for each in about)]
-    return Verdict(one.name, max(marks, key=order.index), one.number)
+    named = dict.fromkeys(each.kind.replace("_", " ") for each in about)
+    named.pop(one.name.lower(), None)
+    return Verdict(one.name, max(marks, key=order.index), "; ".join([one.number, *named]))
 
 
 def _mark(value: float, first: float, second: float = math.inf) -> str:
@@ -172,7 +174,7 @@ def _outliers(given: Judged) -> Verdict | None:
     if not counted.any():
         return None
     share = float(far[counted].mean())
-    words = f"{_share(share)} of observations beyond 5 sigmas"
+    words = f"{_share(share)} beyond 5 sigmas"
     without = int((~counted).sum())
     words += f", {without:,} without a value" if without else ""
     return Verdict("Outliers", _mark(float(far.mean()), 0.05, 0.2), words)
@@ -184,8 +186,8 @@ def _worst(given: Judged) -> Verdict | None:
         return None
     name = given.images[0].error.name or f"image {given.images[0].error.image_id}"
     ratio = rmse[0] / float(np.median(rmse)) if rmse[-1] > 0 else math.nan
-    words = f"{shown(name)}, {ratio:.2g} x the typical RMSE"
-    return Verdict("Worst image", _mark(ratio, 3.0), words)
+    words = f"worst {shown(name)}, {ratio:.2g} x the typical RMSE"
+    return Verdict("Images", _mark(ratio, 3.0), words)
 
 
 def _lens(given: Judged) -> Verdict | None:
