@@ -34,7 +34,7 @@ def iteration_figure(cost: Array) -> Figure:
     if len(positive) and positive.max() > WIDE * positive.min():
         values, y = cost, logarithmic(positive.tolist(), "cost, log scale")
     else:  # on an axis of complete decades, a small decrease would be invisible
-        label = "cost above the last one, % of the first"
+        label = "cost above the last, % of the first"
         values = 100.0 * (cost - last) / cost[0] if cost[0] else 0.0 * cost
         y = linear(values.tolist(), label, low=min(0.0, float(np.nanmin(values))))
     x = linear([0.0, count], "iteration")

@@ -65,7 +65,7 @@ def length_figure(tracks: TrackStatistics, longest: int | None = None) -> Figure
     last = len(tracks.lengths) - 1
     names = [f"{length}" for length in range(last + 1)]
     names[-1] += " or more" if longest is None or longest > last else ""
-    title = "Points by number of observations, log scale"
+    title = "Points by observations, log scale"
     return _bars("track_lengths", title, names, tracks.lengths)
 
 
@@ -75,7 +75,7 @@ def angle_figure(tracks: TrackStatistics) -> Figure:
     names = [f"below {limits[0]:g}°"]
     names += [f"{low:g} to {high:g}°" for low, high in pairwise(limits)]
     names.append(f"{limits[-1]:g} to 90°")
-    title = "Points by the largest angle of two rays, log scale"
+    title = "Points by angle of rays, log scale"
     return _bars("triangulation_angles", title, names, tracks.angles)
 
 

@@ -298,3 +298,80 @@ def test_reports_of_commands_do_not_hide_the_function(solved, tmp_path):
 
     bundle.report(solved, tmp_path / "report.html")
     assert (tmp_path / "report.html").stat().st_size > 10_000
+
+
+def test_an_image_opens_with_its_residuals_and_its_photograph(written, solved, browser):
+    path, page, _ = written
+    images = data_of(page)["images"]
+    errors = {image.image_id: image for image in solved.worst_images}
+    worst = images[0]
+    assert worst["rmse"] == pytest.approx(errors[worst["id"]].rmse)
+    found = residuals(solved.problem)
+    rows = np.flatnonzero(solved.problem.image_ids[solved.problem.observation_image] == worst["id"])
+    rows = rows[np.argsort(-found.lengths[rows])][: len(worst["vectors"]) // 4]
+    expected = np.column_stack([solved.problem.observation_xy[rows], found.xy[rows]])
+    np.testing.assert_allclose(np.reshape(worst["vectors"], (-1, 4)), expected, atol=6e-3)
+    browser.open(path)
+    browser.evaluate(
+        "(() => { const chooser = document.getElementById('image'); chooser.value = '0';"
+        " chooser.dispatchEvent(new Event('change')); })()"
+    )
+    shown = "document.querySelector('dialog[open] svg')"
+    assert worst["name"] in browser.text("#image-name")
+    assert browser.evaluate(f"{shown}.querySelector('image').href.baseVal").startswith("data:image")
+    path_data = browser.evaluate(f"{shown}.querySelector('.residuals').getAttribute('d')")
+    assert path_data.count("M") == len(rows)
+    browser.click("[data-step='1']")
+    assert images[1]["name"] in browser.text("#image-name")
+    assert browser.evaluate(f"{shown}.querySelector('image')") is None
+    browser.click("#close")
+    assert browser.evaluate(shown) is None
+    assert browser.complaints() == []
+
+
+def test_a_click_on_a_camera_opens_its_image(written, browser):
+    path, _, _ = written
+    browser.open(path)
+    browser.wait_for("Number(document.querySelector('.scene').dataset.drawn) >= 3")
+    # Look for a camera along a grid, as a user with a mouse does.
+    hit = browser.evaluate(
+        "(() => { const canvas = document.querySelector('.scene canvas');"
+        " const box = canvas.getBoundingClientRect();"
+        " for (let x = 4; x < box.width; x += 8) for (let y = 4; y < box.height; y += 8) {"
+        "  const at = {clientX: box.left + x, clientY: box.top + y, bubbles: true, pointerId: 1};"
+        "  canvas.dispatchEvent(new PointerEvent('pointermove', at));"
+        "  const name = document.getElementById('hover').textContent;"
+        "  if (!name) continue;"
+        "  canvas.dispatchEvent(new PointerEvent('pointerup', {...at, clientX: 0}));"
+        "  const far = document.querySelector('dialog').open;"
+        "  canvas.dispatchEvent(new PointerEvent('pointerdown', at));"
+        "  canvas.dispatchEvent(new PointerEvent('pointerup', at));"
+        "  return [name, far, document.getElementById('image-name').textContent]; }"
+        " return null; })()"
+    )
+    assert hit is not None
+    name, dragged, shown = hit
+    assert not dragged and shown.startswith(name)
+
+
+def test_lenses_of_one_kind_are_one_figure(tmp_path):
+    problem = make_problem(num_images=9, num_points=200, seed=2)
+    sizes = problem.camera_sizes.copy()
+    sizes[8] = (700, 600)
+    solved = bundle.solve(problem.replace(camera_sizes=sizes))
+    write_report(solved, tmp_path / "report.html")
+    page = Page(tmp_path / "report.html")
+    lenses = page.source.split("<h2")
+    (section,) = [part for part in lenses if 'id="lenses"' in part[:20]]
+    curves = section.count('data-figure="distortion"')
+    focal = section.split('data-figure="focal_lengths"')
+    assert (curves, len(focal)) == (2, 2)  # eight of one size, and one
+    assert "8 cameras, SIMPLE_RADIAL, 800 x 600" in section
+    assert section.count('class="curve faint"') == 8
+    assert focal[1].split("</figure>")[0].count("<circle") == 8
+    sigma = np.sqrt([solved_sigma(solved, camera) for camera in range(1, 9)])
+    assert f"median sigma {np.median(sigma):.3g}"[:-1] in focal[1]
+
+
+def solved_sigma(solved, camera):
+    return bundle.covariance(solved, scale="sigma0").camera(camera)[0, 0]

@@ -63,11 +63,12 @@ def lens_sections(
     title = "Parameters"
     if len(cameras) < problem.num_cameras:
         title += f" of the {plural(len(cameras), 'camera')} with most observations"
+    table = _parameters(problem, initial, cameras, sigmas)
+    if len(cameras) == 1:
+        return [Section(title="Lenses", text=[words], figures=figures, tables=[table])]
     return [
         Section(title="Lenses", text=[words], figures=figures),
-        Section(
-            title=title, tables=[_parameters(problem, initial, cameras, sigmas)], is_detail=True
-        ),
+        Section(title=title, tables=[table], is_detail=True),
     ]
 
 

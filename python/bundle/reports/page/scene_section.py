@@ -87,8 +87,9 @@ def scene_section(view: SceneView, num_points: int, *, is_solved: bool, more: st
     if view.num_far:
         words += f"; {view.num_far:,} farther away than 50 half widths of the scene are not drawn"
     words += f". {more}" if more else "."
-    words += " Drag to turn, wheel to zoom, right button or arrow keys to move; click on a camera."
-    canvas = tag("canvas", tabindex=0, role="img", aria_label="3-D view of cameras and points")
+    hint = "Drag to turn, wheel to zoom, right button or arrow keys to move; click on a camera"
+    canvas = tag("canvas", tabindex=0, role="img", aria_label="3-D view of cameras and points",
+                 title=hint)  # fmt: skip
     hover = tag("p", id="hover")
     sorry = tag("p", "This browser has no WebGL 2: the view stays empty.", id="sorry", hidden=True)
     bar = tag("div", tag("strong", id="image-name"),

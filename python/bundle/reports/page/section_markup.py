@@ -8,7 +8,7 @@ from itertools import groupby
 
 from bundle.interface.finding import Finding
 from bundle.reports.page.page import heading, tag
-from bundle.reports.page.svg import grid
+from bundle.reports.page.svg import draw
 from bundle.reports.page.table import declared
 from bundle.reports.sections import Section, Table
 
@@ -48,11 +48,15 @@ def _finding(found: Finding) -> str:
 def _section(section: Section) -> str:
     kind = "warn" if section.is_warning else "quiet"
     facts = [Table.of(("", ""), section.facts, left=2)] if section.facts else []
+    tables = [declared(table) for table in [*facts, *section.tables]]
+    figures = [draw(figure, "h4") for figure in section.figures]
+    if len(figures) == 1:  # tables have room beside it
+        tables, figures = [], [*figures, *tables]
     parts = [
         *(tag("p", escape(str(words)), class_="quiet") for words in section.text),
         *(tag("p", escape(words), class_=kind) for words in section.notes),
-        *(declared(table) for table in [*facts, *section.tables]),
-        grid(section.figures, "h4") if section.figures else "",
+        *tables,
+        tag("div", *figures, class_="grid") if figures else "",
         tag("pre", tag("code", escape(section.command))) if section.command else "",
     ]
     if section.is_detail:

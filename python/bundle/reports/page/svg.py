@@ -115,7 +115,7 @@ class _Chart:
         middle = (LEFT + right) / 2
         label = escape(self._x.label)
         parts.append(tag("text", label, x=middle, y=HEIGHT - 6, text_anchor="middle"))
-        turned = f"translate(14 {(TOP + bottom) / 2}) rotate(-90)"
+        turned = f"translate(13 {(TOP + bottom) / 2}) rotate(-90)"
         parts.append(tag("text", escape(self._y.label), transform=turned, text_anchor="middle"))
         return parts
 
