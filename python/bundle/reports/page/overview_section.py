@@ -73,9 +73,9 @@ def solve_sections(result: Result) -> list[Section]:
             title="Solver and options",
             text=[result.outcome],
             facts=facts,
-            tables=rounds,
             figures=figures,
         ),
+        *([Section(title="Rounds", tables=rounds, is_joined=True)] if rounds else []),
         Section(title=f"{plural(len(rest), 'option')} at the default", facts=rest, is_detail=True),
     ]
 

@@ -50,7 +50,7 @@ def _section(section: Section) -> str:
     facts = [Table.of(("", ""), section.facts, left=2)] if section.facts else []
     tables = [declared(table) for table in [*facts, *section.tables]]
     figures = [draw(figure, "h4") for figure in section.figures]
-    if len(figures) == 1:  # tables have room beside it
+    if len(figures) == len(tables) == 1:  # the table has room beside the figure
         tables, figures = [], [*figures, *tables]
     parts = [
         *(tag("p", escape(str(words)), class_="quiet") for words in section.text),
