@@ -222,7 +222,7 @@ def _of_models(
     """Return what only two models have: lenses, points and movement; and remarks."""
     rows = pairs.rows_a, pairs.rows_b
     points = shared_points(a, b, *rows)
-    movement, notes = _movement(a, b, pairs, points, compared, sigmas)
+    movement, notes = _movement(a, b, pairs, sigmas)
     found = {
         "lenses": lens_differences(a, b, *rows),
         "points": point_difference(a, b, points, compared.similarity) if len(points) else None,
@@ -235,8 +235,6 @@ def _movement(
     a: Problem,
     b: Problem,
     pairs: Association,
-    points: Any,
-    compared: Compared,
     sigmas: str,
 ) -> tuple[SigmaMovement | None, list[str]]:
     """Return the movement in sigmas, or the reason why it is missing."""
@@ -245,8 +243,7 @@ def _movement(
     if sigmas == "auto" and a.num_images > MOST_IMAGES:
         return None, [f"No sigmas: A has more than {MOST_IMAGES} images (--sigmas on)."]
     try:
-        start = compared.similarity
-        found = movement_in_sigmas(a, b, pairs.rows_a, pairs.rows_b, points, start)
+        found = movement_in_sigmas(a, b, pairs.rows_a, pairs.rows_b)
     except InputError as error:
         if sigmas == "on":
             raise
@@ -276,4 +273,4 @@ def _notes(pairs: Association) -> Iterable[str]:
     if len(pairs) > MOST_IN_PAIRS:
         yield f"Pairs are those of {MOST_IN_PAIRS} evenly spaced poses of {len(pairs)}."
     if pairs.only_a and pairs.by != "time":
-        yield f"B lacks {plural(len(pairs.only_a), 'image')} of A, which have no influence."
+        yield f"B lacks {plural(len(pairs.only_a), 'image')} of A (without influence here)."

@@ -1,29 +1,28 @@
-"""SigmaMovement between two models in sigmas of the covariance of the first.
+"""Movement between two models in sigmas of the covariance of the first.
 
-Let d_i = (w_i, t_i) be the change of the pose of image i from A to B in the coordinates of the
-covariance: R_B = Exp(w) R_A and the difference of the translations of cam_from_world, with B moved
-into the world of A. The length of d_i means nothing by itself, because a similarity of the world is
-free. The covariance C of A under inner constraints belongs to changes d that are orthogonal to
-these similarities over all poses and points, N^T d = 0 (``cpp/core/covariance/free_gauge.h``). So B
-is moved by the similarity that makes its changes orthogonal to them, too. It minimises
+The movement of a single pose means nothing: a similarity of the world is free. Relative poses do
+not depend on it, except for their length. So the pose of image i is compared relative to other
+images, the anchors r. With T = cam_i_from_cam_r in A and B, the change
 
-    sum |w_i|^2 + |t_i|^2  over poses  +  sum |x_B - x_A|^2  over points,
+    d = (w, t_B - t_A),  R_B = Exp(w) R_A,
 
-by Gauss-Newton from the alignment of the centres. With x' = x + u + o x x + l x for a small
-similarity (o, u, l) of the world, the rows of N are
+has the covariance C of the relative pose in A, which holds with all other parameters estimated, and
+for any gauge. If the scale is free, t_B is scaled to the length of t_A, and the direction of t_A is
+left out of d and C. If rigs determine the scale, all six coordinates count, and a difference of
+scale is a movement like any other. Then
 
-    w = -R o,    t = -R u + l t,    x = -[x]x o + u + l x.
+    m_ir^2 = d^T C^+ d / rank(C),
 
-Then m_i^2 = d_i^T C_ii^+ d_i / rank(C_ii), and m_i = 1 is a movement by one sigma. C is scaled by
-the residuals of A (sigma0). If B is the truth, m_i is about 1 if the covariance is right.
+is 1 for a movement by one sigma, and m_i is the median of m_ir over the anchors: one anchor that
+moved itself has no influence. C is scaled by the residuals of A (sigma0). If B is the truth, the
+mean of m_i^2 is about 1 if the covariance is right. Neither points nor images that B lacks matter.
 
-The gauge is exact if the models share all images and points. If B lacks some, the similarity and
-the covariance refer to different sets, and m_i is an approximation. Points without parallax are
-left out, as in the covariance. Models with rigs are refused: their covariance is that of frames.
+Images of one frame of a rig have a constant relative pose, with C = 0; such pairs do not count.
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,29 +30,24 @@ from numpy.typing import NDArray
 
 from bundle.analysis.uncertainty.compute_covariance import covariance
 from bundle.errors import InputError
-from bundle.georeference.pose_alignment import moved_poses
-from bundle.georeference.similarity import Similarity
-from bundle.model.pose_table import PoseTable
+from bundle.georeference.pose_alignment import align_centers
 from bundle.model.problem import Problem
-from bundle.model.rigid_motions import inverse_poses, unit_poses
+from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
 from bundle.model.rotations import (
-    cross_matrices,
-    quaternion_from_vector,
     quaternion_inverse,
     quaternion_multiply,
-    rotation_matrices,
     vector_from_quaternion,
 )
+from bundle.solving.gauge_freedom import gauge_freedom
 
 __all__ = ["SigmaMovement", "movement_in_sigmas"]
 
-MAX_ITERATIONS = 50
-SMALLEST_STEP = 1e-12
+ANCHORS = 5
 RANK = 1e-12
 """Eigenvalues of a scaled covariance below this are rounding errors."""
 
-NEARLY_ALL = 0.95
-"""Share of images and of points of A from which the gauge counts as the same."""
+SAME_SCALE = 1.2
+"""Largest ratio of lengths of models with the same metric scale."""
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -61,7 +55,7 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class SigmaMovement:
-    """SigmaMovement of each shared image in sigmas of the covariance of A.
+    """Movement of each shared image in sigmas of the covariance of A.
 
     Attributes:
         sigmas: (n,) m_i; NaN for an image without a covariance.
@@ -86,9 +80,7 @@ class SigmaMovement:
         return float(known.max()) if len(known) else np.nan
 
 
-def movement_in_sigmas(
-    a: Problem, b: Problem, rows_a: Indices, rows_b: Indices, pairs: Indices, start: Similarity
-) -> SigmaMovement:
+def movement_in_sigmas(a: Problem, b: Problem, rows_a: Indices, rows_b: Indices) -> SigmaMovement:
     """Return the movement of the shared images.
 
     Args:
@@ -96,92 +88,81 @@ def movement_in_sigmas(
         b: the second model.
         rows_a: (n,) indices of the shared images in A.
         rows_b: (n,) their indices in B.
-        pairs: (m, 2) indices of shared points of A and B.
-        start: similarity from A to B.
 
     Raises:
-        InputError: A has rigs, or no covariance.
+        InputError: A has no covariance, or a metric scale that B does not have.
     """
-    if a.num_frames:
-        raise InputError("A has rigs, of which sigmas are not computed")
-    found = covariance(a, of=("poses",), gauge="inner", scale="sigma0")
+    is_metric = bool(a.num_frames) and gauge_freedom(a).degrees < 7
+    if is_metric:
+        _check_scale(a, b, rows_a, rows_b)
+    count = len(rows_a)
+    anchors = np.unique(np.linspace(0, count - 1, min(count, ANCHORS)).round().astype(np.int64))
+    first, second = (grid.ravel() for grid in np.meshgrid(anchors, np.arange(count)))
+    first, second = first[first != second], second[first != second]
+    ids = a.image_ids[rows_a]
+    pairs = list(zip(ids[first].tolist(), ids[second].tolist(), strict=True))
+    found = covariance(a, of=("poses",), relative=pairs, gauge="inner", scale="sigma0")
+    change, length = _changes(
+        unit_poses(a.cam_from_world[rows_a]), unit_poses(b.cam_from_world[rows_b]),
+        first, second, is_metric=is_metric,
+    )  # fmt: skip
+    blocks = np.asarray(found.relative_covariance)
+    if not is_metric:
+        change, blocks = _across(change, blocks, length)
+    table = np.full((count, len(anchors)), np.nan)
+    table[second, np.searchsorted(anchors, first)] = _mahalanobis(change, blocks)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # images without a covariance have NaN only
+        sigmas = np.nanmedian(table, axis=1)
     notes = [f"Covariance of A: {note[0].lower()}{note[1:]}" for note in found.notes]
-    usable = ~np.isin(a.point_ids[pairs[:, 0]], found.null_point_ids)
-    pairs = pairs[usable]
-    if len(rows_a) < NEARLY_ALL * a.num_images or len(pairs) < NEARLY_ALL * a.num_points:
-        notes.append(
-            f"Sigmas are approximate: the models share {len(rows_a)} of {a.num_images} images and "
-            f"{len(pairs)} of {a.num_points} points of A."
+    return SigmaMovement(sigmas, found.sigma0, tuple(notes))
+
+
+def _check_scale(a: Problem, b: Problem, rows_a: Indices, rows_b: Indices) -> None:
+    scale = align_centers(a.projection_centers[rows_a], b.projection_centers[rows_b]).scale
+    if not 1 / SAME_SCALE < scale < SAME_SCALE:
+        raise InputError(
+            "the rigs of A determine its scale, but lengths of A and B differ by a factor of "
+            f"{scale:.4g}"
         )
-    poses = unit_poses(a.cam_from_world[rows_a])
-    points = a.points[pairs[:, 0]]
-    other_poses = PoseTable.of_problem(b).poses[rows_b]
-    change = _change(poses, points, other_poses, b.points[pairs[:, 1]], start)
-    lookup = {int(image): row for row, image in enumerate(found.pose_ids.tolist())}
-    blocks = np.array([found.pose_covariance[lookup[int(k)]] for k in a.image_ids[rows_a]])
-    return SigmaMovement(_mahalanobis(change, blocks), found.sigma0, tuple(notes))
 
 
-def _change(
-    poses: Array, points: Array, other_poses: Array, other_points: Array, start: Similarity
-) -> Array:
-    """Return d_i of the poses (n, 6), with B moved so that N^T d = 0 over poses and points."""
-    back = Similarity(
-        1 / start.scale,
-        start.rotation.T,
-        -start.rotation.T @ start.translation / start.scale,
+def _changes(
+    poses_a: Array, poses_b: Array, first: Indices, second: Indices, *, is_metric: bool
+) -> tuple[Array, Array]:
+    """Return the changes d (m, 6) of cam_second_from_cam_first, and t_A (m, 3)."""
+    one, other = (
+        multiply_poses(poses[second], inverse_poses(poses[first])) for poses in (poses_a, poses_b)
     )
-    moved, places = moved_poses(other_poses, back), back.apply(other_points)
-    for _ in range(MAX_ITERATIONS):
-        change, misses = _differences(poses, moved), places - points
-        normal, gradient = np.zeros((7, 7)), np.zeros(7)
-        here = inverse_poses(moved)
-        turns = rotation_matrices(here[:, :4])
-        zero = np.zeros_like(turns)
-        by_pose = np.concatenate(
-            [
-                np.concatenate([-turns, zero, np.zeros((len(here), 3, 1))], axis=2),
-                np.concatenate([zero, -turns, here[:, 4:, None]], axis=2),
-            ],
-            axis=1,
-        )
-        normal += np.einsum("nij,nik->jk", by_pose, by_pose)
-        gradient += np.einsum("nij,ni->j", by_pose, change)
-        if len(places):
-            by_point = np.concatenate(
-                [
-                    -cross_matrices(places),
-                    np.broadcast_to(np.eye(3), (len(places), 3, 3)),
-                    places[:, :, None],
-                ],
-                axis=2,
-            )
-            normal += np.einsum("nij,nik->jk", by_point, by_point)
-            gradient += np.einsum("nij,ni->j", by_point, misses)
-        unit = np.sqrt(np.diag(normal))
-        step = -np.linalg.lstsq(normal / np.outer(unit, unit), gradient / unit)[0] / unit
-        small = Similarity(
-            float(np.exp(step[6])),
-            rotation_matrices(quaternion_from_vector(step[None, :3]))[0],
-            step[3:6],
-        )
-        moved, places = moved_poses(moved, small), small.apply(places)
-        if float(np.abs(step * unit).max()) <= SMALLEST_STEP * float(unit.max()):
-            break
-    return _differences(poses, moved)
+    turn = quaternion_multiply(other[:, :4], quaternion_inverse(one[:, :4]))
+    there = other[:, 4:]
+    if not is_metric:
+        lengths = np.linalg.norm(there, axis=1), np.linalg.norm(one[:, 4:], axis=1)
+        there = there * (lengths[1] / np.where(lengths[0] > 0, lengths[0], 1.0))[:, None]
+    return np.hstack([vector_from_quaternion(turn), there - one[:, 4:]]), one[:, 4:]
 
 
-def _differences(poses: Array, moved: Array) -> Array:
-    """Return (w, t) of cam_from_world of the moved poses against those of A."""
-    other = inverse_poses(moved)
-    turn = quaternion_multiply(other[:, :4], quaternion_inverse(poses[:, :4]))
-    return np.hstack([vector_from_quaternion(turn), other[:, 4:] - poses[:, 4:]])
+def _across(change: Array, blocks: Array, along: Array) -> tuple[Array, Array]:
+    """Return changes (m, 5) and covariances without the direction of the translation."""
+    length = np.linalg.norm(along, axis=1)
+    axis = np.where(
+        (length > 0)[:, None], along / np.where(length > 0, length, 1)[:, None], [1.0, 0, 0]
+    )
+    # The rows of a basis across the axis: the two right singular vectors that are not the axis.
+    across = np.linalg.svd(axis[:, None, :])[2][:, 1:]
+    basis = np.zeros((len(axis), 5, 6))
+    basis[:, :3, :3], basis[:, 3:, 3:] = np.eye(3), across
+    reduced = basis @ blocks @ np.swapaxes(basis, 1, 2)
+    return np.einsum("nij,nj->ni", basis, change), reduced
 
 
 def _mahalanobis(change: Array, blocks: Array) -> Array:
+    """Return (m,) roots of d^T C^+ d / rank(C); NaN without a covariance."""
     result = np.full(len(change), np.nan)
-    diagonal = np.sqrt(np.einsum("nii->ni", blocks))
+    diagonal = np.sqrt(np.einsum("nii->ni", np.maximum(blocks, 0)))
     known = np.isfinite(blocks).all(axis=(1, 2)) & (diagonal > 0).all(axis=1)
+    if not known.any():
+        return result
     unit = diagonal[known]
     values, vectors = np.linalg.eigh(blocks[known] / (unit[:, :, None] * unit[:, None, :]))
     along = np.einsum("nij,ni->nj", vectors, change[known] / unit)

@@ -17,7 +17,7 @@ FAR = 3
 """Sigmas beyond which a movement is not explained by the uncertainty."""
 
 WORDS = {
-    "identical": "A and B have identical poses",
+    "identical": "A and B are identical",
     "agrees": "A agrees with B",
     "close": "A is close to B",
     "differs": "A differs from B",
@@ -62,7 +62,7 @@ def _moved(movement: SigmaMovement) -> str:
     else:
         meaning = "more than the uncertainty of A explains"
     return (
-        f"Poses differ by {number(movement.median)} sigmas of A's covariance (median; at most "
+        f"Relative poses differ by {number(movement.median)} sigmas of A's covariance (median; at most "
         f"{number(movement.largest)}): {meaning}."
     )
 

@@ -145,7 +145,7 @@ def _outlier_images(given: Compared) -> Finding | None:
         return None
     errors = np.linalg.norm(similarity.apply(source) - target, axis=1)
     usual = ErrorStatistics.of(errors[chosen]).rmse
-    far = np.flatnonzero(errors > 5 * usual)
+    far = np.flatnonzero(errors > max(5 * usual, AGREES[0] * given.size))
     if not len(far) or usual > EXPLAINED * given.rms()[0]:
         return None
     far = far[np.argsort(-errors[far])]
