@@ -91,6 +91,7 @@ quotes: $(READY)  ## rewrite what documents quote from the code
 	$(VENV)/bin/python tools/camera_table.py --update
 	$(VENV)/bin/python tools/demo_output.py --update
 	$(VENV)/bin/python tools/readme_picture.py
+	$(VENV)/bin/python tools/page_picture.py
 
 bench: $(READY_TO_BENCH)  ## measure against the peers, real data and synthetic (half an hour; writes benchmarks/results)
 	$(VENV)/bin/python benchmarks/run.py

@@ -17,6 +17,7 @@ from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals
 from bundle.reports.sections import Section, Table
 from bundle.reports.terminal.solve_data import ERRORS, ROUNDS
+from bundle.solving.headline import edit_facts
 from bundle.solving.result import Result
 
 __all__ = ["contents_of", "residual_section", "solve_sections"]
@@ -63,6 +64,7 @@ def solve_sections(result: Result) -> list[Section]:
         ("threads", str(summary.num_threads_used)),
         ("time", f"{seconds(result.build_time_in_seconds + result.solve_time_in_seconds)} s"),
     ]
+    facts += edit_facts(result)
     facts += [(name, _value(value)) for name, value in used.items() if value != usual.get(name)]
     rest = [(name, _value(value)) for name, value in used.items() if value == usual.get(name)]
     rounds = [Table(ROUNDS, result.rounds)] if result.rounds else []

@@ -59,6 +59,7 @@ from bundle.reports.page.structure_section import structure_section
 from bundle.reports.page.table import rounded
 from bundle.reports.page.verdicts import Judged, Verdict, summarised, verdict_list, verdicts
 from bundle.reports.sections import Section, fields, plain
+from bundle.solving.headline import headline
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
@@ -200,6 +201,7 @@ class _Page:
         if self.place is not None:
             self.data["placement"] = plain(self.place)
         first = [
+            *([] if result is None else [_sentences(headline(result))]),
             tag("p", escape(contents_of(problem)), class_="quiet"),
             "" if counts else tag("p", escape(self.notes[-1]), class_="warn"),
             tag(
@@ -225,7 +227,7 @@ class _Page:
     def _residuals(self, found: Residuals, description: Description) -> list[Section]:
         sets = {"now": found}
         if self.result is not None:
-            before = residuals(self.result.initial_problem, self.result.options.cheirality)
+            before = residuals(self.result.source_problem, self.result.options.cheirality)
             sets = {"before": before, "after": found} if before.counted.any() else {"after": found}
         histogram = residual_histogram(sets)
         if histogram is not None:
@@ -316,6 +318,11 @@ class _Page:
 
     def _note(self, words: str) -> None:
         self.notes.append(words)
+
+
+def _sentences(words: Sequence[str]) -> str:
+    first, *rest = (escape(sentence) for sentence in words)
+    return tag("p", tag("strong", first), " ", " ".join(rest), class_="headline")
 
 
 def _initial(result: Result) -> Problem:

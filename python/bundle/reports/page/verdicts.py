@@ -40,6 +40,7 @@ from bundle.judging.findings.measured import Measured
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
 from bundle.reports.page.page import tag
+from bundle.solving.headline import headline
 from bundle.solving.result import Result
 
 __all__ = ["Judged", "Verdict", "summarised", "verdict_list", "verdicts"]
@@ -141,12 +142,11 @@ def _solve(given: Judged) -> Verdict | None:
     if given.result is None:
         return None
     summary = given.result.summary
-    steps = plural(summary.num_successful_steps, "step")
     if not summary.is_solution_usable:
         return Verdict("Solve", "problem", "no usable solution")
-    if summary.termination_type == "CONVERGENCE":
-        return Verdict("Solve", "good", f"converged in {steps}")
-    return Verdict("Solve", "attention", f"not converged after {steps}")
+    outcome = headline(given.result)[0].partition(": ")[0].rstrip(".")
+    is_done = summary.termination_type == "CONVERGENCE"
+    return Verdict("Solve", "good" if is_done else "attention", outcome)
 
 
 def _error(given: Judged) -> Verdict:
@@ -154,8 +154,8 @@ def _error(given: Judged) -> Verdict:
     if error is None or not math.isfinite(error.median):
         return Verdict("Reprojection error", "problem", "no observation counts")
     words = f"median {error.median:.3g} px, RMSE {error.rmse:.3g} px"
-    if given.result is not None:
-        words += f" (before {given.result.reprojection_error_before.rmse:.3g})"
+    if given.result is not None:  # of the same observations
+        words += f" (before {given.result.kept.before.rmse:.3g})"
     return Verdict("Reprojection error", _mark(error.median, 1.5, 4.0), words)
 
 
