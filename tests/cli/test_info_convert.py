@@ -25,14 +25,23 @@ def test_info_says_what_is_there_and_what_is_wrong(run, tmp_path):
     assert figures(counts) == ["4", "4", "30", "117"]
     assert table(out)["RADIAL"][:2] == ["4", "4"]  # cameras, images
     (found,) = describe(bundle.load(path)).suspicions
-    assert (found.kind, found.count, found.ids) == ("points_seen_once", 1, (7,))
+    assert (found.kind, found.evidence["count"], found.evidence["ids"]) == (
+        "points_seen_once",
+        1,
+        [7],
+    )
     assert found.sentence in " ".join(out.split())
     assert max(map(len, out.splitlines())) <= 100
 
 
-def test_info_on_a_sound_problem_finds_nothing(run, model):
+def test_info_on_a_sound_problem_finds_nothing(run, model, tmp_path):
     assert describe(bundle.load(model)).suspicions == ()
-    assert not any(line.startswith("- ") for line in run("info", model, "--quiet").out.splitlines())
+    sound = bundle.synthesize(scene="orbit", num_images=12, num_points=500, seed=1).ground_truth
+    bundle.save(sound, f"{tmp_path}/sound/")
+    path = tmp_path / "report.json"
+    out = run("info", tmp_path / "sound", "--quiet", "--json", path).out
+    assert not any(line.startswith("- ") for line in out.splitlines())
+    assert json.loads(path.read_text())["findings"] == []
 
 
 def test_info_names_the_worst_images(run, tmp_path):
@@ -62,6 +71,7 @@ def test_info_on_several_inputs(run, model, tmp_path):
     assert [report["input"]["num_points"] for report in reports] == [30, 31]
     assert [report["input"]["path"] for report in reports] == [str(model), str(other)]
     assert len(err.splitlines()) == 4
+    assert out.count("bundle refine") == sum(len(one["findings"]) for one in reports) > 0
     code, out, err = run("info", model, tmp_path / "missing.txt", "--quiet")
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert run("info", model, other, "--json", other).code == 2

@@ -129,7 +129,7 @@ def test_only_images_by_a_name_of_two_is_refused():
 def test_info_names_images_of_one_name():
     problem = named(flight([]).problem, {4: "A.JPG", 7: "A.JPG", 9: "a.JPG"})
     found = [s for s in bundle.describe(problem).suspicions if s.kind == "images_of_one_name"]
-    assert [(s.count, s.ids) for s in found] == [(2, (5, 8))]
+    assert [(s.evidence["count"], s.evidence["ids"]) for s in found] == [(2, [5, 8])]
     assert not [
         s for s in bundle.describe(flight([]).problem).suspicions if s.kind == "images_of_one_name"
     ]

@@ -14,6 +14,7 @@ from bundle.cli.georeference_flags import (
     main_flag,
     priors_of,
 )
+from bundle.cli.next_run import repeated_flags
 from bundle.cli.option_flags import naming_flags, options_given, with_named_images
 from bundle.cli.output import publish
 from bundle.cli.problem_edits import rules_as_options, rules_of, with_rigs
@@ -22,6 +23,7 @@ from bundle.errors import shown
 from bundle.interface.camera_edit_options import RuleOptions
 from bundle.interface.options import LINEARIZATION, SolveOptions
 from bundle.io.open import load
+from bundle.judging.findings.find import find
 from bundle.reports.terminal.diagnose import diagnosed
 
 __all__ = ["run"]
@@ -48,7 +50,15 @@ def run(arguments: argparse.Namespace) -> int:
                 priors=() if known is None else known.priors,
                 constraints=constraints,
             )
+        progress.stage("judging")
+        found = find(
+            problem,
+            source=arguments.input,
+            given=repeated_flags(arguments),
+            options=options,
+            priors=() if known is None else known.priors,
+        )
     asked = {name: getattr(options, name) for name in LINEARIZATION} | rules_as_options(rules)
     wall = perf_counter() - started
-    publish(diagnosed(arguments.input, problem, diagnosis, asked, wall), arguments)
+    publish(diagnosed(arguments.input, problem, diagnosis, asked, wall, found), arguments)
     return EXIT_DONE

@@ -13,6 +13,7 @@ from bundle.cli.progress import Progress
 from bundle.errors import shown
 from bundle.io.open import load
 from bundle.io.recognition import recognize
+from bundle.judging.findings.find import find, one_list
 from bundle.reports.sections import Report, several
 from bundle.reports.terminal.info import information
 
@@ -35,4 +36,7 @@ def describe_reconstruction(path: str, arguments: argparse.Namespace, progress: 
     """Return the report of `bundle info` on a reconstruction."""
     problem = with_rigs(load(path, progress.text), arguments.rig_config)
     progress.stage("counting")
-    return information(path, problem, describe(problem))
+    description = describe(problem)
+    given = () if arguments.rig_config is None else ("--rig-config", arguments.rig_config)
+    found = find(problem, source=path, given=given)
+    return information(path, problem, description, one_list(description.suspicions, found))

@@ -23,6 +23,7 @@ from bundle.cli.error_lines import (
     describe_error,
     is_interruption,
 )
+from bundle.cli.next_run import Arguments
 from bundle.cli.parser import Parser
 from bundle.cli.standard_streams import complain, open_missing_streams, release_broken_streams
 from bundle.cli.suggestions import unknown_flag
@@ -62,7 +63,7 @@ def _run(words: list[str]) -> int:
     code = EXIT_DONE
     try:
         if words:
-            arguments = parser.parse_args(words)
+            arguments = parser.parse_args(words, Arguments(words))
             run = find_handler(arguments.command, arguments.kind(arguments))
             startup.done()
             code = run(arguments)

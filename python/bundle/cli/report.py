@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from bundle.analysis.statistics.description import describe
+from bundle.analysis.uncertainty.compute_covariance import covariance
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.georeference_flags import (
     GEOREFERENCE_FLAGS,
@@ -15,6 +18,7 @@ from bundle.cli.georeference_flags import (
     main_flag,
     priors_of,
 )
+from bundle.cli.next_run import repeated_flags
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import publish
 from bundle.cli.problem_edits import rules_of, with_rigs
@@ -24,8 +28,15 @@ from bundle.interface.camera_edit_options import RuleOptions
 from bundle.interface.options import SolveOptions
 from bundle.io.georeference_file import owner_of, path_beside
 from bundle.io.open import load
+from bundle.judging.findings.find import find, one_list
 from bundle.reports.page.report_page import write_report
 from bundle.reports.terminal.report import reported
+
+if TYPE_CHECKING:
+    from bundle.analysis.uncertainty.covariance_result import Covariance
+    from bundle.model.problem import Problem
+    from bundle.solving.constraints.rule_list import Constraints
+    from bundle.solving.placed_problem import Prior
 
 __all__ = ["run"]
 
@@ -50,6 +61,16 @@ def placed(source: str) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
     return found, ()
 
 
+def _covariance(
+    problem: Problem, priors: Sequence[Prior], constraints: Constraints | tuple[()]
+) -> Covariance | None:
+    """Return the covariance; None if it does not exist, as the page explains."""
+    try:
+        return covariance(problem, priors=priors, constraints=constraints, scale="sigma0")
+    except InputError:
+        return None
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Write the report page of INPUT."""
     started = perf_counter()
@@ -63,18 +84,34 @@ def run(arguments: argparse.Namespace) -> int:
         problem = with_rigs(load(source, progress.text), arguments.rig_config)
         place, lost = placed(source)
         known = priors_of(given, problem)
-        progress.stage(f"writing {shown(page)}")
+        priors = () if known is None else known.priors
         with naming_flags(**GEOREFERENCE_FLAGS, priors=main_flag(given)):
+            progress.stage("computing the covariance")
+            certainty = _covariance(problem, priors, constraints)
+            progress.stage("judging")
+            found = one_list(
+                describe(problem).suspicions,
+                find(
+                    problem,
+                    source=source,
+                    given=repeated_flags(arguments),
+                    covariance=certainty,
+                    priors=priors,
+                ),
+            )
+            progress.stage(f"writing {shown(page)}")
             notes = write_report(
                 problem,
                 page,
                 images=arguments.images,
                 georeference=place,
-                priors=() if known is None else known.priors,
+                covariance=certainty,
+                priors=priors,
                 constraints=constraints,
+                findings=found,
                 name=str(source),
             )
         notes = (*lost, *notes)
     wall = perf_counter() - started
-    publish(reported(source, problem, page, notes, wall), arguments)
+    publish(reported(source, problem, page, notes, wall, found), arguments)
     return EXIT_DONE

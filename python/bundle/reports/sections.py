@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
@@ -177,9 +177,20 @@ def several(command: str, reports: Sequence[Report]) -> Report:
     """Return one report from the reports on several inputs."""
     return Report(
         command=command,
-        sections=[section for report in reports for section in report.sections],
+        sections=[section for report in reports for section in _whole(report)],
         data={"reports": [report.json() for report in reports]},
     )
+
+
+def _whole(report: Report) -> Iterator[Section]:
+    """Yield headline, sections and findings of a report as sections."""
+    if report.headline:
+        yield Section(text=report.headline)
+    yield from report.sections
+    for finding in report.findings:
+        yield Section(notes=[finding.sentence], is_warning=True)
+        if finding.command:
+            yield Section(command=finding.command, is_joined=True)
 
 
 def dumps(report: dict[str, Any]) -> str:

@@ -25,6 +25,7 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.scene_options import SceneOptions
 from bundle.interface.termination import sentence
 from bundle.judging.evaluation.evaluate_models import evaluate
+from bundle.judging.findings.find import find, one_list
 from bundle.planning.inspection.graph_inspection import inspect_graph
 from bundle.planning.inspection.problem_inspection import inspect
 from bundle.planning.inspection.rank_prediction import NETWORK
@@ -57,7 +58,9 @@ def problem():
 
 
 def informed(_):
-    return info.information("garden/sparse/0", problem(), describe(problem()))
+    path, description = "garden/sparse/0", describe(problem())
+    found = one_list(description.suspicions, find(problem(), source=path))
+    return info.information(path, problem(), description, found)
 
 
 def refined(_):

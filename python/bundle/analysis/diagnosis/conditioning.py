@@ -1,32 +1,16 @@
-"""Parts that the diagnoses of problems and of pose graphs share: findings, rank, digits."""
+"""Parts that the diagnoses of problems and of pose graphs share: rank, digits, problems."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from bundle.base.words import plural
+from bundle.interface.finding import Finding
 
 __all__ = ["Conditioned", "Finding"]
 
 DIGITS = 16
 """Decimal digits of a double, rounded up as in the table of condition numbers."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Finding:
-    """One finding of a diagnosis.
-
-    Attributes:
-        kind: stable name for programs, such as "points_without_parallax".
-        is_problem: True if the finding keeps the problem from being determined as it should be;
-            False for information.
-        sentence: the finding in words.
-    """
-
-    kind: str
-    is_problem: bool
-    sentence: str
 
 
 class Conditioned:

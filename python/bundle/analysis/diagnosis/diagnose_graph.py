@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.analysis.diagnosis.conditioning import Finding
 from bundle.analysis.diagnosis.graph_diagnosis import (
     GraphComponent,
     GraphDiagnosis,
@@ -21,6 +20,7 @@ from bundle.base.words import number, plural
 from bundle.graphs.pose_graphs.chi2_quantiles import MEDIANS, ONE_IN_A_MILLION
 from bundle.graphs.pose_graphs.edge_weights import WeightedGraph, weighted_graph
 from bundle.graphs.pose_graphs.joints import Joints, find_joints
+from bundle.interface.finding import Finding
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from bundle.analysis.diagnosis.conditioning import Finding
 from bundle.analysis.diagnosis.diagnosis_result import Diagnosis, WeakMode
 from bundle.analysis.diagnosis.scale_checks import ScaleDrift, rigs_without_baseline
 from bundle.analysis.diagnosis.track_table import FEW_SHARED, TrackTable
 from bundle.analysis.diagnosis.unknowns import Unknowns
+from bundle.analysis.diagnosis.weak_joints import weak_joint
 from bundle.base.words import named, noun, plural
+from bundle.interface.finding import Finding
 from bundle.model.problem import Problem
 
 __all__ = ["findings"]
@@ -50,7 +51,7 @@ def findings(
         *_collapsed(diagnosis),
         *_points(diagnosis),
         *_images(diagnosis),
-        *_joints(problem, tracks),
+        *([] if (joint := weak_joint(problem, tracks)) is None else [joint]),
         *rigs_without_baseline(problem),
         *_factorisation(problem, unknowns, found),
         *_rank(diagnosis),
@@ -162,21 +163,6 @@ def _images(diagnosis: Diagnosis) -> Iterator[Finding]:
             "images_with_few_observations",
             f"{plural(len(few), 'image')} {noun(len(few), 'has', 'have')} fewer than 10 "
             f"observations ({named('image', few.tolist())}).",
-        )
-
-
-def _joints(problem: Problem, tracks: TrackTable) -> Iterator[Finding]:
-    """Yield parts that are connected with the others, but only by few points."""
-    firm = tracks.firm_pieces
-    for piece in range(1, min(int(firm.max(initial=-1)) + 1, 20)):
-        images = np.flatnonzero(firm == piece)
-        count = tracks.count_between(images)
-        if count >= FEW_SHARED or count == 0 or len(images) < 2:
-            continue
-        yield _note(
-            "weak_joint",
-            f"{named('Image', problem.image_ids[images])} hang on the others by "
-            f"{plural(count, 'common point')}.",
         )
 
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.diagnosis.conditioning import Conditioned, Finding
+from bundle.analysis.diagnosis.conditioning import Conditioned
 from bundle.base.display import Display, Displayed
 from bundle.base.words import number
+from bundle.interface.finding import Finding
 
 __all__ = ["GraphComponent", "GraphDiagnosis", "GraphWeakMode", "SuspiciousEdge"]
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bundle.analysis.diagnosis.conditioning import Finding
+from bundle.interface.finding import Finding
 from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_inverse, quaternion_rotate
 from bundle.solving.result import Result

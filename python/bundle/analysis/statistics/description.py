@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from bundle.analysis.statistics.covisibility import Covisibility, covisibility
 from bundle.analysis.statistics.depths import Depths, depths_of_observations, summarize
 from bundle.analysis.statistics.rig_summary import RigSummary, rig_summaries
-from bundle.analysis.statistics.suspicions import Suspicion, count_repeated, suspicions
+from bundle.analysis.statistics.suspicions import count_repeated, suspicions
 from bundle.base.display import Display, Displayed
 from bundle.base.words import number, pixels, plural
 from bundle.errors import InputError
+from bundle.interface.finding import Finding
 from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
@@ -90,7 +91,7 @@ class Description(Displayed):
     depths: Depths
     num_repeated_observations: int
     worst_images: tuple[ImageError, ...]
-    suspicions: tuple[Suspicion, ...]
+    suspicions: tuple[Finding, ...]
     rigs: tuple[RigSummary, ...] = ()
 
     def _display(self) -> Display:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,11 @@ from bundle.analysis.statistics.covisibility import Covisibility
 from bundle.analysis.statistics.depths import COLLAPSED, collapsed_observations
 from bundle.analysis.statistics.lenses import Lens, lenses
 from bundle.base.words import plural
+from bundle.interface.finding import Finding
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 
-__all__ = ["Suspicion", "count_repeated", "suspicions"]
+__all__ = ["count_repeated", "suspicions"]
 
 FEW_OBSERVATIONS = 10
 """Number of observations below which the pose of an image is poorly determined."""
@@ -33,32 +34,13 @@ NAMED = 5
 """Number of ids in a sentence."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Suspicion:
-    """Possible error of a problem.
-
-    Attributes:
-        kind: stable name for programs, such as "points_seen_once".
-        count: number of occurrences.
-        of: meaning of ``ids``: "image", "point" or "camera".
-        ids: first ids concerned, at most 5.
-        sentence: finding in words.
-    """
-
-    kind: str
-    count: int
-    of: str
-    ids: tuple[int, ...]
-    sentence: str
-
-
 def suspicions(
     problem: Problem,
     graph: Covisibility,
     errors: NDArray[np.float64] | None,
     behind: NDArray[np.bool_],
     depths: NDArray[np.float64],
-) -> tuple[Suspicion, ...]:
+) -> tuple[Finding, ...]:
     """Return the possible errors, most severe first.
 
     Args:
@@ -82,18 +64,16 @@ def suspicions(
     )
 
 
-def _empty(problem: Problem) -> Iterator[Suspicion]:
+def _empty(problem: Problem) -> Iterator[Finding]:
     if problem.num_observations == 0:
-        yield Suspicion(
+        yield Finding(
             kind="no_observations",
-            count=1,
-            of="image",
-            ids=(),
             sentence="There are no observations: nothing can be refined.",
+            is_problem=True,
         )
 
 
-def _models(problem: Problem) -> Iterator[Suspicion]:
+def _models(problem: Problem) -> Iterator[Finding]:
     unknown = np.array([model not in camera_models() for model in problem.camera_models], bool)
     if unknown.any():
         names = sorted({problem.camera_models[i] for i in np.flatnonzero(unknown)})
@@ -106,7 +86,7 @@ def _models(problem: Problem) -> Iterator[Suspicion]:
         )
 
 
-def _images(problem: Problem, graph: Covisibility) -> Iterator[Suspicion]:
+def _images(problem: Problem, graph: Covisibility) -> Iterator[Finding]:
     observations = np.bincount(problem.observation_image, minlength=problem.num_images)
     empty = observations == 0
     if empty.any():
@@ -140,11 +120,9 @@ def _images(problem: Problem, graph: Covisibility) -> Iterator[Suspicion]:
         sizes = ", ".join(map(str, graph.component_sizes[:NAMED]))
         more = ", ..." if len(graph.component_sizes) > NAMED else ""
         apart = problem.image_ids[graph.component > 0]
-        yield Suspicion(
+        yield Finding(
             kind="disconnected",
-            count=len(graph.component_sizes),
-            of="image",
-            ids=_first(apart),
+            evidence=_evidence(len(graph.component_sizes), "image", apart),
             sentence=(
                 f"The images form {len(graph.component_sizes)} components without common points "
                 f"(of {sizes}{more} images): their relative position and scale are arbitrary."
@@ -152,7 +130,7 @@ def _images(problem: Problem, graph: Covisibility) -> Iterator[Suspicion]:
         )
 
 
-def _lenses(problem: Problem, lens: Lens) -> Iterator[Suspicion]:
+def _lenses(problem: Problem, lens: Lens) -> Iterator[Finding]:
     low, high = FOCAL_RATIO
     with np.errstate(invalid="ignore", divide="ignore"):
         absurd = (lens.focal < low * lens.size) | (lens.focal > high * lens.size)
@@ -176,7 +154,7 @@ def _lenses(problem: Problem, lens: Lens) -> Iterator[Suspicion]:
         )
 
 
-def _quaternions(problem: Problem) -> Iterator[Suspicion]:
+def _quaternions(problem: Problem) -> Iterator[Finding]:
     norm = np.linalg.norm(problem.cam_from_world[:, :4], axis=1)
     off = np.abs(norm - 1.0) > QUATERNION_TOLERANCE
     if off.any():
@@ -191,7 +169,7 @@ def _quaternions(problem: Problem) -> Iterator[Suspicion]:
 
 def _observations(
     problem: Problem, errors: NDArray[np.float64] | None, behind: NDArray[np.bool_]
-) -> Iterator[Suspicion]:
+) -> Iterator[Finding]:
     lies = ("observation lies", "observations lie")
     has = ("observation has", "observations have")
     checks = [("observations_behind_camera", behind, lies, "behind the camera")]
@@ -229,7 +207,7 @@ def count_repeated(problem: Problem) -> int:
     return len(code) - len(np.unique(code))
 
 
-def _collapsed(problem: Problem, depths: NDArray[np.float64]) -> Iterator[Suspicion]:
+def _collapsed(problem: Problem, depths: NDArray[np.float64]) -> Iterator[Finding]:
     mask = collapsed_observations(problem, depths)
     if mask.any():
         points = problem.point_ids[np.unique(problem.observation_point[mask])]
@@ -244,7 +222,7 @@ def _collapsed(problem: Problem, depths: NDArray[np.float64]) -> Iterator[Suspic
         )
 
 
-def _points(problem: Problem) -> Iterator[Suspicion]:
+def _points(problem: Problem) -> Iterator[Finding]:
     length = np.bincount(problem.observation_point, minlength=problem.num_points)
     is_are = ("point is", "points are")
     for kind, mask, what in (
@@ -255,7 +233,7 @@ def _points(problem: Problem) -> Iterator[Suspicion]:
             yield _suspicion(kind, "point", problem.point_ids[mask], is_are, what)
 
 
-def _positions(problem: Problem) -> Iterator[Suspicion]:
+def _positions(problem: Problem) -> Iterator[Finding]:
     if problem.num_points == 0:
         return
     middle = np.median(problem.points, axis=0)
@@ -272,17 +250,15 @@ def _positions(problem: Problem) -> Iterator[Suspicion]:
         )
     offset = float(np.linalg.norm(middle))
     if offset > FAR_SCENE * size > 0:
-        yield Suspicion(
+        yield Finding(
             kind="far_from_origin",
-            count=1,
-            of="point",
-            ids=(),
+            evidence={"offset": offset, "size": size},
             sentence=f"The scene lies {offset:.3g} units from the origin but measures only "
             f"{size:.3g}: digits are lost; subtract an offset.",
         )
 
 
-def _unused_cameras(problem: Problem) -> Iterator[Suspicion]:
+def _unused_cameras(problem: Problem) -> Iterator[Finding]:
     unused = np.bincount(problem.image_camera, minlength=problem.num_cameras) == 0
     if unused.any():
         yield _suspicion(
@@ -302,15 +278,16 @@ def _suspicion(
     what: str,
     *,
     count: int | None = None,
-) -> Suspicion:
+) -> Finding:
     """Return text such as "3 images have no observation (images 4, 7, 9)."; `ids` are all ids."""
     total = len(ids) if count is None else count
-    named = _first(ids)
+    named = ids[:NAMED].tolist()
     noun = of if len(ids) == 1 else f"{of}s"
     listed = ", ".join(map(str, named)) + (", ..." if len(ids) > len(named) else "")
     sentence = f"{total} {verbs[total != 1]} {what} ({noun} {listed})."
-    return Suspicion(kind=kind, count=total, of=of, ids=named, sentence=sentence)
+    return Finding(kind=kind, sentence=sentence, evidence=_evidence(total, of, ids))
 
 
-def _first(ids: NDArray[np.int64]) -> tuple[int, ...]:
-    return tuple(int(entry) for entry in ids[:NAMED])
+def _evidence(count: int, of: str, ids: NDArray[np.int64]) -> dict[str, Any]:
+    """Return the number of occurrences, what ids mean, and the first ids."""
+    return {"count": count, "of": of, "ids": ids[:NAMED].tolist()}

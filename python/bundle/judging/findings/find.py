@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+from bundle.analysis.diagnosis.track_table import TrackTable
+from bundle.analysis.diagnosis.weak_joints import weak_joint
 from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
@@ -24,11 +26,10 @@ from bundle.judging.findings.outliers import outliers
 from bundle.judging.findings.positions import measured_positions, scale_drift
 from bundle.judging.findings.repaired import is_affordable, repaired
 from bundle.judging.findings.systematic import SystematicResiduals
-from bundle.judging.findings.weak_joints import weak_joint
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 
-__all__ = ["find"]
+__all__ = ["find", "one_list"]
 
 IMPORTANCE = (
     *("not_refined", "outliers", "lens_model", "weak_joint", "undetermined_intrinsics", "motion"),
@@ -36,6 +37,24 @@ IMPORTANCE = (
     "duplicate_points",
 )
 """Kinds of findings, the most important first."""
+
+
+SUPERSEDED = {"gross_errors": "outliers", "images_without_observations": "unobserved_pose"}
+"""Kinds that another kind, if it was found, states better."""
+
+
+def one_list(*groups: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return the findings of several sources as one list, problems first.
+
+    A kind that an earlier source found, or that is superseded by another, is left out.
+    """
+    listed: list[Finding] = []
+    for group in groups:
+        known = {finding.kind for finding in listed}
+        listed += [finding for finding in group if finding.kind not in known]
+    kinds = {finding.kind for finding in listed}
+    kept = [finding for finding in listed if SUPERSEDED.get(finding.kind) not in kinds]
+    return tuple(sorted(kept, key=lambda finding: not finding.is_problem))
 
 
 def find(
@@ -82,7 +101,8 @@ def find(
 
 def _findings(measured: Measured) -> Iterator[Finding | None]:
     """Yield the findings in stages; see repaired.py."""
-    yield weak_joint(measured)
+    joint = weak_joint(measured.whole, TrackTable(measured.whole))
+    yield joint
     yield duplicate_points(measured)
     start = not_refined(measured)
     if start is not None:
@@ -97,18 +117,20 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     if is_spoiled and can_repair:
         measured = repaired(measured) or measured
     found = SystematicResiduals(measured)
-    lens = lens_model(measured, found)
+    fits = image_fits(found, measured.scale)
+    moves = motion(measured, found, fits)
+    lens = None if moves is not None else lens_model(measured, found)
     yield lens
     if lens is not None and can_repair:
         measured = repaired(measured, lens.evidence["larger_model"]) or measured
         found = SystematicResiduals(measured)
+        fits = image_fits(found, measured.scale)
+        moves = motion(measured, found, fits)
     elif lens is not None or (is_spoiled and not can_repair):
         return
-    fits = image_fits(found, measured.scale)
-    moves = motion(measured, found, fits)
     yield moves
     yield image_residuals(measured, found, fits, is_general=moves is not None)
     groups = list(focal_lengths(measured))
     yield undetermined_intrinsics(measured, groups)
-    yield focal_drift(measured, groups)
+    yield focal_drift(measured, groups, is_jointed=joint is not None)
     yield shared_lens(measured, groups)

@@ -8,15 +8,17 @@ of a scene without changing the residuals much. The command shares the lens of a
 cameras, as the views together determine it; else it adds a prior of 2 %.
 
 Shared. If all cameras of a group of m have one focal length, Q = sum_i (f_i - f)^2 / s_i^2 with the
-weighted mean f is chi^2 with d = m - 1 degrees of freedom. The group is equal if Q is below the
-99 % quantile d + 2.33 sqrt(2 d) + 3.4 (an upper bound for d >= 1) and the focal lengths are
-determined. Covariances between cameras are neglected. Distortion does not decide: where the lens
-model is too small, each camera fits its own (two real models with one lens: Q / d of k is 5 and 11,
-of f 0.9 and 0.5). Beyond 25, the lenses are different.
+weighted mean f has the expectation d = m - 1 or less. It is not chi^2: neighbours see the same
+points, and their errors are alike; a sum of few independent modes scatters more. The group is equal
+if Q / d is below 4, the 99 % quantile of 3 degrees of freedom, if the focal lengths are determined,
+and if they do not drift by
+half of the limit below. Distortion does not decide: where the lens model is too small, each camera
+fits its own (two real models with one lens: Q / d of k is 5 and 11, of f 0.9 and 0.5). Beyond 25,
+the lenses are different.
 
-Drift. The weighted regression f_i = a + b t_i on the order t of the images, from -1 to 1, must
-explain Q better: b^2 / var b > 20 + Q_left / d, half of Q or more, and a change 2 |b| of 1 % of f.
-An image order without meaning shows no drift but by chance.
+Drift. In the weighted regression f_i = a + b t_i on the order t of the images, from -1 to 1, the
+gain b^2 / var b must exceed 30 by the Q / d that is left, and half of Q, and the change 2 b must be
+2 % of f. If the model has a weak joint, whose parts have errors of their own, 90 instead of 30.
 """
 
 from __future__ import annotations
@@ -35,8 +37,8 @@ from bundle.model.cameras import param_kinds
 __all__ = ["focal_drift", "focal_lengths", "shared_lens", "undetermined_intrinsics"]
 
 UNDETERMINED = 0.05
-DIFFERENT = 25.0
-DRIFT, DRIFT_STATISTIC, DRIFT_SHARE = 0.01, 20.0, 0.5
+DIFFERENT, EQUAL = 25.0, 4.0
+DRIFT, DRIFT_STATISTIC, DRIFT_SHARE = 0.02, 30.0, 0.5
 FEWEST_CAMERAS = 2
 FEWEST_IN_ORDER = 6
 
@@ -137,23 +139,14 @@ def shared_lens(measured: Measured, groups: Groups) -> Finding | None:
     )
 
 
-def focal_drift(measured: Measured, groups: Groups) -> Finding | None:
+def focal_drift(measured: Measured, groups: Groups, *, is_jointed: bool = False) -> Finding | None:
     """Return the finding about focal lengths that change with the order of the images, or None."""
     for group in groups:
-        if len(group.cameras) < FEWEST_IN_ORDER or not group.is_determined.all():
+        if not group.is_determined.all():
             continue
-        weight = 1.0 / group.sigma**2
-        mean = _mean(group.focal, group.sigma)
-        time = group.order - float((weight * group.order).sum() / weight.sum())
-        spread = float((weight * time**2).sum())
-        slope = float((weight * time * (group.focal - mean)).sum()) / spread
-        gain, left = slope**2 * spread, group.statistic - slope**2 * spread
-        change = 2.0 * slope / mean
-        if (
-            gain > DRIFT_STATISTIC + left / (len(time) - 2)
-            and gain > DRIFT_SHARE * group.statistic
-            and abs(change) > DRIFT
-        ):
+        if _drifts(group, DRIFT_STATISTIC * (3.0 if is_jointed else 1.0)):
+            change, gain = _trend(group)
+            left = (group.statistic - gain) / (len(group.cameras) - 2)
             ids = measured.whole.camera_ids[group.cameras].tolist()
             return Finding(
                 kind="focal_drift",
@@ -161,9 +154,32 @@ def focal_drift(measured: Measured, groups: Groups) -> Finding | None:
                 f"{named('camera', ids)} (zoom, focus or temperature): keep a lens per image, "
                 "with a prior if the views determine it weakly.",
                 command=measured.command.refine("--set", "cameras *: f prior 2 %"),
-                evidence={"camera_ids": ids, "change": change, "chi2": gain, "chi2_left": left},
-            )
+                evidence={
+                    "camera_ids": ids, "change": change, "chi2": gain, "chi2_left_per_dof": left,
+                },
+            )  # fmt: skip
     return None
+
+
+def _drifts(group: FocalLengths, least: float) -> bool:
+    if len(group.cameras) < FEWEST_IN_ORDER:
+        return False
+    change, gain = _trend(group)
+    left = (group.statistic - gain) / (len(group.cameras) - 2)
+    is_clear = gain > least + left and gain > DRIFT_SHARE * group.statistic
+    return is_clear and abs(change) > DRIFT
+
+
+def _trend(group: FocalLengths) -> tuple[float, float]:
+    """Return the relative change from the first to the last image, and its chi^2."""
+    weight = 1.0 / group.sigma**2
+    mean = _mean(group.focal, group.sigma)
+    time = group.order - float((weight * group.order).sum() / weight.sum())
+    spread = float((weight * time**2).sum())
+    if not spread > 0:
+        return 0.0, 0.0
+    slope = float((weight * time * (group.focal - mean)).sum()) / spread
+    return 2.0 * slope / mean, slope**2 * spread
 
 
 def focal_lengths(measured: Measured) -> Iterator[FocalLengths]:
@@ -210,8 +226,9 @@ def _is_equal(group: FocalLengths) -> bool:
     return bool(
         dof + 1 >= FEWEST_CAMERAS
         and group.is_determined.all()
-        and group.statistic < dof + 2.33 * np.sqrt(2.0 * dof) + 3.4
+        and group.statistic < EQUAL * dof
         and group.distortion < DIFFERENT
+        and not _drifts(group, DRIFT_STATISTIC / 2)
     )
 
 

@@ -10,9 +10,12 @@ freedom if all m images agree. DerSimonian and Laird (1986) estimate the varianc
 
     tau^2 = (Q - (m - 1)) / (sum w - sum w^2 / sum w),  w = 1 / V_i.
 
-Thresholds: Q / (m - 1) > 4, Q > d + 6 sqrt(2 d) + 20 with d = m - 1, and tau > 0.45 scales at the
-image border, over at least 6 images. A lens field that is absorbed differently from image to image
-reaches 0.42; row shifts of four times the noise 1.5, real models with motion 0.6 to 1.6.
+Thresholds: Q / (m - 1) > 4, Q > d + 6 sqrt(2 d) + 20 with d = m - 1, over at least 6 images, and
+tau > 0.45 scales at the image border. Poses and points absorb a lens field differently from image
+to image, which looks like motion of 3 to 7 times the field that is left, and a mean of motions
+looks like a lens. So tau must also exceed 8 times the size of the lens field (lens_terms.py);
+otherwise it is the lens. Row shifts of four times the noise reach 1.5 scales, real models with
+motion 0.6 to 1.6.
 
 Rows against columns. Linear fields cannot tell them apart: rotation has absorbed the difference.
 The derivatives D of the pose can: a velocity times the row y gives the columns y D, times the
@@ -36,13 +39,14 @@ from numpy.typing import NDArray
 from bundle.base.words import noun, number
 from bundle.errors import shown
 from bundle.interface.finding import Finding
+from bundle.judging.findings.lens_terms import lens_size
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.systematic import SystematicResiduals
 from bundle.model.problem import Problem
 
 __all__ = ["image_residuals", "motion"]
 
-RATIO, SIZE = 4.0, 0.45
+RATIO, SIZE, LENS_SIZES = 4.0, 0.45, 8.0
 ROWS_AGAINST_COLUMNS = 1.5
 FEWEST_IMAGES = 6
 FIELD = 0.5
@@ -77,11 +81,12 @@ class ImageFits:
 def motion(measured: Measured, found: SystematicResiduals, fits: ImageFits) -> Finding | None:
     """Return the finding about motion or a rolling shutter, or None."""
     ratios, sizes = {}, {}
+    least = max(SIZE, LENS_SIZES * lens_size(found, measured.scale))
     fires = False
     for name, column in (("anisotropy", 1), ("shear", 2)):
         ratio, tau, excess = between_images(fits.coefficients[:, column], fits.variances[:, column])
         ratios[name], sizes[name] = ratio, tau / measured.scale
-        fires |= ratio > RATIO and excess > 0 and tau > SIZE * measured.scale
+        fires |= ratio > RATIO and excess > 0 and tau > least * measured.scale
     if not fires:
         return None
     rows, columns = direction(found)

@@ -2,16 +2,18 @@ r"""Lens model too small: a systematic field of residuals, and the missing term.
 
 Test. The candidate fields (systematic.py) are further radial terms, tangential distortion or a
 displaced principal point, and different focal lengths. A field of which poses and intrinsics leave
-less than 1 % belongs to the model already. The coefficients theta of all images of one camera model
-and size come from one regression r = A theta. The covariance V of theta is a sandwich H^-1 W H^-1
-with H = A^T A: W sums the outer products of the scores of observations, or of images, whose scores
-are correlated by motion (needs 10 images). The smaller Wald statistic theta^T V^-1 theta of the two
-is compared with chi^2 of d = dim theta degrees of freedom.
+less than 5 % belongs to the model already. The coefficients theta of all images of one camera model
+and size come from one regression r = A theta. The covariance V of theta
+is a sandwich H^-1 W H^-1 with H = A^T A: W sums the outer products of the scores of observations,
+or of images. The Wald statistic theta^T V^-1 theta is compared with chi^2 of d = dim theta degrees
+of freedom. Poses and points absorb different parts of a field in different images, so that the
+second, which asks for agreement of the images, is smaller; without agreement it is motion.
 
-Thresholds. A statistic above d + 6 sqrt(2 d) + 20 (p below 1e-7 for d = 1 to 6, enough for a
-thousand lenses), and a field A theta of rms 0.13 scales per coordinate, which makes the RMSE 1 %
-too large. Real models: 0.005 to 0.06 where the lens is right, 0.10 for a pinhole that is nearly
-enough, 0.25 to 0.44 where it is too small.
+Thresholds. A statistic by observations above d + 6 sqrt(2 d) + 20 (p below 1e-7 for d = 1 to 6,
+enough for a thousand lenses), by images (from 10 on) above d + 3.1 sqrt(2 d) + 5.5 (p = 0.001), and
+a field A theta of rms 0.13 scales per coordinate, which makes the RMSE 1 % too large. Real models:
+0.005 to 0.06 where the lens is right, 0.10 for a pinhole that is nearly enough, 0.25 to 0.44 where
+it is too small.
 
 Model. The smallest larger model whose terms explain 85 % of the field.
 """
@@ -29,7 +31,7 @@ from bundle.interface.finding import Finding
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.systematic import LEFT, LENS_TERMS, SystematicResiduals
 
-__all__ = ["lens_model"]
+__all__ = ["lens_model", "lens_size"]
 
 SIZE = 0.13
 FEWEST_ROWS = 100
@@ -118,6 +120,11 @@ def lens_model(measured: Measured, found: SystematicResiduals) -> Finding | None
     )
 
 
+def lens_size(found: SystematicResiduals, scale: float) -> float:
+    """Return the size of the largest field, significant or not; 0 without one."""
+    return max((one.size for one in _fields(found, scale)), default=0.0)
+
+
 def _fields(found: SystematicResiduals, scale: float) -> Iterator[_Field]:
     before = np.sqrt((found.lens_columns**2).mean(axis=(0, 1))) if len(found.camera) else None
     for model, rows in found.lenses:
@@ -138,7 +145,7 @@ def _field(
     columns = columns[:, :, left]
     names = [name for name, is_left in zip(LENS_TERMS, left, strict=True) if is_left]
     image = problem.observation_image[found.observations[rows]]
-    theta, statistic = _wald(columns, residual, image)
+    theta, statistic, significant = _wald(columns, residual, image)
     field = columns @ theta
     total = float((field**2).mean())
     explained = {
@@ -152,7 +159,7 @@ def _field(
     return _Field(
         model=model,
         camera_ids=tuple(np.sort(problem.camera_ids[np.unique(found.camera[rows])]).tolist()),
-        significant=statistic > len(theta) + 6.0 * np.sqrt(2.0 * len(theta)) + 20.0,
+        significant=significant,
         statistic=statistic,
         size=float(np.sqrt(total)) / scale,
         percentile=float(np.quantile(np.hypot(*field.T), 0.99)),
@@ -166,8 +173,10 @@ def _larger(model: str) -> tuple[tuple[str, tuple[str, ...]], ...]:
     return LARGER[family][first:]
 
 
-def _wald(columns: Floats, residual: Floats, image: NDArray[np.int32]) -> tuple[Floats, float]:
-    """Return the coefficients and their Wald statistic."""
+def _wald(
+    columns: Floats, residual: Floats, image: NDArray[np.int32]
+) -> tuple[Floats, float, bool]:
+    """Return the coefficients, their Wald statistic by observations, and True if significant."""
     count = columns.shape[2]
     flat, values = columns.reshape(-1, count), residual.reshape(-1)
     norm = np.linalg.norm(flat, axis=0)
@@ -177,10 +186,12 @@ def _wald(columns: Floats, residual: Floats, image: NDArray[np.int32]) -> tuple[
     scores = ((columns / norm) * left[:, :, None]).sum(axis=1)
     _, cluster = np.unique(image, return_inverse=True)
     sums = np.stack([np.bincount(cluster, score) for score in scores.T], axis=1).astype(float)
-    statistics = [_statistic(theta, inverse, scores)]
+    statistic = _statistic(theta, inverse, scores)
+    root = np.sqrt(2.0 * count)
+    significant = statistic > count + 6.0 * root + 20.0
     if len(sums) >= FEWEST_IMAGES_FOR_CLUSTERS:
-        statistics.append(_statistic(theta, inverse, sums))
-    return theta / norm, min(statistics)
+        significant &= _statistic(theta, inverse, sums) > count + 3.1 * root + 5.5
+    return theta / norm, statistic, bool(significant)
 
 
 def _statistic(theta: Floats, inverse: Floats, scores: Floats) -> float:

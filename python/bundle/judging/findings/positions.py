@@ -9,7 +9,7 @@ residuals show.
 Single positions. d_i is above 5 ratios (at least 5 sigmas) in at most a third of the images.
 Drift. With centres c and positions p, the scale of a part of the images is
 s = sum |p - mean p| / sum |c - mean c|. That of the first half of the images in their order and
-that of the second differ by more than 3 % and by 5 standard errors; the error of each is
+that of the second differ by more than 6 % and by 5 standard errors; the error of each is
 sigma / (spread sqrt n). Priors of a solve pull the model, so that drift shows at its clearest where
 their sigmas are large.
 """
@@ -34,7 +34,7 @@ CHI2_MEDIANS = {1: 0.4549, 2: 1.3863, 3: 2.3660}
 RATIO, RATIO_BESIDE_OUTLIERS = 2.0, 3.0
 OUTLIER = 5.0
 FEWEST = 6
-DRIFT, DRIFT_ERRORS = 0.03, 5.0
+DRIFT, DRIFT_ERRORS = 0.06, 5.0
 
 Floats = NDArray[np.float64]
 

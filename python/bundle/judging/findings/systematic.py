@@ -49,7 +49,7 @@ LENS_TERMS = ("r2", "r4", "r6", "t1", "t2", "a")
 IMAGE_TERMS = ("s", "a", "h")
 MOST_IMAGES = 100
 MOST_PER_IMAGE = 400
-LEFT = 0.01
+LEFT = 0.05
 """Share of a field below which poses and intrinsics have absorbed it."""
 FEWEST = 30
 """Clean observations from which an image takes part."""

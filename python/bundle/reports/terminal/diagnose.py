@@ -8,6 +8,8 @@ from typing import Any
 from bundle.analysis.diagnosis.diagnosis_result import Diagnosis
 from bundle.analysis.diagnosis.graph_diagnosis import GraphDiagnosis
 from bundle.base.words import number, plural
+from bundle.interface.finding import Finding
+from bundle.judging.findings.find import one_list
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.reports.sections import Column, Report, Section, Table, fields
@@ -34,7 +36,12 @@ SUSPICIOUS = (
 
 
 def diagnosed(
-    path: str, problem: Problem, diagnosis: Diagnosis, options: Mapping[str, Any], wall_time: float
+    path: str,
+    problem: Problem,
+    diagnosis: Diagnosis,
+    options: Mapping[str, Any],
+    wall_time: float,
+    found: Sequence[Finding] = (),
 ) -> Report:
     """Return the report on a reconstruction.
 
@@ -44,6 +51,7 @@ def diagnosed(
         diagnosis: its diagnosis.
         options: options that affect the diagnosis.
         wall_time: seconds.
+        found: further findings about the problem.
     """
     sizes = [len(component.image_ids) for component in diagnosis.components]
     facts = [
@@ -60,12 +68,14 @@ def diagnosed(
         command="diagnose",
         input=about_problem(path, problem),
         headline=[diagnosis.verdict],
+        findings=one_list(_problems(diagnosis), found),
         sections=[
             Section(facts=facts),
             Section(tables=[_condition("reduced camera system", "as it is", diagnosis)]),
-            *_findings(diagnosis),
+            *_notes(diagnosis),
         ],
-        data=_data(diagnosis, options, numbers, wall_time),
+        data=_data(diagnosis, options, numbers, wall_time)
+        | {"findings": one_list(diagnosis.findings, found)},
     )
 
 
@@ -96,11 +106,12 @@ def diagnosed_graph(
         command="diagnose",
         input=about_graph(path, graph),
         headline=[diagnosis.verdict],
+        findings=_problems(diagnosis),
         sections=[
             Section(facts=facts),
             Section(tables=[_condition("normal equations", "as they are", diagnosis)]),
             *([Section(tables=[suspicious])] if suspicious.rows else []),
-            *_findings(diagnosis),
+            *_notes(diagnosis),
         ],
         data=_data(diagnosis, options, numbers, wall_time),
     )
@@ -135,12 +146,13 @@ def _condition(title: str, unscaled: str, diagnosis: Diagnosis | GraphDiagnosis)
     )
 
 
-def _findings(diagnosis: Diagnosis | GraphDiagnosis) -> list[Section]:
-    problems = [entry.sentence for entry in diagnosis.findings if entry.is_problem]
+def _problems(diagnosis: Diagnosis | GraphDiagnosis) -> list[Finding]:
+    return [entry for entry in diagnosis.findings if entry.is_problem]
+
+
+def _notes(diagnosis: Diagnosis | GraphDiagnosis) -> list[Section]:
     others = [entry.sentence for entry in diagnosis.findings if not entry.is_problem]
-    found = Section(
-        facts=[("problems", "" if problems else "none found")], notes=problems, is_warning=True
-    )
+    found = Section(facts=[("problems", "none found" if diagnosis.ok else "see below")])
     more = Section(facts=[("notes", "")], notes=others, is_joined=True)
     return [found, *([more] if others else [])]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from bundle.analysis.statistics.covisibility import Covisibility
@@ -9,12 +11,12 @@ from bundle.analysis.statistics.depths import COLLAPSED
 from bundle.analysis.statistics.description import Description, Distribution
 from bundle.base.tables import Bar
 from bundle.base.words import number, pixels, plural
+from bundle.interface.finding import Finding
 from bundle.model.problem import Problem
 from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_problem, problem_facts
 from bundle.reports.terminal.refine import worst_sections
 from bundle.reports.terminal.rig_tables import rig_sections
-from bundle.reports.terminal.solve_data import looks_wrong
 
 __all__ = ["information"]
 
@@ -32,9 +34,10 @@ CAMERAS = (
 )
 
 
-def information(path: str, problem: Problem, description: Description) -> Report:
-    """Return the report on the description of a problem."""
-    wrong = [suspicion.sentence for suspicion in description.suspicions]
+def information(
+    path: str, problem: Problem, description: Description, findings: Sequence[Finding]
+) -> Report:
+    """Return the report on the description of a problem and the findings about it."""
     count = description.num_repeated_observations
     tracks = f"{plural(count, 'repeated observation')} (a track visits the same image twice)"
     facts = [
@@ -46,6 +49,7 @@ def information(path: str, problem: Problem, description: Description) -> Report
     return Report(
         command="info",
         input=about_problem(path, problem),
+        findings=findings,
         sections=[
             Section(facts=problem_facts(path, problem, rigs=True)),
             Section(tables=[Table(CAMERAS, description.cameras)]),
@@ -57,7 +61,7 @@ def information(path: str, problem: Problem, description: Description) -> Report
             ),
             Section(facts=facts),
             *worst_sections(description.worst_images, "worst images"),
-            looks_wrong(wrong),
+            *([] if findings else [Section(facts=[("findings", "none")])]),
         ],
         data=fields(description),
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from bundle.base.memory_sizes import format_size
 from bundle.errors import shown
+from bundle.interface.finding import Finding
 from bundle.model.problem import Problem
 from bundle.reports.sections import Report, Section
 from bundle.reports.terminal.inputs import about_problem, problem_facts
@@ -15,7 +16,12 @@ __all__ = ["reported"]
 
 
 def reported(
-    path: str, problem: Problem, page: str, notes: Sequence[str], wall_time: float
+    path: str,
+    problem: Problem,
+    page: str,
+    notes: Sequence[str],
+    wall_time: float,
+    findings: Sequence[Finding] = (),
 ) -> Report:
     """Return the report.
 
@@ -25,12 +31,14 @@ def reported(
         page: path of the page.
         notes: sentences about missing parts of the page.
         wall_time: seconds.
+        findings: findings about the problem.
     """
     size = f" ({format_size(Path(page).stat().st_size)})" if Path(page).is_file() else ""
     facts = [*problem_facts(path, problem, rigs=True), ("output", f"{shown(page)}{size}")]
     return Report(
         command="report",
         input=about_problem(path, problem),
+        findings=findings,
         sections=[Section(facts=facts, notes=notes, is_warning=True)],
         data={
             "notes": notes,

@@ -10,7 +10,7 @@ Cost. For any 15 disjoint sets of points, a joint of fewer than 15 points has no
 them. If the images are connected by the points of every set, there is no such joint, which takes
 linear time. Only models that fail this, or small ones, need the pairs of images.
 
-Frames of a rig are one part: the rig holds them together.
+The images of a frame of a rig are one image: the rig holds them together.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from bundle.analysis.diagnosis.track_table import TrackTable
 from bundle.base.components import component_roots
 from bundle.base.words import named, plural
 from bundle.interface.finding import Finding
-from bundle.judging.findings.measured import Measured
 from bundle.model.problem import Problem
 
 __all__ = ["weak_joint"]
@@ -34,12 +33,8 @@ MOST_EDGES_TRIED = 20
 Ints = NDArray[np.int64]
 
 
-def weak_joint(measured: Measured) -> Finding | None:
+def weak_joint(problem: Problem, tracks: TrackTable) -> Finding | None:
     """Return the finding about the weakest joint, or None."""
-    problem = measured.whole
-    if problem.num_images < 4 or problem.num_frames:
-        return None
-    tracks = TrackTable(problem)
     if len(tracks.points) > SMALL and _is_firm(problem, tracks):
         return None
     images, count = _weakest(problem, tracks)
@@ -51,7 +46,6 @@ def weak_joint(measured: Measured) -> Finding | None:
         sentence=f"Weak joint: {plural(len(ids), 'image')} ({named('image', ids)}) share only "
         f"{plural(count, 'point')} with the other {problem.num_images - len(ids)}: their relative "
         "pose and scale are uncertain. Match more pairs across this joint, or close a loop.",
-        command=measured.command.other("diagnose"),
         evidence={"image_ids": ids, "num_points": count},
     )
 
@@ -72,7 +66,11 @@ def _is_firm(problem: Problem, tracks: TrackTable) -> bool:
 
 def _weakest(problem: Problem, tracks: TrackTable) -> tuple[Ints, int]:
     """Return the images of the smaller part at the weakest joint, and its points; 0: none."""
+    node = _nodes(problem)
     first, second, weight = tracks.pair_counts
+    first, second = node[first], node[second]
+    apart = first != second
+    first, second, weight = first[apart], second[apart], weight[apart]
     order = np.argsort(-weight, kind="stable")
     parent = np.arange(problem.num_images)
     tree: list[tuple[int, int, int]] = []
@@ -93,22 +91,33 @@ def _weakest(problem: Problem, tracks: TrackTable) -> tuple[Ints, int]:
     weak = [edge for edge in reversed(tree) if edge[2] < FEW][:MOST_EDGES_TRIED]
     best: tuple[Ints, int] = (np.zeros(0, np.int64), 0)
     for edge in weak:
-        images = _side(tree, edge, problem.num_images)
-        others = len(tree) + 1 - len(images)
-        if len(images) < 2 or others < 2:
+        nodes, others = _sides(tree, edge, problem.num_images)
+        if min(len(nodes), len(others)) < 2:
             continue
+        images = np.flatnonzero(np.isin(node, nodes))
         count = tracks.count_between(images)
         if 0 < count < FEW and (not best[1] or count < best[1]):
             best = (images, count)
     return best
 
 
-def _side(tree: list[tuple[int, int, int]], without: tuple[int, int, int], count: int) -> Ints:
-    """Return the smaller side of the tree without one edge."""
+def _nodes(problem: Problem) -> Ints:
+    """Return the first image of the frame of each image, or the image itself."""
+    node = np.arange(problem.num_images)
+    if problem.num_frames:
+        carried = np.flatnonzero(problem.image_frame >= 0)
+        frame = problem.image_frame[carried]
+        first = np.full(problem.num_frames, problem.num_images)
+        np.minimum.at(first, frame, carried)
+        node[carried] = first[frame]
+    return node
+
+
+def _sides(
+    tree: list[tuple[int, int, int]], without: tuple[int, int, int], count: int
+) -> tuple[Ints, Ints]:
+    """Return the two sides of the tree without one edge, the smaller first."""
     edges = np.array([edge[:2] for edge in tree if edge is not without], np.int64).reshape(-1, 2)
-    alone = np.array(without[:2])
-    images = np.concatenate([edges.ravel(), alone])
-    starts = np.concatenate([np.arange(len(edges)) * 2, 2 * len(edges) + np.arange(2)])
-    roots = component_roots(images, starts, count)
-    sides = [np.flatnonzero(roots == roots[end]) for end in without[:2]]
-    return min(sides, key=len)
+    roots = component_roots(edges.ravel(), np.arange(len(edges)) * 2, count)
+    one, other = sorted((np.flatnonzero(roots == roots[end]) for end in without[:2]), key=len)
+    return one, other
