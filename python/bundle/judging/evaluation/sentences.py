@@ -62,8 +62,8 @@ def _moved(movement: SigmaMovement) -> str:
     else:
         meaning = "more than the uncertainty of A explains"
     return (
-        f"Relative poses differ by {number(movement.median)} sigmas of A's covariance (median; at most "
-        f"{number(movement.largest)}): {meaning}."
+        f"Relative poses differ by {number(movement.median)} sigmas of A's covariance (median; at "
+        f"most {number(movement.largest)}): {meaning}."
     )
 
 
