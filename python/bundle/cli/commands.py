@@ -166,7 +166,7 @@ def _vio(parser: Parser) -> None:
         "--ground-truth",
         metavar="FILE",
         type=a_path,
-        help="compare with it: EuRoC's csv or a TUM file (needs evo)",
+        help="compare with it: EuRoC's csv or a TUM file",
     )
     parser.add_argument(
         "--telemetry",

@@ -13,7 +13,7 @@ from bundle.figures.drawing import Figure, over_image
 from bundle.figures.marks import GREY, Array, Cells, Dots, Line, Mark, Vectors
 from bundle.judging.evaluation.evaluation_result import Evaluation
 from bundle.judging.evaluation.lens_difference import LensDifference
-from bundle.judging.evaluation.pose_errors import ErrorStatistics
+from bundle.model.pose_errors import ErrorStatistics
 
 __all__ = ["error_figures", "lens_difference_figure", "paths_figure"]
 

@@ -53,13 +53,14 @@ def align_centers(source: Array, target: Array, alignment: str = "similarity") -
         alignment: "similarity", "rigid", "yaw" or "none".
 
     Raises:
-        InputError: the centres lie on one line or at one place, so that they do not determine the
-            alignment.
+        InputError: the centres lie on one line or at one place, so that they do not determine a
+            similarity or a rigid motion.
     """
     if alignment == "none":
         return Similarity(1.0, np.eye(3), np.zeros(3))
-    for name, points in (("a", source), ("b", target)):
-        _check_spread(name, points, alignment)
+    if alignment != "yaw":
+        for name, points in (("a", source), ("b", target)):
+            _check_spread(name, points)
     if np.array_equal(source, target):
         return Similarity(1.0, np.eye(3), np.zeros(3))
     center, goal = source.mean(axis=0), target.mean(axis=0)
@@ -78,14 +79,14 @@ def align_centers(source: Array, target: Array, alignment: str = "similarity") -
     return Similarity(1.0, fitted.rotation, goal - fitted.rotation @ center)
 
 
-def _check_spread(name: str, points: Array, alignment: str) -> None:
+def _check_spread(name: str, points: Array) -> None:
     center = points.mean(axis=0)
     spread = np.linalg.svd(points - center, compute_uv=False)
     if not spread[0] > SMALLEST_SPREAD * max(float(np.abs(center).max()), 1e-300):
         raise InputError(
             f"{name}: expected shared poses at different places, found all {len(points)} at one"
         )
-    if alignment != "yaw" and spread[1] <= THINNEST * spread[0]:
+    if spread[1] <= THINNEST * spread[0]:
         raise InputError(
             f"{name}: the {len(points)} shared centres lie on one line, so that the rotation about "
             f"it is undetermined: expected a centre beside the line, or align=yaw or align=none"

@@ -74,7 +74,6 @@ def test_doubt_is_part_of_the_covariance() -> None:
 
 @pytest.mark.parametrize("at", [2.2, 4.0])
 def test_a_gap_below_the_fatal_one_does_no_harm(at: float) -> None:
-    pytest.importorskip("evo")
     flight = synthesize_flight(motion="room", seed=5, duration=8.0, num_tracks=40)
     whole, holey = (
         compare_trajectories(
@@ -86,7 +85,6 @@ def test_a_gap_below_the_fatal_one_does_no_harm(at: float) -> None:
 
 
 def test_a_real_gap_at_take_off(bundle_data: Path) -> None:
-    pytest.importorskip("evo")
     from bundle.io.sequences.track_csv import read_track_csv
     from bundle.io.sequences.trajectory_files import load_trajectory
 

@@ -142,7 +142,6 @@ def test_euroc_in_flight(bundle_data: Path, begin: float) -> None:
 
 
 def test_an_odometry_begins_in_flight(bundle_data: Path) -> None:
-    pytest.importorskip("evo")
     folder = bundle_data / "vio"
     given = later(read_track_csv(folder / "euroc_V1_01_tracks_imu_30s.csv"), 24)
     result = run_odometry(given, time_budget=10)

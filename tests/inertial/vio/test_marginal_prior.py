@@ -150,7 +150,6 @@ def test_a_camera_that_is_refined_begins_where_it_was_given(
 @FORMS
 def test_a_real_camera_is_refined(bundle_data: Path, square_root: bool) -> None:
     """From rest, where nothing tells its place: it used to wander, ATE 1 to 12 m."""
-    pytest.importorskip("evo")
     real = read_track_csv(bundle_data / "vio" / "euroc_V1_01_tracks_imu_30s.csv")
     truth = load_trajectory(bundle_data / "vio" / "euroc_V1_01_ground_truth.csv")
     form = "square_root" if square_root else "information"

@@ -32,7 +32,6 @@ def real(bundle_data: Path) -> Sequence:
 
 def test_thirty_seconds_of_euroc(bundle_data: Path, tmp_path: Path) -> None:
     """From rest, without a look at the truth; every figure of the report is there."""
-    pytest.importorskip("evo")
     folder = bundle_data / "vio"
     target, report = tmp_path / "x.tum", tmp_path / "x.json"
     lines = tmp_path / "x.jsonl"
@@ -59,8 +58,6 @@ def test_thirty_seconds_of_euroc(bundle_data: Path, tmp_path: Path) -> None:
 
 
 def test_a_batch_is_a_window_that_keeps_everything(real: Sequence, bundle_data: Path) -> None:
-    evo = pytest.importorskip("evo")
-    assert evo
     from bundle.inertial.vio.trajectory_comparison import compare_trajectories
     from bundle.io.sequences.trajectory_files import load_trajectory
 

@@ -1,4 +1,4 @@
-"""Trajectories: files there and back, interpolation, comparison by evo against closed forms."""
+"""Trajectories: files there and back, interpolation, comparison against evo and closed forms."""
 
 from __future__ import annotations
 
@@ -7,10 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evo.core import metrics
+from evo.core.trajectory import PosePath3D
 from scipy.spatial.transform import Rotation, Slerp
 
 import bundle
-from bundle.inertial.vio.trajectory_comparison import compare_trajectories, states_at
+from bundle.inertial.vio.trajectory_comparison import (
+    aligned_in_yaw,
+    compare_trajectories,
+    states_at,
+)
 from bundle.io.sequences.trajectory_files import (
     Trajectory,
     load_trajectory,
@@ -116,6 +122,39 @@ def test_noise_is_what_it_is_and_only_the_overlap_counts() -> None:
     late = Trajectory(truth.timestamps_ns + 10**12, truth.states)
     with pytest.raises(bundle.InputError, match="ground truth"):
         compare_trajectories(late, truth)
+
+
+def test_errors_are_those_of_evo() -> None:
+    truth = trajectory(300)
+    states = np.array(truth.states)
+    rng = np.random.default_rng(5)
+    states[:, 4:7] = 0.9 * states[:, 4:7] + rng.normal(0, 0.05, (300, 3))
+    states[:, :4] = (
+        Rotation.from_quat(states[:, :4]) * Rotation.from_rotvec([0.1, 0, 0])
+    ).as_quat()
+    estimate = Trajectory(truth.timestamps_ns, states)
+    found = compare_trajectories(estimate, truth)
+
+    def path(poses: np.ndarray) -> PosePath3D:
+        return PosePath3D(
+            positions_xyz=poses[:, 4:7], orientations_quat_wxyz=poses[:, [3, 0, 1, 2]]
+        )
+
+    def rms(poses: PosePath3D, relation: metrics.PoseRelation) -> float:
+        error = metrics.APE(relation)
+        error.process_data((path(truth.states), poses))
+        return float(error.get_statistic(metrics.StatisticsType.rmse))
+
+    position = metrics.PoseRelation.translation_part
+    rigid = path(states)
+    rigid.align(path(truth.states))
+    assert found.ate == pytest.approx(rms(rigid, position), rel=1e-9)
+    scale = path(states).align(path(truth.states), correct_scale=True)[2]
+    assert found.scale == pytest.approx(scale, rel=1e-9)
+    _, level, _ = aligned_in_yaw(estimate, truth)
+    assert found.ate_yaw == pytest.approx(rms(path(level), position), rel=1e-9)
+    angle = rms(path(level), metrics.PoseRelation.rotation_angle_deg)
+    assert found.rotation_rms == pytest.approx(angle, rel=1e-9)
 
 
 def test_an_estimate_that_stands_still_has_no_scale() -> None:

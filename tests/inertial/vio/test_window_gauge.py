@@ -111,7 +111,6 @@ def test_a_prior_costs_nothing_at_its_own_minimum(square_root: bool) -> None:
 def test_the_error_does_not_depend_on_how_exactly_windows_are_solved(
     motion: str, seed: int
 ) -> None:
-    pytest.importorskip("evo")
     flight = synthesize_flight(motion=motion, seed=seed, duration=8.0, num_tracks=30)
     errors = []
     for count in (8, 30, 100):

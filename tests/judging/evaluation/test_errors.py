@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import bundle
 from bundle.georeference.pose_alignment import align_centers, moved_poses
 from bundle.georeference.similarity import Similarity
-from bundle.judging.evaluation.pose_errors import (
+from bundle.model.pose_errors import (
     ErrorStatistics,
     absolute_errors,
     relative_errors,

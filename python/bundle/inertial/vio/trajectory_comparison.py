@@ -1,16 +1,13 @@
-"""Errors of an estimated trajectory relative to ground truth, by evo.
-
-https://github.com/MichaelGrupp/evo
+"""Errors of an estimated trajectory relative to ground truth.
 
 Ground truth is interpolated at the stamps of the estimate: positions linearly, rotations along the
-shortest arc. Errors are computed after two alignments:
+shortest arc. Errors (``model.pose_errors``) are computed after two alignments
+(``georeference.pose_alignment``):
 
-* all six degrees of freedom (Umeyama, by evo): papers report this absolute trajectory error; its
-  variant with a free scale shows by how much the estimate is too small;
+* all six degrees of freedom: papers report this absolute trajectory error; its variant with a free
+  scale shows by how much the estimate is too small;
 * yaw and position, the four degrees of freedom that an odometry with an IMU leaves open. Errors of
-  roll and pitch are not aligned away. The yaw a maximises sum q_i . R_z(a) p_i over centred
-  positions p of the estimate and q of the truth: tan a =
-  sum (p_x q_y - p_y q_x) / sum (p_x q_x + p_y q_y).
+  roll and pitch are not aligned away.
 """
 
 from __future__ import annotations
@@ -23,11 +20,11 @@ from numpy.typing import NDArray
 from bundle.base.display import Display, Displayed
 from bundle.errors import InputError
 from bundle.io.sequences.trajectory_files import Trajectory
+from bundle.model.pose_errors import ErrorStatistics, absolute_errors
 from bundle.model.rotations import (
     quaternion_from_vector,
     quaternion_inverse,
     quaternion_multiply,
-    quaternion_rotate,
     vector_from_quaternion,
 )
 from bundle.model.sequence.stamp_units import other_unit
@@ -80,44 +77,28 @@ def compare_trajectories(estimate: Trajectory, truth: Trajectory) -> TrajectoryE
     """Compare an estimate with ground truth where both exist.
 
     Raises:
-        InputError: fewer than three poses of the estimate lie between stamps of the truth, or evo
-            is not installed.
+        InputError: fewer than three poses of the estimate lie between stamps of the truth.
     """
-    try:
-        from evo.core import metrics  # optional dependency
-        from evo.core.trajectory import PosePath3D  # optional dependency
-    except ImportError:
-        raise InputError(
-            "compare_trajectories: expected the package evo, which is not installed: pip "
-            "install evo"
-        ) from None
+    # Import late: the room takes 80 ms.
+    from bundle.georeference.pose_alignment import align_centers, moved_poses
+
     inside = covered_by(truth, estimate.timestamps_ns)
     found = estimate.states[inside, :7]
     wanted = states_at(truth, estimate.timestamps_ns[inside])[:, :7]
-
-    def path(poses: Array) -> PosePath3D:
-        return PosePath3D(positions_xyz=poses[:, 4:], orientations_quat_wxyz=poses[:, [3, 0, 1, 2]])
-
-    def rms(aligned: PosePath3D, relation: metrics.PoseRelation) -> float:
-        error = metrics.APE(relation)
-        error.process_data((path(wanted), aligned))
-        return float(error.get_statistic(metrics.StatisticsType.rmse))
-
-    position = metrics.PoseRelation.translation_part
-    level = path(_yaw_aligned(found, wanted))
-    rigid, scale = path(found), float("nan")
-    centred = [poses[:, 4:] - poses[:, 4:].mean(axis=0) for poses in (found, wanted)]
-    if all(np.linalg.matrix_rank(points, tol=1e-9) >= 2 for points in centred):
-        rigid.align(path(wanted))
-        scale = float(path(found).align(path(wanted), correct_scale=True)[2])
-    else:  # collinear: positions do not determine the rotation about the line
-        rigid = level
+    level = moved_poses(found, align_centers(found[:, 4:], wanted[:, 4:], "yaw"))
+    rigid, scale = level, float("nan")
+    try:
+        rigid = moved_poses(found, align_centers(found[:, 4:], wanted[:, 4:], "rigid"))
+        scale = align_centers(found[:, 4:], wanted[:, 4:]).scale
+    except InputError:  # on one line: positions do not determine the rotation about it
+        pass
+    position, rotation = absolute_errors(level, wanted)
     return TrajectoryError(
         num_poses=int(inside.sum()),
-        ate=rms(rigid, position),
-        ate_yaw=rms(level, position),
+        ate=ErrorStatistics.of(absolute_errors(rigid, wanted)[0]).rmse,
+        ate_yaw=ErrorStatistics.of(position).rmse,
         scale=scale,
-        rotation_rms=rms(level, metrics.PoseRelation.rotation_angle_deg),
+        rotation_rms=ErrorStatistics.of(rotation).rmse,
         path_length=float(np.linalg.norm(np.diff(wanted[:, 4:], axis=0), axis=1).sum()),
     )
 
@@ -132,10 +113,13 @@ def aligned_in_yaw(
     Raises:
         InputError: fewer than three poses of the estimate lie between stamps of the truth.
     """
+    from bundle.georeference.pose_alignment import align_centers, moved_poses  # late, as above
+
     inside = covered_by(truth, estimate.timestamps_ns)
     stamps = estimate.timestamps_ns[inside]
-    wanted = states_at(truth, stamps)[:, :7]
-    return stamps, _yaw_aligned(estimate.states[inside, :7], wanted), wanted
+    found, wanted = estimate.states[inside, :7], states_at(truth, stamps)[:, :7]
+    similarity = align_centers(found[:, 4:], wanted[:, 4:], "yaw")
+    return stamps, moved_poses(found, similarity), wanted
 
 
 def states_at(trajectory: Trajectory, stamps: NDArray[np.int64]) -> Array:
@@ -167,13 +151,3 @@ def covered_by(truth: Trajectory, stamps: NDArray[np.int64]) -> NDArray[np.bool_
             f"{other_unit(truth.timestamps_ns, stamps)}"
         )
     return inside
-
-
-def _yaw_aligned(found: Array, wanted: Array) -> Array:
-    p, q = (poses[:, 4:] - poses[:, 4:].mean(axis=0) for poses in (found, wanted))
-    yaw = np.arctan2(
-        np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]), np.sum(p[:, 0] * q[:, 0] + p[:, 1] * q[:, 1])
-    )
-    turn = np.broadcast_to([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)], (len(found), 4))
-    position = quaternion_rotate(turn, p) + wanted[:, 4:].mean(axis=0)
-    return np.hstack([quaternion_multiply(turn, found[:, :4]), position])

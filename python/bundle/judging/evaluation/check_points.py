@@ -27,7 +27,7 @@ from bundle.georeference.control_point import GroundControlPoint
 from bundle.georeference.gcp_list import read_gcp_list
 from bundle.interface.finding import Finding
 from bundle.io.pose_files import first_line
-from bundle.judging.evaluation.pose_errors import ErrorStatistics
+from bundle.model.pose_errors import ErrorStatistics
 from bundle.model.problem import Problem
 
 __all__ = ["CheckPointEvaluation", "check_points_of"]

@@ -33,14 +33,14 @@ from bundle.judging.evaluation.lens_difference import lens_differences
 from bundle.judging.evaluation.movement_in_sigmas import SigmaMovement, movement_in_sigmas
 from bundle.judging.evaluation.pair_errors import MOST_IMAGES as MOST_IN_PAIRS
 from bundle.judging.evaluation.pair_errors import pair_errors
-from bundle.judging.evaluation.pose_errors import (
+from bundle.judging.evaluation.sentences import headline_of
+from bundle.judging.evaluation.shared_points import point_difference, shared_points
+from bundle.judging.evaluation.verdict_word import Compared, findings_of, word_of
+from bundle.model.pose_errors import (
     ErrorStatistics,
     absolute_errors,
     relative_errors,
 )
-from bundle.judging.evaluation.sentences import headline_of
-from bundle.judging.evaluation.shared_points import point_difference, shared_points
-from bundle.judging.evaluation.verdict_word import Compared, findings_of, word_of
 from bundle.model.pose_table import PoseTable
 from bundle.model.problem import Problem
 

@@ -17,8 +17,8 @@ from bundle.judging.evaluation.association import Association
 from bundle.judging.evaluation.lens_difference import LensDifference
 from bundle.judging.evaluation.movement_in_sigmas import SigmaMovement
 from bundle.judging.evaluation.pair_errors import PairErrors
-from bundle.judging.evaluation.pose_errors import ErrorStatistics
 from bundle.judging.evaluation.shared_points import PointDifference
+from bundle.model.pose_errors import ErrorStatistics
 
 __all__ = ["Evaluation", "RelativeErrors", "SharedImage"]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.georeference.similarity import Similarity
-from bundle.judging.evaluation.pose_errors import ErrorStatistics
+from bundle.model.pose_errors import ErrorStatistics
 from bundle.model.problem import Problem
 
 __all__ = ["PointDifference", "point_difference", "shared_points"]

@@ -36,7 +36,7 @@ from bundle.georeference.pose_alignment import align_centers, angle_about_line, 
 from bundle.georeference.similarity import Similarity
 from bundle.interface.finding import Finding
 from bundle.judging.evaluation.association import Association
-from bundle.judging.evaluation.pose_errors import ErrorStatistics, absolute_errors, angles_of
+from bundle.model.pose_errors import ErrorStatistics, absolute_errors, angles_of
 from bundle.model.rigid_motions import inverse_poses
 from bundle.model.rotations import quaternion_inverse, quaternion_multiply
 

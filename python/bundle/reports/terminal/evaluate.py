@@ -11,7 +11,7 @@ from bundle.errors import shown
 from bundle.interface.evaluate_options import AUC_DEFINITIONS, EvaluateOptions
 from bundle.judging.evaluation.check_points import CheckPointEvaluation
 from bundle.judging.evaluation.evaluation_result import Evaluation, SharedImage
-from bundle.judging.evaluation.pose_errors import ErrorStatistics
+from bundle.model.pose_errors import ErrorStatistics
 from bundle.reports.sections import Column, Report, Section, Table
 
 __all__ = ["evaluated", "worst_first"]
