@@ -18,7 +18,7 @@ from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["SceneView", "scene_before", "scene_view"]
+__all__ = ["MOST_POINTS", "SceneView", "scene_before", "scene_view"]
 
 MOST_POINTS = 60_000
 FARTHEST = 50.0

@@ -88,7 +88,8 @@ def one_bad_image():
         (one_bad_image, "Images", "attention"),
         (lambda: bundle.solve(healthy(perturbation=0.05), max_num_iterations=1), "Solve",
          "attention"),
-        (lambda: make_problem(num_images=2, num_points=12), "Positions", "attention"),
+        (lambda: bundle.solve(make_problem(num_images=2, num_points=12)), "Intrinsics",
+         "attention"),
     ],
     ids=["unrefined", "outliers", "pieces", "lens", "image", "steps", "two images"],
 )  # fmt: skip
@@ -113,6 +114,13 @@ def test_a_healthy_scene_is_good_in_any_frame_and_order(told, solved):
     assert marks(now) == marks(then)
     for name in set(now) - {"Positions"}:  # its lengths have the unit of the model
         assert now[name]["number"] == then[name]["number"]
+
+
+def test_a_start_is_not_judged_as_a_minimum(told):
+    found = marks(told(healthy()))
+    assert found["Reprojection error"] in ("attention", "problem")
+    for name in ("Outliers", "Images", "Lens model", "Intrinsics", "Positions"):
+        assert found[name] == "unknown"
 
 
 def test_a_suspect_control_point_needs_attention(told, solved):

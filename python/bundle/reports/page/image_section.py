@@ -24,14 +24,20 @@ SHAPE = 0.02
 NUM_WORST = 6
 MOST_CLICKED = 400
 """Number of images whose residuals a click on their camera shows."""
-MOST_BYTES = 4.5e6
-"""Size of all photographs of a page."""
-MOST_VECTORS = 120
-WIDTHS = (520, 320, 200)
+MOST_VECTORS = 16_000
+"""Number of residuals in the data of all images, at most 120 of an image."""
+WIDTHS = (520, 400, 320, 240, 180)
+BYTES_PER_PIXEL = 0.35
+"""Size of a photograph as a data: URI, roughly, per pixel of the square around it."""
 
 
 class Photographs:
     """Photographs of images by id, at a size that lets all of them fit on a page.
+
+    Args:
+        images: images, the worst first; these have the largest photographs.
+        folder: folder of the photographs; None for a page without photographs.
+        room: size of all photographs together [bytes].
 
     Attributes:
         pictures: photograph by image id.
@@ -39,18 +45,21 @@ class Photographs:
     """
 
     def __init__(
-        self, images: Sequence[ImageResiduals], folder: str | os.PathLike[str] | None
+        self, images: Sequence[ImageResiduals], folder: str | os.PathLike[str] | None, room: float
     ) -> None:
         self.pictures: dict[int, Photograph] = {}
         self.notes: list[str] = []
         if folder is None:
             return
-        widest = WIDTHS[(len(images) > 60) + (len(images) > 200)]
+        most = room / (BYTES_PER_PIXEL * max(len(images), 1))
+        width = next((width for width in WIDTHS if width**2 <= most), WIDTHS[-1])
         missing, misfits, size = [], [], 0
-        for image in images:
-            found = photograph(folder, image.error.name, widest) if size < MOST_BYTES else None
+        for place, image in enumerate(images):
+            if size > room:
+                break
+            found = photograph(folder, image.error.name, WIDTHS[0] if place < NUM_WORST else width)
             if found is None:
-                missing += [image_name(image)] if size < MOST_BYTES else []
+                missing.append(image_name(image))
             elif not _fits(found, image):
                 misfits.append(f"{image_name(image)} ({found.size[0]} x {found.size[1]})")
             else:
@@ -88,7 +97,7 @@ def worst_section(images: Sequence[ImageResiduals], photographs: Photographs) ->
 def image_data(
     images: Sequence[ImageResiduals], photographs: Photographs, sigmas: Mapping[int, float]
 ) -> list[dict[str, Any]]:
-    """Return the residuals of images for the page's script: at most 120 vectors of each.
+    """Return the largest residuals of images for the page's script.
 
     The photographs of the worst images are in their figures, which the data name.
 
@@ -97,12 +106,13 @@ def image_data(
         photographs: their photographs.
         sigmas: standard deviation of the position by image id.
     """
+    most = min(max(MOST_VECTORS // max(len(images), 1), 20), 120)
     data = []
     for place, image in enumerate(images):
         picture = photographs.pictures.get(image.error.image_id)
         is_drawn = picture is not None and place < NUM_WORST
         box, factor = image_frame(image)
-        vectors = np.concatenate([image.xy, image.residual], axis=1)[:MOST_VECTORS]
+        vectors = np.concatenate([image.xy, image.residual], axis=1)[:most]
         data.append(
             {
                 "id": image.error.image_id,

@@ -23,7 +23,7 @@ from bundle.figures.placement_errors import Placement, placement
 from bundle.figures.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
 from bundle.figures.residual_field import residual_fields
 from bundle.figures.residual_histogram import residual_histogram
-from bundle.figures.scene_view import scene_before, scene_view
+from bundle.figures.scene_view import MOST_POINTS, scene_before, scene_view
 from bundle.figures.track_statistics import track_statistics
 from bundle.georeference.similarity import moved
 from bundle.interface.finding import Finding
@@ -72,6 +72,8 @@ if TYPE_CHECKING:
 __all__ = ["write_report"]
 
 MOST_EDGES = 1500
+LARGEST, SIZE_OF_POINT = 4.2e6, 20.0
+"""Bytes for photographs on a page without points, and bytes of a point of the 3-D view."""
 
 
 # Valid problems may hold numbers up to the largest double; infinite results get a note.
@@ -162,7 +164,9 @@ class _Page:
         images = worst_residuals(problem, found, MOST_CLICKED) if counts else []
         planes = residual_fields(problem, found) if counts else []
         graph = covisibility_graph(problem, MOST_EDGES)
-        photographs = Photographs(images, folder)
+        states = 1 if result is None else 2
+        room = LARGEST - SIZE_OF_POINT * states * min(problem.num_points, MOST_POINTS)
+        photographs = Photographs(images, folder, room)
         self.notes += photographs.notes
         if findings is None:
             findings = report_findings(

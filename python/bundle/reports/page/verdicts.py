@@ -86,8 +86,15 @@ class Judged:
 
 def verdicts(given: Judged) -> list[Verdict]:
     """Return the verdicts that have a number, the most general first."""
-    made = [(answer(given), kinds) for answer, kinds in QUESTIONS]
-    return [_with_findings(one, given.findings, kinds) for one, kinds in made if one is not None]
+    is_start = any(finding.kind == "not_refined" for finding in given.findings)
+    found = []
+    for answer, kinds in QUESTIONS:
+        one = answer(given)
+        if one is not None and is_start and answer in OF_A_MINIMUM:
+            found.append(Verdict(one.name, "unknown", one.number))
+        elif one is not None:
+            found.append(_with_findings(one, given.findings, kinds))
+    return found
 
 
 def summarised(found: Sequence[Verdict], findings: Sequence[Finding]) -> str:
@@ -304,15 +311,35 @@ def _place(given: Judged) -> Verdict | None:
 
 QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], Collection[str]], ...] = (
     (_solve, ()),
-    (_error, ("not_refined", "no_observations", "unsupported_camera_models", "observations")),
+    (
+        _error,
+        (
+            "not_refined",
+            "no_observations",
+            "unsupported_camera_models",
+            "observations_outside_image",
+        ),
+    ),
     (_held_out, ()),
-    (_outliers, ("outliers",)),
+    (_outliers, ("outliers", "gross_errors", "observations_behind_camera")),
     (_worst, ("motion", "image_residuals")),
     (_lens, ("lens_model", "folding_distortion")),
     (_focal, ("undetermined_intrinsics", "shared_lens", "focal_drift", "absurd_focal_lengths")),
     (_positions, ("scale_drift", "no_covariance", "images_with_few_observations")),
-    (_tracks, ("duplicate_points", "collapsed_points", "far_points")),
+    (
+        _tracks,
+        (
+            "duplicate_points",
+            "collapsed_points",
+            "far_points",
+            "points_not_seen",
+            "points_seen_once",
+        ),
+    ),
     (_connection, ("weak_joint", "disconnected", "images_without_observations")),
     (_place, ("positions",)),
 )
 """Functions that answer a question, and the kinds of findings about its subject."""
+
+OF_A_MINIMUM = (_outliers, _worst, _lens, _focal, _positions)
+"""Questions without an answer before a model is refined: errors of its start hide the answer."""
