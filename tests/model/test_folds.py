@@ -10,7 +10,7 @@ import pytest
 
 import bundle
 from bundle.model import folds as module
-from bundle.model.folds import folds_of, keys, mix
+from bundle.model.folds import are_repeated, folds_of, keys, measurement_numbers, mix
 from tests.scenes import make_problem, with_observations
 
 DATA = Path(os.environ.get("BUNDLE_DATA", "../shared/data"))
@@ -149,3 +149,25 @@ def test_numbers_out_of_range_and_no_observations():
         with pytest.raises(bundle.InputError, match=f"^{next(iter(wrong))}: expected"):
             folds_of(problem, **wrong)
     assert folds_of(with_observations(problem, slice(0))).shape == (0,)
+
+
+def test_measurements_that_another_fold_repeats():
+    problem = make_problem(num_images=4, num_points=30)
+    rng = np.random.default_rng(0)
+    xy = problem.observation_xy.round(-2)  # coarse: many equal pixels
+    folds = rng.integers(-1, 3, len(xy)).astype(np.int16)
+    seen, measurements = defaultdict(set), []
+    for image, pixel, fold in zip(
+        problem.observation_image.tolist(), xy.tolist(), folds, strict=True
+    ):
+        measurements.append((image, *pixel))
+        seen[measurements[-1]].add(int(fold))
+    number = measurement_numbers(problem.observation_image, xy)
+    assert (
+        len(set(zip(number.tolist(), measurements, strict=True))) == len(seen) == number.max() + 1
+    )
+    repeated = are_repeated(problem.replace(observation_xy=xy), folds)
+    assert repeated.tolist() == [len(seen[one]) > 1 for one in measurements]
+    assert 0 < repeated.sum() < len(repeated)
+    none = with_observations(problem, np.zeros(0, int))
+    assert len(are_repeated(none, folds[:0])) == 0

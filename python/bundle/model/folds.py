@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from bundle.interface.option_fields import number
 from bundle.model.problem import Problem
 
-__all__ = ["folds_of", "keys", "mix"]
+__all__ = ["are_repeated", "folds_of", "keys", "measurement_numbers", "mix"]
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST, _SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -109,3 +109,29 @@ def _by_point(point: NDArray[np.int32], pair: _Numbers, num_points: int) -> NDAr
     if ((joined[1:] == joined[:-1]) & (sorted_pair[1:] != sorted_pair[:-1])).any():
         order = np.lexsort((pair, point))
     return order
+
+
+def are_repeated(problem: Problem, folds: NDArray[np.int16]) -> NDArray[np.bool_]:
+    """Return a mask of observations whose measurement occurs in another fold, too.
+
+    Points that a reconstruction made twice have the same measurements. A fit without the fold of
+    one has seen the noise of the other, and predicts it.
+    """
+    number = measurement_numbers(problem.observation_image, problem.observation_xy)
+    count = int(number.max(initial=-1)) + 1
+    lowest, highest = np.full(count, np.iinfo(folds.dtype).max), np.full(count, -1)
+    np.minimum.at(lowest, number, folds)
+    np.maximum.at(highest, number, folds)
+    repeated: NDArray[np.bool_] = (lowest != highest)[number]
+    return repeated
+
+
+def measurement_numbers(image: NDArray[np.int32], xy: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return a number for each distinct pair of image and pixel, from 0."""
+    order = np.lexsort((xy[:, 1], xy[:, 0], image))
+    is_new = np.zeros(len(order), bool)
+    is_new[1:] = image[order[1:]] != image[order[:-1]]
+    is_new[1:] |= (xy[order[1:]] != xy[order[:-1]]).any(axis=1)
+    number = np.empty(len(order), np.int64)
+    number[order] = np.cumsum(is_new)
+    return number

@@ -30,7 +30,7 @@ def test_relevant_but_not_significant_and_significant_but_not_relevant():
     errors, image = planted([1.03, 1.0], spread=0.3)
     decision = decide(errors, image, [10, 20])
     assert decision.recommended == 0
-    errors, image = planted([1.005, 1.0], spread=0.0)
+    errors, image = planted([1.004, 1.0], spread=0.0)
     decision = decide(errors, image, [10, 20])
     assert decision.differences[0] > 2 * decision.standard_errors[0]
     assert decision.recommended == 0
@@ -90,3 +90,38 @@ def test_candidates_without_a_fit():
     assert np.isnan(decision.scores[0])
     with pytest.raises(InputError, match="expected a candidate"):
         decide(errors, image, [1, 2], ["", "rows"])
+
+
+@pytest.mark.parametrize(
+    ("shares", "level", "recommended"),
+    [
+        (["size", "size"], 1.007, 1),  # relevant: a term of a lens
+        (["size", "focal"], 1.007, 1),
+        (["size", "each"], 1.007, 0),  # not relevant enough for a lens per image
+        (["all", "size"], 1.007, 1),
+        (["size", "each"], 1.02, 1),
+        (["each", "each"], 1.007, 1),
+    ],
+)
+def test_a_lens_per_image_must_be_better_by_more(shares, level, recommended):
+    errors, image = planted([level, 1.0], spread=0.0)
+    assert decide(errors, image, [10, 20], shares=shares).recommended == recommended
+
+
+def test_another_sharing_must_be_better_by_more_standard_errors():
+    errors, image = planted([1.05, 1.0], spread=0.0)
+    image_of = image % 20
+    errors[0, image_of < 10] /= 1.0 + 0.09
+    decision = decide(errors, image, [10, 20])
+    ratio = decision.differences[0] / decision.standard_errors[0]
+    for number, shares in ((1.5, None), (2.0, ["size", "focal"])):
+        rules = [
+            DecisionRule(
+                threshold=0.0,
+                num_standard_errors=1.5 if shares else ratio * factor,
+                num_standard_errors_of_sharing=ratio * factor if shares else 2.0,
+            )
+            for factor in (0.99, 1.01)
+        ]
+        found = [decide(errors, image, [10, 20], rule=rule, shares=shares) for rule in rules]
+        assert [one.recommended for one in found] == [1, 0], number

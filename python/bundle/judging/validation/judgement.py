@@ -22,9 +22,13 @@ from bundle.judging.validation.validation_result import ValidatedCandidate, Vali
 from bundle.judging.validation.verdict import verdict_of
 from bundle.model.cameras import param_kinds
 from bundle.model.clipped_errors import summarize_clipped
+from bundle.model.folds import are_repeated
 from bundle.model.problem import Problem
 
 __all__ = ["judged"]
+
+MOST_REPEATED = 0.5
+"""Share of repeated measurements from which they take part in the decision."""
 
 MOTION = "motion or rolling shutter: a lens per image would absorb it"
 
@@ -60,7 +64,15 @@ def judged(
     certainties = [_certainty(fit) for fit in fits]
     num_intrinsics = [0 if fit.error else _num_intrinsics(fit) for fit in fits]
     image = problem.observation_image[rows].astype(np.int64)
-    decision = decide(normalized, image, num_intrinsics, vetoes, rule)
+    counts = _independent(problem, fitting.folds)[rows]
+    decision = decide(
+        normalized[:, counts],
+        image[counts],
+        num_intrinsics,
+        vetoes,
+        rule,
+        [fit.candidate.share for fit in fits],
+    )
     criteria = _criteria(fits, certainties, fitting)
     records = tuple(
         _record(
@@ -92,6 +104,12 @@ def judged(
         notes=found.notes,
         time_in_seconds=perf_counter() - begun,
     )
+
+
+def _independent(problem: Problem, folds: NDArray[np.int16]) -> NDArray[np.bool_]:
+    """Return the observations to decide by: without repeated measurements, if most are left."""
+    repeated = are_repeated(problem, folds)
+    return ~repeated if repeated.mean() < MOST_REPEATED else np.ones_like(repeated)
 
 
 def _reference(fits: Sequence[CandidateFit]) -> CandidateFit:

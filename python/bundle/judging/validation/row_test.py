@@ -50,6 +50,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.model.folds import measurement_numbers
 from bundle.model.problem import Problem
 
 __all__ = ["FEWEST_OF_IMAGE", "RowTest", "row_test"]
@@ -153,12 +154,8 @@ def _used(problem: Problem, residuals: _Floats) -> tuple[NDArray[np.int64], floa
     lengths = np.hypot(*residuals[rows].T)
     sigma = float(np.median(lengths)) / _RAYLEIGH_MEDIAN
     rows = rows[lengths <= _OUTLIER * sigma]
-    image, xy = problem.observation_image[rows], problem.observation_xy[rows]
-    order = np.lexsort((xy[:, 1], xy[:, 0], image))
-    image, xy = image[order], xy[order]
-    is_new = np.ones(len(rows), bool)
-    is_new[1:] = (image[1:] != image[:-1]) | (xy[1:] != xy[:-1]).any(axis=1)
-    return rows[order][is_new], sigma
+    number = measurement_numbers(problem.observation_image[rows], problem.observation_xy[rows])
+    return rows[np.unique(number, return_index=True)[1]], sigma
 
 
 def _slopes(
