@@ -37,7 +37,8 @@ def evaluated(run, *words):
 def test_two_models(run, files):
     report = evaluated(run, files / "refined", "--reference", files / "model")
     assert set(CONTRACT) <= report.keys()
-    assert report["num_shared"] == 6 and report["input"]["format"] == "colmap"
+    assert report["num_shared"] == report["input"]["num_images"] == 6
+    assert report["input"]["format"] == report["reference"]["format"] == "colmap"
     assert set(report["position"]) == set(report["rotation"]) == {"rmse", "mean", "median", "max"}
     assert set(report["auc"]) == {"1", "3", "5", "10", "30"}
     assert set(report["auc_by_definition"]) == {"trapezoid", "colmap", "histogram", "integral"}
@@ -95,6 +96,8 @@ def test_check_points(tmp_path):
     assert bundle.evaluate(flight.problem, marked[:3]).kind == "fitted"
     assert "points" in repr(checked)
     bundle.html.write_evaluation(checked, tmp_path / "page.html")
+    with pytest.raises(bundle.InputError, match="align: "):
+        bundle.evaluate(flight.problem, marked, align="rigid")
     with pytest.raises(bundle.InputError, match="expected a model"):
         bundle.evaluate(example.REFERENCE, marked)
 

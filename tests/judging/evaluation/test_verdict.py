@@ -114,6 +114,19 @@ def test_a_path_near_a_line():
     assert kinds(bundle.evaluate(noisy(thin, 1e-7, 0.1), thin)) == []
 
 
+def test_millimetres_in_coordinates_of_a_map_are_no_rounding():
+    utm = moved(TRUTH, 10.0, (0, 0, 1), (5e5, 5.4e6, 100))
+    assert bundle.evaluate(noisy(utm, 1e-3, 0.0), utm).verdict == "agrees"
+    assert bundle.evaluate(moved(utm, 1.0, (0, 0, 5), (1, 2, 3)), utm).verdict == "identical"
+
+
+def test_a_reference_that_stands_still():
+    still = with_poses(TRUTH, centers=np.zeros((30, 3)))
+    for align in ("none", "yaw"):
+        found = bundle.evaluate(TRUTH, still, align=align)
+        assert found.verdict == "contradicts" and kinds(found) == []
+
+
 def test_missing_images_are_counted():
     part = PoseTable(TRUTH.poses[:25], TRUTH.names[:25])
     found = bundle.evaluate(part, TRUTH)

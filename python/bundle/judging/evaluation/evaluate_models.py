@@ -87,12 +87,16 @@ def evaluate(
         >>> found.position.rmse, found.rotation.rmse, found.auc["5"]
     """
     chosen = EvaluateOptions.of(options, changes, "evaluate")
-    for name, formats in (("format", REFERENCE_FORMATS), ("input_format", INPUT_FORMATS)):
-        if getattr(chosen, name) is not None:
-            choice(name, getattr(chosen, name), formats)
+    formats = {
+        name: None if (given := getattr(chosen, name)) is None else choice(name, given, known)
+        for name, known in (("format", REFERENCE_FORMATS), ("input_format", INPUT_FORMATS))
+    }
+    chosen = chosen.replace(**formats)
     model = open_input(a, "a", chosen.input_format, chosen.input_pose_direction)
     points = check_points_of(b, chosen.format)
     if points is not None:
+        for name in chosen.changed().keys() - {"format", "input_format", "input_pose_direction"}:
+            raise InputError(f"{name}: expected no value with check points, where it has no effect")
         if not isinstance(model, Problem):
             raise InputError("a: expected a model to compare with check points, found poses")
         return CheckPointEvaluation.of(model, points)
@@ -180,7 +184,7 @@ def _evaluate(
         "verdict": word,
         "findings": tuple(sorted(findings, key=lambda one: not one.is_problem)),
         "association": pairs,
-        "formats": tuple(table.format for table in tables),
+        "inputs": (_described(a), _described(b)),
         "unit": "m" if tables[1].format in METRIC else "units",
         "alignment": options.align,
         "similarity": similarity,
@@ -198,6 +202,14 @@ def _evaluate(
         **common,
     }
     return Evaluation(headline=headline_of(result), **result)
+
+
+def _described(one: Problem | PoseTable) -> dict[str, Any]:
+    """Return format and counts of an input."""
+    if isinstance(one, PoseTable):
+        return {"format": one.format, "num_poses": len(one)}
+    counts = ("num_cameras", "num_images", "num_points", "num_observations")
+    return {"format": one.format, **{name: getattr(one, name) for name in counts}}
 
 
 def _directions(

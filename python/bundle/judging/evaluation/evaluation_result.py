@@ -66,7 +66,7 @@ class Evaluation(Displayed):
         headline: verdict in sentences.
         findings: facts to act on.
         association: pairs of poses, and poses without a partner.
-        formats: formats of A and B.
+        inputs: format and counts of A and of B.
         unit: length unit of B: "m" for trajectories, otherwise "units".
         alignment: "similarity", "rigid", "yaw" or "none".
         similarity: map from the frame of A to that of B.
@@ -90,7 +90,7 @@ class Evaluation(Displayed):
     headline: tuple[str, ...]
     findings: tuple[Finding, ...]
     association: Association
-    formats: tuple[str, str]
+    inputs: tuple[dict[str, Any], dict[str, Any]]
     unit: str
     alignment: str
     similarity: Similarity

@@ -3,7 +3,8 @@
 The word depends on the position error relative to the size of B (root mean square distance of its
 shared centres from their mean) and on the rotation error, both as root mean squares over images:
 
-    identical    positions within 1e-9 of the coordinates, rotations within 1e-6 degrees
+    identical    positions within 1e-9 of the size and 1e-12 of the coordinates, rotations within
+                 1e-6 degrees
     agrees       positions within 1 % of the size, and rotations within 1 degree
     close        positions within 5 % of the size, and rotations within 5 degrees
     contradicts  positions beyond 50 % of the size, or rotations beyond 45 degrees
@@ -42,7 +43,7 @@ from bundle.model.rotations import quaternion_inverse, quaternion_multiply
 
 __all__ = ["Compared", "findings_of", "size_of", "word_of"]
 
-IDENTICAL = (1e-9, 1e-6)
+IDENTICAL = (1e-9, 1e-12, 1e-6)
 AGREES, CLOSE, CONTRADICTS = (0.01, 1.0), (0.05, 5.0), (0.5, 45.0)
 """Limits of the position error relative to the size, and of the rotation error in degrees."""
 
@@ -107,7 +108,8 @@ def word_of(given: Compared) -> str:
     position, rotation = given.rms()
     relative = position / given.size if given.size > 0 else np.inf
     largest = float(np.abs(given.reference[:, 4:]).max())
-    if given.position.max() <= IDENTICAL[0] * largest and given.rotation.max() <= IDENTICAL[1]:
+    rounding = IDENTICAL[0] * given.size + IDENTICAL[1] * largest
+    if given.position.max() <= rounding and given.rotation.max() <= IDENTICAL[2]:
         return "identical"
     for word, (length, angle) in (("agrees", AGREES), ("close", CLOSE)):
         if relative <= length and rotation <= angle:
@@ -118,7 +120,7 @@ def word_of(given: Compared) -> str:
 
 def findings_of(given: Compared) -> list[Finding]:
     """Return the causes of large differences."""
-    if word_of(given) == "identical":
+    if word_of(given) == "identical" or given.size == 0:
         return []
     direction = _direction(given)
     if direction is not None:
@@ -173,7 +175,7 @@ def _explains(given: Compared, poses: Array, reference: Array) -> float | None:
         return None
     error = np.linalg.norm(similarity.apply(poses[:, 4:]) - reference[:, 4:], axis=1)
     relative = ErrorStatistics.of(error).rmse / size_of(reference)
-    before = given.rms()[0] / given.size if given.size > 0 else np.inf
+    before = given.rms()[0] / given.size
     return relative if relative <= EXPLAINED * before and before > CLOSE[0] else None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -36,12 +37,18 @@ def evaluated(
         page: path of the page that was written.
     """
     if isinstance(found, CheckPointEvaluation):
-        notes, formats = found.alignment.notes, (found.alignment.problem.format, "gcp")
+        problem = found.alignment.problem
+        notes = found.alignment.notes
+        kinds = (
+            {"format": problem.format, "num_images": problem.num_images},
+            {"format": "gcp", "num_points": len(found.alignment.control_points)},
+        )
     else:
-        notes, formats = found.notes, found.formats
+        notes, kinds = found.notes, found.inputs
+    ways = (options.input_pose_direction, options.pose_direction)
     inputs = [
-        ("A", f"{shown(paths[0])} ({_described(formats[0], options.input_pose_direction)})"),
-        ("B", f"{shown(paths[1])} ({_described(formats[1], options.pose_direction)})"),
+        (label, f"{shown(path)} ({_described(kind, way)})")
+        for label, path, kind, way in zip("AB", paths, kinds, ways, strict=True)
     ]
     if isinstance(found, Evaluation):
         inputs += _facts(found)
@@ -53,9 +60,9 @@ def evaluated(
         headline=found.headline,
         findings=found.findings,
         sections=[Section(facts=inputs), *body, *_notes(notes)],
-        input={"path": paths[0], "format": formats[0]},
+        input={"path": paths[0], **kinds[0]},
         data={
-            "reference": {"path": paths[1], "format": formats[1]},
+            "reference": {"path": paths[1], **kinds[1]},
             "options": options.asdict(),
             **found.asdict(),
         },
@@ -67,14 +74,19 @@ FORMATS = {
     "euroc": "EuRoC",
     "kitti": "KITTI",
     "gcp": "ground control points",
+    "poses": "list",
     "memory": "in memory",
 }
 
 
-def _described(format: str, direction: str) -> str:
-    if format == "poses":
-        return f"list of poses, {direction.replace('_', '-')}"
-    return FORMATS.get(format) or format_name(format)
+def _described(kind: dict[str, Any], direction: str) -> str:
+    """Return format and size of an input, such as "COLMAP, 8 images"."""
+    name = FORMATS.get(kind["format"]) or format_name(kind["format"])
+    for count, noun in (("num_poses", "pose"), ("num_images", "image"), ("num_points", "point")):
+        if count in kind:
+            name += f", {plural(kind[count], noun)}"
+            break
+    return f"{name}, {direction.replace('_', '-')}" if kind["format"] == "poses" else name
 
 
 def _notes(notes: Sequence[str]) -> list[Section]:
