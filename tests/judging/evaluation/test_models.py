@@ -171,6 +171,14 @@ def test_errors_against_the_truth_are_one_sigma_in_any_world(solved):
     assert np.mean(squares) == pytest.approx(1, abs=0.2)
 
 
+def test_a_model_that_is_no_minimum_says_so(solved):
+    truth, models = solved
+    assert bundle.evaluate(models[0], truth).movement.is_minimum
+    start = models[0].replace(points=models[0].points * 1.01)
+    found = bundle.evaluate(start, truth)
+    assert not found.movement.is_minimum and "not at a minimum" in " ".join(found.headline)
+
+
 def test_a_large_move_has_many_sigmas(solved):
     _, models = solved
     poses = models[0].cam_from_world.copy()

@@ -190,6 +190,7 @@ class Evaluation(Displayed):
                 "median_sigmas": moved.median,
                 "max_sigmas": moved.largest,
                 "sigma0": moved.sigma0,
+                "is_minimum": moved.is_minimum,
             },
             "notes": list(self.notes),
         }

@@ -46,6 +46,9 @@ ANCHORS = 5
 RANK = 1e-12
 """Eigenvalues of a scaled covariance below this are rounding errors."""
 
+NOT_CONVERGED = "Not converged"
+"""Beginning of the note of a covariance away from the minimum (``base.words.not_converged``)."""
+
 SAME_SCALE = 1.2
 """Largest ratio of lengths of models with the same metric scale."""
 
@@ -60,11 +63,14 @@ class SigmaMovement:
     Attributes:
         sigmas: (n,) m_i; NaN for an image without a covariance.
         sigma0: root of the mean squared residual of A per degree of freedom in pixels.
+        is_minimum: False if a step of least squares would lower the cost of A; the sigmas are then
+            rough.
         notes: remarks on the covariance.
     """
 
     sigmas: Array
     sigma0: float
+    is_minimum: bool
     notes: tuple[str, ...]
 
     @property
@@ -114,8 +120,9 @@ def movement_in_sigmas(a: Problem, b: Problem, rows_a: Indices, rows_b: Indices)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # images without a covariance have NaN only
         sigmas = np.nanmedian(table, axis=1)
+    is_minimum = not any(note.startswith(NOT_CONVERGED) for note in found.notes)
     notes = [f"Covariance of A: {note[0].lower()}{note[1:]}" for note in found.notes]
-    return SigmaMovement(sigmas, found.sigma0, tuple(notes))
+    return SigmaMovement(sigmas, found.sigma0, is_minimum, tuple(notes))
 
 
 def _check_scale(a: Problem, b: Problem, rows_a: Indices, rows_b: Indices) -> None:

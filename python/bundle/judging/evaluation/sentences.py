@@ -54,7 +54,9 @@ def _poses(result: Mapping[str, Any]) -> str:
 
 def _moved(movement: SigmaMovement) -> str:
     far = int((movement.sigmas > FAR).sum())
-    if movement.median <= 1:
+    if not movement.is_minimum:
+        meaning = "rough, because A is not at a minimum of least squares"
+    elif movement.median <= 1:
         meaning = "within the uncertainty of A"
         meaning += f", except {plural(far, 'image')} beyond {FAR}" if far else ""
     elif movement.median <= FAR:
