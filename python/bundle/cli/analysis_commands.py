@@ -19,6 +19,7 @@ __all__ = [
     "add_info",
     "add_inspect",
     "add_report",
+    "add_validate",
 ]
 
 Parser = argparse.ArgumentParser
@@ -165,4 +166,26 @@ def add_report(parser: Parser) -> None:
         "The priors of the refine that made INPUT, by the same flags: how certain it is depends on "
         "them. Nothing is moved.",
         "--gps exif and residuals of the worst images on their photographs",
+    )
+
+
+def add_validate(parser: Parser) -> None:
+    """Add the arguments of `bundle validate`."""
+    parser.usage = "bundle validate INPUT [options]"
+    add_input(parser)
+    candidates = ("camera_models", "share", "losses", "refine_sets")
+    add_options(parser, "ValidationOptions", "candidates: every combination of", candidates)
+    group = parser.add_argument_group("options of the validation")
+    add_fields(group, "ValidationOptions", ("num_folds", "seed"))
+    group.add_argument(
+        "--html", metavar="FILE", type=page_path(), help="also write a page with the curves"
+    )
+    add_rig_config(parser)
+    others = [n for n in SolveOptions.__dataclass_fields__ if n not in ("loss", "refine")]
+    add_options(parser, "SolveOptions", "options of every solve", others)
+    add_rules(parser)
+    add_georeference(
+        parser,
+        "Priors of every fit. The report has the errors at check points and at positions.",
+        "--gps exif",
     )

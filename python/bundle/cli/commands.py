@@ -17,6 +17,7 @@ from bundle.cli.analysis_commands import (
     add_info,
     add_inspect,
     add_report,
+    add_validate,
 )
 from bundle.cli.dispatch import FLIGHT
 from bundle.cli.flags_by_kind import add_flight_flags, add_pose_graph_flags
@@ -254,6 +255,7 @@ ARGUMENTS = {
     "inspect": add_inspect,
     "refine": _refine,
     "compare": add_compare,
+    "validate": add_validate,
     "check": add_check,
     "covariance": add_covariance,
     "diagnose": add_diagnose,

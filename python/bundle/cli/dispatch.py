@@ -29,6 +29,8 @@ COMMANDS = {
     "refine": "bundle adjustment: poses, points and intrinsics that explain the observations best; "
     "of a pose graph (.g2o) the poses that explain its edges best",
     "compare": "the same start under several solvers: measured, and one of them recommended",
+    "validate": "which lens model, sharing and loss predict observations best: k folds, one "
+    "recommendation",
     "check": "validates the analytic Jacobians on this very problem, and names what is wrong",
     "covariance": "how certain poses, points and intrinsics, or the poses of a pose graph are: "
     "their marginal covariances",
@@ -61,6 +63,7 @@ HANDLERS = {
     ("refine", Kind.POSE_GRAPH): "pose_graph_commands:refine",
     ("compare", Kind.RECONSTRUCTION): "compare:run",
     ("compare", Kind.POSE_GRAPH): "pose_graph_costs:compare_graph",
+    ("validate", Kind.RECONSTRUCTION): "validate:run",
     ("check", Kind.RECONSTRUCTION): "check:run",
     ("covariance", Kind.RECONSTRUCTION): "covariance:run",
     ("covariance", Kind.POSE_GRAPH): "pose_graph_analyses:compute_covariance",

@@ -32,6 +32,7 @@ OPTION_CLASSES = {
     "RuleOptions": "camera_edit_options",
     "SceneOptions": "scene_options",
     "SolveOptions": "options",
+    "ValidationOptions": "validation_options",
     "WindowOptions": "window_options",
 }
 """Option classes, with the modules of this package that define them."""

@@ -1,19 +1,15 @@
-"""Candidates, their cameras, and the command that makes them."""
-
-import shlex
+"""Candidates and their cameras."""
 
 import numpy as np
 import pytest
 
 import bundle
-from bundle.cli.main import command_parser
 from bundle.judging.validation.candidates import (
     Candidate,
     default_candidates,
     groups_of,
     with_cameras,
 )
-from bundle.judging.validation.refine_command import refine_command
 from tests.rig_scenes import rig_problem
 from tests.scenes import make_problem, scene
 
@@ -61,7 +57,7 @@ def test_defaults_include_the_lenses_of_the_input():
 
 def test_inputs_that_leave_no_sharing_to_choose():
     bal = default_candidates(scene())  # unknown sizes: nothing says which images have one camera
-    assert {one.share for one in bal} == {"size"}
+    assert {one.share for one in bal} == {"each"}
     assert groups_of(scene(), "size").tolist() == list(range(4))
     rigs = default_candidates(rig_problem())
     assert len({one.share for one in rigs}) == 1
@@ -78,35 +74,6 @@ def test_given_lists_are_multiplied():
     assert {one.refine for one in found} == {("focal",)}
     assert names(found)[:2] == [("OPENCV", "size"), ("RADIAL", "size")]
     assert not default_candidates(problem, ("SIMPLE_PINHOLE",), ("focal",))
-
-
-@pytest.mark.parametrize("share", ["each", "focal", "size", "all", "input"])
-@pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "OPENCV"])
-def test_command_gives_the_cameras_of_the_candidate(share, model, tmp_path):
-    """Run the command on the saved input: the same number of free lens parameters, same cost."""
-    problem = two_sizes(model="SIMPLE_RADIAL", format="colmap")
-    if share == "all":
-        problem = make_problem(num_images=6, num_points=60, format="colmap")
-    path = tmp_path / "in"
-    bundle.save(problem, path)
-    candidate = Candidate(camera_model=model, share=share, loss="huber")
-    command = refine_command(problem, candidate, bundle.SolveOptions(), str(path), "OUT")
-    words = shlex.split(command)
-    assert words[:2] == ["bundle", "refine"]
-    arguments = command_parser().parse_args([*words[1:4], str(tmp_path / "out"), *words[5:]])
-    arguments.quiet = True
-    from bundle.cli.refine import run
-
-    assert run(arguments) == 0
-    edited, rules = with_cameras(problem, candidate)
-    tight = {"function_tolerance": 1e-13, "max_num_iterations": 300}
-    expected = bundle.solve(edited, loss="huber", constraints=rules, **tight)
-    refined = bundle.load(tmp_path / "out")
-    again = bundle.solve(refined, loss="huber", max_num_iterations=0)
-    assert again.summary.initial_cost == pytest.approx(expected.summary.final_cost, rel=1e-3)
-    focal = refined.camera_params[refined.image_camera, 0]
-    groups = {"size": 2, "all": 1}.get(share, 6)
-    assert len(np.unique(np.round(focal, 6))) == groups
 
 
 def test_focal_lengths_alone_differ():

@@ -1,5 +1,6 @@
 """Validation of candidates: reference numbers, planted lenses, and inputs of all kinds."""
 
+import dataclasses
 import os
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from bundle.judging.validation.row_test import RowTest
 from bundle.model.clipped_errors import summarize_clipped
 from bundle.model.folds import folds_of
 from bundle.solving.held_out.measurement import with_values
+from tests.georeference.flights import flight
 from tests.rig_scenes import rig_problem
 from tests.scenes import make_problem, residuals, scene, with_observations
 
@@ -258,3 +260,31 @@ def test_progress_and_interruption():
 
     with pytest.raises(KeyboardInterrupt):
         bundle.validate(photographs(), progress=stop, **QUICK)
+
+
+def test_check_points_and_positions_are_measured_for_each_candidate():
+    places = [[-20, 0, 0], [20, 3, 1], [0, 25, 0.5], [5, -22, 0], [12, 14, 0.3]]
+    made = flight(places, noise=0.5, num_points=300)
+    gcps = [*made.gcps[:4], dataclasses.replace(made.gcps[4], role="check")]
+    centers, rng = made.truth.projection_centers, np.random.default_rng(0)
+    gps = [
+        bundle.PositionPrior(name, centers[row] + 0.5 * rng.standard_normal(3), 0.5)
+        for row, name in enumerate(made.problem.image_names)
+    ]
+    problem = made.elsewhere()
+    found = bundle.validate(problem, priors=[*gcps, *gps], num_folds=3, **{
+        "camera_models": "SIMPLE_PINHOLE,SIMPLE_RADIAL", "share": "size",
+        "function_tolerance": 1e-9,
+    })  # fmt: skip
+    assert len(found.observations) <= problem.num_observations  # pixels of targets are not held out
+    for one in found.candidates:
+        lens = bundle.change_camera_model(problem, one.camera_model).problem
+        solved = bundle.solve(
+            lens, priors=[*gcps, *gps], loss="cauchy", align=True, function_tolerance=1e-9
+        )
+        check = np.linalg.norm(solved.control_points[4].residual)
+        assert one.check_points_rms == pytest.approx(check, rel=0.02, abs=1e-4)
+        apart = solved.problem.projection_centers - [prior.position for prior in gps]
+        assert one.gps_rms == pytest.approx(np.sqrt((apart**2).sum() / len(gps)), rel=1e-2)
+    assert found.candidates[found.recommended].camera_model == "SIMPLE_RADIAL"
+    assert found.candidates[1].check_points_rms < 0.2

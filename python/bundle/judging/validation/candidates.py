@@ -8,8 +8,8 @@ Sharing divides the images into groups with one lens each:
     all     all images share a lens
     input   as in the input
 
-Sharings that give the same groups are one candidate, under the first name in the order size, all,
-each, input. Sensors of a rig are cameras, so that an input with rigs keeps its own sharing.
+Sharings that give the same groups are one candidate, under the first name in the order each, size,
+all, input. Sensors of a rig are cameras, so that an input with rigs keeps its own sharing.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from bundle.model.problem import Problem
 
 __all__ = [
     "SHARES",
+    "SHARING",
     "Candidate",
     "default_candidates",
     "groups_of",
@@ -39,7 +40,16 @@ __all__ = [
     "with_cameras",
 ]
 
-SHARES = ("size", "all", "focal", "each", "input")
+SHARING = {
+    "size": "shared",
+    "all": "one for all",
+    "focal": "f per image",
+    "each": "per image",
+    "input": "as in the input",
+}
+"""Words for each sharing."""
+
+SHARES = tuple(SHARING)
 
 _DEFAULT_SHARES = ("size", "focal", "each", "input")
 _PERSPECTIVE = ("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
@@ -67,14 +77,7 @@ class Candidate:
     @property
     def name(self) -> str:
         """Name of the lens, such as "OPENCV, shared by size"."""
-        words = {
-            "each": "per image",
-            "focal": "shared but for the focal length",
-            "size": "shared",
-            "all": "one for all",
-            "input": "shared as in the input",
-        }
-        return f"{self.camera_model or 'models of the input'}, {words[self.share]}"
+        return f"{self.camera_model or 'models of the input'}, {SHARING[self.share]}"
 
 
 def groups_of(problem: Problem, share: str) -> _Groups:
@@ -96,13 +99,15 @@ def groups_of(problem: Problem, share: str) -> _Groups:
 
 def shares_of(problem: Problem, wanted: Iterable[str]) -> tuple[str, ...]:
     """Return the sharings that differ from each other, in the order of :data:`SHARES`."""
+    each = groups_of(problem, "each").tobytes()
     found: dict[tuple[bool, bytes], str] = {}
     for share in sorted(set(wanted), key=SHARES.index):
-        found.setdefault((share == "focal", groups_of(problem, share).tobytes()), share)
-    each = groups_of(problem, "each").tobytes()
-    if groups_of(problem, "focal").tobytes() == each:  # no two images share anything
-        found.pop((True, each), None)
-    return tuple(found.values())
+        groups = groups_of(problem, share).tobytes()
+        if groups != each:
+            found.setdefault((share == "focal", groups), share)
+        elif share != "focal":  # else no two images share anything
+            found[False, each] = "each"
+    return tuple(sorted(found.values(), key=SHARES.index))
 
 
 def _product(
@@ -146,8 +151,11 @@ def default_candidates(
     found = [
         candidate
         for share in chosen
-        for candidate in _product(problem, fewer.get(share, family), [share], losses, refines)
-    ]
+        for candidate in _product(
+            problem, fewer.get(share, family) if len(chosen) > 1 else family, [share], losses,
+            refines,
+        )
+    ]  # fmt: skip
     present = _product(problem, [own], [_own_share(problem, chosen)], losses, refines)
     return list(dict.fromkeys([*found, *present]))
 

@@ -44,6 +44,7 @@ def judged(
     num_folds: int,
     seed: int,
     source: str,
+    flags: str,
     begun: float,
 ) -> Validation:
     """Return the validation of fits, at least one of which exists."""
@@ -77,7 +78,7 @@ def judged(
     records = tuple(
         _record(
             fit, fitting, certainties[k], errors[k], clip, decision, k, criteria[k], vetoes[k],
-            num_intrinsics[k], source,
+            num_intrinsics[k], _command(fit, fitting, source, flags),
         )
         for k, fit in enumerate(fits)
     )  # fmt: skip
@@ -217,7 +218,7 @@ def _record(
     criteria: tuple[float, float],
     veto: str,
     num_intrinsics: int,
-    source: str,
+    command: str,
 ) -> ValidatedCandidate:
     """Return the record of one candidate."""
     candidate, problem = fit.candidate, fitting.problem
@@ -234,6 +235,7 @@ def _record(
         num_parameters=known.num_parameters,
         fitted_rmse=fitted.rmse,
         fitted_median=fitted.median,
+        fitted_clipped_rmse=fitted.clipped_rmse,
         held_out_rmse=nan if fit.error else held.clipped_rmse,
         held_out_median=nan if fit.error else held.median,
         share_clipped=nan if fit.error else held.share_clipped,
@@ -250,11 +252,13 @@ def _record(
         num_iterations=fit.num_iterations,
         vetoed=veto,
         error=fit.error,
-        command=refine_command(problem, candidate, _asked(fitting.options), source),
+        command=command,
     )
 
 
-def _asked(options: SolveOptions) -> SolveOptions:
-    """Return the options that a solve with the same minimum needs."""
+def _command(fit: CandidateFit, fitting: Fitting, source: str, flags: str) -> str:
+    """Return the command line of a candidate, without options that do not move the minimum."""
     names = ("function_tolerance", "num_threads", "max_num_iterations")
-    return options.replace(**{name: getattr(SolveOptions(), name) for name in names})
+    options = fitting.options.replace(**{name: getattr(SolveOptions(), name) for name in names})
+    words = refine_command(fitting.problem, fit.candidate, options, source)
+    return f"{words} {flags}".strip()

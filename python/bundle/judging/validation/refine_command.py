@@ -37,6 +37,8 @@ def refine_command(
     own, wanted = groups_of(problem, "input"), groups_of(problem, candidate.share)
     if own.tobytes() != wanted.tobytes() or candidate.share == "focal":
         words.append(_sharing(candidate.share))
+    if problem.format == "bal" and candidate.camera_model not in ("", "RADIAL"):
+        words.append("--format colmap")  # BAL has no other model
     if candidate.share == "focal":
         rules = tying_rules(split_cameras(problem), candidate)
         words += [f"--set {shlex.quote(rule)}" for rule in rules]

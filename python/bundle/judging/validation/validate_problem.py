@@ -56,6 +56,7 @@ def validate(
     clip: float = CLIP,
     rule: DecisionRule | None = None,
     source: str = "INPUT",
+    flags: str = "",
     progress: Progress | None = None,
     **changes: Any,
 ) -> Validation:
@@ -89,6 +90,7 @@ def validate(
         clip: largest error that counts in ``held_out_rmse``, in pixels.
         rule: numbers of the decision.
         source: path of the input, for the command lines.
+        flags: further flags of the command lines, such as those of the priors.
         progress: function called after each solve, with the number of solves done, their total
             number, and the name of the candidate.
         **changes: options by name, which replace those in ``options``.
@@ -135,6 +137,7 @@ def validate(
         num_folds=num_folds,
         seed=seed,
         source=source,
+        flags=flags,
         begun=begun,
     )
 

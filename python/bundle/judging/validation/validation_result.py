@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
 from bundle.base.words import plural
-from bundle.judging.validation.candidates import Candidate
+from bundle.judging.validation.candidates import SHARING, Candidate
 from bundle.judging.validation.decision import Decision, DecisionRule
 from bundle.judging.validation.row_test import RowTest
 
@@ -30,6 +30,7 @@ class ValidatedCandidate:
         num_parameters: number of all free parameters that the fit determines, by rank.
         fitted_rmse: RMSE of the fit to all observations, at its observations.
         fitted_median: their median.
+        fitted_clipped_rmse: the same RMSE, clipped at ``clip`` pixels.
         held_out_rmse: RMSE of predictions of held-out observations, clipped at ``clip`` pixels.
         held_out_median: their median.
         share_clipped: share of the predictions that count as the clip.
@@ -59,6 +60,7 @@ class ValidatedCandidate:
     num_parameters: int
     fitted_rmse: float
     fitted_median: float
+    fitted_clipped_rmse: float
     held_out_rmse: float
     held_out_median: float
     share_clipped: float
@@ -76,6 +78,16 @@ class ValidatedCandidate:
     vetoed: str
     error: str
     command: str
+
+    @property
+    def lens(self) -> str:
+        """Camera model in words."""
+        return self.camera_model or "as in the input"
+
+    @property
+    def sharing(self) -> str:
+        """Sharing in words."""
+        return SHARING[self.share]
 
     @property
     def name(self) -> str:

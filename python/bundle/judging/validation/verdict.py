@@ -16,6 +16,9 @@ from bundle.model.problem import Problem
 
 __all__ = ["Verdict", "verdict_of"]
 
+RELEVANT_RATIO = 1.5
+"""Ratio of position sigmas that the headline mentions."""
+
 
 class Verdict(NamedTuple):
     """Verdict of a validation.
@@ -46,10 +49,9 @@ def verdict_of(
     headline = [_sentence(word, records, decision, present)]
     if test is not None and test.fires:
         headline.append(
-            "The residuals of the shared lens show motion or a rolling shutter: a lens per image "
-            "would absorb it and move the cameras."
+            "Motion or a rolling shutter: a lens per image would absorb it and move the cameras."
         )
-    headline += _cost(records, decision)
+    headline += _cost(records, decision, present)
     return Verdict(word, present, tuple(headline), tuple(_notes(records, decision)))
 
 
@@ -91,32 +93,32 @@ def _sentence(
     chosen = records[decision.recommended]
     name = f"{chosen.name} ({plural(chosen.num_intrinsics, 'lens parameter')})"
     if word == "no difference":
-        return f"No difference between the candidates: the smallest is enough, {name}."
+        return f"No difference between the candidates. The smallest is enough: {name}."
     if word == "keep":
         return f"Keep the lenses of the input: {name}. No candidate predicts better."
-    if word == "unknown":
+    if word in ("unknown", "vetoed"):
         return f"Recommended: {name}."
     now = records[present]
-    if word == "vetoed":
-        return f"Recommended: {name}."
     if word == "simpler":
         return (
-            f"{name} predicts as well as the input's {now.name} "
-            f"({now.num_intrinsics}): no difference in the errors, fewer parameters."
+            f"Simpler lenses predict as well: {name} in place of {now.name} ({now.num_intrinsics})."
         )
     change = 100 * (now.score - chosen.score) / now.score
-    return f"{name} predicts better than the input's {now.name}: errors {change:.1f} % lower."
+    return f"{name} predicts better than {now.name}: errors {change:.1f} % lower."
 
 
-def _cost(records: Sequence[ValidatedCandidate], decision: Decision) -> list[str]:
-    """Return the price of the most uncertain candidate in certainty of positions."""
+def _cost(records: Sequence[ValidatedCandidate], decision: Decision, present: int) -> list[str]:
+    """Return the price in certainty of positions: of the change, else of the worst candidate."""
     chosen = records[decision.recommended].position_sigma
-    known = [one for one in records if np.isfinite(one.position_sigma) and not one.error]
-    if not known or not chosen > 0:
+    if not chosen > 0:
         return []
+    now = records[present].position_sigma if present >= 0 else float("nan")
+    if chosen > RELEVANT_RATIO * now:
+        return [f"It costs certainty: the sigma of the positions becomes {chosen / now:.1f} x."]
+    known = [one for one in records if np.isfinite(one.position_sigma) and not one.error]
     worst = max(known, key=lambda one: one.position_sigma)
     ratio = worst.position_sigma / chosen
-    if ratio < 1.5:
+    if not ratio > RELEVANT_RATIO:
         return []
     return [f"Positions are {ratio:.1f} x less certain with {worst.name}."]
 
