@@ -20,7 +20,8 @@ MOST_CURVES = 4
 def error_figure(found: Validation) -> Figure:
     """Return fitted and held-out error against the number of lens parameters, by sharing."""
     marks: list[Mark] = []
-    values, counts = [0.0], [1.0]
+    values: list[float] = []
+    counts: list[float] = []
     chosen = [one for one in found.candidates if one.loss == _loss(found) and not one.error]
     for colour, share in enumerate(dict.fromkeys(one.share for one in chosen)):
         rows = sorted((one for one in chosen if one.share == share), key=_size)
@@ -46,7 +47,7 @@ def error_figure(found: Validation) -> Figure:
         name="held_out_error",
         title="Error against the number of lens parameters",
         x=logarithmic(counts, "free lens parameters"),
-        y=linear(values, f"RMSE, errors at most {found.clip:g} px [px]", low=0.0),
+        y=linear(values, f"RMSE, errors at most {found.clip:g} px [px]", low=None),
         marks=tuple(marks),
         note="The fitted error falls with every parameter. The held-out error tells which "
         "parameters predict.",
@@ -65,7 +66,7 @@ def difference_figure(found: Validation) -> Figure:
         name="difference",
         title="Difference to the best, with two standard errors",
         x=linear([0.0, len(order) + 1.0], "rank of the candidate"),
-        y=linear([*(y - spread).tolist(), *(y + spread).tolist(), limit], "difference [sigma]"),
+        y=linear([*(y - spread), *(y + spread), limit], "difference [sigma]", low=None),
         marks=(
             Line("candidates", place, y, is_dotted=True, error=spread),
             Line(

@@ -35,11 +35,13 @@ from bundle.reports.terminal import check, compare, convert, info, refine, synth
 from bundle.reports.terminal import evaluate as evaluate_report
 from bundle.reports.terminal import inspect as inspect_report
 from bundle.reports.terminal import inspect_graph as inspect_graph_report
+from bundle.reports.terminal import validate as validate_report
 from bundle.reports.terminal.screen import laid_out
 from bundle.reports.terminal.timing import WallTime
 from bundle.synthetic.synthesis import synthesize
 from tests.figures.matplotlib.comparisons import comparison
 from tests.georeference.blocks import block
+from tests.judging.validation.validations import validation
 from tests.reports.terminal import fakes
 from tests.reports.terminal.test_report import ENDS
 from tests.scenes import make_problem, scene
@@ -155,7 +157,13 @@ def evaluated(_):
     return evaluate_report.evaluated(("refined", "truth"), found, options)
 
 
+def validated(_):
+    made, found = validation()
+    return validate_report.validated("garden/sparse/0", made, found, {})
+
+
 REPORTS = {
+    "validate": validated,
     "evaluate": evaluated,
     "termination": terminated,
     "info": informed,

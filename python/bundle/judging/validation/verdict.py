@@ -48,9 +48,7 @@ def verdict_of(
     word = _word(records, decision, present)
     headline = [_sentence(word, records, decision, present)]
     if test is not None and test.fires:
-        headline.append(
-            "Motion or a rolling shutter: a lens per image would absorb it and move the cameras."
-        )
+        headline.append("Motion or rolling shutter: a lens per image would absorb it.")
     headline += _cost(records, decision, present)
     return Verdict(word, present, tuple(headline), tuple(_notes(records, decision)))
 

@@ -18,7 +18,7 @@ from bundle.figures.validation_figures import (
 from bundle.judging.validation.validation_result import ValidatedCandidate, Validation
 from bundle.reports.page.page import tag, write_page
 from bundle.reports.page.svg import grid
-from bundle.reports.page.table import Notes, convention, table
+from bundle.reports.page.table import Notes, table
 
 __all__ = ["write_validation"]
 
@@ -70,7 +70,8 @@ def _candidates(found: Validation) -> str:
     notes = Notes()
     rows = []
     for k, one in enumerate(found.candidates):
-        equal = "as good as the best" if found.decision.is_equal[k] else ""
+        role = "recommended" if k == found.recommended else "as good as the best"
+        equal = role if found.decision.is_equal[k] else ""
         rows.append([
             one.lens,
             one.sharing,
@@ -84,7 +85,7 @@ def _candidates(found: Validation) -> str:
             _number(one.bic, 1),
             notes.refer(one.error or one.vetoed or equal),
         ])  # fmt: skip
-    return table(head, rows, words={1, 2}, best=found.recommended) + convention() + notes.listed()
+    return table(head, rows, words={1, 2}, best=found.recommended) + notes.listed()
 
 
 def _notes(found: Validation) -> list[str]:

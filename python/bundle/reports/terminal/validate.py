@@ -35,10 +35,10 @@ def validated(path: str, problem: Problem, found: Validation, options: Mapping[s
         command="validate",
         input=about_problem(path, problem),
         headline=found.headline,
-        warnings=found.notes,
         sections=[
             Section(command=found.command),
             Section(tables=[table], notes=_legend(found)),
+            *([Section(notes=found.notes, is_warning=True)] if found.notes else []),
             Section(tables=[_details(found)], is_detail=True),
             Section(facts=[*problem_facts(path, problem), *_facts(found)], is_detail=True),
         ],

@@ -1,0 +1,66 @@
+"""Page of a validation: what it holds, as text."""
+
+import numpy as np
+import pytest
+
+from bundle.figures.validation_figures import (
+    difference_figure,
+    distribution_figure,
+    error_figure,
+    image_figure,
+)
+from bundle.reports.page.validation_page import write_validation
+from tests.judging.validation.validations import LENSES, validation
+from tests.reports.page.browser import check_nothing_is_clipped
+from tests.reports.page.reader import Page, check_self_contained
+
+
+@pytest.fixture
+def page(tmp_path):
+    path = tmp_path / "page.html"
+    write_validation(validation()[1], path, name="<b>garden</b>")
+    return Page(path)
+
+
+def test_page_begins_with_the_verdict_and_has_a_row_per_candidate(page):
+    check_self_contained(page)
+    _, found = validation()
+    text = " ".join(page.text.split())
+    assert found.headline[0] in text
+    assert found.command in text
+    assert text.index(found.command) < text.index("position sigma")
+    rows = [row for row in page.rows if len(row) == 11 and row[0] in {one[0] for one in LENSES}]
+    assert len(rows) == len(LENSES)
+    for row, one in zip(rows, found.candidates, strict=True):
+        assert row[3] == str(one.num_intrinsics)
+    assert "expected <b>one</b> size" in text
+    assert "<b>garden</b>" in text
+
+
+@pytest.mark.parametrize("width", [1400, 800, 400])
+def test_nothing_is_clipped(browser, tmp_path, width):
+    path = tmp_path / "page.html"
+    write_validation(validation()[1], path)
+    check_nothing_is_clipped(browser, path, width)
+
+
+def test_figures_have_the_numbers_of_the_validation():
+    _, found = validation()
+    marks = error_figure(found).marks
+    lines = {mark.label: mark for mark in marks if getattr(mark, "label", "")}
+    assert lines["shared, held out"].x.tolist() == [2, 6]
+    expected = [found.candidates[k].held_out_rmse for k in (0, 1)]
+    assert lines["shared, held out"].y.tolist() == expected
+    bars = difference_figure(found).marks[0]
+    order = np.argsort(found.decision.scores)[:4]
+    np.testing.assert_array_equal(bars.y, found.decision.differences[order])
+    np.testing.assert_allclose(bars.error, 2 * found.decision.standard_errors[order])
+    assert difference_figure(found).y.low <= (bars.y - bars.error).min()
+    for curve in distribution_figure(found).marks:
+        k = next(k for k, one in enumerate(found.candidates) if one.name == curve.label)
+        at = np.searchsorted(curve.x, 0.9)
+        assert curve.y[at] == pytest.approx(np.mean(found.errors[k] >= curve.x[at]), abs=1e-9)
+    dots = image_figure(found).marks[1].xy
+    assert dots.shape == (20, 2)
+    first = found.errors[found.recommended][found.image == 0]
+    assert dots[0, 0] == pytest.approx(np.sqrt(np.mean(first**2)))
