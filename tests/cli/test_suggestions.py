@@ -12,14 +12,17 @@ from bundle.cli.main import COMMANDS
     [
         (["refin", "MODEL"], ["refine"]),
         (["Info", "MODEL"], ["info"]),
-        (["info", "--solver", "auto", "MODEL"], ["refine has --solver"]),
-        (["info", "MODEL", "--solver=auto"], ["refine has --solver"]),
+        (["info", "--solver", "auto", "MODEL"], ["refine and validate have --solver"]),
+        (["info", "MODEL", "--solver=auto"], ["refine and validate have --solver"]),
         (
             ["info", "MODEL", "--max-iterations", "3"],
-            ["refine, compare and vio have --max-iterations"],
+            ["refine, compare and validate have --max-iterations"],
         ),
         (["info", "MODEL", "--loss-scael", "3"], ["mean --loss-scale or", "of refine"]),
-        (["compare", "MODEL", "--solver", "auto"], ["mean --solvers", "refine has --solver"]),
+        (
+            ["compare", "MODEL", "--solver", "auto"],
+            ["mean --solvers", "refine and validate have --solver"],
+        ),
         (["refine", "MODEL", "--outptu", "x"], ["mean --output"]),  # before what is missing
         (["refine", "MODEL", "-o", "x", "--max_iterations", "3"], ["mean --max-iterations"]),
         (["refine", "MODEL", "-o", "x", "--solver", "dense-shur"], ["mean dense-schur"]),
