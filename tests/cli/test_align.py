@@ -35,6 +35,7 @@ def flight(tmp_path):
 def test_a_model_is_written_with_its_georeference(run, flight):
     folder, made, gcps = flight
     words = ("--gcp", gcps, "--check-points", "t2,t4", "--json", folder / "report.json", "--quiet")
+    words += ("--verbose",)
     code, out, err = run("align", folder / "model", "-o", f"{folder}/out/", *words)
     assert (code, err) == (0, "")
     expected = bundle.align(made.problem, gcps=gcps, check_points=["t2", "t4"])
@@ -72,7 +73,8 @@ def test_a_suspect_is_named(run, flight):
     x, y, z = made.gcps[3].position
     object.__setattr__(made.gcps[3], "position", (x + 2, y, z))
     wrong = written(folder / "wrong.txt", made.gcps)
-    code, out, _ = run("align", folder / "model", "-o", f"{folder}/out/", "--gcp", wrong, "--quiet")
+    words = ("--gcp", wrong, "--quiet", "--verbose")
+    code, out, _ = run("align", folder / "model", "-o", f"{folder}/out/", *words)
     assert code == 0
     assert table(out)["t3"][0] == "suspect"
     (sentence,) = (line for line in out.splitlines() if line.startswith("- t3"))
@@ -95,7 +97,7 @@ def test_measured_positions_and_another_model(run, flight):
     # The map is 0.9996 of the ground, and flat.
     assert record["similarity"]["scale"] == pytest.approx(3.7 / 0.9996, rel=1e-4)
     assert max(record["rms_enu"]) < 0.01
-    assert "9 images" in out
+    assert "9 positions" in out
 
     words = ("--reference", folder / "out", "--quiet")
     code, _, _ = run("align", folder / "model", "-o", f"{folder}/again/", *words)

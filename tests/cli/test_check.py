@@ -58,7 +58,7 @@ def to_floats(analytic):
 
 
 def test_correct_jacobians(run, named):
-    code, out, err = run("check", named)
+    code, out, err = run("check", named, "--verbose")
     assert code == 0
     rows = table(out)
     assert "30" in figures(rows["checked"][0])
@@ -132,7 +132,7 @@ def test_what_cannot_be_decided_has_an_exit_code_of_its_own(run, named, monkeypa
         return (analytic, reference, uncertainty, *others)
 
     monkeypatch.setattr(_core, "check_reprojections", rough)
-    code, out, _ = run("check", named, "--json", tmp_path / "r.json")
+    code, out, _ = run("check", named, "--json", tmp_path / "r.json", "--verbose")
     assert code == 3
     assert table(out)["extra"][0] == "undecided"
     report = json.loads((tmp_path / "r.json").read_text())

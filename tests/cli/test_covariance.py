@@ -24,6 +24,7 @@ def run(*words):
 def test_file_and_report_hold_what_python_gives(model, tmp_path, capsys):
     target, report = tmp_path / "c.npz", tmp_path / "c.json"
     flags = ("--gauge", "two-cameras", "--scale", "sigma0", "--relative", "1:3", "--quiet")
+    flags += ("--verbose",)
     assert run("covariance", model, "-o", target, "--json", report, *flags) == 0
     assert "30 points" in capsys.readouterr().out
     cov = bundle.covariance(model, gauge="two_cameras", scale="sigma0", relative=[(1, 3)])

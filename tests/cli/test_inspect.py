@@ -38,7 +38,7 @@ def cycle(tmp_path):
 
 
 def test_report(run, model):
-    code, out, _ = run("inspect", model)
+    code, out, _ = run("inspect", model, "--verbose")
     assert code == 0
     costs = table(out[out.index("\nmethod ") :])
     for name in ("SPARSE_SCHUR colamd", "SPARSE_NORMAL_CHOLESKY amd"):
@@ -81,7 +81,7 @@ def test_json_on_standard_output_alone(run, model):
 
 def test_what_does_not_fit_is_marked(run, model, monkeypatch):
     monkeypatch.setattr(_core, "available_memory", lambda: 1e5)
-    code, out, _ = run("inspect", model)
+    code, out, _ = run("inspect", model, "--verbose")
     assert code == 0
     costs = table(out[out.index("\nmethod ") :])
     assert costs["DENSE_SCHUR natural"][0].endswith("!")
@@ -113,7 +113,7 @@ def test_html(run, model, cycle, tmp_path, monkeypatch):
 
 
 def test_graph(run, cycle):
-    code, out, _ = run("inspect", "--graph", cycle)
+    code, out, _ = run("inspect", "--graph", cycle, "--verbose")
     assert code == 0
     rows = table(out)
     assert rows["column counts"] == ["2 2 2 2 1 0"]
@@ -129,13 +129,12 @@ def flops(out):
 def test_graph_in_another_order(run, tmp_path):
     star = tmp_path / "star.txt"
     star.write_text("".join(f"hub leaf{i}\n" for i in range(6)))
-    assert flops(run("inspect", "--graph", star).out) == "154"
-    out = run("inspect", "--graph", star, "--ordering", "minimum-degree").out
+    assert flops(run("inspect", "--graph", star, "--verbose").out) == "154"
+    words = ("inspect", "--graph", star, "--verbose")
+    out = run(*words, "--ordering", "minimum-degree").out
     assert flops(out) == "24"
     leaves = ",".join(f"leaf{i}" for i in range(6))
-    code, out, _ = run(
-        "inspect", "--graph", star, "--ordering", "landmarks-first", "--landmarks", leaves
-    )
+    code, out, _ = run(*words, "--ordering", "landmarks-first", "--landmarks", leaves)
     assert code == 0
     assert flops(out) == "24"
 
@@ -143,7 +142,7 @@ def test_graph_in_another_order(run, tmp_path):
 def test_graph_of_poses(run, tmp_path):
     chain = tmp_path / "chain.txt"
     chain.write_text("0 1\n1 2\n")
-    out = run("inspect", "--graph", chain, "--block-size", 6).out
+    out = run("inspect", "--graph", chain, "--block-size", 6, "--verbose").out
     assert figures(table(out)["nonzeros"][0])[0] == "252"
 
 

@@ -39,7 +39,8 @@ def test_a_bad_fit_is_a_warning(run, tmp_path):
     bundle.save(
         make_problem(num_images=7, model="PINHOLE", camera_params=params), tmp_path / "in", "colmap"
     )
-    code, out, _ = run("convert", tmp_path / "in", tmp_path / "out", "--camera-model", "RADIAL")
+    words = ("--camera-model", "RADIAL", "--verbose")
+    code, out, _ = run("convert", tmp_path / "in", tmp_path / "out", *words)
     assert code == 0
     notes = [line for line in out.splitlines() if line.startswith("- ")]
     assert [note.split()[1] for note in notes].count("Camera") == 5

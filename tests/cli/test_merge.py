@@ -20,7 +20,7 @@ def models(tmp_path):
 
 def test_two_models_become_one_and_the_report_says_how(run, models):
     folder, expected = models
-    words = (folder / "a", folder / "b", "-o", f"{folder}/out/", "--quiet")
+    words = (folder / "a", folder / "b", "-o", f"{folder}/out/", "--quiet", "--verbose")
     code, out, err = run("merge", *words, "--json", folder / "report.json")
     assert (code, err) == (0, "")
     written = bundle.load(folder / "out")

@@ -21,6 +21,7 @@ __all__ = [
     "number",
     "pixels",
     "plural",
+    "rounded",
     "seconds",
     "sorted_ids",
     "span",
@@ -38,6 +39,11 @@ def number(value: float) -> str:
     if value == 0 or 1e-3 <= abs(value) < 1e6:
         return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
     return f"{value:.3e}"
+
+
+def rounded(value: float) -> str:
+    """Format a number with two significant digits, such as "140"; "-" if it is not finite."""
+    return f"{float(f'{value:.2g}'):g}" if math.isfinite(value) else "-"
 
 
 def amount(value: float) -> str:

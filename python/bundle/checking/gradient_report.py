@@ -22,7 +22,10 @@ __all__ = [
     "Undecided",
     "Verdict",
     "explanation",
+    "measurements",
+    "mistakes",
     "outcome",
+    "subject",
 ]
 
 
@@ -211,16 +214,30 @@ def outcome(report: GradientReport) -> str:
 
 def explanation(report: GradientReport) -> list[RenderableType]:
     """Return the verdict, the findings, and tables of errors."""
+    verdict = facts([("verdict", outcome(report))])
+    return [*subject(report), verdict, *mistakes(report), *measurements(report)]
+
+
+def subject(report: GradientReport) -> list[RenderableType]:
+    """Return the function that was checked, and at how many points."""
     skipped = f", {report.num_skipped} skipped" if report.num_skipped else ""
     count = plural(report.num_checked, report.noun)
-    parts: list[RenderableType] = [
-        facts([("checked", f"{report.subject}, {count}{skipped}")]),
-        facts([("verdict", outcome(report))]),
+    return [facts([("checked", f"{report.subject}, {count}{skipped}")])]
+
+
+def mistakes(report: GradientReport) -> list[RenderableType]:
+    """Return the findings, and the points without a verdict."""
+    return [
         *notes((finding.sentence for finding in report.findings), style=STYLES[report.verdict]),
         *notes((entry.sentence for entry in report.undecided), style="yellow"),
     ]
+
+
+def measurements(report: GradientReport) -> list[RenderableType]:
+    """Return tables of errors."""
     if not report.num_checked:
-        return parts
+        return []
+    parts: list[RenderableType] = []
     parts += ["", _verdicts(report.groups)]
     if not report.ok:
         wrong = [verdict for verdict in report.parameters if verdict.verdict != "correct"]

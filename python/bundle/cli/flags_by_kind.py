@@ -24,7 +24,7 @@ __all__ = [
 ]
 
 _OF_ALL = (
-    *("input", "inputs", "output", "json", "quiet", "overwrite"),
+    *("input", "inputs", "output", "json", "quiet", "verbose", "overwrite"),
     *("command", "kind", "flags"),
 )
 

@@ -165,7 +165,13 @@ class Report:
         given = {} if self.input is None else {"input": self.input}
         verdict = {"headline": self.headline, "findings": self.findings}
         report: dict[str, Any] = plain({**heading(self.command), **given, **verdict, **self.data})
-        return report
+        return report | {"findings": [_finding(found) for found in report["findings"]]}
+
+
+def _finding(found: dict[str, Any]) -> dict[str, Any]:
+    """Return a finding of any kind with the keys of all: other fields are its evidence."""
+    evidence = {key: found[key] for key in found if key not in ("kind", "sentence", "command")}
+    return {"command": "", "evidence": evidence, **found}
 
 
 def heading(command: str) -> dict[str, Any]:
@@ -183,9 +189,11 @@ def several(command: str, reports: Sequence[Report]) -> Report:
 
 
 def _whole(report: Report) -> Iterator[Section]:
-    """Yield headline, sections and findings of a report as sections."""
+    """Yield headline, warnings, sections and findings of a report as sections."""
     if report.headline:
         yield Section(text=report.headline)
+    if report.warnings:
+        yield Section(notes=report.warnings, is_warning=True, is_joined=True)
     yield from report.sections
     for finding in report.findings:
         yield Section(notes=[finding.sentence], is_warning=True)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bundle.base.words import number, pixels, plural
+from bundle.base.words import number, pixels, plural, rounded
 from bundle.interface.termination import short_outcome
 
 if TYPE_CHECKING:
@@ -238,8 +238,8 @@ def _movement(result: Result) -> str:
         share = f"; {_percent(size)} of the scene" if math.isfinite(size) else ""
         unit = " m" if result.similarity is not None else ""
         said = [
-            f"{some or 'Cameras'} moved by {found.position:.2g}{unit} (median{share})",
-            f"turned by {found.rotation:.2g} degrees",
+            f"{some or 'Cameras'} moved by {rounded(found.position)}{unit} (median{share})",
+            f"turned by {rounded(found.rotation)} degrees",
         ]
     if found.num_cameras and found.focal > 0:
         said.append(f"focal lengths changed by {_percent(found.focal)}")
@@ -249,7 +249,7 @@ def _movement(result: Result) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
+    return f"{rounded(100 * share)} %"
 
 
 def _px(value: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -48,22 +49,44 @@ def alignment(
         )
     if not np.isnan(aligned.sigma0):
         rows.append(("residuals", f"{number(aligned.sigma0)} sigmas"))
-    rows.append(written(output))
-    suspects = suspicions(aligned.control_points)
-    notes = (*aligned.notes, *lost)
+    details = [
+        Section(facts=rows),
+        *control_points(aligned.control_points),
+        *_images("GPS", aligned.positions, aligned.rms("gps"), "m"),
+        *_images("image", aligned.shared_images, aligned.rms("shared_images"), "units"),
+    ]
     return Report(
         command="align",
         input=about_problem(path, problem),
+        headline=_headline(aligned),
+        warnings=[*suspicions(aligned.control_points), *aligned.notes, *lost],
         sections=[
-            Section(facts=rows),
-            *control_points(aligned.control_points),
-            *_images("GPS", aligned.positions, aligned.rms("gps"), "m"),
-            *_images("image", aligned.shared_images, aligned.rms("shared_images"), "units"),
-            *([Section(notes=suspects, is_warning=True)] if suspects else []),
-            *([Section(notes=notes)] if notes else []),
+            Section(facts=[written(output)]),
+            *(dataclasses.replace(section, is_detail=True) for section in details),
         ],
         data={"georeference": aligned.asdict(), "output": output},
     )
+
+
+def _headline(aligned: Alignment) -> list[str]:
+    """Return the errors of what determined the alignment, then those of check points."""
+    said = []
+    controls = [point for point in aligned.control_points if point.role == "control"]
+    checks = [point for point in aligned.control_points if point.role == "check"]
+    for kind, things, noun in (
+        ("control", controls, "control point"),
+        ("gps", [image for image in aligned.positions if image.used], "position"),
+        ("shared_images", [image for image in aligned.shared_images if image.used], "shared image"),
+        ("check", checks, "check point"),
+    ):
+        rms = aligned.rms(kind)
+        if things and not np.isnan(rms[0]):
+            axes = "x / y / z" if kind == "shared_images" else "east / north / up"
+            unit = "units" if kind == "shared_images" else "m"
+            errors = " / ".join(map(plain_metres, rms))
+            said.append(f"{plural(len(things), noun)}: rms {errors} {unit} {axes}.")
+    scale = f"Aligned, scale {number(aligned.similarity.scale)}."
+    return [f"{scale} {said[0]}" if said else scale, *said[1:]]
 
 
 def _images(

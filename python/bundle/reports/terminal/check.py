@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from bundle.checking.gradient_report import GradientReport, explanation, outcome
+from bundle.checking.gradient_report import (
+    GradientReport,
+    measurements,
+    mistakes,
+    outcome,
+    subject,
+)
 from bundle.model.problem import Problem
 from bundle.reports.sections import Report, Section, fields
 from bundle.reports.terminal.inputs import about_problem, problem_facts
@@ -33,7 +39,11 @@ def checked(
         command="check",
         input=about_problem(path, problem),
         headline=[outcome(found)],
-        sections=[Section(facts=problem_facts(path, problem), text=explanation(found))],
+        sections=[
+            Section(text=mistakes(found)),
+            Section(facts=problem_facts(path, problem), text=subject(found), is_detail=True),
+            Section(text=measurements(found), is_joined=True, is_detail=found.verdict != "wrong"),
+        ],
         data={
             "options": options,
             **(fields(found) | {"histogram": histogram}),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence as Sentences
 
+from bundle.base.words import contents
 from bundle.editing.cameras.edit_record import CameraEdits
 from bundle.errors import shown
 from bundle.model.pose_graph_arrays import PoseGraph
@@ -15,6 +16,7 @@ from bundle.reports.terminal.inputs import (
     about_graph,
     about_problem,
     about_sequence,
+    contents_of_graph,
     contents_of_sequence,
     graph_facts,
     problem_facts,
@@ -32,48 +34,50 @@ def converted(
     edits: CameraEdits | None = None,
 ) -> Report:
     """Return the report on a reconstruction."""
-    facts = [*problem_facts(path, problem), *edit_rows(edits), written(output)]
+    facts = [*problem_facts(path, problem), *edit_rows(edits)]
     warnings = () if edits is None else edits.warnings
+    content = problem if edits is None else edits.problem
     return Report(
         command="convert",
         input=about_problem(path, problem),
+        headline=[_wrote(output, contents(content), lost)],
+        warnings=warnings,
         sections=[
-            Section(facts=[*facts, ("lost", "" if lost else "nothing")], notes=lost),
-            Section(notes=warnings, is_warning=True, is_joined=True),
+            Section(facts=edit_rows(edits), notes=lost),
+            Section(facts=facts, is_detail=True),
         ],
         data={**edit_data(edits), "output": output, "lost": lost},
     )
+
+
+def _wrote(output: dict[str, str], content: str, lost: Sentences[str]) -> str:
+    """Return what was written where, and whether data are lost."""
+    _, where = written(output)
+    rest = "These data are lost:" if lost else "Nothing is lost."
+    return f"Wrote {where}: {content}. {rest}"
 
 
 def converted_graph(
     path: str, graph: PoseGraph, output: dict[str, str], lost: Sentences[str]
 ) -> Report:
     """Return the report on a pose graph."""
-    facts = [
-        *graph_facts(path, graph),
-        *(("", note) for note in graph.notes),
-        written(output),
-        ("lost", "nothing"),
-    ]
+    facts = [*graph_facts(path, graph), *(("", note) for note in graph.notes)]
     return Report(
         command="convert",
         input=about_graph(path, graph),
-        sections=[Section(facts=facts)],
+        headline=[_wrote(output, contents_of_graph(graph), lost)],
+        sections=[Section(notes=lost), Section(facts=facts, is_detail=True)],
         data={"output": output, "lost": lost},
     )
 
 
 def converted_sequence(path: str, format: str, sequence: Sequence, output: str) -> Report:
     """Return the report on a visual-inertial sequence."""
-    facts = [
-        ("input", shown(path)),
-        ("", contents_of_sequence(sequence)),
-        ("output", f"{shown(output)} (visual-inertial sequence)"),
-        ("lost", "nothing"),
-    ]
+    wrote = f"Wrote {shown(output)} (visual-inertial sequence)"
     return Report(
         command="convert",
         input=about_sequence(path, format, sequence),
-        sections=[Section(facts=facts)],
+        headline=[f"{wrote}: {contents_of_sequence(sequence)}. Nothing is lost."],
+        sections=[Section(facts=[("input", shown(path))], is_detail=True)],
         data={"output": {"path": output, "format": "sequence"}, "lost": []},
     )

@@ -5,7 +5,7 @@ It contains only sigmas; the command writes the matrices to a file.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -51,21 +51,25 @@ def uncertainties(
         wall_time: seconds.
     """
     pose, point = _sigmas(cov.pose_covariance), _sigmas(cov.point_covariance)
-    spread = _spread(
-        [("rotation [rad]", pose[:, :3]), ("translation", pose[:, 3:]), ("point", point)]
-    )
+    spread = [("rotation [rad]", pose[:, :3]), ("translation", pose[:, 3:]), ("point", point)]
     cameras = zip(cov.camera_ids, _sigmas(cov.camera_covariance), strict=True)
     facts = [
         *problem_facts(path, problem),
         ("gauge", cov.gauge.replace("_", " ")),
         _sigma0(cov),
         ("scale", _scale(cov)),
-        ("output", shown(target)),
     ]
     return Report(
         command="covariance",
         input=about_problem(path, problem),
-        sections=[Section(facts=facts), *spread, *_cameras(problem, cov), *_notes(cov)],
+        headline=[_sigmas_in_words(spread, "of the model"), _certainty(cov)],
+        warnings=_notes(cov),
+        sections=[
+            Section(facts=[("output", shown(target))]),
+            Section(facts=facts, is_detail=True),
+            *_spread(spread),
+            *_cameras(problem, cov),
+        ],
         data={
             "options": dict(options),
             "gauge": cov.gauge,
@@ -98,9 +102,9 @@ def uncertainties_of_graph(
     sigma = _sigmas(cov.pose_covariance)
     parts = ((0, 2), (2, 3)) if graph.dimension == 2 else ((3, 6), (0, 3))
     names = ("translation", "rotation [rad]")
-    spread = _spread(
+    spread = [
         (name, sigma[:, first:last]) for name, (first, last) in zip(names, parts, strict=True)
-    )
+    ]
     held = {
         "first": f"{plural(len(cov.held_pose_ids), 'pose')} constant, besides fixed ones",
         "inner": "inner constraints (minimum trace)",
@@ -111,13 +115,17 @@ def uncertainties_of_graph(
         ("gauge", f"{cov.gauge}: {held[cov.gauge]}"),
         _sigma0(cov),
         ("scale", "the information of the edges" if cov.scale == "unit" else "times sigma0"),
-        ("output", shown(target)),
     ]
-    notes = [Section(notes=cov.notes, is_warning=True)] if cov.notes else []
     return Report(
         command="covariance",
         input=about_graph(path, graph),
-        sections=[Section(facts=facts), *spread, *notes],
+        headline=[_sigmas_in_words(spread, "of the graph"), _certainty(cov)],
+        warnings=cov.notes,
+        sections=[
+            Section(facts=[("output", shown(target))]),
+            Section(facts=facts, is_detail=True),
+            *_spread(spread),
+        ],
         data={
             "options": dict(options),
             "gauge": cov.gauge,
@@ -138,6 +146,23 @@ def _sigma0(cov: Covariance | GraphCovariance) -> tuple[str, str]:
     return "sigma0", f"{number(cov.sigma0)} ({plural(cov.dof, 'degree')} of freedom)"
 
 
+def _certainty(cov: Covariance | GraphCovariance) -> str:
+    """Return sigma0 and the gauge in a sentence."""
+    gauge = cov.gauge.replace("_", " ")
+    return f"sigma0 {number(cov.sigma0)} ({plural(cov.dof, 'degree')} of freedom); gauge {gauge}."
+
+
+def _sigmas_in_words(parts: Sequence[tuple[str, NDArray[np.float64]]], unit: str) -> str:
+    """Return the median and the 95th percentile of each standard deviation in a sentence."""
+    said = []
+    for name, values in _lengths(parts):
+        median, p95 = map(number, np.percentile(values, [50, 95]))
+        said.append(f"{name} {median} / {p95}")
+    if not said:
+        return "No variable is free: there is no standard deviation."
+    return f"Sigma (median / 95th percentile, length unit {unit}): {', '.join(said)}."
+
+
 def _scale(cov: Covariance) -> str:
     if cov.robust == "sandwich":
         return "sandwich, from the scatter of the residuals"
@@ -152,14 +177,20 @@ def _relative(cov: Covariance | GraphCovariance) -> list[dict[str, Any]]:
 def _spread(parts: Iterable[tuple[str, NDArray[np.float64]]]) -> list[Section]:
     """Return quantiles of standard deviations; empty if none is known."""
     cells = []
-    for name, sigma in parts:
-        values = np.linalg.norm(sigma, axis=1)
-        known = values[np.isfinite(values)]
-        if len(known):
-            quantiles = np.percentile(known, [0, 50, 95, 100])
-            cells.append((name, f"{len(known)}", *map(number, quantiles)))
+    for name, values in _lengths(parts):
+        quantiles = np.percentile(values, [0, 50, 95, 100])
+        cells.append((name, f"{len(values)}", *map(number, quantiles)))
     head = ("sigma", "count", "min", "median", "95th pct", "max")
-    return [Section(tables=[Table.of(head, cells)])] if cells else []
+    return [Section(tables=[Table.of(head, cells)], is_detail=True)] if cells else []
+
+
+def _lengths(
+    parts: Iterable[tuple[str, NDArray[np.float64]]],
+) -> list[tuple[str, NDArray[np.float64]]]:
+    """Return the known standard deviations of each part, as lengths of their vectors."""
+    lengths = [(name, np.linalg.norm(sigma, axis=1)) for name, sigma in parts]
+    known = [(name, values[np.isfinite(values)]) for name, values in lengths]
+    return [(name, values) for name, values in known if len(values)]
 
 
 def _cameras(problem: Problem, cov: Covariance) -> list[Section]:
@@ -177,10 +208,10 @@ def _cameras(problem: Problem, cov: Covariance) -> list[Section]:
     more = len(cov.camera_ids) - MOST_CAMERAS
     table = Table.of(("camera", "parameter", "value", "sigma"), cells, left=2)
     text = [f"and {plural(more, 'camera')} more"] if more > 0 else []
-    return [Section(tables=[table], text=text)]
+    return [Section(tables=[table], text=text, is_detail=True)]
 
 
-def _notes(cov: Covariance) -> list[Section]:
+def _notes(cov: Covariance) -> list[str]:
     sentences = list(cov.notes)
     null = cov.null_point_ids
     if len(null):
@@ -189,7 +220,7 @@ def _notes(cov: Covariance) -> list[Section]:
             f"{plural(len(null), 'point')} without parallax: the unobservable direction is "
             f"left out (ids {ids})."
         )
-    return [Section(notes=sentences, is_warning=True)] if sentences else []
+    return sentences
 
 
 def _sigmas(covariances: NDArray[np.float64]) -> NDArray[np.float64]:

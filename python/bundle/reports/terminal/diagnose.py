@@ -67,11 +67,13 @@ def diagnosed(
     return Report(
         command="diagnose",
         input=about_problem(path, problem),
-        headline=[diagnosis.verdict],
+        headline=_headline(diagnosis, sizes, "image"),
         findings=one_list(_problems(diagnosis), found),
         sections=[
-            Section(facts=facts),
-            Section(tables=[_condition("reduced camera system", "as it is", diagnosis)]),
+            Section(facts=facts, is_detail=True),
+            Section(
+                tables=[_condition("reduced camera system", "as it is", diagnosis)], is_detail=True
+            ),
             *_notes(diagnosis),
         ],
         data=_data(diagnosis, options, numbers, wall_time)
@@ -105,11 +107,13 @@ def diagnosed_graph(
     return Report(
         command="diagnose",
         input=about_graph(path, graph),
-        headline=[diagnosis.verdict],
+        headline=_headline(diagnosis, sizes, "pose"),
         findings=_problems(diagnosis),
         sections=[
-            Section(facts=facts),
-            Section(tables=[_condition("normal equations", "as they are", diagnosis)]),
+            Section(facts=facts, is_detail=True),
+            Section(
+                tables=[_condition("normal equations", "as they are", diagnosis)], is_detail=True
+            ),
             *([Section(tables=[suspicious])] if suspicious.rows else []),
             *_notes(diagnosis),
         ],
@@ -146,15 +150,23 @@ def _condition(title: str, unscaled: str, diagnosis: Diagnosis | GraphDiagnosis)
     )
 
 
+def _headline(diagnosis: Diagnosis | GraphDiagnosis, sizes: Sequence[int], noun: str) -> list[str]:
+    """Return the rank, then the condition number and the connected components."""
+    verdict = diagnosis.verdict.rstrip(".")
+    condition = f"Condition number {number(diagnosis.condition_number)} (scaled)"
+    return [
+        f"{verdict[0].upper()}{verdict[1:]}.",
+        f"{condition}; {_pieces(sizes, noun)}{'; no problem found' if diagnosis.ok else ''}.",
+    ]
+
+
 def _problems(diagnosis: Diagnosis | GraphDiagnosis) -> list[Finding]:
     return [entry for entry in diagnosis.findings if entry.is_problem]
 
 
 def _notes(diagnosis: Diagnosis | GraphDiagnosis) -> list[Section]:
     others = [entry.sentence for entry in diagnosis.findings if not entry.is_problem]
-    found = Section(facts=[("problems", "none found" if diagnosis.ok else "see below")])
-    more = Section(facts=[("notes", "")], notes=others, is_joined=True)
-    return [found, *([more] if others else [])]
+    return [Section(facts=[("notes", "")], notes=others, is_detail=True)] if others else []
 
 
 def _eigenvalues(diagnosis: Diagnosis) -> str:

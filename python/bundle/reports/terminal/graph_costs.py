@@ -45,9 +45,8 @@ def inspected_graph(
         input=about_graph(path, graph),
         headline=[found.recommendation],
         sections=[
-            Section(facts=facts),
             *([Section(tables=[Table(columns, found.costs)])] if found.costs else []),
-            Section(facts=[("advice", found.recommendation)]),
+            Section(facts=facts, is_detail=True),
         ],
         data={
             **fields(found),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,7 +11,8 @@ from bundle.analysis.statistics.covisibility import Covisibility
 from bundle.analysis.statistics.depths import COLLAPSED
 from bundle.analysis.statistics.description import Description, Distribution
 from bundle.base.tables import Bar
-from bundle.base.words import number, pixels, plural
+from bundle.base.words import contents, format_name, number, pixels, plural
+from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.model.problem import Problem
 from bundle.reports.sections import Column, Report, Section, Table, fields
@@ -46,25 +48,40 @@ def information(
         ("error now", _error(description)),
         *([("tracks", tracks)] if count else []),
     ]
+    details = [
+        Section(facts=problem_facts(path, problem, rigs=True)),
+        Section(tables=[Table(CAMERAS, description.cameras)]),
+        *rig_sections(description.rigs),
+        Section(tables=[_distributions(description)]),
+        Section(tables=[_histogram("track length", "points", description.track_length)]),
+        Section(
+            tables=[_histogram("obs. per image", "images", description.observations_per_image)]
+        ),
+        Section(facts=facts),
+        *worst_sections(description.worst_images, "worst images"),
+    ]
     return Report(
         command="info",
         input=about_problem(path, problem),
+        headline=_headline(path, problem, description, len(findings)),
         findings=findings,
-        sections=[
-            Section(facts=problem_facts(path, problem, rigs=True)),
-            Section(tables=[Table(CAMERAS, description.cameras)]),
-            *rig_sections(description.rigs),
-            Section(tables=[_distributions(description)]),
-            Section(tables=[_histogram("track length", "points", description.track_length)]),
-            Section(
-                tables=[_histogram("obs. per image", "images", description.observations_per_image)]
-            ),
-            Section(facts=facts),
-            *worst_sections(description.worst_images, "worst images"),
-            *([] if findings else [Section(facts=[("findings", "none")])]),
-        ],
+        sections=[dataclasses.replace(section, is_detail=True) for section in details],
         data=fields(description),
     )
+
+
+def _headline(path: str, problem: Problem, description: Description, count: int) -> list[str]:
+    """Return counts, the present error, and the verdict."""
+    error, tracks = description.reprojection_error, description.track_length
+    rmse = "Reprojection error unknown"
+    if error is not None and error.num_observations:
+        rmse = f"RMSE {pixels(error.rmse)} px, median {pixels(error.median)} px"
+    pieces = plural(len(description.covisibility.component_sizes), "connected piece")
+    return [
+        f"{shown(path)} ({format_name(problem.format)}): {contents(problem)}.",
+        f"{rmse}; {number(tracks.mean)} observations per point; {pieces}.",
+        f"{plural(count, 'finding')}:" if count else "Nothing looks wrong.",
+    ]
 
 
 def _range(low: str, high: str) -> str:

@@ -70,15 +70,14 @@ def inspected(
     return Report(
         command="inspect",
         input=about_problem(path, problem),
-        headline=[inspection.recommendation],
+        headline=_headline(inspection),
         sections=[
-            Section(facts=facts),
-            Section(tables=[Table(FACTORS, [*factors.values()])]),
-            Section(tables=[_costs(inspection)]),
-            Section(facts=[("recommended", inspection.recommendation)]),
             *([Section(command=command)] if command else []),
-            Section(notes=_remarks(inspection), is_joined=not command),
             *_ranks(ranks, network),
+            Section(facts=facts, is_detail=True),
+            Section(tables=[Table(FACTORS, [*factors.values()])], is_detail=True),
+            Section(tables=[_costs(inspection)], is_detail=True),
+            Section(notes=_remarks(inspection), is_detail=True),
         ],
         data={
             "options": {name: getattr(options, name) for name in names},
@@ -89,6 +88,19 @@ def inspected(
             **_rank_data(ranks, network),
         },
     )
+
+
+def _headline(inspection: Inspection) -> list[str]:
+    """Return the recommended method and its predicted cost."""
+    if inspection.recommended < 0:
+        return [inspection.recommendation]
+    best = _best(inspection)
+    cost = (
+        f"Predicted: {duration(best.time_per_step_in_seconds)} per step and "
+        f"{format_size(best.memory_in_bytes)} on {plural(inspection.num_threads, 'thread')}, for "
+        f"{plural(best.num_unknowns, 'unknown', grouped=True)}."
+    )
+    return [f"Recommended: {inspection.recommendation}", cost]
 
 
 def _unknowns(inspection: Inspection) -> str:

@@ -15,6 +15,9 @@ __all__ = ["inspected"]
 # Largest number of steps, and of members of a step, that a terminal shows.
 MOST_STEPS, MOST_MEMBERS = 100, 8
 
+SHORT = 12
+"""Number of steps up to which they are shown without --verbose."""
+
 
 def inspected(path: str, graph: GraphInspection, wall_time: float) -> Report:
     """Return the report; wall_time in seconds."""
@@ -32,10 +35,15 @@ def inspected(path: str, graph: GraphInspection, wall_time: float) -> Report:
     missing = "Too many neighbours to record the steps of the elimination."
     return Report(
         command="inspect",
+        headline=[
+            f"{sizes}, eliminated in {graph.ordering} order: fill {graph.fill}, {graph.nnz_factor} "
+            f"nonzeros of the factor L, {graph.flops} flops, tree height {graph.tree_height}."
+        ],
         sections=[
-            Section(facts=[("graph", shown(path)), ("", sizes), ("ordering", graph.ordering)]),
-            Section(tables=[_steps(graph)]) if graph.steps else Section(text=[missing]),
-            Section(facts=sums),
+            Section(tables=[_steps(graph)], is_detail=len(graph.steps) > SHORT)
+            if graph.steps
+            else Section(text=[missing]),
+            Section(facts=[("graph", shown(path)), *sums], is_detail=True),
         ],
         data={
             "graph": path,

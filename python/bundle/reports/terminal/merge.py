@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 
 from bundle.base.words import contents, number, pixels, plural
 from bundle.editing.merging.merge_result import Merge
 from bundle.errors import shown
+from bundle.interface.finding import Finding
 from bundle.model.problem import Problem
 from bundle.reports.sections import Report, Section
 from bundle.reports.terminal.inputs import about_problem, written
@@ -57,15 +59,33 @@ def merged_report(
             f"{plural(counts.num_points_apart, 'point')} apart, {counts.num_points_dropped} "
             f"dropped; {plural(counts.num_observations_dropped, 'observation')} dropped",
         ),
-        ("merged", contents(merged.problem)),
-        written(output),
     ]
-    next_step = f"Nothing is adjusted yet: bundle refine {shown(output['path'])} -o ... comes next."
-    notes = (*merged.notes, *lost, next_step)
+    joined = plural(counts.num_points_joined, "point", grouped=True)
+    if counts.num_points_joined:
+        joined += f" (rms {pixels(merged.rms_pixels)} px)"
+    # One model keeps half of the freedoms of two.
+    undetermined = merged.free_before - merged.free_before // 2 - merged.determined
+    left = ""
+    if undetermined > 0:
+        left = f" {plural(undetermined, 'degree')} of freedom between the models stay open."
+    headline = [
+        f"Merged by {shared}: joined {joined}, added {plural(counts.num_images, 'image')} and "
+        f"{plural(counts.num_points_added, 'point', grouped=True)}.{left}",
+        f"The merged model has {contents(merged.problem)}.",
+    ]
+    path = shlex.quote(output["path"])
+    next_step = Finding(
+        kind="not_adjusted",
+        sentence="Nothing is adjusted yet.",
+        command=f"bundle refine {path} -o {path}",
+    )
     return Report(
         command="merge",
         input=about_problem(paths[0], problems[0]),
-        sections=[Section(facts=rows), Section(notes=notes)],
+        headline=headline,
+        warnings=(*merged.notes, *lost),
+        findings=[next_step],
+        sections=[Section(facts=[written(output)]), Section(facts=rows, is_detail=True)],
         data={
             "other": about_problem(paths[1], problems[1]),
             "merge": merged.asdict(),

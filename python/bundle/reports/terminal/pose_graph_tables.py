@@ -15,8 +15,9 @@ from bundle.graphs.pose_graphs.solve_pose_graph import pose_graph_chi2
 from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.reports.sections import Column, Report, Section, Table, records
-from bundle.reports.terminal.inputs import about_graph, graph_facts, written
-from bundle.reports.terminal.solve_data import factor_fact, looks_wrong, solve_options
+from bundle.reports.terminal.graph_headline import degrees_of_freedom, graph_headline
+from bundle.reports.terminal.inputs import about_graph, contents_of_graph, graph_facts, written
+from bundle.reports.terminal.solve_data import factor_fact, solve_options
 from bundle.reports.terminal.timing import WallTime, wall_section
 
 __all__ = ["described_graph", "refined_graph"]
@@ -94,21 +95,20 @@ def refined_graph(
     ]
     rejected = [_Edge(solved, index) for index in solved.rejected]
     left_out = [_Edge(solved, entry.edge, entry) for entry in solved.left_out]
-    outcome = Section(
-        facts=[("outcome", solved.outcome)],
-        notes=summary.warnings,
-        is_warning=True,
-    )
+    details = [
+        Section(facts=facts),
+        Section(tables=[Table.of(("", "before", "after"), before_and_after)]),
+        *_verdicts(solved, rejected, left_out),
+        wall_section(summary, wall),
+    ]
     return Report(
         command="refine",
         input=about_graph(path, graph),
-        headline=[solved.outcome],
+        headline=graph_headline(solved),
+        warnings=summary.warnings,
         sections=[
-            Section(facts=facts),
-            Section(tables=[Table.of(("", "before", "after"), before_and_after)]),
-            *_verdicts(solved, rejected, left_out, outcome),
-            wall_section(summary, wall),
             Section(facts=[written(output)]),
+            *(replace(section, is_detail=True) for section in details),
         ],
         data={
             "options": solve_options(solved.options),
@@ -135,9 +135,9 @@ def refined_graph(
 
 
 def _verdicts(
-    solved: PoseGraphResult, rejected: list[_Edge], left_out: list[_Edge], outcome: Section
+    solved: PoseGraphResult, rejected: list[_Edge], left_out: list[_Edge]
 ) -> list[Section]:
-    """Return the worst edges, omitted edges, edges that the loss rejected, and the outcome."""
+    """Return the worst edges, omitted edges, and edges that the loss rejected."""
     out = {entry.edge for entry in solved.left_out}
     order = np.argsort(-solved.chi2_after, kind="stable").tolist()
     worst = [_Edge(solved, index) for index in order if index not in out][:MOST_EDGES]
@@ -162,7 +162,7 @@ def _verdicts(
         joined = bool(facts) and not rejected
         facts.append(Section(facts=[("rejected", words)], is_joined=joined))
         sections.append(facts[-1])
-    return [*sections, replace(outcome, is_joined=bool(facts))]
+    return sections
 
 
 def described_graph(path: str, graph: PoseGraph) -> Report:
@@ -174,7 +174,7 @@ def described_graph(path: str, graph: PoseGraph) -> Report:
             chi2[error] = float(pose_graph_chi2(graph, error).sum())
         except InputError:  # invalid information matrices, which are listed
             break
-    degrees = graph.tangent_size * (graph.num_edges - graph.num_poses + graph.num_components)
+    degrees = degrees_of_freedom(graph)
     listed = [
         {
             "edge": graph.ids[graph.edges[edge]],
@@ -207,7 +207,9 @@ def described_graph(path: str, graph: PoseGraph) -> Report:
     return Report(
         command="info",
         input=about_graph(path, graph),
-        sections=[Section(facts=facts), replace(looks_wrong(wrong), is_joined=True)],
+        headline=[_contents(graph, chi2, degrees), _suspicion(len(bad), bool(wrong))],
+        warnings=wrong,
+        sections=[Section(facts=facts, is_detail=True)],
         data={
             "num_components": graph.num_components,
             "chi2": chi2,
@@ -216,6 +218,22 @@ def described_graph(path: str, graph: PoseGraph) -> Report:
             "bad_information": listed,
         },
     )
+
+
+def _contents(graph: PoseGraph, chi2: dict[str, float | None], degrees: int) -> str:
+    """Return the counts of a graph and its present chi2 in a sentence."""
+    now = chi2[POSE_ERRORS[0]]
+    if now is None:
+        return f"{contents_of_graph(graph)}; chi2 is unknown."
+    share = f", {number(now / degrees)} per degree of freedom" if degrees > 0 else ""
+    return f"{contents_of_graph(graph)}; chi2 now {number(now)}{share}."
+
+
+def _suspicion(num_bad: int, is_wrong: bool) -> str:
+    if num_bad:
+        edges = plural(num_bad, "edge has", "edges have", grouped=True)
+        return f"{edges} no valid information matrix."
+    return "It looks wrong:" if is_wrong else "Nothing looks wrong."
 
 
 def _error(options: PoseGraphOptions) -> str:

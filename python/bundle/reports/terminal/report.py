@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bundle.base.memory_sizes import format_size
+from bundle.base.words import contents
 from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.model.problem import Problem
@@ -34,12 +35,13 @@ def reported(
         findings: findings about the problem.
     """
     size = f" ({format_size(Path(page).stat().st_size)})" if Path(page).is_file() else ""
-    facts = [*problem_facts(path, problem, rigs=True), ("output", f"{shown(page)}{size}")]
     return Report(
         command="report",
         input=about_problem(path, problem),
+        headline=[f"Wrote {shown(page)}{size}: {contents(problem)}."],
+        warnings=notes,
         findings=findings,
-        sections=[Section(facts=facts, notes=notes, is_warning=True)],
+        sections=[Section(facts=problem_facts(path, problem, rigs=True), is_detail=True)],
         data={
             "notes": notes,
             "wall_time": {"total": wall_time},

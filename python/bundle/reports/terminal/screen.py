@@ -70,7 +70,7 @@ def _findings(findings: Sequence[Finding], verbose: bool) -> list[RenderableType
     parts: list[RenderableType] = []
     for finding in shown:
         parts += notes([finding.sentence], style="yellow")
-        parts += [CommandLine(finding.command)] if finding.command else []
+        parts += [CommandLine(finding.command, indent=2)] if finding.command else []
     hidden = len(findings) - len(shown)
     more = [f"{plural(hidden, 'more finding')} (--verbose)"] if hidden else []
     return [*parts, *notes(more)]
@@ -85,8 +85,8 @@ def _table(table: Table) -> list[RenderableType]:
 class CommandLine:
     """Command line with backslashes at line breaks, so that it can be copied unchanged."""
 
-    def __init__(self, command: str) -> None:
-        self.command = command
+    def __init__(self, command: str, indent: int = 0) -> None:
+        self.command, self.indent = command, indent
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield the indented lines."""
@@ -95,5 +95,5 @@ class CommandLine:
             if lines and len(lines[-1]) + len(word) + 3 <= options.max_width:
                 lines[-1] += f" {word}"
             else:
-                lines.append(f"    {word}" if lines else word)
+                lines.append(" " * (self.indent + 4 * bool(lines)) + word)
         yield Text(" \\\n".join(lines), no_wrap=True, overflow="ignore")

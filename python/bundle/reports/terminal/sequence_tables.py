@@ -11,7 +11,6 @@ from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.sequence_findings import SequenceFinding
 from bundle.reports.sections import Report, Section, Table
 from bundle.reports.terminal.inputs import about_sequence, contents_of_sequence
-from bundle.reports.terminal.solve_data import looks_wrong
 
 __all__ = ["described_sequence"]
 
@@ -34,6 +33,13 @@ def described_sequence(
     """
     camera = sequence.calibration.camera_model or "normalised image coordinates"
     rest = statistics.static_start
+    start = f"at rest for {rest:.2f} s" if rest else "moving"
+    wrong = [finding.sentence for finding in findings]
+    headline = [
+        f"{contents_of_sequence(sequence)} over {sequence.duration:.1f} s.",
+        f"Starts {start}; excitation {number(statistics.excitation)} m/s^2: {statistics.verdict}.",
+        *([] if wrong else ["Nothing looks wrong."]),
+    ]
     rows = [
         ("input", f"{shown(path)} (visual-inertial sequence)"),
         ("", contents_of_sequence(sequence)),
@@ -42,7 +48,7 @@ def described_sequence(
         ("rates", f"{statistics.imu_rate:.4g} Hz IMU, {statistics.camera_rate:.4g} Hz images"),
         ("gaps", f"{plural(statistics.num_imu_gaps, 'gap')} of the IMU, "
                  f"{plural(statistics.num_image_gaps, 'gap')} of the images"),
-        ("start", f"at rest for {rest:.2f} s" if rest else "moving"),
+        ("start", start),
         ("excitation", f"{number(statistics.excitation)} m/s^2: {statistics.verdict}"),
     ]  # fmt: skip
     spread = [
@@ -65,19 +71,16 @@ def described_sequence(
             number(noise.accel_noise_density),
         ),
     ]
+    tables = [
+        Table.of(("", "min", "median", "mean", "max"), spread),
+        Table.of(("noise density, per sqrt(Hz)", "at rest", "calibration"), sensors),
+    ]
     return Report(
         command="info",
         input=about_sequence(path, format, sequence),
-        sections=[
-            Section(facts=rows),
-            Section(tables=[Table.of(("", "min", "median", "mean", "max"), spread)]),
-            Section(
-                tables=[
-                    Table.of(("noise density, per sqrt(Hz)", "at rest", "calibration"), sensors)
-                ]
-            ),
-            looks_wrong([finding.sentence for finding in findings]),
-        ],
+        headline=headline,
+        warnings=wrong,
+        sections=[Section(facts=rows, tables=tables, is_detail=True)],
         data={
             "calibration": sequence.calibration,
             "statistics": statistics,

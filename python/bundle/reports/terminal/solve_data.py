@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Any
 
 from bundle.base.words import number, plural, seconds
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.summary import Summary
-from bundle.reports.sections import Column, Section, records
+from bundle.reports.sections import Column, records
 from bundle.solving.result import Result
 
-__all__ = ["ERRORS", "ROUNDS", "factor_fact", "looks_wrong", "result_data", "solve_options"]
+__all__ = ["ERRORS", "ROUNDS", "factor_fact", "result_data", "solve_options"]
 
 
 _full = "{:.9e}".format
@@ -70,9 +69,3 @@ def factor_fact(summary: Summary) -> list[tuple[str, str]]:
         f"{seconds(summary.symbolic_time_in_seconds or 0.0)} s"
     )
     return [("factor", words)]
-
-
-def looks_wrong(sentences: Sequence[str]) -> Section:
-    """Return the section of suspicious properties of an input."""
-    facts = [("looks wrong", "" if sentences else "nothing found")]
-    return Section(facts=facts, notes=sentences, is_warning=True)

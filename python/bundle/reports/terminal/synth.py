@@ -44,7 +44,12 @@ def synthesized(
     things = ("image", "camera", "point", "observation", "outlier")
     contents = ", ".join(plural(counts[f"num_{thing}s"], thing) for thing in things)
     where = f"{shown(truth['path'])} ({format_name(truth['format'])})"
-    facts = [written(output), ("ground truth", where), ("", contents)]
+    start, goal = tally.errors["start"], tally.errors["ground_truth"]
+    headline = [
+        f"Wrote {written(output)[1]}: {contents}.",
+        f"The ground truth is {where}. RMSE {pixels(start.rmse)} px at the start, "
+        f"{pixels(goal.rmse)} px at the truth.",
+    ]
     sizes = {"track_length": tally.track_length(), "observations_per_image": tally.image_size()}
     names = [("track length", "track_length"), ("observations per image", "observations_per_image")]
     spread = [(label, sizes[name]) for label, name in names]
@@ -54,9 +59,10 @@ def synthesized(
     ]
     return Report(
         command="synth",
+        headline=headline,
         sections=[
             Section(
-                facts=facts,
+                is_detail=True,
                 tables=[
                     Table([Column("", 0), *map(_spread, ("min", "median", "mean", "max"))], spread),
                     Table([Column("error in pixels", 0), *map(_error, ERRORS)], errors),
@@ -88,14 +94,13 @@ def _error(key: str) -> Column:
 def made_flight(path: str, sequence: Sequence, options: FlightOptions) -> Report:
     """Return the report on a flight."""
     counts = about_sequence(path, "sequence", sequence)
-    facts = [
-        ("output", f"{shown(path)} (visual-inertial sequence)"),
-        ("", contents_of_sequence(sequence)),
-        ("ground truth", "ground_truth.csv in it, at the stamps of the images"),
-    ]
+    wrote = f"Wrote {shown(path)} (visual-inertial sequence)"
     return Report(
         command="synth",
-        sections=[Section(facts=facts)],
+        headline=[
+            f"{wrote}: {contents_of_sequence(sequence)}.",
+            "Its ground_truth.csv has the true poses at the stamps of the images.",
+        ],
         data={
             "options": options.asdict(),
             "output": {"path": path, "format": "sequence"},

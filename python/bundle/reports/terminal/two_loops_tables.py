@@ -27,9 +27,19 @@ def with_loops(
     """
     return replace(
         report,
+        headline=[*report.headline, _published(result, error)],
         sections=[*report.sections, _section(result, error)],
         data={**report.data, "two_loops": _data(result, error, written)},
     )
+
+
+def _published(result: TwoLoopsResult, error: TrajectoryError | None) -> str:
+    """Return the published poses and their error in a sentence."""
+    found = result.statistics
+    late = "" if found.lateness is None else f", {found.num_late:,} late by more than 5 ms"
+    accuracy = "" if error is None else f"; error {number(error.ate)} m rms (ATE)"
+    closures = plural(found.num_closures, "closure")
+    return f"Published {found.num_poses:,} poses with {closures}{late}{accuracy}."
 
 
 def _section(result: TwoLoopsResult, error: TrajectoryError | None) -> Section:
@@ -65,7 +75,7 @@ def _section(result: TwoLoopsResult, error: TrajectoryError | None) -> Section:
     ]
     if error is not None:
         rows.append(("corrected", f"{number(error.ate)} m rms (ATE) of the published poses"))
-    return Section(facts=rows)
+    return Section(facts=rows, is_detail=True)
 
 
 def _data(

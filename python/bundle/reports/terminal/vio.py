@@ -43,17 +43,15 @@ def odometry_report(
         findings: suspicious properties of the sequence; they precede the alarms.
     """
     said = _warnings(result, findings)
-    ends = [f"No trajectory was written: {result.message}."] * (not result.is_usable)
-    ends += ["Interrupted: the trajectory ends early."] * result.interrupted
-    notes = [*ends, *said]
     return Report(
         command="vio",
         input={**about_sequence(source, format, sequence), "duration": sequence.duration},
-        headline=[result.message],
+        headline=_headline(result, error),
+        warnings=said,
         sections=[
-            Section(facts=_facts(source, result, error, written)),
-            Section(tables=[_times(result)]),
-            *([Section(notes=notes)] if notes else []),
+            *([] if written is None else [Section(facts=[("output", f"{shown(written)} (TUM)")])]),
+            Section(facts=_facts(source, result, error), is_detail=True),
+            Section(tables=[_times(result)], is_detail=True),
         ],
         data={
             "options": result.options.asdict(),
@@ -75,8 +73,29 @@ def odometry_report(
     )
 
 
+def _headline(result: OdometryResult, error: TrajectoryError | None) -> list[str]:
+    """Return the outcome with images and speed, and the error against the truth."""
+    if not result.is_usable:
+        return [f"No trajectory was written: {result.message}."]
+    end = "Interrupted: the trajectory ends early; " if result.interrupted else ""
+    stamps = result.trajectory.timestamps_ns
+    motion = 1e-9 * float(stamps[-1] - stamps[0])
+    speed = f"{number(motion / max(result.solve_time, 1e-9))} times faster than real time"
+    images = plural(result.num_images, "image", grouped=True)
+    said = [
+        f"{end}{images} over {number(motion)} s solved in {number(result.solve_time)} s ({speed}), "
+        f"{plural(len(result.keyframes), 'keyframe')}."
+    ]
+    if error is not None:
+        said.append(
+            f"Position error {number(error.ate)} m rms (ATE) along {number(error.path_length)} m, "
+            f"rotation {number(error.rotation_rms)} degrees, scale {error.scale:.4f}."
+        )
+    return said
+
+
 def _facts(
-    source: str, result: OdometryResult, error: TrajectoryError | None, written: str | None
+    source: str, result: OdometryResult, error: TrajectoryError | None
 ) -> list[tuple[str, str]]:
     stamps = result.trajectory.timestamps_ns
     seconds = 1e-9 * float(stamps[-1] - stamps[0])
@@ -109,8 +128,6 @@ def _facts(
             ("scale", f"{error.scale:.5f}"),
             ("rotation", f"{number(error.rotation_rms)} degrees rms"),
         ]
-    if written is not None:
-        rows.append(("output", f"{shown(written)} (TUM)"))
     return rows
 
 

@@ -1,0 +1,91 @@
+"""Headline of a refined pose graph: chi2 before and after, rejected closures, movement.
+
+"Before" is the graph as given. If the solve began at other poses, which it composed from the edges,
+a sentence has their chi2. chi2 per degree of freedom is about 1 if the information matrices of the
+edges state their errors.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bundle.base.words import number, plural, rounded
+from bundle.errors import InputError
+from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.graphs.pose_graphs.solve_pose_graph import pose_graph_chi2
+from bundle.interface.termination import short_outcome
+from bundle.model.pose_graph_arrays import PoseGraph
+
+__all__ = ["degrees_of_freedom", "graph_headline"]
+
+
+def degrees_of_freedom(graph: PoseGraph) -> int:
+    """Return the number of measurements in addition to those that determine the poses."""
+    return graph.tangent_size * (graph.num_edges - graph.num_poses + graph.num_components)
+
+
+def graph_headline(solved: PoseGraphResult) -> list[str]:
+    """Return the sentences of a result."""
+    summary, graph = solved.summary, solved.initial_problem
+    if not summary.is_solution_usable and not summary.interrupted:
+        return [solved.outcome, "There is no usable solution."]
+    done = short_outcome(summary, plural(len(solved.iterations["iteration"]) - 1, "step"))
+    given, start = _given_chi2(solved), summary.chi2_initial
+    before = start if given is None else given
+    edges = plural(graph.num_edges, "edge", grouped=True)
+    chi2 = f"chi2 {number(before)} -> {number(summary.chi2_final)}"
+    return [
+        f"{done}: {chi2} on all {edges}{_per_degree(solved)}.",
+        *_start(summary.init, given, start),
+        *_rejected(solved),
+        *_movement(solved),
+    ]
+
+
+def _given_chi2(solved: PoseGraphResult) -> float | None:
+    """Return chi2 of the given poses; None if the solve began there, or if there are none."""
+    graph, options = solved.initial_problem, solved.options
+    if solved.summary.init == "file" or not graph.has_poses or options.information != "file":
+        return None
+    try:
+        return float(pose_graph_chi2(graph, options.error).sum())
+    except InputError:  # information matrices without a chi2
+        return None
+
+
+def _per_degree(solved: PoseGraphResult) -> str:
+    degrees = degrees_of_freedom(solved.initial_problem)
+    if degrees <= 0 or solved.options.loss != "trivial" or solved.left_out:
+        return ""
+    return f", {number(solved.summary.chi2_final / degrees)} per degree of freedom"
+
+
+def _start(init: str, given: float | None, start: float) -> list[str]:
+    if init == "file":
+        return []
+    name = init.replace("_", " ")
+    other = "the file has no poses" if given is None else f"chi2 {number(given)} -> {number(start)}"
+    return [f"The solve began at poses composed from the edges ({name}): {other}."]
+
+
+def _rejected(solved: PoseGraphResult) -> list[str]:
+    rejected, left_out = len(solved.rejected), len(solved.left_out)
+    if not rejected and not left_out:
+        return []
+    edges = plural(solved.initial_problem.num_edges, "edge", grouped=True)
+    said = [f"the loss rejects {rejected:,}"] * bool(rejected)
+    said += [f"the test of consistency leaves out {left_out:,}"] * bool(left_out)
+    return [f"Of {edges}, {' and '.join(said)}; chi2 includes them."]
+
+
+def _movement(solved: PoseGraphResult) -> list[str]:
+    graph, last = solved.initial_problem, solved.problem
+    if not graph.has_poses:
+        return []
+    first = slice(0, 2) if graph.dimension == 2 else slice(4, 7)
+    moved = np.linalg.norm(last.poses[:, first] - graph.poses[:, first], axis=1)
+    center = np.median(last.poses[:, first], axis=0)
+    extent = 2 * float(np.median(np.linalg.norm(last.poses[:, first] - center, axis=1)))
+    middle, most = float(np.median(moved)), rounded(float(moved.max()))
+    share = f"; {rounded(100 * middle / extent)} % of the graph" if extent > 0 else ""
+    return [f"Poses moved by {rounded(middle)} (median{share}), at most {most}."]
