@@ -109,7 +109,9 @@ def test_another_spelling_of_a_name_is_answered_with_that_alone(spelling):
 def test_no_noise_of_what_is_not_there_is_no_mistake():
     options = bundle.SceneOptions(camera_model="PINHOLE", distortion_noise=0.0)
     assert options.distortion_noise == 0
-    with pytest.raises(bundle.InputError, match=r"^distortion_noise: expected with camera_model="):
+    with pytest.raises(
+        bundle.InputError, match=r"^distortion_noise: valid only with camera_model="
+    ):
         bundle.SceneOptions(camera_model="PINHOLE", distortion_noise=0.1)
 
 
@@ -177,7 +179,7 @@ def test_reprojection_errors_are_those_of_the_formulas(problem):
 
 def test_a_loss_scale_without_a_loss_is_refused(problem):
     with pytest.raises(
-        bundle.InputError, match=r"^loss_scale: expected with loss=huber, .*trivial$"
+        bundle.InputError, match=r"^loss_scale: valid only with loss=huber, .*trivial$"
     ):
         bundle.solve(problem, loss_scale=2.0)
     assert bundle.SolveOptions(loss_scale=1.0).loss == "trivial"

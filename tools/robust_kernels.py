@@ -48,7 +48,7 @@ Adjustment - A Modern Synthesis*, section 4.3. For a Cauchy kernel of scale 1 an
 
 Beyond ‖r‖ = {cauchy:.3f}, where the kernel turns over, the block is not positive: the quadratic
 model has no minimum, and no corrected Jacobian has this block as its square. Triggs' correction
-exists in the rows that show one. Towards the turning point its Jacobian vanishes and its residual
+exists in the rows with a number. Towards the turning point its Jacobian vanishes and its residual
 grows without bound.
 
 Ceres omits the second-order term wherever rho'' <= 0, which holds everywhere for every loss of the

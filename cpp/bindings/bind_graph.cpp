@@ -83,13 +83,13 @@ py::tuple GraphJacobian(const py::list& variables, const py::list& factors) {
   bundle::LinearizedGraph linear = Linearize(graph, 1);
   const auto rows = static_cast<py::ssize_t>(linear.residual.size());
   const auto columns = static_cast<py::ssize_t>(linear.block_begin.back());
-  // J, its columns split and scaled, and what the factorisation works on.
+  // J, its columns split and scaled, and the workspace of the factorisation.
   const double bytes = 8.0 * 4 * static_cast<double>(rows) * static_cast<double>(columns);
   const double available = bundle::AvailableMemoryFor(bytes);
   if (!bundle::FitsIntoMemory(bytes, available)) {
     throw bundle::InputError("keys: a dense Jacobian of " + std::to_string(rows) + " rows and " +
                              std::to_string(columns) + " columns needs " +
-                             bundle::ShortNumber(bytes / 1e9) + " GB, of which this machine has " +
+                             bundle::ShortNumber(bytes / 1e9) + " GB; this machine has " +
                              bundle::ShortNumber(available / 1e9) +
                              " free; eliminate fewer variables at a time");
   }
@@ -118,8 +118,8 @@ void RefuseTooManyColumns(const std::vector<int>& kept, const std::vector<bundle
   if (bundle::FitsIntoMemory(bytes, available)) return;
   throw bundle::InputError("keys: the information of " + bundle::ShortNumber(num_kept) +
                            " coordinates needs " + bundle::ShortNumber(bytes / 1e9) +
-                           " GB, of which this machine has " +
-                           bundle::ShortNumber(available / 1e9) + " free; ask for fewer variables");
+                           " GB; this machine has " + bundle::ShortNumber(available / 1e9) +
+                           " free; ask for fewer variables");
 }
 
 py::tuple MarginalInformation(const py::list& variables, const py::list& factors,

@@ -16,23 +16,24 @@
 
 namespace py = pybind11;
 
-// One line where mpirun ends all processes: after Ctrl-C, or because one of them was lost.
+// Prints one line when mpirun ends all processes: after Ctrl-C, or because a process was lost.
 //
 // mpirun (Open MPI 5) then sends SIGCONT to the others, SIGTERM a quarter of a second later, and
-// SIGKILL at once after it. The main thread may be in a sum that never ends, with or without
-// Python's lock, so a thread without Python waits for these signals, which are blocked elsewhere.
-// At SIGCONT, which may mean nothing (`fg`), it looks which processes are gone; at SIGTERM there is
-// no time for anything but a line.
+// SIGKILL at once after it. The main thread may be in a sum that never ends, with or without the
+// GIL. So a thread without Python waits for these signals, which all other threads block. At
+// SIGCONT, which can have other causes (`fg`), it finds the lost processes. At SIGTERM there is
+// only time to print a line.
 //
-// All processes get the error. The process that creates the mark prints it; the mark is a file in
-// the folder that mpirun makes for its processes on one machine, and removes. mpirun does not
-// forward output at this point: the line goes to the standard error of mpirun itself, the parent.
+// An error may reach all processes. The process that creates the mark prints the line. The mark is
+// a file in the folder that mpirun creates for its processes on one machine and removes later.
+// mpirun does not forward output at this point, so the line goes to the standard error of mpirun,
+// the parent process.
 
 namespace {
 
 constexpr int kExitEnded = 128 + SIGTERM;
 
-/// Processes on this machine, set once, after they know each other; never freed.
+/// Processes on this machine by rank, set once and never freed.
 std::atomic<const std::map<int, int>*> known_processes{nullptr};
 
 bool TakeTheWord(const std::string& mark) {
@@ -42,7 +43,7 @@ bool TakeTheWord(const std::string& mark) {
   return file >= 0;
 }
 
-/// A descriptor of the standard error of the parent, or else of this process.
+/// Returns a descriptor of the standard error of the parent or, if that fails, of this process.
 int StandardErrorOfParent() {
   const pid_t parent = getppid();
 #if defined(SYS_pidfd_open) && defined(SYS_pidfd_getfd)
@@ -53,8 +54,8 @@ int StandardErrorOfParent() {
     if (found >= 0) return static_cast<int>(found);
   }
 #endif
-  // Not with the right to trace only one's children. A file that is opened again would be written
-  // from its beginning.
+  // This fails if a process may only trace its children. Opening a file again would write from its
+  // beginning.
   const std::string path = "/proc/" + std::to_string(parent) + "/fd/2";
   struct stat kind{};
   if (stat(path.c_str(), &kind) == 0 && !S_ISREG(kind.st_mode)) {

@@ -39,7 +39,7 @@ void ExpectLength(const char* name, const Array& array, int64_t length) {
 bundle::BlockPatternView ViewPattern(const Ints& sizes, const Int64s& column_begin,
                                      const Ints& rows) {
   if (sizes.ndim() != 1 || sizes.size() >= std::numeric_limits<int>::max()) {
-    throw bundle::InputError("sizes: expected one entry a block and less than 2^31, found " +
+    throw bundle::InputError("sizes: expected one entry per block and less than 2^31, found " +
                              std::to_string(sizes.ndim()) + " dimensions and " +
                              std::to_string(sizes.size()) + " entries");
   }

@@ -60,7 +60,7 @@ class WindowArrays {
     const double* const data = array.data();
     for (py::ssize_t k = 0; k < array.size(); ++k) {
       if (std::isfinite(data[k])) continue;
-      throw InputError(std::string(name) + ": expected finite numbers, found one that is not at " +
+      throw InputError(std::string(name) + ": expected finite numbers, found infinity or nan at " +
                        std::to_string(k / columns));
     }
     if (rows != nullptr) *rows = static_cast<int>(array.size() / columns);
@@ -141,7 +141,7 @@ class WindowArrays {
     std::copy_n(gravity.data(), 3, view_.gravity.begin());
     const auto imu = py::cast<py::sequence>(window["imu"]);
     if (static_cast<int>(imu.size()) != std::max(view_.num_states - 1, 0)) {
-      throw InputError("imu: expected one between each two states");
+      throw InputError("imu: expected one motion between each two states");
     }
     for (const py::handle& samples : imu) {
       kept_.push_back(py::reinterpret_borrow<py::object>(samples));
@@ -173,7 +173,7 @@ class WindowArrays {
         prior.matrix.size() != columns * prior.num_rows ||
         (!prior.is_square_root && columns != prior.vector.size())) {
       throw InputError("prior: expected " + std::to_string(columns) +
-                       " columns and a point a block");
+                       " columns, and one point per block");
     }
     return prior;
   }

@@ -23,8 +23,9 @@ inline void CheckSignals() {
   if (PyErr_CheckSignals() != 0) throw pybind11::error_already_set();
 }
 
-/// Callback of readers and writers of text, between blocks. Handles Ctrl-C, and passes about the
-/// number of bytes so far to `progress`, unless it is None. Keeps a reference to `progress`.
+/// Callback of readers and writers of text, between blocks. Handles Ctrl-C, and passes the
+/// approximate number of bytes so far to `progress`, unless it is None. Keeps a reference to
+/// `progress`.
 class BlockWatch {
  public:
   BlockWatch(const pybind11::object& progress, int64_t bytes_per_block)
@@ -57,8 +58,8 @@ inline std::filesystem::path PathFromPython(const pybind11::object& given) {
                                       const std::filesystem::path& path) {
   const pybind11::str name(pybind11::cast(path));
   errno = error.code().value();
-  // A string, because OSError prints the representation, and that of a pathlib.Path is not for
-  // users.
+  // The path as a string: OSError prints the representation, which is not readable for a
+  // pathlib.Path.
   PyErr_SetFromErrnoWithFilenameObject(PyExc_OSError, name.ptr());
   throw pybind11::error_already_set();
 }

@@ -6,8 +6,8 @@
 
 /// Reads the output of python/bundle/graphs/factors/factor_graph.py:
 ///
-/// - a variable: (name, manifold, value, held, lower, upper), the last three empty for none;
-/// - a factor: (kind, name, places of its variables, loss, scale, what the kind takes).
+/// - a variable: (name, manifold, value, held, lower, upper), of which the last three may be empty;
+/// - a factor: (kind, name, indices of its variables, loss, scale, arguments of the kind).
 ///
 /// Throws InputError if a factor refuses its arguments. Requires the GIL, also when the graph is
 /// destroyed.

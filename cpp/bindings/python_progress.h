@@ -10,9 +10,9 @@
 #include "core/interface/summary.h"
 #include "core/parallel/thread_pool.h"
 
-/// Reports each iteration to Python and checks for Ctrl-C. KeyboardInterrupt stops the solve,
-/// raised by a signal or by the callback. Any other exception of the callback or of a signal
-/// handler also stops it and is stored. The first exception is raised at the end.
+/// Reports each iteration to Python and checks for Ctrl-C. A KeyboardInterrupt stops the solve; a
+/// signal or the callback may raise it. Any other exception of the callback or of a signal handler
+/// also stops it and is stored. The first exception is raised at the end.
 class PythonProgress {
  public:
   explicit PythonProgress(pybind11::object callback);

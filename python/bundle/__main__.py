@@ -1,4 +1,4 @@
-"""`bundle` and `python -m bundle`: whatever takes time is imported under a guard."""
+"""`bundle` and `python -m bundle`. Slow imports happen after the memory check and in ``run``."""
 
 import sys
 

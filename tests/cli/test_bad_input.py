@@ -107,7 +107,7 @@ def test_folder_that_is_no_model(run, tmp_path):
         ),
         (
             ["refine", "IN", "-o", "OUT", "--backend", "fused", "--refine", "poses"],
-            ["--refine:", "fused backend", "found none that"],
+            ["--refine:", "fused backend", "found constant points"],
         ),
         (["refine", "IN", "-o", "OUT", "--threads", "two"], ["--threads", "two"]),
         (["refine", "IN", "-o", "OUT", "--threads", "-1"], ["--threads", "-1"]),

@@ -77,7 +77,7 @@ def test_rules_of_a_file_and_of_the_command_line(run, model, backend):
         (["--set", "camera 1: f fixed", "--set", "camera 1: q fixed"], "--set 2: camera 1"),
         (["--set", "camera 1: f in [1, 2]"], "--set: f of camera 1"),
         (["--set", 'image "none*": rotation fixed'], "--set: expected"),
-        (["--set", "camera 1: cx prior sigma 1"], "--set: expected a prior on what is refined"),
+        (["--set", "camera 1: cx prior sigma 1"], "--set: expected a prior on a refined parameter"),
         (["--set", "camera 1: f prior 2 %", "--fix-cameras", "1"], "--set: expected a prior"),
         (["--set", ""], "--set: expected TARGET"),
         (["--constraints", "nowhere.txt"], "nowhere.txt"),

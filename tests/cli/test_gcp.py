@@ -181,13 +181,13 @@ def test_what_is_odd_is_noted(run, made):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--gcp-sigma", "1"], ["--gcp-sigma", "--gcp only"]),
-        (["--gcp-pixel-sigma", "1"], ["--gcp-pixel-sigma", "--gcp only"]),
-        (["--check-points", "t1"], ["--check-points", "--gcp only"]),
+        (["--gcp-sigma", "1"], ["--gcp-sigma", "only with --gcp"]),
+        (["--gcp-pixel-sigma", "1"], ["--gcp-pixel-sigma", "only with --gcp"]),
+        (["--check-points", "t1"], ["--check-points", "only with --gcp"]),
         (["--gcp", "GCPS", "--gcp-sigma", "a"], ["--gcp-sigma", "metres"]),
         (["--gcp", "GCPS", "--gcp-pixel-sigma", "0"], ["--gcp-pixel-sigma"]),
-        (["--gcp", "GCPS", "--gps-sigma", "2"], ["--gps-sigma", "--gps only"]),
-        (["--gcp", "GCPS", "--images", "."], ["--images", "--gps only"]),
+        (["--gcp", "GCPS", "--gps-sigma", "2"], ["--gps-sigma", "only with --gps"]),
+        (["--gcp", "GCPS", "--images", "."], ["--images", "only with --gps"]),
         (["--gcp", "GCPS", "--check-points", "t99"], ["--check-points", "t99"]),
         (["--gcp", "GCPS", "--check-points", "t0,t1,t2,t3"], ["--gcp", "at least 3", "found 2"]),
         (["--gcp", "GCPS", "--prior-loss-scale", "2"], ["--prior-loss-scale", "trivial"]),

@@ -189,12 +189,12 @@ def test_a_second_run_replaces_the_first(run, model):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--gps-sigma", "2"], ["--gps-sigma", "--gps only"]),
-        (["--antenna", "0,0,0"], ["--antenna", "--gps only"]),
-        (["--images", "."], ["--images", "--gps only"]),
-        (["--prior-loss", "huber"], ["--prior-loss:", "--gps only"]),
+        (["--gps-sigma", "2"], ["--gps-sigma", "only with --gps"]),
+        (["--antenna", "0,0,0"], ["--antenna", "only with --gps"]),
+        (["--images", "."], ["--images", "only with --gps"]),
+        (["--prior-loss", "huber"], ["--prior-loss:", "only with --gcp or --gps"]),
         (["--gps", "exif"], ["--gps", "--images DIR"]),
-        (["--gps", "GEO", "--images", "."], ["--images", "exif only"]),
+        (["--gps", "GEO", "--images", "."], ["--images", "only with --gps exif"]),
         (["--gps", "GEO", "--prior-loss-scale", "2"], ["--prior-loss-scale", "trivial"]),
         (["--gps", "GEO", "--prior-loss", "robust"], ["--prior-loss", "robust"]),
         (["--gps", "GEO", "--prior-loss", "huber", "--prior-loss-scale", "0"], ["-scale:"]),

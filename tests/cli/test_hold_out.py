@@ -48,7 +48,7 @@ def test_without_the_flag_there_is_no_record(run, folder, tmp_path):
     [
         (("--hold-out", "70"), "--hold-out: expected at most 50, found 70"),
         (("--hold-out", "ten"), "--hold-out"),
-        (("--hold-out-seed", "3"), "--hold-out-seed: expected with --hold-out only"),
+        (("--hold-out-seed", "3"), "--hold-out-seed: valid only with --hold-out"),
         (("--hold-out", "0.01"), "--hold-out: expected a share of one observation or more"),
     ],
 )

@@ -80,7 +80,7 @@ def test_no_path_is_replaced(here, command, written, other):
         (str(here / "file"), "./in/../file"), ("not yet", "./not yet"),
         ("not yet", str(here / "not yet")),
     ):  # fmt: skip
-        with pytest.raises(InputError, match="would replace what"):
+        with pytest.raises(InputError, match="would replace the file of"):
             parse(command, {written: one, other: two})
     parse(command, {written: "page.v1", other: "page.v2"})
 

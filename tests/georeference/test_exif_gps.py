@@ -127,7 +127,7 @@ def test_images_beyond_pillows_limit(tmp_path, monkeypatch):
 
 
 def test_no_folder_and_no_images(tmp_path):
-    with pytest.raises(InputError, match="expected the folder of the images, which does not exist"):
+    with pytest.raises(InputError, match="expected the folder of the images; it does not exist"):
         read_exif_gps(tmp_path / "nowhere", ["a.jpg"])
     with pytest.raises(InputError, match=r"expected the images .* such as 'a.jpg', found 0"):
         read_exif_gps(tmp_path, ["a.jpg", "b.jpg"])

@@ -164,14 +164,17 @@ def test_positions_on_a_line():
 @pytest.mark.parametrize(
     ("made", "words"),
     [
-        ([PositionPrior(99, [0, 0, 0], 1)], r"priors: \[0\]: image: expected one image 99"),
+        ([PositionPrior(99, [0, 0, 0], 1)], r"priors: \[0\]: image: expected exactly one image 99"),
         ([PositionPrior("no.jpg", [0, 0, 0], 1)], "image 'no.jpg' in the problem, found 0"),
         ([PositionPrior("image1.jpeg", [0, 0, 0], 1)], "did you mean image1.jpg"),
         ([PositionPrior("same.jpg", [0, 0, 0], 1)], "found several"),
-        (priors(np.zeros((2, 3))) + priors(np.zeros((1, 3))), r"\[2\].* another one of 1 .*\[0\]"),
+        (
+            priors(np.zeros((2, 3))) + priors(np.zeros((1, 3))),
+            r"\[2\].* another prior of 1 .*\[0\]",
+        ),
         (
             [PositionPrior(2, [0, 0, 0], 1), PositionPrior("image1.jpg", [0, 0, 0], 1)],
-            "expected one prior for each image",
+            "expected one prior per image",
         ),
         ([1, 2], r"expected PositionPriors, found 1 at \[0\]"),
         (PositionPrior(1, [0, 0, 0], 1), "expected a list of PositionPriors"),

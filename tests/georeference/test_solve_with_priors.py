@@ -256,5 +256,5 @@ def test_a_part_stays_in_its_place():
     assert result.similarity is None
     moved = np.linalg.norm(result.problem.projection_centers - goal.projection_centers, axis=1)
     assert (moved > 0.5).tolist() == [False, True, True] + [False] * 5
-    with pytest.raises(InputError, match="align: expected without only_images"):
+    with pytest.raises(InputError, match="align: not valid with only_images"):
         bundle.solve_rounds(goal, priors=made, align=True, **settings)

@@ -71,13 +71,13 @@ def given(kind, *words, **how):
 @pytest.mark.parametrize(
     ("kind", "words", "message"),
     [
-        (RoundOptions, ("--max-error", "3"), "--max-error: expected with --rounds only"),
-        (RoundOptions, ("--rounds", "0", "--min-track", "3"), "--min-track: expected with"),
-        (LoopOptions, ("--loop-loss", "huber"), "--loop-loss: expected with --loops only"),
-        (LocalOptions, ("--rest", "fixed"), "--rest: expected with --only-images only"),
-        (CheckpointOptions, ("--checkpoint-interval", "20"), "with --checkpoint or --resume only"),
-        (GeoreferenceOptions, ("--prior-loss", "huber"), "with --gcp or --gps only"),
-        (GeoreferenceOptions, ("--gcp-sigma", "1", "--antenna", "x"), "--antenna: expected with"),
+        (RoundOptions, ("--max-error", "3"), "--max-error: valid only with --rounds"),
+        (RoundOptions, ("--rounds", "0", "--min-track", "3"), "--min-track: valid only with"),
+        (LoopOptions, ("--loop-loss", "huber"), "--loop-loss: valid only with --loops"),
+        (LocalOptions, ("--rest", "fixed"), "--rest: valid only with --only-images"),
+        (CheckpointOptions, ("--checkpoint-interval", "20"), "only with --checkpoint or --resume"),
+        (GeoreferenceOptions, ("--prior-loss", "huber"), "only with --gcp or --gps"),
+        (GeoreferenceOptions, ("--gcp-sigma", "1", "--antenna", "x"), "--antenna: valid only with"),
     ],
 )
 def test_an_option_without_the_one_it_needs_is_refused(kind, words, message):

@@ -158,8 +158,8 @@ def test_files_that_are_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "folder").mkdir()
     for name, message in {
-        "folder": "folder: expected a file or nothing, found a folder",
-        "pipe": "pipe: expected a file or nothing, found a device or pipe",
+        "folder": "folder: expected a file or a new path, found a folder",
+        "pipe": "pipe: expected a file or a new path, found a device or pipe",
         "missing/out.txt": "expected a folder .*/missing to write into; it is missing",
         "pipe/out.txt": "expected a folder .*/pipe to write into; it is missing",
     }.items():
@@ -167,16 +167,16 @@ def test_files_that_are_refused(tmp_path: Path) -> None:
             atomic.check_file(tmp_path / name)
         with pytest.raises(bundle.InputError, match=message), atomic.replace_file(tmp_path / name):
             pytest.fail("nothing may be written")
-    with pytest.raises(bundle.InputError, match="/dev/null: expected a file or nothing"):
+    with pytest.raises(bundle.InputError, match="/dev/null: expected a file or a new path"):
         atomic.check_file(Path("/dev/null"))
 
 
 def test_folders_that_are_refused(tmp_path: Path) -> None:
     write_tree(tmp_path, {"file": "", "thesis/chapter1.tex": "", "half/cameras.bin": ""})
     for name, message in {
-        "file": "file: expected a COLMAP model folder or nothing, found a file",
-        "thesis": r"expected a COLMAP model, an empty folder or nothing, .*\(chapter1.tex\)",
-        "half": r"expected a COLMAP model, an empty folder or nothing, .*\(cameras.bin\)",
+        "file": "file: expected a COLMAP model folder or a new path, found a file",
+        "thesis": r"expected a COLMAP model, an empty folder or a new path, .*\(chapter1.tex\)",
+        "half": r"expected a COLMAP model, an empty folder or a new path, .*\(cameras.bin\)",
         "missing/model": "expected a folder .*/missing to write into; it is missing",
     }.items():
         with pytest.raises(bundle.InputError, match=message):

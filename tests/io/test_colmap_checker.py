@@ -73,7 +73,7 @@ CORRUPT_TEXT = [
     ("images", "20 20 -1", "20 20", "2: expected the point id of a keypoint, found the end"),
     ("images", "20 20 -1", "20", "2: expected the y of a keypoint, found the end of the line"),
     ("images", "20 20 -1", "20 20 5.5", "2: expected the point id of a keypoint .*, found '5.5'"),
-    ("images", "20 20 -1", "20 20 -2", "2: expected a point id, or -1 for none, found -2"),
+    ("images", "20 20 -1", "20 20 -2", "2: expected a point id, or -1 without a point, found -2"),
     ("images", "10 10 5", "nan 10 5", "2: expected the x of a keypoint .*, found 'nan'"),
     ("images", "10 10 5 20 20 -1", "# no", "2: expected the x of a keypoint .*, found '#'"),
     ("images", "20 20 -1", "20 20 7", "2: image 1, keypoint 1: expected a point .*found point 7"),

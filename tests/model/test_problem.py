@@ -254,9 +254,9 @@ def changed(name, index, value):
             "observation 7: expected a point index below 40, found 40",
         ),
         (changed("image_camera", 0, 9), "image 1: expected a camera index below 5, found 9"),
-        (changed("image_ids", 0, 3), "image 3: expected every id once, found twice"),
-        (changed("point_ids", 9, 1), "point 1: expected every id once, found twice"),
-        (changed("camera_ids", 1, 5), "camera 5: expected every id once, found twice"),
+        (changed("image_ids", 0, 3), "image 3: expected unique ids, found this id twice"),
+        (changed("point_ids", 9, 1), "point 1: expected unique ids, found this id twice"),
+        (changed("camera_ids", 1, 5), "camera 5: expected unique ids, found this id twice"),
     ],
 )
 def test_bad_values_are_named(change, message):

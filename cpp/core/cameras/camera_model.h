@@ -15,13 +15,13 @@
 /// where d_point (2x3) and d_params (2 x number of parameters), both row-major, are filled with the
 /// derivatives of xy unless they are nullptr. xy is the same to the last bit with and without
 /// derivatives. Where a value has no derivative (a fold, a pole) the part without a limit counts as
-/// zero. A model whose image is not a plane, so that two pixels far apart can be one direction,
-/// also offers
+/// zero. If the image of a model is not a plane, two distant pixels can have the same direction.
+/// Such a model also offers
 ///
 ///   static void Difference(const double* params, const double* xy, const double* measurement,
 ///                          double* residual);
 ///
-/// where the residual is xy - measurement but for a piecewise constant. `registry.h` lists the
+/// whose residual is xy - measurement plus a piecewise constant function. `registry.h` lists the
 /// models; nothing else names them.
 
 #include <type_traits>
@@ -50,7 +50,7 @@ struct CameraParam {
   Kind kind;
 };
 
-/// The angle from the optical axis up to which a formula has no break.
+/// The angle from the optical axis up to which a formula has no discontinuity.
 enum class CameraReach {
   kFront,   ///< to less than 90 degrees: nothing is kBeyond
   kBeyond,  ///< farther, to where it breaks: elsewhere points are kBehind
@@ -104,9 +104,9 @@ void ModelDifference(const double* params, const double* xy, const double* measu
 ///                       double* d_k);
 ///
 /// which fills uv_d and, unless they are nullptr, its derivatives d_uv (2x2) and d_k (2 x
-/// kNumParams), row-major; false if it has no value. One that is a polynomial has a value
-/// everywhere, and Distort is a template of the number type, so that several observations can go
-/// through it at once. Parameters are, in COLMAP's order, one or two focal lengths, the principal
+/// kNumParams), row-major; false if it has no value. A polynomial distortion has a value
+/// everywhere. Its Distort is a template of the number type, so that it can process several
+/// observations at once. Parameters are, in COLMAP's order, one or two focal lengths, the principal
 /// point, then k. By the chain rule, with F = diag(fx, fy),
 ///
 ///   dxy/dP = F d(u_d, v_d)/d(u, v) d(u, v)/dP,    dxy/dk = F d(u_d, v_d)/dk,

@@ -18,8 +18,9 @@
 /// azimuth 0, as in COLMAP; the derivatives by X and Z do not exist and count as zero. Every
 /// direction is valid. Points with |P| of about 2^-52 or less have no value.
 ///
-/// Across the seam a residual is short, though pixels are far apart: `Difference` takes whole turns
-/// of w out of x, to [-w/2, w/2). Being piecewise constant they have no derivative.
+/// Across the seam a residual is short although the pixels are far apart: `Difference` shifts x by
+/// multiples of w to [-w/2, w/2). These shifts are piecewise constant and do not change
+/// derivatives.
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h, and
 /// src/colmap/estimators/cost_functions/reprojection_error.h for the seam.

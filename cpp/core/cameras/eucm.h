@@ -12,7 +12,8 @@
 ///   dm/d(X, Y, Z) = (b X, b Y, a Z + 1 - alpha),   dm/dalpha = R - Z,   dm/dbeta = a (X^2 + Y^2) /
 ///   2, d(X / m)/dX = (m - b X^2) / m^2,   d(X / m)/dq = -X / m^2 dm/dq for any other q.
 ///
-/// Two of these cancel, at the edge of the field and on the axis, and are written without:
+/// Two of these lose digits by cancellation, at the edge of the field of view and on the axis. They
+/// are computed without it:
 ///
 ///   m - b X^2 = b Y^2 + (a Z + 1 - alpha) Z,   R - Z = beta (X^2 + Y^2) / (R + Z)    (Z > 0).
 ///

@@ -62,8 +62,8 @@ struct ArctanRatio {
 ///
 ///   a J_u + g e X = c J_u - g e' Y,   a J_v + g e Y = c J_v + g e' X.
 ///
-/// Up to 45 degrees from the axis a and g come out of ArctanRatio, which is sound on the axis
-/// itself: with q = (r / Z)^2, a = A(q) / Z and g = 2 A'(q) / Z^3. Farther out nothing cancels.
+/// Up to 45 degrees from the axis, ArctanRatio gives a and g; it is accurate on the axis, too: with
+/// q = (r / Z)^2, a = A(q) / Z and g = 2 A'(q) / Z^3. Farther out nothing cancels.
 ///
 /// As in COLMAP, the camera sees points with Z >= 2^-52. The formula continues smoothly through 90
 /// degrees (kBeyond) and ends on the axis behind the camera, where the direction of the image point
@@ -104,7 +104,7 @@ struct Equidistant {
     v = scale * y_;
   }
 
-  /// One row of dxy/dP out of the same row of dxy/d(u, v).
+  /// Computes one row of dxy/dP from the same row of dxy/d(u, v).
   void ChainRow(double d_u, double d_v, double* d_point_row) const {
     const double across = slope_ * (d_u * y_ - d_v * x_);
     d_point_row[0] = along_ * d_u - across * y_;

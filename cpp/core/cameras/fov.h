@@ -11,21 +11,22 @@
 ///   1 - w^2 / 12 + w^2 s / 3                        for w^2 < 1e-4,
 ///   2 t / w - 8 t^3 s / (3 w)                       else for s < 1e-4.
 ///
-/// The second is the series of d in s and leaves out q^2 / 5, relative, with q = 4 t^2 s: 3e-9 at
-/// its border for w = 1, 3e-6 for w = 2.5. The first is the series in w of the inverse mapping;
-/// that of d has the other signs: d jumps by 2e-4 (s / 3 - 1 / 12) at |w| = 0.01. We keep both, as
-/// parameters mean the pixels that COLMAP makes of them, each with its derivatives; fov_lenses.h
-/// gets solves over it. With dt/dw = (1 + t^2) / 2 and A(q) = atan(sqrt(q)) / sqrt(q) of fisheye.h,
+/// The second is the series of d in s. Its relative error is q^2 / 5 with q = 4 t^2 s: 3e-9 at its
+/// limit for w = 1, 3e-6 for w = 2.5. The first is the series in w of the inverse mapping, whose
+/// terms have the opposite signs to those of d. So d jumps by 2e-4 (s / 3 - 1 / 12) at |w| = 0.01.
+/// We keep both series, with their derivatives, because parameters must give the same pixels as in
+/// COLMAP; fov_lenses.h moves solves across the jump. With dt/dw = (1 + t^2) / 2 and A(q) =
+/// atan(sqrt(q)) / sqrt(q) of fisheye.h,
 ///
 ///   d = (2 t / w) A(q),   dd/ds = (2 t / w) 4 t^2 A'(q),   dd/dw = ((1 + t^2) / (1 + q) - d) / w,
 ///
-/// which stays finite where t does not (w = pi); for the series
+/// which is finite also at w = pi, where t is infinite; for the series
 ///
 ///   dd/ds = w^2 / 3,           dd/dw = 2 w (s / 3 - 1 / 12),
 ///   dd/ds = -8 t^3 / (3 w),    dd/dw = ((1 + t^2) (1 - 4 t^2 s) - d) / w.
 ///
-/// du_d/du = d + 2 u^2 dd/ds cancels where atan is flat. With c = d + 2 s dd/ds, which is (2 t / w)
-/// / (1 + q), and for the series 1 - w^2 / 12 + w^2 s and (2 t / w) (1 - q),
+/// du_d/du = d + 2 u^2 dd/ds loses digits by cancellation for large s. With c = d + 2 s dd/ds,
+/// which is (2 t / w) / (1 + q), and for the series 1 - w^2 / 12 + w^2 s and (2 t / w) (1 - q),
 ///
 ///   du_d/du = c - 2 v^2 dd/ds,   du_d/dv = dv_d/du = 2 u v dd/ds,   dv_d/dv = c - 2 u^2 dd/ds.
 ///

@@ -110,7 +110,7 @@ struct Perspective {
     v = point[1] * inverse_z;
   }
 
-  /// One row of dxy/dP out of the same row of dxy/d(u, v).
+  /// Computes one row of dxy/dP from the same row of dxy/d(u, v).
   void ChainRow(double d_u, double d_v, double* d_point_row) const {
     d_point_row[0] = d_u * inverse_z;
     d_point_row[1] = d_v * inverse_z;

@@ -86,8 +86,8 @@ struct ThinPrismFisheye : Lens<Equidistant, ThinPrismDistortion, 2> {
 ///   M = (1 + dt_a/da + 2a (s0 + 2 s1 q),   dt_a/db + 2b (s0 + 2 s1 q))
 ///       (dt_b/da + 2a (s2 + 2 s3 q),   1 + dt_b/db + 2b (s2 + 2 s3 q)),
 ///
-/// whence d(u_d, v_d)/d(u, v) = M d(a, b)/d(u, v) and d(u_d, v_d)/dk = M d(a, b)/dk. The others act
-/// on the second step alone: p0 and p1 as in opencv.h, and
+/// whence d(u_d, v_d)/d(u, v) = M d(a, b)/d(u, v) and d(u_d, v_d)/dk = M d(a, b)/dk. All other
+/// parameters act only on the second step: p0 and p1 as in opencv.h, and
 ///
 ///   du_d/d(s0, s1) = dv_d/d(s2, s3) = (q, q^2).
 ///

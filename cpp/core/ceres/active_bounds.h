@@ -3,10 +3,10 @@
 /// Active bounds for Ceres: numbers of a state on a bound beyond which the cost decreases.
 ///
 /// Ceres projects a step onto the bounds after it has computed it. It then compares the decrease of
-/// the cost with that of a model in which such numbers have left their bounds. If they have most of
-/// the gradient, the ratio is near zero, every step is rejected, and the solve "converges" at its
-/// state (ceres-solver issue 187). Active numbers are explained in model/parameter_layout.h
-/// (StateBounds).
+/// the cost with the decrease of a model in which such numbers leave their bounds. If these numbers
+/// have most of the gradient, the ratio is near zero. Then every step is rejected, and the solve
+/// "converges" at its state (ceres-solver issue 187). Active numbers are explained in
+/// model/parameter_layout.h (StateBounds).
 ///
 /// Ceres asks for derivatives at each new state. Before that, the active numbers are determined
 /// from the gradient. The derivatives of all costs by the active numbers are then set to zero. So

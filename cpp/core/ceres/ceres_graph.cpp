@@ -28,7 +28,8 @@ void CheckSubset(int size, const std::vector<int>& constant) {
     throw InputError("manifolds: subset names an entry twice");
   }
   if (static_cast<int>(distinct.size()) >= size) {
-    throw InputError("manifolds: subset leaves nothing of " + Counted(size, "number"));
+    throw InputError("manifolds: subset expects at least one free entry, found 0 of " +
+                     Counted(size, "number"));
   }
   if (distinct.empty() || *distinct.begin() < 0 || *distinct.rbegin() >= size) {
     throw InputError("manifolds: subset expects entries from 0 to " + std::to_string(size - 1));

@@ -19,7 +19,8 @@
 
 namespace bundle {
 
-/// A Ceres manifold by name, for a block of `size` numbers; nullptr for "euclidean".
+/// Returns the Ceres manifold with this name for a block of `size` numbers; nullptr for
+/// "euclidean".
 ///
 /// "quaternion_wxyz", "quaternion_xyzw" (4), "se3" (7: qx qy qz qw tx ty tz, as COLMAP stores a
 /// pose), "sphere" (at least 2), "subset" with the entries that stay `constant`. Throws InputError

@@ -26,7 +26,7 @@ double FirstStep(double parameter) { return std::max(std::abs(parameter) / 16, k
 std::vector<double> RoundingNoise(const ceres::CostFunction& cost,
                                   const std::vector<const double*>& parameters,
                                   const KnownScales& known) {
-  // If a residual's last digit is coarse, only some of these changes have an effect.
+  // If the last digit of a residual is coarse, only some of these changes have an effect.
   constexpr int kTrials = 16;
   constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
   const int n = cost.num_residuals();
@@ -51,7 +51,8 @@ std::vector<double> RoundingNoise(const ceres::CostFunction& cost,
   }
   for (int i = 0; i < n; ++i) noise[i] += kEpsilon * std::abs(at_start[i]);
   if (!known.largest_steps.empty()) return noise;  // a short step may already be too long
-  // A parameter that is zero has no last place, but the number to which it is added has.
+  // A parameter that is zero has no last digit to change, but the number to which it is added has
+  // one.
   constexpr double kShortStep = 1e-9;
   std::vector<std::vector<double>> directions = moved;
   for (size_t b = 0; b < moved.size(); ++b) {

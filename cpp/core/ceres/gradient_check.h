@@ -5,7 +5,7 @@
 /// The first is ceres::GradientChecker, which users know. It differentiates along the tangent space
 /// of the manifolds, so that errors along their normals stay hidden. Its step is 1e-2 (or 1e-2 of
 /// the parameter), which it reduces at most a thousandfold. If one side is exactly zero, it
-/// compares absolutely. Its derivatives are returned; its verdict is only counted.
+/// compares absolutely. The check returns its derivatives and only counts its verdicts.
 ///
 /// The second reference is Richardson extrapolation (checking/richardson.h). It differentiates in
 /// the ambient space, parameter by parameter, and along the manifolds' Plus, without their

@@ -82,7 +82,7 @@ std::unique_ptr<ceres::LossFunction> MakeLoss(LossType type, double scale) {
     case LossType::kCauchy:
       return std::make_unique<ceres::CauchyLoss>(scale);
     case LossType::kArctan:
-      // This loss of Ceres compares s, not its root, with the scale.
+      // This loss of Ceres compares s, not its square root, with the scale.
       return std::make_unique<ceres::ArctanLoss>(scale * scale);
     case LossType::kTukey:
       return std::make_unique<ceres::TukeyLoss>(scale);

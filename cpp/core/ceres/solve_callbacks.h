@@ -118,7 +118,8 @@ class RecordHolding final : public ceres::IterationCallback {
 };
 
 /// Records the anchors of the state with which Ceres ends: the best state, or the start if the
-/// solve fails. Later states may follow the best one that are worse by rounding.
+/// solve fails. Ceres may evaluate later states that are worse than the best one by rounding
+/// errors.
 class RememberAnchors final : public ceres::IterationCallback {
  public:
   explicit RememberAnchors(const CameraStates& states)

@@ -34,7 +34,9 @@ LinearizedGraph LinearizeGraph(const FactorGraph& graph, int num_threads) {
       adapted.problem().Evaluate(options, &result.cost, &result.residual, nullptr, &jacobian);
   adapted.RethrowFactorException();
   if (adapted.abandoned()) throw Interrupted();
-  if (!done) throw InputError("factor graph: a factor has no value, or no finite one");
+  if (!done)
+    throw InputError(
+        "factor graph: expected finite residuals and Jacobians, found a factor without");
   result.block_begin.push_back(0);
   for (const Block& block : graph.blocks) {
     result.block_begin.push_back(result.block_begin.back() + block.retraction.tangent_size());

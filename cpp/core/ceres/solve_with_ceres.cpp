@@ -44,7 +44,7 @@ SolveOutput CeresSolve::Run(const ProgressCallback& progress) {
   BuildProblem();
   ThrowIfInterrupted();
   ceres::Solver::Options ceres_options = ChooseSolver();
-  // Ceres would not start otherwise if the system cannot create more threads.
+  // Without this limit, Ceres would not start if the system cannot create more threads.
   ceres_options.num_threads = UseOneThread() ? 1 : CountStartableThreads(ceres_options.num_threads);
   ThrowIfInterrupted();
   lengths_.Add(numbers_.data(), numbers_.size());
@@ -165,7 +165,7 @@ bool CeresSolve::UseOneThread() {
   if (problem_.factors == nullptr || options_.num_threads == 1) return false;
   for (const auto& factor : problem_.factors->factors) {
     if (factor->IsThreadSafe()) continue;
-    Warn(WarningKind::kSingleThread, factor->name() + " needs one thread, and so Ceres got one.",
+    Warn(WarningKind::kSingleThread, factor->name() + " needs one thread, so Ceres used one.",
          &warnings_);
     return true;
   }
@@ -188,7 +188,7 @@ ceres::Solver::Options CeresSolve::ChooseSolver() {
   RefuseTooMuchMemory(options.linear_solver_type, shape, cameras_eliminated);
   if (NothingToEliminate(options.linear_solver_ordering, layout_)) {
     Warn(WarningKind::kOrderingReplaced,
-         "Nothing of the ordering's first group is refined: Ceres chose what to eliminate.",
+         "The first group of the ordering has no refined parameters: Ceres chose its own.",
          &warnings_);
   }
   if (options.linear_solver_ordering == EliminationOrdering::kPointsFirst &&

@@ -1,8 +1,8 @@
 #pragma once
 
 /// Lengths of steps, as Ceres 2.1 reports them. Ceres 2.2 reports 0 for each step up to the first
-/// accepted one, because it computes the length for the parameter tolerance, which it tests only
-/// after that. Until then, lengths are measured here: between the last state and a candidate, which
+/// accepted step. It computes lengths only for the parameter tolerance, which it does not test
+/// earlier. Until then, lengths are measured here: between the last state and a candidate, which
 /// are in the user's memory when Ceres calls an EvaluationCallback.
 
 #include <ceres/iteration_callback.h>

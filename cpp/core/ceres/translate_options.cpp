@@ -132,8 +132,7 @@ ceres::PreconditionerType ToCeres(PreconditionerType type, LinearSolverType solv
           "Ceres " CERES_VERSION_STRING);
     }
     case PreconditionerType::kTwoLevel:
-      throw InputError(
-          "preconditioner_type: expected one of Ceres' where Ceres solves, found two_level");
+      throw InputError("preconditioner_type: expected a preconditioner of Ceres, found two_level");
   }
   throw InputError("preconditioner_type: expected a preconditioner");
 }
@@ -149,7 +148,7 @@ void CheckPreconditioner(const SolveOptions& options, ceres::PreconditionerType 
       preconditioner == ceres::CLUSTER_JACOBI || preconditioner == ceres::CLUSTER_TRIDIAGONAL;
   if (clusters && !ceres::IsSparseLinearAlgebraLibraryTypeAvailable(ceres::SUITE_SPARSE)) {
     throw InputError("preconditioner_type: " + name +
-                     " needs SuiteSparse, which this Ceres was built without");
+                     " needs SuiteSparse, but this Ceres was built without it");
   }
 }
 
@@ -161,7 +160,7 @@ void SetLinearSolver(const SolveOptions& options, ceres::Solver::Options* result
   if (IsSparseDirect(type) && !has_suite_sparse) {
     throw InputError(
         "linear_solver_type: " + std::string(LinearSolverTypeToString(result->linear_solver_type)) +
-        " needs SuiteSparse, which this Ceres was built without");
+        " needs SuiteSparse, but this Ceres was built without it");
   }
   if (has_suite_sparse) result->sparse_linear_algebra_library_type = ceres::SUITE_SPARSE;
   if (ceres::IsDenseLinearAlgebraLibraryTypeAvailable(ceres::LAPACK)) {

@@ -82,8 +82,8 @@ std::string CountPointsSeenOnce(const AdjustmentProblem& problem, const Paramete
       FirstOverRanks(problem.division.communicator,
                      first < 0 ? std::string() : std::to_string(problem.point_ids[first]));
   if (count == 0) return "";
-  return "Points seen only once have no depth of their own, the damping alone holds them: " +
-         std::to_string(count) + ", the first is point " + first_id + ".";
+  return "Only the damping determines the depth of points with one observation: " +
+         std::to_string(count) + " points, the first is point " + first_id + ".";
 }
 
 bool RejectImpossibleSolution(const AdjustmentProblem& problem, SolveOutput* output) {
@@ -212,7 +212,7 @@ std::string CheckSolution(const AdjustmentProblem& problem, const ParameterLayou
   return SpotCheck(solution.Sample(), std::cref(solution));
 }
 
-/// A NaN gradient is below every tolerance for Ceres, which then reports convergence.
+/// Ceres treats a NaN gradient as smaller than any tolerance and reports convergence.
 void JudgeEnd(bool has_bounds, double function_tolerance, SolveRecord* record) {
   SolveSummary& summary = record->summary;
   const bool has_cost = std::isfinite(summary.final_cost);
@@ -252,7 +252,7 @@ void FinishSolve(const AdjustmentProblem& problem, const ParameterLayout& layout
            problem.factors == nullptr
                ? WatchConvergence(output->iterations)
                : WatchConvergence(output->iterations,
-                                  "`bundle check` and bundle.check_factors find out"));
+                                  "test it with `bundle check` or bundle.check_factors"));
     }
     warn(
         WarningKind::kSuspiciousJacobian,

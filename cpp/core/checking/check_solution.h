@@ -18,12 +18,12 @@
 namespace bundle {
 
 /// Returns the indices, ascending, of about `size` observations, the same at each call. The sample
-/// has equally many of each camera model with observations, and of each image with that model as
-/// far as it has enough. Takes some 3 ns per observation of the problem.
+/// has the same number of observations of each camera model that occurs, and of each image with
+/// this model if the image has enough. Takes some 3 ns per observation of the problem.
 std::vector<int64_t> SampleObservations(const ProblemView& problem, int64_t size);
 
 /// Reprojection residuals of a solve at its state and in its charts, for a spot check. Keeps
-/// references to everything.
+/// references to all arguments.
 class SolutionUnderCheck {
  public:
   /// `points` as in ProblemView.

@@ -2,49 +2,50 @@
 
 /// The signature of a wrong Jacobian in the iterations of a solve.
 ///
-/// A wrong Jacobian rarely crashes: the cost still decreases, only less than predicted. Two
-/// properties of a trust region method with true derivatives do not hold with wrong ones, and both
-/// can be tested on the trace alone. Notation: f the cost, g its gradient J^T r, G = J^T J, H the
-/// true Hessian of f, d a step, p = -g^T d - 1/2 d^T G d > 0 the decrease that the model predicts,
-/// q = (actual decrease) / p Ceres' relative_decrease, R the trust region radius, m = D / (R G) the
-/// damping of a direction.
+/// A wrong Jacobian rarely crashes: the cost still decreases, only less than predicted. A trust
+/// region method with true derivatives has two properties that it loses with wrong derivatives.
+/// Both can be tested on the iterations alone. Notation: f the cost, g its gradient J^T r, G = J^T
+/// J, H the true Hessian of f, d a step, p = -g^T d - 1/2 d^T G d > 0 the decrease that the model
+/// predicts, q = (actual decrease) / p Ceres' relative_decrease, R the trust region radius, m = D /
+/// (R G) the damping of a direction.
 ///
 /// 1. Shorter steps make the model right. To second order
 ///
 ///      (1 - q) p = 1/2 d^T (H - G) d,
 ///
-///    which vanishes faster than p: once R is so small that p is proportional to it (d follows the
-///    scaled gradient), 1 - q is proportional to R as well, whatever the problem. With a gradient
-///    J^T r that is not f's, q tends to (true slope) / (promised slope) along d instead: it
-///    settles, often below zero. The watch looks for a *ladder*: successive steps, each with a
-///    smaller R and a p that shrinks with it, over which 1 - q stays what it was. Rejected steps
-///    all start from one point, and p falling 32 times is enough; accepted ones move on, so p has
-///    to fall 100 times over six rungs at one gradient. Two honest things keep 1 - q up for a
-///    while, and neither is taken for an error: where the cost jumps or saturates (a point passes
-///    behind its camera; Tukey's loss) the actual change does not shrink with p, so that |q| grows;
-///    and undamped steps do not shrink. Outliers, bad starts and valleys make R oscillate, where q
+///    which vanishes faster than p. If R is so small that p is proportional to R (d follows the
+///    scaled gradient), 1 - q is proportional to R, too, for any problem. If J^T r is not the
+///    gradient of f, q tends to (true slope) / (predicted slope) along d instead, often a value
+///    below zero. The test searches for a *ladder*: successive steps (rungs), each with a smaller R
+///    and p, over which 1 - q does not change. Rejected steps all start from one point; for these,
+///    p must fall by a factor of 32. For accepted steps, p must fall by a factor of 100 over six
+///    rungs, at one gradient. With true derivatives, 1 - q can also stay large for a while, in two
+///    cases that are not reported. If the cost jumps or saturates (a point passes behind its
+///    camera; Tukey's loss), the actual change does not shrink with p, so that |q| grows. And
+///    undamped steps do not shrink. Outliers, bad starts and valleys make R oscillate; there, q
 ///    recovers as R falls.
 ///
-/// 2. A linear tail tells its rate twice. Along the slowest direction an error e becomes l e. True
-///    derivatives give a step of -H e / (G (1 + m)), hence
+/// 2. The rate of linear convergence at the end can be measured in two ways. Along the slowest
+///    direction, an error e becomes l e. True derivatives give a step of -H e / (G (1 + m)), hence
 ///
 ///      l = 1 - H / (G (1 + m)),     q = (1 + l) (1 + m) / (1 + 2 m),   in [(1 + l) / 2, 1 + l],
 ///
-///    with l of either sign: slow progress shows as q near 2 (robust losses, where G exceeds H), as
-///    q near 0 (steps that overshoot) or, damped, as q = 1. Decreases fall by l^2 a step, so that
-///    |l| is seen as well, and true derivatives exclude every q between 1 - |l| and (1 + |l|) / 2;
-///    with m = 0, which shows where R changed and l did not, everything between 1 - |l| and 1 +
-///    |l|. A Jacobian column that is c times too large makes steps 1 / c as long at the promise of
-///    whole ones: l = 1 - 1 / c and q = 1 - l^2 (1/2 and 3/4 for c = 2). One too small overshoots
-///    until damping holds it: R falls step by step, at q below 1/2 and l near 0.8. The watch wants
-///    |l| and q constant over five steps, ten of the second kind, and gradient and step length to
-///    fall by |l| too. Without that no error shrinks in proportion, as in a curved valley, or where
-///    points go to infinity (r = 1 / z has q = 3/4 at l = 1/2, but steps that double).
+///    with l of either sign. Slow progress has q near 2 (robust losses, where G exceeds H), q near
+///    0 (steps that overshoot) or, with damping, q = 1. Decreases fall by l^2 per step, which gives
+///    |l|. True derivatives exclude every q between 1 - |l| and (1 + |l|) / 2. With m = 0, they
+///    exclude every q between 1 - |l| and 1 + |l|; m is 0 if R changed and l did not. A Jacobian
+///    column that is c times too large makes steps 1 / c as long, with the predicted decrease of
+///    full steps: l = 1 - 1 / c and q = 1 - l^2 (1/2 and 3/4 for c = 2). A column that is too small
+///    overshoots until damping limits the steps: R falls step by step, with q below 1/2 and l near
+///    0.8. The test requires constant |l| and q over five steps (ten for a column that is too
+///    small), and a gradient and a step length that fall by |l|, too. Without this, errors do not
+///    shrink in proportion, as in a curved valley, or if points go to infinity (r = 1 / z has q =
+///    3/4 at l = 1/2, but steps that double).
 ///
-/// Changes of the cost near its rounding errors are no evidence. The bounds are chosen such that
-/// several thousand solves with right Jacobians, made as hard as possible, give no warning. So some
-/// wrong Jacobians pass. Some leave no signature: a column far too small makes damping oscillate,
-/// as in any badly scaled problem. SpotCheck finds these.
+/// Changes of the cost near its rounding errors are ignored. The bounds are chosen such that
+/// several thousand difficult solves with right Jacobians give no warning. So some wrong Jacobians
+/// are not detected. Some have no signature: a column that is far too small makes damping
+/// oscillate, as in any badly scaled problem. SpotCheck detects these.
 
 #include <algorithm>
 #include <cmath>
@@ -80,8 +81,8 @@ constexpr double kTailSpread = 0.03;
 constexpr double kTailKeeps = 0.05;
 constexpr double kTailMargin = 0.1;
 // Limits for quick convergence, the sign of a column that is too large: number of steps;
-// significant |l|; the change of R that shows m = 0. And for slow convergence, the sign of a column
-// that is too small: more steps, with R falling.
+// significant |l|; the change of R that shows m = 0. Limits for slow convergence, the sign of a
+// column that is too small: more steps, with R falling.
 constexpr size_t kQuickTail = 5;
 constexpr double kQuickFrom = 0.2;
 constexpr double kQuickTo = 0.7;
@@ -124,7 +125,7 @@ bool IsEvidence(const Step& step, double noise) {
 
 bool IsConstant(double from, double to) { return to < kConstant * from && from < kConstant * to; }
 
-/// True if p shrank from one step to the next because R did.
+/// True if p decreased from one step to the next because R did.
 bool IsNextRung(const Step& above, const Step& below) {
   const double radii = below.radius / above.radius;
   const double follows = below.predicted / above.predicted / radii;
@@ -162,10 +163,9 @@ std::string DescribeLadder(const std::vector<Step>& steps, size_t first, size_t 
     }
     if (!StaysWrong(steps[top], steps[bottom])) continue;
     std::ostringstream text;
-    text << std::setprecision(2) << "with " << shrink
-         << " times less to gain from ever shorter steps, the cost still changed by "
-         << steps[bottom].quality
-         << " of what was predicted, which tends to 1 with true derivatives"
+    text << std::setprecision(2) << "while steps became shorter and the predicted decrease became "
+         << shrink << " times smaller, the cost changed by " << steps[bottom].quality
+         << " times the prediction, which tends to 1 with true derivatives"
          << " (iterations " << steps[top].iteration << " to " << steps[bottom].iteration << ")";
     return text.str();
   }
@@ -245,9 +245,9 @@ std::string FindTail(const std::vector<Step>& steps, size_t length, bool (*is_li
     Tail tail;
     if (!MeasureTail(steps, first, length, &tail) || !is_lie(tail)) continue;
     std::ostringstream text;
-    text << std::setprecision(2) << "convergence was linear, the error falling to "
-         << tail.rate.mean() << " of itself a step, at " << tail.quality.mean()
-         << " of the predicted decrease, which true derivatives exclude (iterations "
+    text << std::setprecision(2) << "convergence was linear: each step reduced the error to "
+         << tail.rate.mean() << " times its size, at " << tail.quality.mean()
+         << " times the predicted decrease, which true derivatives exclude (iterations "
          << steps[first].iteration << " to " << steps[first + length - 1].iteration << ")";
     return text.str();
   }

@@ -12,6 +12,6 @@ namespace bundle {
 /// Tests the iterations for the signature of a wrong Jacobian. Returns a message with the finding,
 /// which ends with `advice`; "" without a finding.
 std::string WatchConvergence(const std::vector<IterationRecord>& iterations,
-                             const std::string& advice = "`bundle check` finds out");
+                             const std::string& advice = "test it with `bundle check`");
 
 }  // namespace bundle

@@ -125,7 +125,7 @@ void JudgeLostObservations(const AdjustmentProblem& problem, const ParameterLayo
              << " at the end, " << num_before << " at the start";
     if (!images.empty()) {
       sentence << "; " << NameImages(images) << (images.size() == 1 ? " has" : " have")
-               << " none in front";
+               << " no observation in front of the camera";
     }
     sentence << ".";
     warn(WarningKind::kObservationsBehind, sentence);
@@ -143,8 +143,8 @@ void JudgeLostObservations(const AdjustmentProblem& problem, const ParameterLayo
     const bool one = num_left_out == 1;
     sentence << num_left_out << (one ? " observation" : " observations")
              << " in front of the camera at the end " << (one ? "was" : "were")
-             << " left out of the solve, having been behind before; refine again to include "
-             << (one ? "it" : "them") << ".";
+             << " left out of the solve because " << (one ? "it was" : "they were")
+             << " behind it before; refine again to include " << (one ? "it" : "them") << ".";
     warn(WarningKind::kObservationsLeftOut, sentence);
   }
 }

@@ -79,8 +79,8 @@ class Search {
 
   const Estimate& best() const { return best_; }
 
-  /// Raises the noise to the resolution of values that do not change although rounding does not
-  /// explain it. For instance, values computed in single precision change in jumps.
+  /// Raises the noise to the resolution of values that stay constant for another reason than
+  /// rounding. For instance, values computed in single precision change in jumps.
   void FindResolution(double largest_step) {
     std::vector<char> stood_still(n_, 0), moves(n_, 0);
     double h = largest_step * std::pow(kRestart, -kTableaux);
@@ -88,7 +88,7 @@ class Search {
       if (!f_(h, plus_.data())) return;
       for (int i = 0; i < n_; ++i) {
         const double change = std::abs(plus_[i] - center_[i]);
-        // Expected change, from the previous step.
+        // Change expected from the previous step.
         const bool unexplained = stood_still[i] && change / kRestart > kNoise * noise_[i];
         if (!moves[i] && unexplained) noise_[i] = change;
         (change > 0 ? moves : stood_still)[i] = 1;

@@ -11,7 +11,7 @@
 ///
 /// where u, of order h^2, is far above the error of R if r is smooth at the scale of h. If r is not
 /// smooth (across a fold, a seam or the camera's plane), u has the size of R. Rounding adds n / h
-/// to u, with n = eps (||r|| + sum_k |x_k| ||J_k||), the possible effect of the last digits of x
+/// to u. Here n = eps (||r|| + sum_k |x_k| ||J_k||) is the possible effect of the last digits of x
 /// and r. A step is *conclusive* if u is below a hundredth of ||R||. The column J_j then agrees
 /// with it if
 ///
@@ -21,7 +21,7 @@
 /// kind (rotation, translation, point, or the one parameter). For true columns, the residual is
 /// nearly linear at this scale, for coordinates of 1e-9 as well as 1e9. False columns, 1000 times
 /// too large or too small, are still detected at one of four such scales. If no column moves the
-/// residual, the size of the moved variable bounds h. A feature narrower than h may yet look
+/// residual, the size of the moved variable bounds h. A feature that is narrower than h may look
 /// smooth, for instance near the pole of a panorama or at a camera's centre. So
 ///
 /// - any conclusive step that agrees acquits the observation's column,
@@ -29,11 +29,11 @@
 /// - everything else leaves it undecided,
 ///
 /// and a column is reported if it is convicted in at least four, and a quarter, of the decided
-/// observations of a camera model. These must be a tenth of the tested ones. For a false report,
-/// the residual would have to mislead at every scale in many places, however hard the problem.
-/// `bundle check` detects the remaining cases: columns that are wrong in a few observations or by
-/// less than one in a thousand, and columns that should be zero and are not, because a residual
-/// that lost its last digit does not move either.
+/// observations of a camera model. At least a tenth of the tested observations must be decided. A
+/// false report would need a residual that misleads at every scale in many observations. `bundle
+/// check` detects the remaining cases: columns that are wrong in a few observations or by less than
+/// one in a thousand, and columns that should be zero and are not, because a residual that lost its
+/// last digit does not move either.
 
 #include <algorithm>
 #include <array>
@@ -249,10 +249,10 @@ std::string Deviation(const std::vector<Comparison>& convictions) {
       });
   std::ostringstream text;
   if (static_cast<double>(alike) >= kFactorShare * static_cast<double>(convictions.size())) {
-    text << std::setprecision(4) << factor + 0.0 << " times what differences of the residual give";
+    text << std::setprecision(4) << factor + 0.0 << " times the finite differences of the residual";
   } else {
-    text << std::setprecision(3) << "off by " << 100 * Median(convictions, &Comparison::error)
-         << " % of what differences of the residual give";
+    text << std::setprecision(3) << "wrong by " << 100 * Median(convictions, &Comparison::error)
+         << " %, compared with finite differences of the residual";
   }
   return text.str();
 }
@@ -300,9 +300,10 @@ std::string Describe(const CameraModel& model, const Tallies& tallies) {
        << model.name << " cameras are " << Deviation(worst->convictions);
   std::string others;
   for (const WrongKind& kind : wrong) {
-    if (&kind != &*worst) others += (others.empty() ? ", and wrong by " : "; ") + kind.name;
+    if (&kind != &*worst)
+      others += (others.empty() ? "; also wrong are those by " : "; ") + kind.name;
   }
-  text << others << "; `bundle check` finds out.";
+  text << others << "; test it with `bundle check`.";
   return text.str();
 }
 

@@ -78,7 +78,7 @@ std::string FindSteepEnd(const SolveRecord& record, double function_tolerance) {
            << ", not by a small gradient (" << record.iterations.back().gradient_max_norm
            << " at most): a step without that limit is predicted to lower the cost by about "
            << std::min(1.0, promised / summary.final_cost) * 100
-           << " %. This is no minimum, or the cost has a jump here.";
+           << " %. This is not a minimum, or the cost is discontinuous here.";
   return sentence.str();
 }
 

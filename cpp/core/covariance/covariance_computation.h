@@ -56,7 +56,7 @@ class CovarianceComputation {
     int unknown = -1;
     if (const double inflation = system_.LargestInflation(&unknown); inflation > 1 / kSingular) {
       NotDetermined(unknown, "a variance " + ShortNumber(inflation) +
-                                 " times as large as with all else known");
+                                 " times as large as with all other unknowns known");
     }
     if (constraints_ != nullptr && !wanted_.sandwich) {
       constraints_->TransformBlocks(system_.structure(), &system_.values());
@@ -83,7 +83,7 @@ class CovarianceComputation {
   void WarnOfTriangle() {
     if (SelectFreeParameters(view(), options_).point == layout().free().point) return;
     Warn(WarningKind::kGaugeNotHeld,
-         "Gauge three_points holds 2 numbers more than are free, the shape of a triangle: all "
+         "Gauge three_points fixes 2 numbers too many, the shape of a triangle: all "
          "covariances are too small. Use inner or two_cameras.",
          &output_.warnings);
   }
@@ -113,7 +113,8 @@ class CovarianceComputation {
     if (solution.failed_minor > 0) NotDetermined(solution.failed_minor - 1, "a pivot of 0 or less");
     std::string why = solution.message;
     if (!why.empty() && why.back() == '.') why.pop_back();
-    throw InputError("problem: expected normal equations of full rank but for the gauge: " + why);
+    throw InputError("problem: expected normal equations of full rank except for the gauge: " +
+                     why);
   }
 
   /// If a dense S is constrained along the gauge (FreeGauge::Hold), an undetermined direction
@@ -125,8 +126,8 @@ class CovarianceComputation {
       at = " at " + Words(view(), NameUnknowns(view(), layout())[unknown]);
     }
     throw InputError(
-        "problem: expected normal equations of full rank but for the gauge, found " + found + at +
-        ": something is not determined by what is observed; bundle diagnose says what");
+        "problem: expected normal equations of full rank except for the gauge, found " + found +
+        at + ": something is not determined by what is observed; bundle diagnose says what");
   }
 
   /// The factorisation of S detects degrees of freedom that the gauges of a solve leave free.
@@ -269,8 +270,9 @@ class CovarianceComputation {
     return m;
   }
 
-  /// Threshold for L_jj^2 / S_jj, and for S_jj^-1 over a variance. If S is singular, rounding
-  /// leaves a pivot below it, or variances above it. The ratios of regular blocks stay below 1e10.
+  /// Threshold for L_jj^2 / S_jj, and for S_jj^-1 over a variance. If S is singular, a pivot is
+  /// below this threshold, or a variance is above it, because of rounding. The ratios of regular
+  /// blocks stay below 1e10.
   static constexpr double kSingular = 1e-13;
   static constexpr int kLocal = kPoseSize + kMaxCameraParams;
 

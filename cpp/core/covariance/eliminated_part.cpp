@@ -33,7 +33,7 @@ void RefuseBeyondMemory(double numbers, const std::string& what) {
   const double bytes = sizeof(double) * numbers, available = AvailableMemoryFor(bytes);
   if (FitsIntoMemory(bytes, available)) return;
   throw InputError("rest: marginal needs " + FormatBytes(bytes) + " for " + what +
-                   ", of which this machine has " + FormatBytes(available) +
+                   "; this machine has " + FormatBytes(available) +
                    " free; name fewer images, or use fixed");
 }
 

@@ -222,8 +222,8 @@ void TransformBlocks(const Eigen::MatrixXd& n, const Eigen::MatrixXd& y, const E
                      const BlockStructure& s, std::vector<double>* values) {
   using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   const Eigen::Index d = n.cols();
-  // The change is left right^T: [N | -Y] of the row's block times [N k - Y | N] of the column's
-  // block.
+  // The change is left right^T, with left = [N | -Y] of the rows and right = [N k - Y | N] of the
+  // columns of the block.
   Eigen::MatrixXd left(n.rows(), 2 * d);
   left << n, -y;
   Rows right(n.rows(), 2 * d);

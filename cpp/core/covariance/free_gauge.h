@@ -56,8 +56,8 @@ class FreeGauge {
 
   /// Degrees of freedom d, at most seven.
   int degrees() const { return static_cast<int>(cameras_.cols()); }
-  /// Adds B B^T to S. If S is sparse, at d diagonal entries. If S is dense, where fill-in has no
-  /// cost, with B along N in units of the unknowns' sigmas, which gives the smallest rounding
+  /// Adds B B^T to S. If S is sparse, B B^T has only d diagonal entries. If S is dense, fill-in has
+  /// no cost. Then B is along N in units of the unknowns' sigmas, which gives the smallest rounding
   /// errors.
   void Hold(ReducedSystem* system) const;
   /// B of a dense S, unknowns x d.

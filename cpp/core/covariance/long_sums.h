@@ -7,7 +7,7 @@
 ///   S = sum_p T_p^T T_p,        B = sum_i t_i t_i^T,    t_i = G_i - Y_p g_i    (sandwich.h),
 ///
 /// so that long doubles keep in the squares the digits that doubles have in the rows. They are
-/// slow: a point takes track length x (number of unknowns of its images)^2 of them.
+/// slow: a point takes track length x (number of unknowns of its images)^2 operations.
 
 #include <Eigen/Core>
 #include <optional>

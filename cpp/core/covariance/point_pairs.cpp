@@ -28,7 +28,8 @@ void AddPairs(const ReducedSystem& system, const std::vector<double>& values,
       const Four* const zi = z.row(blocks.begin[a]);
       const double* block = values.data() + s.ValueIndex(j, s.Entry(j, i), 0, 0);
       for (int c = 0; c < columns; ++c, block += s.panel_stride[j]) {
-        // For a diagonal block, the column from the diagonal down, and the same values as a row.
+        // Of a diagonal block, only the lower triangle is read: a column from the diagonal down
+        // also gives the row with the same values.
         Four by_x = {}, by_z = {};
         int r = 0;
         if (i == j) {

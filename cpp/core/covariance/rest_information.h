@@ -12,8 +12,8 @@
 /// loss have its weights at the problem's own values, as in the solvers.
 ///
 /// S_aa is factorised once. Some parts of a may have no or only a loose connection to b, for
-/// instance a component of images that shares only a camera with the others. They may turn, move
-/// and scale: S_aa n = 0. As S is positive semidefinite, S_ba n = 0, too: free motions have no
+/// instance a component of images that shares only a camera with the others. Such parts may rotate,
+/// move and scale: S_aa n = 0. As S is positive semidefinite, S_ba n = 0, too: free motions have no
 /// effect, and any generalised inverse can be used. If a pivot is close to rounding errors, S_aa +
 /// D is factorised, with D a diagonal kDamping times that of J^T J, and
 ///

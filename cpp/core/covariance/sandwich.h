@@ -24,8 +24,8 @@
 ///   B = sum_i G_i G_i^T + sum_p (Y_p P_p Y_p^T - F_p Y_p^T - Y_p F_p^T),
 ///   cov delta_p = V^-1 (P + W^T D W - W^T C E - (W^T C E)^T) V^-1,      E = F - Y P,
 ///
-/// where B has the blocks of S, and only these blocks of C and D are needed. There is no recursion
-/// for D as for C; its columns are solved for, some hundred at a time. For the effect of inner
+/// where B has the blocks of S, and only these blocks of C and D are needed. Unlike C, D has no
+/// recursion; its columns are computed by solves, some hundred at a time. For the effect of inner
 /// constraints see scatter_gauge.h.
 
 #include <vector>

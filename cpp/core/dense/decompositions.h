@@ -1,7 +1,7 @@
 #pragma once
 
-/// Decompositions and products of dense matrices, compiled once: Eigen's templates for them take
-/// half a minute to compile in each file that uses them.
+/// Decompositions and products of dense matrices, compiled once. Eigen's templates for them would
+/// take half a minute to compile in each file that uses them.
 
 #include <Eigen/Core>
 
@@ -39,8 +39,8 @@ Eigen::MatrixXd OrthonormalColumns(const Eigen::MatrixXd& matrix);
 /// U^-1 with U upper triangular and U^T U = A, which is positive definite.
 Eigen::MatrixXd InverseOfCholesky(const Eigen::MatrixXd& matrix);
 
-/// X of A X = B by Cholesky's factor. False, without X, if A is not positive definite or its
-/// condition leaves no digit.
+/// Solves A X = B by the Cholesky factor. Returns false if A is not positive definite or too
+/// ill-conditioned for a correct digit.
 bool SolveByCholesky(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b, Eigen::MatrixXd* x);
 bool SolveByCholesky(const Eigen::MatrixXf& a, const Eigen::MatrixXf& b, Eigen::MatrixXf* x);
 

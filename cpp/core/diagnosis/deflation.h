@@ -5,8 +5,8 @@
 
 namespace bundle {
 
-/// Orthonormal directions that a search for eigenvectors excludes: those of pieces of the world,
-/// each with its own unknowns, and others. All pieces together take the memory of one piece.
+/// Orthonormal directions that a search for eigenvectors excludes. Some belong to one piece of the
+/// world, with its own unknowns; others do not. All pieces together take the memory of one piece.
 class Deflation {
  public:
   /// `piece`: piece of each unknown; -1: no piece. `directions`: unknowns x a few columns; each

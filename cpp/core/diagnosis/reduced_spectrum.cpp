@@ -1,27 +1,28 @@
 #include "core/diagnosis/reduced_spectrum.h"
 
 /// S has one zero eigenvalue for each direction of the refined parameters that changes no residual:
-/// its null space. It is scaled first, because its diagonal spans many orders of magnitude
-/// (radians, metres, pixels, coefficients), and unscaled eigenvalues cannot be compared. In the
-/// scaled S, zeros are rounding errors of 1e-13 or less, and all other eigenvalues are clearly
-/// larger.
+/// its null space. S is scaled first: its diagonal spans many orders of magnitude (radians, metres,
+/// pixels, coefficients), and unscaled eigenvalues cannot be compared. In the scaled S, zeros are
+/// rounding errors of 1e-13 or less, and all other eigenvalues are clearly larger.
 ///
-/// 1. Points without parallax are taken out, exactly (covariance/point_blocks.h), and unknowns that
-///    nothing determines (scaled_system.cpp).
-/// 2. The similarities of the world, and of each piece that no point connects with the others, have
-///    derivatives that are known (model/gauge.h). Combinations z of them with z^T S z = 0, but for
-///    rounding (scaled_system.cpp), are null directions; S is positive semidefinite.
-/// 3. The directions beside them with the lowest eigenvalues are those with the highest of
-///    (S + shift)^-1, projected beside what is known (krylov.h). Those with z^T S z = 0 are null
-///    directions as well, which the search then leaves out in turn.
-/// 4. How much of the null space is gauge: with N an orthonormal basis of it and G one of the
-///    similarities of the world, the singular values of (I - N N^T) G are the sines of the
-///    principal angles (Bjorck and Golub 1973); each that is zero is a similarity that no
-///    observation sees.
+/// 1. Points without parallax are removed exactly (covariance/point_blocks.h), and so are unknowns
+///    that no residual determines (scaled_system.cpp).
+/// 2. The derivatives by the similarities of the world are known (model/gauge.h), and so are those
+///    of each piece that no point connects with other pieces. S is positive semidefinite, so that
+///    combinations z of them with z^T S z = 0 up to rounding (scaled_system.cpp) are null
+///    directions.
+/// 3. Further directions with the lowest eigenvalues of S have the highest eigenvalues of (S +
+///    shift)^-1, projected orthogonal to the known directions (krylov.h). Those with z^T S z = 0
+///    are null directions, too, and are added to the known ones.
+/// 4. The gauge is a part of the null space. Let N be an orthonormal basis of the null space and G
+///    one of the similarities of the world. The singular values of (I - N N^T) G are the sines of
+///    the principal angles (Bjorck and Golub 1973). Each zero among them is a similarity that
+///    changes no residual.
 ///
-/// The condition number of the unscaled S has as its denominator the largest eigenvalue of the
-/// pseudo-inverse, P diag(d) (scaled S)^-1 diag(d) P. P is the projection orthogonal to the null
-/// space of the unscaled S, which is that of the scaled S times d.
+/// The condition number of the unscaled S needs its smallest nonzero eigenvalue. This is the
+/// inverse of the largest eigenvalue of the pseudo-inverse, P diag(d) (scaled S)^-1 diag(d) P. P
+/// projects orthogonal to the null space of the unscaled S, which is the null space of the scaled S
+/// times d.
 
 #include <Eigen/Geometry>
 #include <algorithm>
@@ -46,9 +47,10 @@ using Eigen::VectorXd;
 
 constexpr double kZeroEigenvalue = 1e-11;
 constexpr double kShift = 1e-10;
-/// From this sine of a principal angle on, a similarity is not a null direction.
+/// A similarity is not a null direction if the sine of its principal angle is at least this value.
 constexpr double kZeroSine = 1e-4;
-/// Below this spread, relative to the distance of the points, the cameras count as at one place.
+/// If the spread of the cameras, relative to the distance of the points, is below this value, they
+/// count as being at one place.
 constexpr double kOnePlace = 1e-9;
 /// Maximum number of null directions beyond the gauge that are searched for.
 constexpr int kMostNull = 64;

@@ -1,10 +1,10 @@
 #include "core/diagnosis/scaled_system.h"
 
-/// Undetermined unknowns. Either their largest possible change moves no pixel by kInvisible, or
-/// motions of points can compensate them completely: S_jj = U_jj - w_j^T V^-1 w_j = 0. For the
-/// latter, the elimination leaves rounding errors of the size of U_jj, which scaling would amplify.
-/// They count as undetermined if S_jj is less than kAbsorbed U_jj. The rows of both kinds are
-/// removed from the system.
+/// An unknown is undetermined in two cases. Either its largest meaningful change moves no pixel by
+/// kInvisible, or motions of points can compensate it completely: S_jj = U_jj - w_j^T V^-1 w_j = 0.
+/// In the second case, the elimination leaves rounding errors of the size of U_jj, which scaling
+/// would amplify. So the unknown counts as undetermined if S_jj is less than kAbsorbed U_jj. The
+/// rows of undetermined unknowns are removed from the system.
 ///
 /// For all other unknowns, the elimination leaves rounding errors of e U_jj, e = 2^-53, times a few
 /// dozen for the sums. This is e U_jj / S_jj in units of the unknown. So values of z^T S z up to
@@ -12,8 +12,8 @@
 ///
 ///   kRounding e sum_j z_j^2 U_jj / S_jj
 ///
-/// are not meaningful. This matters for long scenes: turning an image about a far origin moves it
-/// by nearly as much as its points can follow.
+/// are not meaningful. This matters for long scenes: if the origin is far away, motions of points
+/// compensate a rotation of an image almost completely.
 
 #include <algorithm>
 #include <cmath>

@@ -41,8 +41,8 @@ class Factor {
   int num_residuals() const { return num_residuals_; }
 
   /// Computes the residual at `values`, one pointer per variable, and its Jacobians, row-major,
-  /// num_residuals x tangent size. `jacobians` may be nullptr, as may each of them. Returns false
-  /// if the residual has no value. May throw; a solve then ends and rethrows the exception.
+  /// num_residuals x tangent size. `jacobians` and each of its entries may be nullptr. Returns
+  /// false if the residual has no value. May throw; a solve then ends and rethrows the exception.
   virtual bool Evaluate(const double* const* values, double* residual,
                         double* const* jacobians) const = 0;
 

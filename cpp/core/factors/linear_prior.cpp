@@ -77,9 +77,8 @@ LinearPrior::Root LinearPrior::SquareRoot(const std::string& subject, int n,
       (inverse_scale.asDiagonal() * Eigen::Map<const Eigen::VectorXd>(eta.data(), n));
   if (turned.head(num_free).norm() > kOutsideRange * turned.norm()) {
     throw InputError(subject +
-                     ": eta: expected no part along directions of which Lambda knows "
-                     "nothing, found one of " +
-                     ShortNumber(turned.head(num_free).norm()) + " beside " +
+                     ": eta: expected 0 in the null space of Lambda, found a part of norm " +
+                     ShortNumber(turned.head(num_free).norm()) + ", with eta of norm " +
                      ShortNumber(turned.norm()));
   }
   Root root;

@@ -9,11 +9,11 @@
 ///   P = Exp(v) R_a X + t,  v = w - w_a,          r = pi(theta, P) - m          [pixels],
 ///
 /// where pi is the camera model with parameters theta and m the measurement (the difference is the
-/// model's, which may wrap around a seam). This chart is a vector
-/// space: Ceres adds steps to it without a manifold, hence without a dynamic-size product with a
-/// plus-Jacobian per residual block, and the Jacobian is written once, where it is needed. At v = 0
-/// it is the tangent space of the left perturbation Exp(d) R_a; further out the left Jacobian J_l
-/// of SO(3) corrects for it, once an image and evaluation (`PoseState`).
+/// model's, which may wrap around a seam). This chart is a vector space, so Ceres adds steps to it
+/// without a manifold. No residual block then needs a dynamic-size product with a plus-Jacobian,
+/// and the Jacobian is written once, where it is needed. At v = 0 it is the tangent space of the
+/// left perturbation Exp(d) R_a; elsewhere the left Jacobian J_l of SO(3) corrects for it, once per
+/// image and evaluation (`PoseState`).
 ///
 /// With q = Exp(v) R_a X, the derivative of P follows from Exp(v + d) ~ Exp(J_l d) Exp(v):
 ///
@@ -30,8 +30,9 @@
 ///
 /// which changes neither w nor the pose, but makes v = 0 and J_l = I. Steps thus start where
 /// |v| <= pi. There the singular values of J_l, 1 and twice sin(|v|/2) / (|v|/2), are at least
-/// 2/pi. A candidate needs its pose only, so that a step may have any length, and steps may add up
-/// to any number of turns. Until an image has turned by more than pi its anchor is its start.
+/// 2/pi. A candidate needs only its pose and no derivatives. So a step may have any length, and
+/// steps may add up to any number of turns. Until an image has turned by more than pi its anchor is
+/// its start.
 
 #include <cmath>
 #include <limits>

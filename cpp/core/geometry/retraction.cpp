@@ -47,7 +47,7 @@ bool ScaleToUnitNorm(double q[4]) {
   return std::isfinite(norm);
 }
 
-/// J_r(d) = J_l(-d), by way of the function that gives the left one.
+/// J_r(d) = J_l(-d), computed by the function for J_l.
 template <int kSize, typename Function>
 void OfNegative(const double* delta, const Function& left, double* out) {
   double negative[kSize];

@@ -16,12 +16,12 @@
 ///
 /// Angles are radians. The angles of so2 and se2 keep their turns in Plus and lose them in Local.
 /// A factor's Jacobian J at X is the derivative of its residual by d at d = 0:
-/// r(Plus(X, d)) = r(X) + J d + O(|d|^2). From d, not 0, on it is a Jacobian by d after
-/// multiplication with the right Jacobian J_r, as Exp(d + e) = Exp(d) Exp(J_r(d) e) + O(|e|^2).
+/// r(Plus(X, d)) = r(X) + J d + O(|d|^2). At d other than 0, the Jacobian by d is J times the right
+/// Jacobian J_r, because Exp(d + e) = Exp(d) Exp(J_r(d) e) + O(|e|^2).
 ///
 /// The chart starts anew at every X: a solver that accepts a step re-anchors it, so that it is
-/// regular for any sum of steps. Quaternions of any nonzero norm are understood; Plus returns unit
-/// ones. Matrices are row-major.
+/// regular for any sum of steps. Quaternions may have any nonzero norm; Plus returns unit
+/// quaternions. Matrices are row-major.
 
 #include <string>
 #include <vector>

@@ -40,12 +40,12 @@
 ///   Q = 1/2 V + C (WV + VW + WVW) + E (WWV + VWW - 3 WVW) + 1/2 (E - 3 F) (WVWW + WWVW).
 ///
 /// C, E and F are entire functions of s = a^2: sum (-s)^n / (2n + k)! with k = 3, 4, 5. Nine terms
-/// serve below s = 1; above it the formulas lose at most two digits. The inverse is
+/// are sufficient below s = 1; above, the formulas lose at most two digits. The inverse is
 ///
 ///   J^-1 = [ J_l^-1               0     ]
 ///          [ -J_l^-1 Q J_l^-1   J_l^-1  ].
 ///
-/// Right Jacobians are left ones of -d. Matrices are row-major.
+/// The right Jacobian at d is the left Jacobian at -d. Matrices are row-major.
 
 #include <cmath>
 
@@ -62,7 +62,7 @@ inline void ExpPlanarMotion(const double d[3], double x[3]) {
   x[2] = d[2];
 }
 
-/// Logarithm with an angle in [-pi, pi], also if the motion's angle has more turns.
+/// Logarithm with an angle in [-pi, pi], also if the angle of the motion is larger.
 inline void LogPlanarMotion(const double x[3], double d[3]) {
   const double a = WrapAngle(x[2]);
   const double diagonal = 1 - a * a * LogCoefficient(a * a);
@@ -72,7 +72,7 @@ inline void LogPlanarMotion(const double x[3], double d[3]) {
   d[2] = a;
 }
 
-/// out = a b, the motion b followed by a. Angles add up; turns stay.
+/// out = a b, the motion b followed by a. Angles are added and not reduced to one turn.
 inline void ComposePlanarMotions(const double a[3], const double b[3], double out[3]) {
   const double c = std::cos(a[2]), s = std::sin(a[2]);
   const double moved[2] = {c * b[0] - s * b[1] + a[0], s * b[0] + c * b[1] + a[1]};
@@ -140,8 +140,8 @@ inline void ComposeRigidMotions(const double a[7], const double b[7], double out
   for (int i = 0; i < 3; ++i) out[4 + i] = moved[i] + a[4 + i];
 }
 
-/// out = a^-1 b. Translations are subtracted before they are turned: nothing is lost far from the
-/// origin.
+/// out = a^-1 b. Translations are subtracted before they are rotated, so that no digits are lost
+/// far from the origin.
 inline void RigidMotionBetween(const double a[7], const double b[7], double out[7]) {
   double rotation[9];
   const double conjugate[4] = {-a[0], -a[1], -a[2], a[3]};

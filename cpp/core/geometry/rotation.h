@@ -13,8 +13,8 @@
 ///   J_l(w) = I + B W + C W^2,         C = (a - sin(a)) / a^3
 ///
 /// (Sola, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics", 2018, eq. 145).
-/// All three coefficients are entire functions of a^2; below a^2 = 1e-4 we take their Taylor series
-/// to a^6, whose first dropped term is under 1e-20, because C by its formula loses all its digits.
+/// All three coefficients are entire functions of a^2. Below a^2 = 1e-4, the formula of C loses all
+/// digits. There we use their Taylor series to a^6, whose first dropped term is below 1e-20.
 ///
 /// A unit quaternion (v, s) = (sin(a/2) u, cos(a/2)) is the rotation Exp(a u). q and -q are the
 /// same rotation; the one with s >= 0 has a in [0, pi]:
@@ -29,7 +29,8 @@
 ///   J_l(w)^-1 = I - 1/2 W + D W^2,       D = (1 - (a/2) cot(a/2)) / a^2
 ///
 /// (Sola et al. 2018, eq. 146), regular for a < 2 pi. D = sum |B_2n| a^(2n-2) / (2n)! with
-/// Bernoulli's numbers; seven terms serve below a^2 = 1/4, where the formula begins to lose digits.
+/// Bernoulli's numbers; seven terms are sufficient below a^2 = 1/4, where the formula begins to
+/// lose digits.
 ///
 /// Matrices are 3x3, row-major. Quaternions are stored as COLMAP stores them: x y z w.
 
@@ -115,7 +116,7 @@ inline void QuaternionProduct(const double a[4], const double b[4], double out[4
   out[3] = a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2];
 }
 
-/// Free of overflow and underflow.
+/// Without overflow and underflow.
 inline double QuaternionNorm(const double q[4]) {
   return std::hypot(std::hypot(q[0], q[1]), std::hypot(q[2], q[3]));
 }
@@ -164,7 +165,8 @@ inline double WrapAngle(double angle) { return std::remainder(angle, 2 * M_PI); 
 inline void LogQuaternion(const double q[4], double w[3]) {
   const double sine = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2]);
   const double cosine = std::abs(q[3]);
-  // atan2(y, x) / y ~ 1 / x where y vanishes beside x; the next term is of the order of y^2.
+  // atan2(y, x) / y ~ 1 / x where y is negligible compared with x; the next term is of the order of
+  // y^2.
   const double factor = sine < 1e-9 * cosine ? 2 / cosine : 2 * std::atan2(sine, cosine) / sine;
   const double sign = q[3] < 0 ? -1 : 1;
   for (int i = 0; i < 3; ++i) w[i] = sign * factor * q[i];

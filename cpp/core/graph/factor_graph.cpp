@@ -18,7 +18,7 @@ namespace {
 void CheckBounds(const Block& block) {
   if (block.lower.empty() && block.upper.empty()) return;
   if (block.retraction.manifold() != Manifold::kEuclidean) {
-    throw InputError(block.name + ": bounds: expected on a euclidean variable, found " +
+    throw InputError(block.name + ": bounds: expected a euclidean variable, found " +
                      block.retraction.name());
   }
   const size_t n = block.value.size();
@@ -121,7 +121,8 @@ void ValidateGraph(const FactorGraph& graph) {
   }
   for (size_t b = 0; b < graph.blocks.size(); ++b) {
     if (has_factor[b] || graph.blocks[b].NumFree() == 0) continue;
-    throw InputError(graph.blocks[b].name + ": expected a factor that touches it, found 0");
+    throw InputError(graph.blocks[b].name +
+                     ": expected at least one factor of this variable, found 0");
   }
   for (const auto& factor : graph.factors) CheckEvaluation(*factor, graph.blocks);
 }

@@ -1,21 +1,21 @@
 /// Part of Preintegration (preintegration.h).
 ///
-/// The covariance of a preintegrated motion together with the biases that walk in it.
+/// The joint covariance of a preintegrated motion and of biases with a random walk during it.
 ///
-/// preintegration.cpp takes the biases for constant. A bias that walks with density s_b from b_i on
-/// has at the end b_j = b_i + n with covariance s_b^2 T I, and has acted on the motion on its way.
-/// An interval's transition of the errors (t, dp, dv, dbg, dba) is that of preintegration.cpp, a
-/// shear and a turn, and what the biases do in it,
+/// preintegration.cpp assumes constant biases. A bias with a random walk of density s_b ends at b_j
+/// = b_i + n, with covariance s_b^2 T I, and affects the motion meanwhile. In an interval, the
+/// errors (t, dp, dv, dbg, dba) change by the shear and the turn of preintegration.cpp, and by the
+/// biases,
 ///
 ///   t -= J_r dt dbg,      dp -= 1/2 M dt^2 dba,      dv -= M dt dba,
 ///
-/// after which the biases walk: their covariance grows by s_b^2 dt I. C <- A C A^T is the rows'
-/// transition applied to C, and again to the transpose.
+/// then the covariance of the biases grows by s_b^2 dt I. C <- A C A^T applies the transition of
+/// the rows to C, and then to the transpose.
 ///
 /// GTSAM's PreintegratedCombinedMeasurements has the same structure with three differences: its
-/// accelerometer bias stands before the gyroscope's, its bias residual is b_i - b_j, so that the
-/// blocks between motion and biases have the other sign, and its default integrates in the tangent
-/// space of the first rotation.
+/// accelerometer bias comes before the gyroscope bias; its bias residual is b_i - b_j, so that the
+/// blocks between motion and biases have the opposite sign; and its default integrates in the
+/// tangent space of the first rotation.
 
 #include <algorithm>
 #include <utility>

@@ -2,18 +2,19 @@
 
 /// Jacobians of the residual (Forster et al., TRO 2017, appendix C), for R Exp(d) and R' Exp(d').
 ///
-/// Rotation: with r = r_R, dR^T R^T R' = Exp(r). The last state multiplies it by Exp(d') on the
-/// right, the first one puts Exp(-d) before R^T R', which is Exp(-(R'^T R) d) behind it:
+/// Rotation: with r = r_R, dR^T R^T R' = Exp(r). A step of the last state multiplies Exp(r) by
+/// Exp(d') on the right. A step of the first state puts Exp(-d) before R^T R'; this equals
+/// Exp(-(R'^T R) d) after it:
 ///
 ///   dr/dd' = J_r(r)^-1,        dr/dd = -J_r(r)^-1 R'^T R.
 ///
-/// A change e of the gyroscope's bias makes dR Exp(a + J e), a = J dbg with J = d dR / d bg, which
-/// is dR Exp(a) Exp(J_r(a) J e) to first order; its inverse stands before Exp(r), and so
+/// A change e of the gyroscope's bias gives dR Exp(a + J e), a = J dbg with J = d dR / d bg. To
+/// first order, this is dR Exp(a) Exp(J_r(a) J e). Its inverse is the factor before Exp(r), so that
 ///
 ///   dr/dbg = -J_r(r)^-1 Exp(r)^T J_r(a) J.
 ///
-/// Position and velocity are y - dp and z - dv with y and z = R^T (...) of the header. Turning R
-/// moves them to Exp(-d) y = y + [y]x d.
+/// Position and velocity are y - dp and z - dv with y and z = R^T (...) of the header. A rotation
+/// of R changes y to Exp(-d) y = y + [y]x d, and z likewise.
 ///
 ///          | d       p     v       bg     ba    | d'   p'    v'   | g
 ///   r_p    | [y]x   -R^T  -R^T T  -J_pg  -J_pa  |  0   R^T    0   | -1/2 R^T T^2

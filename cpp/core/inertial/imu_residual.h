@@ -1,6 +1,6 @@
 #pragma once
 
-/// The residual of two states that samples of an IMU connect, with its Jacobians.
+/// The residual of two states that are connected by IMU samples, with its Jacobians.
 ///
 /// With (R, p, v) and (R', p', v') of the states at both ends, world_from_imu, T the duration, g
 /// gravity, and (dR, dp, dv) the preintegrated motion corrected to the biases of the first state,
@@ -30,13 +30,13 @@ ImuState ImuStateFromRow(const double row[16]);
 
 /// Unwhitened, in the order rotation, position, velocity: 9 numbers. `jacobian_i` and `jacobian_j`
 /// are 9 x 15 by the tangent coordinates, `jacobian_gravity` 9 x 3, all row-major; each may be
-/// nullptr. The biases of `j` do not enter.
+/// nullptr. The biases of `j` have no effect.
 void ImuResidual(const Preintegration& motion, const ImuState& i, const ImuState& j,
                  const double gravity[3], double* residual, double* jacobian_i, double* jacobian_j,
                  double* jacobian_gravity);
 
-/// m <- W m with W the square root of the information, 9 x columns, row-major. Throws InputError
-/// where there is none.
+/// m <- W m with W the square root of the information, 9 x columns, row-major. Throws InputError if
+/// it does not exist.
 void WhitenImu(const Preintegration& motion, double* m, int columns);
 
 }  // namespace bundle

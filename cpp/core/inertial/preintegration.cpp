@@ -3,36 +3,36 @@
 /// Preintegration on the manifold (Forster, Carlone, Dellaert, Scaramuzza, "On-Manifold
 /// Preintegration for Real-Time Visual-Inertial Odometry", TRO 2017).
 ///
-/// A gyroscope measures w~ = w + bg + noise, an accelerometer f~ = R^T (a - g) + ba + noise, R
-/// being world_from_imu. With w = w~ - bg, f = f~ - ba, and H = dR times a force, the motion
-/// relative to the frame at the start, without gravity, moves in an interval dt by
+/// A gyroscope measures w~ = w + bg + noise, an accelerometer f~ = R^T (a - g) + ba + noise, with R
+/// = world_from_imu. With w = w~ - bg, f = f~ - ba, and H = dR times a force, an interval dt
+/// changes the motion, relative to the frame at the start and without gravity, by
 ///
 ///   p += v dt + 1/2 dR f dt^2,      v += dR f dt,      dR <- dR E,      E = Exp(w dt),
 ///
-/// in this order: position takes the velocity and the rotation of the interval's start.
-/// By midpoint the force is 1/2 (dR f + dR E f'), f' at the interval's end, and w~ the mean of
-/// both.
+/// in this order: the position uses the velocity and the rotation at the start of the interval. By
+/// midpoint, the force is 1/2 (dR f + dR E f') with f' at the end of the interval, and w~ is the
+/// mean of both ends.
 ///
-/// Errors are taken in the frame of the start: Exp(t) dR, p and v of errors (t, dp, dv). No turn
-/// moves t then, and a force g = dR f of that frame changes by t x g, so that with k = -g dt (by
-/// midpoint two: k0 = -1/2 dR f dt and k1 = -1/2 dR E f' dt) an interval is
+/// Errors are taken in the frame of the start: Exp(t) dR, p and v of errors (t, dp, dv). Then no
+/// turn changes t, and a force g = dR f of that frame changes by t x g. With k = -g dt (by midpoint
+/// two of them: k0 = -1/2 dR f dt and k1 = -1/2 dR E f' dt), an interval is
 ///
 ///   a shear    dp += drift dv + 1/2 dt k x t,     dv += k x t,      drift = dt (or 0 for k1),
 ///   a turn     t -= dR J_l dt dbg,
 ///
-/// and by midpoint a shear with k1. The turn is by dR Exp((w - dbg) dt), which is
-/// dR Exp(-J_l dt dbg) E = Exp(-dR J_l dt dbg) dR E to first order, J_l = J_l(w dt).
+/// and by midpoint a shear with k1. The turn comes from dR Exp((w - dbg) dt), which is dR Exp(-J_l
+/// dt dbg) E = Exp(-dR J_l dt dbg) dR E to first order, J_l = J_l(w dt).
 ///
-/// The Jacobians by the gyroscope's bias are three columns (J_t, J_p, J_v) of such errors, those by
-/// the accelerometer's bias move by -1/2 M dt^2 and -M dt with M = dR, or 1/2 (dR + dR E). What
-/// users see is by the error of dR Exp(t): J_R = dR^T J_t, and the same for the covariance.
+/// The Jacobians by the gyroscope's bias are three columns (J_t, J_p, J_v) of such errors. Those by
+/// the accelerometer's bias change by -1/2 M dt^2 and -M dt with M = dR, or 1/2 (dR + dR E).
+/// Outputs refer to the error of dR Exp(t): J_R = dR^T J_t, and the same for the covariance.
 ///
-/// Covariance. White noise of density s has variance s^2 / dt in a mean over dt. The gyroscope's
-/// enters with the turn as s^2 dt times dR J_l J_l^T dR^T = I + (2c - b^2 - c^2 a^2) [u]x^2, where
-/// J_l = I + b W + c W^2, u = dR w dt, a = |u|. The accelerometer's enters as that of a mean force
-/// in any frame, which no rotation changes: s^2 (dt^3/4, dt^2/2, dt) I for (pp, pv, vv). A third,
-/// integration_covariance dt I, goes to the position.
-/// The blocks of A C A^T for a shear follow with Y = [k]x (C_tt C_tp C_tv) = (X U V), Z = X [k]x^T:
+/// Covariance. The mean of white noise of density s over dt has the variance s^2 / dt. The noise of
+/// the gyroscope adds with the turn s^2 dt times dR J_l J_l^T dR^T = I + (2c - b^2 - c^2 a^2)
+/// [u]x^2, where J_l = I + b W + c W^2, u = dR w dt, a = |u|. The noise of the accelerometer is
+/// that of a mean force, which is the same in any frame: s^2 (dt^3/4, dt^2/2, dt) I for (pp, pv,
+/// vv). A third term, integration_covariance dt I, is added to the position. The blocks of A C A^T
+/// for a shear follow with Y = [k]x (C_tt C_tp C_tv) = (X U V), Z = X [k]x^T:
 ///
 ///   tp += drift tv + 1/2 dt X^T        pp += drift (pv + pv^T) + drift^2 vv + 1/2 dt (U + U^T)
 ///   tv += X^T                                + 1/2 dt drift (V + V^T) + 1/4 dt^2 Z
@@ -210,7 +210,7 @@ void Preintegration::Add(const ImuSample& sample) {
   turned_ += std::sqrt(angle_squared);
 }
 
-/// The shear of the derivation above with k.
+/// Applies the shear of the derivation above, with this k.
 void Preintegration::Shear(const double k[3], double half_dt, double drift) {
   double y[27], x[9], z[9], by_gyro[9];
   CrossColumns<9>(k, of_rotation_.data(), y);
@@ -298,7 +298,7 @@ void Preintegration::Finish() {
 const std::array<double, 81>& Preintegration::sqrt_information() const {
   if (!has_information_) {
     throw InputError("preintegration: the covariance of " + std::to_string(samples_.size()) +
-                     " samples is not positive definite: expected more of them, or an "
+                     " samples is not positive definite: expected more samples, or an "
                      "integration_covariance above 0");
   }
   return sqrt_information_;

@@ -31,7 +31,7 @@ struct ImuSample {
   double accel_end[3];  ///< at the end; unused with zero-order hold
 };
 
-/// Throws InputError at a number that is not finite or a dt that is not above 0. Arrays as in
+/// Throws InputError if a number is not finite or a dt is not above 0. Arrays as in
 /// Preintegration::Integrate.
 void CheckSamples(const double* gyro, const double* accel, const double* dt, int count,
                   IntegrationRule rule);
@@ -42,17 +42,17 @@ void CheckSamples(const double* gyro, const double* accel, const double* dt, int
 /// square root are in the order rotation, position, velocity.
 class Preintegration {
  public:
-  /// Throws InputError unless densities are finite, those of gyroscope and accelerometer above 0
-  /// and the others at least 0, and biases finite.
+  /// Throws InputError if a density or bias is not finite, a density of gyroscope or accelerometer
+  /// is not above 0, or another density is below 0.
   Preintegration(const ImuNoise& noise, const double gyro_bias[3], const double accel_bias[3],
                  IntegrationRule rule = IntegrationRule::kZeroOrderHold);
 
   /// Integrates `count` intervals of dt seconds. `gyro` and `accel` are count x 3 with zero-order
   /// hold, (count + 1) x 3 by midpoint: a sample at each end, so that the first row of a call is
-  /// the last one of the call before. Throws InputError, and changes nothing, at a number that is
-  /// not finite or a dt that is not above 0.
+  /// the last row of the previous call. Throws InputError, without any change, if a number is not
+  /// finite or a dt is not above 0.
   void Integrate(const double* gyro, const double* accel, const double* dt, int count);
-  /// Integrates the samples of the interval that follows, at the biases of this one.
+  /// Integrates the samples of the next interval, at the biases of this object.
   void Append(const Preintegration& next);
   void Append(const std::vector<ImuSample>& samples);
   /// Preintegrates the same samples at other biases.
@@ -60,9 +60,9 @@ class Preintegration {
   /// The deltas at other biases, to first order in them.
   void Corrected(const double gyro_bias[3], const double accel_bias[3], double rotation[9],
                  double position[3], double velocity[3]) const;
-  /// 15 x 15 of rotation, position, velocity, gyroscope bias, accelerometer bias: that of the
-  /// residual with b_j - b_i below it, of biases that walk from b_i at the start. Walks the
-  /// samples.
+  /// 15 x 15, by rotation, position, velocity, gyroscope bias, accelerometer bias: covariance of
+  /// the residual followed by b_j - b_i, for biases with a random walk from b_i at the start. Walks
+  /// the samples.
   void CombinedCovariance(double out[225]) const;
 
   const ImuNoise& noise() const { return noise_; }
@@ -106,8 +106,8 @@ class Preintegration {
   Vector position_ = {}, velocity_ = {};
   Matrix rotation_by_gyro_ = {}, position_by_gyro_ = {}, position_by_accel_ = {};
   Matrix velocity_by_gyro_ = {}, velocity_by_accel_ = {};
-  /// With the rotation's error in the frame of the start: its Jacobian, its rows of the covariance
-  /// (3 x 9), and the blocks below them.
+  /// With the error of the rotation in the frame of the start: its Jacobian, its rows of the
+  /// covariance (3 x 9), and the blocks below these rows.
   Matrix turn_by_gyro_ = {};
   std::array<double, 27> of_rotation_ = {};
   Matrix of_position_ = {}, position_velocity_ = {}, of_velocity_ = {};

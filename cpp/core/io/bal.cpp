@@ -13,7 +13,7 @@ namespace bundle {
 
 namespace {
 
-/// Keeps all of a file.
+/// Stores a complete file.
 struct KeepAll {
   BalProblem kept;
 

@@ -11,16 +11,17 @@
 ///     P' = R' X + t',   p' = (P'x, P'y) / P'z,   (x', y') = f (1 + k1 |p'|^2 + k2 |p'|^4) p'.
 /// Turn the camera frame by half a turn about its x axis, D = diag(1, -1, -1), P' = D P. Then
 ///     p' = (Px, -Py) / (-Pz) = (px, -py),   |p'| = |p|,   so (x', y') = (x, -y)
-/// with the same f, k1, k2. Of the numbers stored, the points, f, k1, k2 and x stay as they are, y
-/// and two components of t change sign: all of this is exact in floating point.
+/// with the same f, k1, k2. The stored points, f, k1, k2 and x do not change; y and two components
+/// of t change sign. All of this is exact in floating point.
 ///
-/// R becomes D R. The quaternion of D is the unit i, so with q = w + x i + y j + z k that of R,
+/// R becomes D R. The quaternion of D is the unit i. With q = w + x i + y j + z k the quaternion of
+/// R,
 ///     q' = i q = -x + w i - z j + y k,
-/// again exact; and q = -i q' on the way back. Only the step between the angle-axis vector that BAL
-/// stores and q rounds. It preserves the direction to a few ulp because all three components are
-/// scaled by one factor. The sign of q is left as it comes, so that an angle in [0, 2 pi) is found
-/// again as 2 atan2(|v|, w), also where it exceeds pi. A larger angle is reduced to [0, 2 pi): the
-/// rotation is the same, the numbers are not.
+/// which is exact, too; the inverse is q = -i q'. Only the conversion between BAL's angle-axis
+/// vector and q rounds. It preserves the direction to a few ulp, because it scales all three
+/// components by one factor. The sign of q is not changed. So an angle in [0, 2 pi), also above pi,
+/// is recovered as 2 atan2(|v|, w). A larger angle is reduced to [0, 2 pi): the rotation is the
+/// same, but the numbers differ.
 ///
 /// [1] https://grail.cs.washington.edu/projects/bal/
 
@@ -38,7 +39,7 @@ namespace bundle {
 /// cam_from_world: qx qy qz qw tx ty tz.
 inline void CamFromWorldFromBal(const double* bal, double* cam_from_world) {
   const double angle = std::hypot(bal[0], bal[1], bal[2]);
-  // sin(angle / 2) / angle; the series' next term is below half an ulp.
+  // sin(angle / 2) / angle; the next term of the series is below half an ulp.
   const double scale = angle < 1e-3 ? 0.5 - angle * angle / 48.0 : std::sin(0.5 * angle) / angle;
   const double x = scale * bal[0];
   const double y = scale * bal[1];
@@ -52,8 +53,8 @@ inline void CamFromWorldFromBal(const double* bal, double* cam_from_world) {
   cam_from_world[6] = -bal[5];
 }
 
-/// The inverse. The quaternion may have any length but zero; its sign decides between an angle and
-/// the same rotation the other way round.
+/// The inverse. The quaternion may have any nonzero length. Its sign decides if the angle is below
+/// or above pi.
 inline void BalFromCamFromWorld(const double* cam_from_world, double* bal) {
   const double w = cam_from_world[0];
   const double x = -cam_from_world[3];
@@ -103,14 +104,15 @@ struct BalView {
   const int32_t* observation_image = nullptr;  ///< num_observations
   const int32_t* observation_point = nullptr;  ///< num_observations
   const double* observation_xy = nullptr;      ///< num_observations x 2
-  /// num_images x 3, may be null: angle-axis to write in place of the one that cam_from_world
-  /// gives, where keeps_rotation is set. The way over a quaternion costs the last bits.
+  /// num_images x 3, or nullptr: angle-axis vectors that are written instead of those of
+  /// cam_from_world, for images with keeps_rotation. The conversion by a quaternion would change
+  /// the last bits.
   const double* rotations = nullptr;
   const uint8_t* keeps_rotation = nullptr;  ///< num_images; null only if rotations is null
 };
 
-/// Writes a BAL file. Numbers are the shortest that read back as the same double. A principal point
-/// is subtracted from the observations, since BAL measures from it.
+/// Writes a BAL file. Numbers are the shortest that read back as the same double. The principal
+/// point is subtracted from the observations, because BAL measures from it.
 ///
 /// `on_block` is called between blocks of about a megabyte and may throw. Throws std::system_error.
 void WriteBal(const BalView& problem, const std::filesystem::path& path, Compression compression,

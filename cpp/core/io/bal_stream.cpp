@@ -9,7 +9,7 @@ namespace bundle {
 
 namespace {
 
-/// The first line, as long for any number of observations.
+/// The first line, with the same length for any number of observations.
 std::string FirstLine(int64_t num_images, int64_t num_points, int64_t num_observations) {
   constexpr size_t kDigits = 10;  // of 2^31
   std::string count = std::to_string(num_observations);

@@ -31,7 +31,7 @@ bool Exists(const std::string& folder, const char* stem, const ColmapScanner& sc
   return std::filesystem::is_regular_file(JoinPath(folder, stem, scanner.extension), ignored);
 }
 
-/// The names of the files that this format needs and the folder lacks.
+/// The names of the files of this format that are missing in the folder.
 std::string MissingFiles(const std::string& folder, const ColmapScanner& scanner) {
   std::string missing;
   for (const char* stem : {"cameras", "images", "points3D"}) {
@@ -99,7 +99,7 @@ void CheckRigs(const ColmapIndex& index, const IdMap& cameras) {
   }
 }
 
-/// Frames against rigs and images; on return `frame_of_image` tells which frame holds which image.
+/// Checks frames against rigs and images; `frame_of_image` becomes the frame of each image.
 void CheckFrames(const ColmapIndex& index, const IdMap& rigs, const IdMap& images,
                  std::vector<int64_t>* frame_of_image) {
   for (size_t f = 0; f < index.frames.size(); ++f) {
@@ -135,7 +135,7 @@ void CheckFrames(const ColmapIndex& index, const IdMap& rigs, const IdMap& image
 
 void CheckImages(const ColmapIndex& index, const IdMap& cameras,
                  const std::vector<int64_t>& frame_of_image) {
-  // Models older than rigs and frames: COLMAP makes one rig a camera and one frame an image.
+  // Older models have no rigs and frames: COLMAP makes one rig per camera and one frame per image.
   const bool has_frames = !index.rigs.empty() || !index.frames.empty();
   for (size_t i = 0; i < index.images.size(); ++i) {
     const ColmapIndex::Image& image = index.images[i];
@@ -164,7 +164,8 @@ void CheckPointIdsUnique(const ColmapIndex& index) {
                          "expected each point once, found " + RecordName("point", id) + " again");
 }
 
-/// Tracks against keypoints: each names the other, once. Returns each keypoint's point.
+/// Checks tracks against keypoints: each must refer to the other once. Returns each keypoint's
+/// point.
 std::vector<int64_t> CheckTracks(const ColmapIndex& index, const IdMap& images) {
   std::vector<int64_t> point_of_keypoint(index.keypoint_point_ids.size(), IdMap::kNone);
   for (size_t p = 0; p < index.points.size(); ++p) {

@@ -16,7 +16,8 @@ class IdMap {
  public:
   static constexpr int64_t kNone = -1;
 
-  /// `record` is "camera"; a repeated id is an error at the record that repeats it.
+  /// `record` is the kind of record, such as "camera". A repeated id is an error at the second
+  /// record.
   template <typename Record>
   IdMap(const std::vector<Record>& records, const ModelFile& file, const std::string& record) {
     uint64_t max_id = 0;

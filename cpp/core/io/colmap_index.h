@@ -193,12 +193,12 @@ const CameraModel* FindColmapCameraModel(int32_t id);
 // Checks of single values, the same in both formats. Each function throws InputError at `position`;
 // `subject` is, for example, "camera 3".
 
-/// Parameters finite, focal lengths and image sizes above zero.
+/// Checks that parameters are finite, and focal lengths and image sizes above zero.
 void CheckCameraParams(const ModelFile& file, uint64_t position, const std::string& subject,
                        const CameraModel& model, const double* params);
 
-/// `pose` is qw qx qy qz tx ty tz, as in the files: finite, with a quaternion that gives a
-/// rotation.
+/// Checks a pose, qw qx qy qz tx ty tz as in the files: its numbers are finite and its quaternion
+/// gives a rotation.
 void CheckPose(const ModelFile& file, uint64_t position, const std::string& subject,
                const double* pose);
 

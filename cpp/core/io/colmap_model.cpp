@@ -75,7 +75,7 @@ ColmapModel ReadColmapModel(const std::string& folder, bool may_be_empty) {
   model.points_by_id = OrderById(model.index.points);
   FindColmapRigs(&model);
   model.observations = SortColmapObservations(model.index, point_of_keypoint);
-  // What only the check needed: the files hold it too.
+  // Frees data that only the check needed; the files contain them, too.
   model.index.keypoint_point_ids = {};
   model.index.triangulated_xy = {};
   model.index.track_elements = {};
@@ -84,7 +84,7 @@ ColmapModel ReadColmapModel(const std::string& folder, bool may_be_empty) {
 
 namespace {
 
-/// Number of the first row of each point, by position of the point, where rows go by point id.
+/// Index of the first row of each point, by position of the point; rows are sorted by point id.
 std::vector<size_t> FirstRows(const std::vector<size_t>& points_by_id,
                               const std::vector<int64_t>& point_of_keypoint) {
   std::vector<size_t> num_rows(points_by_id.size(), 0);
@@ -209,7 +209,7 @@ namespace {
 /// Opens a regular file; the descriptor is closed with the last copy of the pointer.
 std::shared_ptr<const int> OpenRegularFile(const std::string& path) {
   struct stat status;
-  // Before open(), which would wait for a writer if this were a named pipe.
+  // Checked before open(), which would wait for a writer if this is a named pipe.
   if (stat(path.c_str(), &status) != 0) FailToRead(path, std::strerror(errno));
   if (!S_ISREG(status.st_mode)) FailToRead(path, "not a regular file");
   const int descriptor = open(path.c_str(), O_RDONLY | O_CLOEXEC);
@@ -226,7 +226,7 @@ struct stat StatusOf(int descriptor, const std::string& path) {
   return status;
 }
 
-/// When contents or size of a file last changed, in nanoseconds.
+/// Time of the last change of a file, in nanoseconds.
 int64_t ChangedAt(const struct stat& status) {
 #ifdef __APPLE__
   const timespec& time = status.st_mtimespec;
@@ -236,7 +236,7 @@ int64_t ChangedAt(const struct stat& status) {
   return int64_t{time.tv_sec} * 1'000'000'000 + time.tv_nsec;
 }
 
-/// Reads up to `size` bytes from `position` on; returns how many the file has.
+/// Reads up to `size` bytes from `position` on and returns the number of bytes read.
 size_t ReadBytes(int descriptor, const std::string& path, uint64_t position, char* buffer,
                  size_t size) {
   size_t done = 0;

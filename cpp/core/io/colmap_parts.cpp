@@ -1,9 +1,9 @@
 #include "core/io/colmap_parts.h"
 
-/// A part is read in two passes. points3D.bin gives its points and their tracks, and so the place
-/// of each observation. images.bin then gives the pixels. The files contradict each other if a
-/// keypoint has no such place, or if a place gets no keypoint. Beside its data, a part needs only
-/// eight bytes of memory per observation.
+/// A part is read in two passes. points3D.bin gives its points and their tracks, which determine
+/// the place of each observation. images.bin then gives the pixels. The files contradict each other
+/// if a keypoint has no such place, or if a place gets no keypoint. In addition to its data, a part
+/// needs only eight bytes of memory per observation.
 
 #include <algorithm>
 #include <cmath>
@@ -110,7 +110,7 @@ struct PartOfPoints {
     }
   }
 
-  /// Row of an element of a track, `tracks.size()` where the track has no such element.
+  /// Row of an element of a track; `tracks.size()` if the track has no such element.
   size_t Find(const Record& record, const ColmapIndex::TrackElement& element) const {
     const auto begin = tracks.begin() + static_cast<std::ptrdiff_t>(record.first);
     const auto end = begin + static_cast<std::ptrdiff_t>(record.length);
@@ -160,7 +160,8 @@ struct PartOfImages {
   }
 };
 
-/// Finds what is wrong with the track of a point, in the order of the file; empty if nothing is.
+/// Finds the first error in the track of a point, in the order of the file; empty if the track is
+/// valid.
 std::optional<ColmapPart::Failure> CheckTrack(const ColmapIndex& index, const IdMap& images,
                                               const PartOfPoints& part,
                                               const PartOfPoints::Record& record,
@@ -195,8 +196,7 @@ std::optional<ColmapPart::Failure> CheckTrack(const ColmapIndex& index, const Id
   return std::nullopt;
 }
 
-/// Finds the first contradiction in points3D.bin, of the points with a place that no keypoint
-/// filled.
+/// Finds the first contradiction in points3D.bin: a place without a keypoint.
 void CheckTracksOfPart(const ColmapIndex& index, const IdMap& images, const PartOfPoints& part,
                        const std::vector<double>& xy, std::optional<ColmapPart::Failure>* failure) {
   for (const PartOfPoints::Record& record : part.records) {

@@ -15,7 +15,7 @@
 namespace bundle {
 
 struct ColmapPart {
-  /// The first contradiction of tracks and keypoints that the part has.
+  /// First contradiction between tracks and keypoints in the part.
   struct Failure {
     bool is_in_images;  ///< else in points3D.bin, of which ReadColmapModel speaks first
     uint64_t position;
@@ -27,9 +27,9 @@ struct ColmapPart {
   std::optional<Failure> failure;
 };
 
-/// Reads cameras, images, the points that have a place (-1: none) and their observations, sorted as
-/// ReadColmapModel does. `point_ids` are those of the survey; places ascend with them from 0 on.
-/// Throws InputError where the files have other points.
+/// Reads cameras, images, the points that have a place (-1: no place) and their observations, in
+/// the order of ReadColmapModel. `point_ids` are those of the survey; places ascend with them from
+/// 0 on. Throws InputError if the files have other points.
 ColmapPart ReadColmapPart(const std::string& folder, const std::vector<int64_t>& point_ids,
                           const std::vector<int32_t>& place, const std::function<void()>& on_block);
 

@@ -15,11 +15,11 @@
 
 namespace bundle {
 
-/// One file of a model: values one after the other, in either format. Text separates them by blanks
-/// and has counts only in its comments.
+/// One file of a model: values one after the other, in either format. In text, blanks separate the
+/// values, and only comments have counts.
 class RecordFile {
  public:
-  /// `comments`: the lines at the head of text; without "#" and the line end of the last.
+  /// `comments`: the first lines of a text file, without "#" and without the last line end.
   RecordFile(const std::filesystem::path& folder, const char* stem, bool is_binary, int digits,
              std::string_view comments, size_t count, std::function<void()> on_block = {})
       : file_(folder / (std::string(stem) + (is_binary ? ".bin" : ".txt")), Compression::kNone),
@@ -33,7 +33,7 @@ class RecordFile {
     }
   }
 
-  /// ", WORDS: MEAN" behind the count of text.
+  /// Writes ", WORDS: MEAN" after the count of a text file.
   void Mean(const char* words, size_t sum, size_t count) {
     if (is_binary_) return;
     buffer_.append(words);
@@ -104,14 +104,14 @@ class RecordFile {
     if (is_binary_) Raw(count);
   }
 
-  /// COLMAP's text has a blank here, whether anything follows or not.
+  /// COLMAP's text has a blank here, also at the end of a line.
   void Blank() {
     if (is_binary_) return;
     buffer_ += ' ';
     at_begin_of_line_ = true;
   }
 
-  /// Between blocks, once there is one.
+  /// Called between blocks, after the first one.
   void MayFlush() {
     if (buffer_.size() >= OutputFile::kBlockSize) Flush();
   }

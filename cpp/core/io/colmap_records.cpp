@@ -14,7 +14,7 @@
 namespace bundle {
 namespace {
 
-/// COLMAP writes so many digits.
+/// Number of digits that COLMAP writes.
 constexpr int kDigits = 17;
 
 void WriteCameras(const ColmapRecords& records, bool is_binary,
@@ -71,8 +71,8 @@ void WriteImages(const ColmapRecords& records, bool is_binary, const std::filesy
   file.Close();
 }
 
-/// v turned by the quaternion qw qx qy qz as it is, norm 1 or not, and shifted: the same operations
-/// in the same order as COLMAP's (Eigen's).
+/// v rotated by the quaternion qw qx qy qz, which is not normalized, and translated. The operations
+/// and their order are those of COLMAP (Eigen).
 std::array<double, 3> ToCamera(const std::array<double, 7>& pose, const double* v) {
   const double w = pose[0], x = pose[1], y = pose[2], z = pose[3];
   const double twice[3] = {2 * (y * v[2] - z * v[1]), 2 * (z * v[0] - x * v[2]),

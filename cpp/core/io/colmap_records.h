@@ -38,15 +38,15 @@ struct ColmapRecords {
 /// its track, with rotations by the quaternions as they are; sqrt(DBL_MAX) for an observation
 /// without a projection and beyond 90 degrees from the optical axis; on a panorama the angle
 /// between the rays, in pixels of the equator; -1, "not known", without observations. COLMAP's text
-/// reader takes no other error than a finite one: in text, -1 stands for those as well. Projections
-/// are ours: the last digits of an error are not COLMAP's.
+/// reader accepts only finite errors: in text, other errors are written as -1, too. Errors are
+/// computed with our projections, so that their last digits differ from COLMAP's.
 ///
 /// `on_block` is called regularly and may throw. Throws std::system_error for errors of the system.
 void WriteColmapRecords(const ColmapRecords& records, bool is_binary,
                         const std::filesystem::path& folder, const std::function<void()>& on_block);
 
-/// Parts of the writer, for rigs and frames of a model without them. `digits`: digits of text, 0
-/// for the shortest number that reads back as the same value.
+/// Parts of the writer that other files use to add rigs and frames to a model without them.
+/// `digits`: digits of text, 0 for the shortest number that reads back as the same value.
 void WriteColmapRigs(const std::vector<ColmapIndex::Rig>& rigs, bool is_binary, int digits,
                      const std::filesystem::path& folder);
 void WriteColmapFrames(const std::vector<ColmapIndex::Frame>& frames, bool is_binary, int digits,

@@ -3,8 +3,9 @@
 /// Images of a COLMAP model whose poses follow from a rig, and images with a pose of their own.
 ///
 /// COLMAP puts every image into a frame of a rig. Most rigs are one camera and their frames one
-/// image: such an image has the pose rig_from_world, and our problem has neither rig nor frame for
-/// it, also if the rig has an IMU. All other rigs with an image become rows of our arrays.
+/// image: such an image has the pose rig_from_world, and the problem has no rig and no frame for
+/// it, even if the rig has an IMU. All other rigs with an image become rows of the problem's
+/// arrays.
 
 #include <algorithm>
 #include <map>

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Rigs of a COLMAP model as our problem has them.
+/// Rigs of a COLMAP model, as a problem has them.
 
 #include <cstddef>
 #include <cstdint>
@@ -10,9 +10,10 @@ namespace bundle {
 
 struct ColmapModel;  // colmap_model.h
 
-/// Rigs with more than a reference camera, as our problem has them: frames with an image by id,
-/// cameras with a sensor_from_rig by the ids of rig and camera. All empty if no such rig has a
-/// frame with an image. Other sensors (IMUs, cameras of unknown pose) stay in the files.
+/// Rigs with more than a reference camera, as a problem has them. Frames with an image are sorted
+/// by id; cameras with a sensor_from_rig are sorted by the ids of rig and camera. All arrays are
+/// empty if no such rig has a frame with an image. Other sensors (IMUs, cameras of unknown pose)
+/// stay in the files.
 struct ColmapRigs {
   struct Place {
     size_t rig;     ///< in index.rigs

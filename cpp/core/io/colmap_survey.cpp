@@ -1,6 +1,7 @@
 #include "core/io/colmap_survey.h"
 
-/// Binary COLMAP models as streams: what all parts have, and how points are divided among them.
+/// Binary COLMAP models as streams: the data that all parts share, and the images that see each
+/// point.
 
 #include <algorithm>
 #include <filesystem>
@@ -50,7 +51,7 @@ void OrderViews(ColmapModel* model) {
   FindColmapRigs(model);
 }
 
-/// Per image of the file: its row in our arrays.
+/// Per image of the file: its row in the problem's arrays.
 std::vector<int32_t> RowsOfImages(const ColmapModel& model) {
   std::vector<int32_t> rows(model.images_by_id.size());
   for (size_t row = 0; row < rows.size(); ++row) {
@@ -98,7 +99,7 @@ struct SurveyTracks {
   }
 };
 
-/// Complains of the second of two points with this id.
+/// Throws an error about the second of two points with this id.
 struct FindTwin {
   const ModelFile& file;
   uint64_t id;

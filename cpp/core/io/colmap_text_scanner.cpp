@@ -35,7 +35,7 @@ namespace {
 /// Characters that COLMAP strips from both ends of a line.
 bool IsTrimmed(char c) { return c == ' ' || c == '\t' || c == '\r'; }
 
-/// std::from_chars takes no plus sign, the streams that COLMAP reads with do.
+/// std::from_chars accepts no plus sign, but the streams of COLMAP's reader do.
 const char* SkipPlus(const char* begin, const char* end) {
   const bool has_plus = end - begin > 1 && *begin == '+' && begin[1] != '-' && begin[1] != '+';
   return has_plus ? begin + 1 : begin;
@@ -114,7 +114,8 @@ double ColmapTextCursor::Number(const char* what) {
   const char* begin = SkipPlus(cursor_, end_of_line_);
   const auto [end, error] = std::from_chars(begin, end_of_line_, value);
   if (error == std::errc::result_out_of_range) {
-    // Too large or too close to zero: from_chars does not say which, COLMAP takes the latter.
+    // Too large or too close to zero; from_chars does not distinguish. COLMAP accepts numbers close
+    // to zero.
     std::istringstream stream(std::string(begin, end));
     stream.imbue(std::locale::classic());
     if (!(stream >> value)) value = std::numeric_limits<double>::infinity();
@@ -148,7 +149,7 @@ namespace {
 constexpr uint64_t kMaxColor = 255;
 constexpr uint64_t kMaxKeypoint = kInvalidColmapId - 1;
 
-/// Returns where the pose stands.
+/// Returns the span of the pose.
 ColmapSpan ReadPose(ColmapTextCursor* cursor, const ModelFile& file, const std::string& subject,
                     double* pose) {
   static constexpr const char* kNames[] = {"QW", "QX", "QY", "QZ", "TX", "TY", "TZ"};
@@ -203,7 +204,7 @@ void ScanKeypoints(ColmapIndex* index, ColmapTextCursor* cursor) {
     const double y = cursor->Number("the y of a keypoint");
     const int64_t point_id = cursor->SignedInteger("the point id of a keypoint");
     if (point_id < -1) {
-      cursor->Fail("expected a point id, or -1 for none, found " + std::to_string(point_id));
+      cursor->Fail("expected a point id, or -1 without a point, found " + std::to_string(point_id));
     }
     index->keypoint_point_ids.push_back(static_cast<uint64_t>(point_id));  // -1: kInvalidPoint3DId
     if (point_id != -1) index->triangulated_xy.insert(index->triangulated_xy.end(), {x, y});
@@ -224,8 +225,8 @@ void ScanImages(ColmapIndex* index) {
     CheckImageName(index->images_file, at, subject, name);
     if (name.find(' ') != std::string_view::npos) index->names_with_spaces.emplace(id, name);
     if (!cursor.NextLine()) {
-      cursor.Fail(subject + ": expected a line of keypoints (blank if there are none) after this " +
-                  "one, found the end of the file");
+      cursor.Fail(subject + ": expected a line of keypoints (blank without keypoints) after this " +
+                  "line, found the end of the file");
     }
     index->images.push_back({id, camera_id, at, 0, index->keypoint_point_ids.size(), 0,
                              std::string(name), pose, pose_span});

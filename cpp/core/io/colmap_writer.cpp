@@ -1,6 +1,6 @@
 #include "core/io/colmap_writer.h"
 
-/// Writes a COLMAP model: the files as they were read, with refined values in place of the old.
+/// Writes a COLMAP model: the files as they were read, with refined values.
 
 #include <algorithm>
 #include <array>
@@ -20,13 +20,14 @@
 namespace bundle {
 namespace {
 
-/// Puts numbers in place of others: in binary of the same bytes, in text separated by blanks.
+/// Replaces numbers by others: in binary with the same number of bytes, in text separated by
+/// blanks.
 class Patcher {
  public:
   Patcher(const ModelFile& source, const std::filesystem::path& path, bool is_binary)
       : source_(source), window_(source), file_(path, Compression::kNone), is_binary_(is_binary) {}
 
-  /// Spans must come in the order of the file.
+  /// Spans must be given in the order of the file.
   void Replace(const ColmapSpan& span, const double* values, size_t count) {
     Copy(span.begin);
     for (size_t i = 0; i < count; ++i) {
@@ -71,20 +72,21 @@ class Patcher {
   uint64_t position_ = 0;
 };
 
-/// Place of each record of the file in our arrays.
+/// Index of each record of the file in the problem's arrays.
 std::vector<size_t> Rows(const std::vector<size_t>& by_id) {
   std::vector<size_t> rows(by_id.size());
   for (size_t row = 0; row < by_id.size(); ++row) rows[by_id[row]] = row;
   return rows;
 }
 
-/// qw qx qy qz tx ty tz of a row of ours.
+/// qw qx qy qz tx ty tz of a row of the problem's arrays.
 std::array<double, 7> FilePose(const double* poses, size_t row) {
   const double* pose = poses + 7 * row;
   return {pose[3], pose[0], pose[1], pose[2], pose[4], pose[5], pose[6]};
 }
 
-/// Rows of the sensors with a pose by position in the file: of the rig, of the sensor in it.
+/// Rows of the sensors with a pose, by the positions in the file of the rig and of the sensor
+/// within it.
 std::map<std::pair<size_t, size_t>, size_t> SensorsInOrderOfFile(const ColmapRigs& rigs) {
   std::map<std::pair<size_t, size_t>, size_t> rows;
   for (size_t row = 0; row < rigs.sensors.size(); ++row) {
@@ -93,8 +95,8 @@ std::map<std::pair<size_t, size_t>, size_t> SensorsInOrderOfFile(const ColmapRig
   return rows;
 }
 
-/// Rigs and frames of a model that has none, as COLMAP makes them: a rig a camera and a frame an
-/// image, of the same ids.
+/// Rigs and frames for a model without them, as in COLMAP: one rig per camera and one frame per
+/// image, with the same ids.
 void WriteTrivialRigs(const ColmapModel& model, const ColmapValues& values,
                       const std::filesystem::path& folder) {
   std::vector<ColmapIndex::Rig> rigs;
@@ -114,7 +116,7 @@ void WriteTrivialRigs(const ColmapModel& model, const ColmapValues& values,
   WriteColmapFrames(frames, model.is_binary(), kShortest, folder);
 }
 
-/// Writes all but the points.
+/// Writes all files except the points.
 void WriteViews(const ColmapModel& model, const ColmapValues& values,
                 const std::filesystem::path& folder) {
   const ColmapIndex& index = model.index;
@@ -167,7 +169,7 @@ void WriteViews(const ColmapModel& model, const ColmapValues& values,
   frames.Finish();
 }
 
-/// Writes points as they are read once more.
+/// Writes the points while it reads them a second time.
 struct RewritePoints {
   const ColmapValues& values;
   const std::vector<int64_t>& ids;

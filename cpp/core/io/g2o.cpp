@@ -21,7 +21,7 @@ struct G2oKind {
   int dimension;
   std::string_view vertex, edge;
   int ambient, tangent;
-  /// Place of the file's k-th number in a pose as we store it, and in a tangent vector.
+  /// Index of the file's k-th number in a stored pose, and in a tangent vector.
   int pose_place[7], tangent_place[6];
   bool is_toro = false;
 };
@@ -33,7 +33,7 @@ constexpr G2oKind kG2oKinds[] = {
     {3, "VERTEX3", "EDGE3", 7, 6, {4, 5, 6, 0, 1, 2, 3}, {3, 4, 5, 0, 1, 2}, true},
 };
 
-/// Data of sensors, which say nothing of poses.
+/// Sensor data without information on poses.
 constexpr std::string_view kSensorPackets[] = {"ROBOTLASER1", "RAWLASER1", "FLASER", "VERTEX_TAG",
                                                "VERTEX_ELLIPSE"};
 
@@ -61,7 +61,7 @@ class IdTable {
   explicit IdTable(const std::vector<int64_t>& ids) : ids_(ids), order_(ids.size()) {
     std::iota(order_.begin(), order_.end(), 0);
     const auto less = [&](int32_t a, int32_t b) { return ids[a] < ids[b]; };
-    // Stable: of two vertices with one id the later is the duplicate.
+    // Stable sort, so that the later of two vertices with one id is the duplicate.
     if (!std::is_sorted(ids.begin(), ids.end())) {
       std::stable_sort(order_.begin(), order_.end(), less);
     }
@@ -70,7 +70,7 @@ class IdTable {
   /// -1 if there is no such id.
   int32_t Find(int64_t id) const {
     const auto below = [&](int32_t position, int64_t value) { return ids_[position] < value; };
-    // Ids mostly count up from one place to the next.
+    // Most ids increase by 1 from each vertex to the next.
     const auto guess =
         static_cast<uint64_t>(id) - static_cast<uint64_t>(ids_.empty() ? 0 : First());
     if (guess < order_.size() && ids_[order_[guess]] == id) return order_[guess];
@@ -78,7 +78,8 @@ class IdTable {
     return found != order_.end() && ids_[*found] == id ? *found : -1;
   }
 
-  /// The position of a second vertex with the id of another, and that one's; {-1, -1} if none.
+  /// Positions of a vertex whose id is repeated, and of the first vertex with this id; {-1, -1} if
+  /// all ids are unique.
   std::pair<int32_t, int32_t> FindTwins() const {
     for (size_t k = 1; k < order_.size(); ++k) {
       if (ids_[order_[k]] == ids_[order_[k - 1]]) return {order_[k], order_[k - 1]};
@@ -151,7 +152,7 @@ class G2oReader {
     const int64_t from = ReadId("first vertex"), to = ReadId("second vertex");
     if (from == to) {
       cursor_.FailWith("an edge between two vertices",
-                       "one of vertex " + std::to_string(from) + " with itself");
+                       "an edge of vertex " + std::to_string(from) + " with itself");
     }
     edge_ids_.push_back(from);
     edge_ids_.push_back(to);

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Pose graphs in g2o's text format, read and written; in TORO's, read.
+/// Reader and writer of pose graphs in g2o's text format; reader of TORO's format.
 ///
 ///   VERTEX_SE2 id x y angle
 ///   EDGE_SE2 i j x y angle  I11 I12 I13 I22 I23 I33
@@ -8,11 +8,11 @@
 ///   EDGE_SE3:QUAT i j x y z qx qy qz qw  I11 I12 ... I16 I22 ... I66
 ///   FIX id ...
 ///
-/// A pose is world_from_body; an edge measures X_i^-1 X_j. Information matrices are given by their
-/// upper triangle, in the plane over x y angle, in space over x y z qx qy qz. We store poses as
+/// A pose is world_from_body; an edge measures X_i^-1 X_j. Files have the upper triangle of each
+/// information matrix, by x y angle in the plane and by x y z qx qy qz in space. We store poses as
 /// COLMAP does (qx qy qz qw tx ty tz) and information in the order of the tangent coordinates of
-/// geometry/retraction.h (rotation, then translation): a permutation, exact in floating point. The
-/// numbers stay as they are in the file, also lengths of quaternions and full turns of angles.
+/// geometry/retraction.h (rotation, then translation): a permutation, exact in floating point. All
+/// numbers stay as they are in the file, including lengths of quaternions and full turns of angles.
 ///
 /// TORO's files (Grisetti, Stachniss, Grzonka, Burgard: TORO, 2007) differ little and are read,
 /// too:
@@ -22,11 +22,11 @@
 ///   VERTEX3 id x y z roll pitch yaw
 ///   EDGE3 i j x y z roll pitch yaw  I11 I12 ... I16 I22 ... I66
 ///
-/// R = R_z(yaw) R_y(pitch) R_x(roll); the information in space is over x y z roll pitch yaw, which
-/// near no error are x y z and the rotation vector. An edge without information has that of the
-/// identity. VERTEX and EDGE, as TORO writes them in the plane, are VERTEX2 and EDGE2. EQUIV i j
-/// names an edge that TORO may collapse later; the edge is kept as measured. Files are written with
-/// g2o's records.
+/// R = R_z(yaw) R_y(pitch) R_x(roll); the information in space is by x y z roll pitch yaw, which
+/// for small errors equal x y z and the rotation vector. An edge without information has the
+/// identity as its information. VERTEX and EDGE, as TORO writes them in the plane, are VERTEX2 and
+/// EDGE2. EQUIV i j names an edge that TORO may collapse later; here, the edge is used as measured.
+/// Files are written with g2o's records.
 ///
 /// Lines of parameters (PARAMS_...), comments (#) and packets of sensors (ROBOTLASER1 and other
 /// data that g2o attaches to vertices) are skipped and counted. The format is that of g2o's types

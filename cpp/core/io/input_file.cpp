@@ -21,7 +21,7 @@ namespace bundle {
 
 namespace {
 
-/// The file as stored. Its first bytes can be looked at before they are read, pipe or not.
+/// The file as stored. Its first bytes can be inspected before they are read, also in a pipe.
 class RawFile {
  public:
   explicit RawFile(const std::filesystem::path& path)
@@ -205,7 +205,7 @@ class CompressedFile final : public InputFile {
     decoder_.SetInput(input_.data(), count);
   }
 
-  /// Starts on the next of concatenated streams; returns false where the file ends.
+  /// Begins the next of several concatenated streams; returns false at the end of the file.
   bool BeginStream() {
     if (decoder_.stream.avail_in == 0) return false;
     if (static_cast<char>(*decoder_.stream.next_in) != Decoder::kMagic[0]) {

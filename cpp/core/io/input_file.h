@@ -10,8 +10,8 @@
 
 namespace bundle {
 
-/// A file as a stream of bytes. It is decompressed if its first bytes are those of gzip or bzip2,
-/// for any name. Concatenated streams, as pigz and pbzip2 write them, are read as one.
+/// A file as a stream of bytes. It is decompressed if it begins like a gzip or bzip2 file, whatever
+/// its name. Concatenated streams, as pigz and pbzip2 write them, are read as one.
 ///
 /// System errors are thrown as std::system_error, damaged compressed data as InputError with the
 /// position in the stored file.

@@ -36,7 +36,7 @@ std::string CompressGzip(const std::string& block) {
 }
 
 std::string CompressBzip2(const std::string& block) {
-  // The bound that libbz2's manual gives.
+  // The bound from libbz2's manual.
   std::string compressed(block.size() + block.size() / 100 + 600, '\0');
   auto size = static_cast<unsigned>(compressed.size());
   if (BZ2_bzBuffToBuffCompress(compressed.data(), &size, const_cast<char*>(block.data()),

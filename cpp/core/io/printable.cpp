@@ -46,7 +46,7 @@ std::string Printable(std::string_view bytes, size_t max_bytes) {
 }
 
 std::string Quoted(std::string_view text) {
-  // Appended piece by piece: GCC 12 sees a phantom overlap in a chain of operator+ (-Wrestrict).
+  // Appended piece by piece: for a chain of operator+, GCC 12 gives a false warning (-Wrestrict).
   constexpr size_t kMaxQuotedLength = 40;
   std::string result = "'";
   result += Printable(text, kMaxQuotedLength);

@@ -102,8 +102,8 @@ class TextCursor {
     return {position_, size};
   }
 
-  /// Moves unread bytes to the front of the buffer and reads more after them. Returns false if
-  /// there are none: the file has ended or the buffer is full.
+  /// Moves unread bytes to the front of the buffer and reads more after them. Returns false if it
+  /// reads no bytes: the file has ended or the buffer is full.
   bool Refill() {
     const auto left = static_cast<size_t>(end_ - position_);
     if (at_end_ || left == buffer_.size()) return false;

@@ -8,8 +8,8 @@
 /// column-major values, as tall as its blocks. So a dense S is a matrix for LAPACK, and a sparse S
 /// has the value array of a compressed-column matrix. Neither is copied before the factorisation.
 /// Diagonal blocks have storage for both triangles; only their lower triangle is defined. A panel
-/// may have more rows than its blocks, and may be stored between others, as the solver of a sparse
-/// S requires (supernodal_cholesky.h).
+/// may have more rows than its blocks, as the solver of a sparse S requires, and may be stored
+/// between other panels (supernodal_cholesky.h).
 
 #include <algorithm>
 #include <cstddef>

@@ -1,8 +1,9 @@
 #include "core/linear/coarse_space.h"
 
-/// Schur-Jacobi leaves the slowly converging errors. In these, clusters of images that are
-/// consistent in themselves move, turn or scale against each other, or share a change of intrinsics
-/// that poses and points compensate. So each cluster has as its directions
+/// Schur-Jacobi hardly reduces the slowly converging errors. In these errors, clusters of images
+/// move, turn or scale relative to each other while each cluster stays consistent. Or the images of
+/// a cluster share a change of intrinsics that poses and points compensate. So each cluster has as
+/// its directions
 ///
 ///   - the seven similarities of the world, cut to the cluster's images (model/gauge.h),
 ///   - for k = 0, 1, ... the k-th intrinsics column of all of its blocks at once.

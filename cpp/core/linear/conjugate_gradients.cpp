@@ -10,9 +10,9 @@
 ///
 /// Ceres iterates on the scaled unknowns y = C^-1 x, C = diag(scale): S' = C S C, b' = C b. With r'
 /// = C r, z' = C^-1 z and p' = C^-1 p every inner product is the same in both: r'^T z' = r^T z,
-/// p'^T S' p' = p^T S p, and so is Q, provided that z = C M'^-1 C r. M is cut out of S or U block
-/// by block, hence M' = C M C and z = M^-1 r: the scaling cancels. It remains only in the identity,
-/// M' = I, z = C^2 r. So no vector is scaled here.
+/// p'^T S' p' = p^T S p, and so is Q, provided that z = C M'^-1 C r. M consists of blocks of S or
+/// U, hence M' = C M C and z = M^-1 r: the scaling cancels. It remains only with the identity as
+/// preconditioner, M' = I, z = C^2 r. So no vector is scaled here.
 ///
 /// A residual that is exactly 0 also ends the iterations. In Ceres, the next step would be 0 / 0
 /// and fail; rounding usually prevents this. Here, a single block with its exact inverse often

@@ -62,8 +62,8 @@ class LinearSolver {
     return Solve(system->rhs.data(), 1, eta, x);
   }
 
-  /// Replaces the factor by the blocks of S^-1 at the blocks of S; diagonal blocks by their lower
-  /// triangle. Solve is not allowed afterwards.
+  /// Replaces the factor by the blocks of S^-1 at the blocks of S; of diagonal blocks only the
+  /// lower triangle is valid. Solve is not allowed afterwards.
   ///
   /// Throws std::logic_error without a successful Factorize, and for iterative solvers.
   LinearSolution InvertBlocks() {

@@ -7,8 +7,8 @@
 /// of the next panel in which it has rows (Ng and Peyton, Block sparse Cholesky algorithms on
 /// advanced uniprocessor computers, 1993; CHOLMOD does the same).
 ///
-/// The differences from CHOLMOD, and the reason not to use CHOLMOD: here, S is assembled at the
-/// place of L. CHOLMOD reads S from another array, with a row index for each value, and copies it.
+/// This code differs from CHOLMOD, and does not use it, because S is assembled directly in the
+/// memory of L. CHOLMOD reads S from another array, with a row index for each value, and copies it.
 /// Here, rows are given as blocks and as ranges of rows, which are added contiguously. If all rows
 /// of a product are one range, BLAS itself adds it at its place.
 ///

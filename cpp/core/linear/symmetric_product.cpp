@@ -155,7 +155,7 @@ void SymmetricProduct::MultiplyPanel(const double* values, int block, const doub
   const int top = s.row_in_panel[s.column_begin[block]];
   MultiplyDiagonalBlock(panel + top, stride, size, x_j, y_j);
 
-  // Gathered from the end of the diagonal block on.
+  // The rows from the end of the diagonal block on, gathered.
   const int64_t first = s.column_begin[block] + 1;
   const int64_t last = s.column_begin[block + 1];
   for (int64_t e = first; e < last; ++e) {

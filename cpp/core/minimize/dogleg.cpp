@@ -7,8 +7,9 @@
 /// The directions depend on x alone: a rejected step costs one more candidate and no solution of
 /// the normal equations.
 ///
-/// The damping is only for nearly singular normal equations and is independent of R. It is 1e-8,
-/// ten times more after a failure or an invalid step, up to 1; a fifth after each accepted step.
+/// The damping is only for nearly singular normal equations and is independent of R. It starts at
+/// 1e-8. A failure or an invalid step multiplies it by ten, up to 1; an accepted step divides it by
+/// five.
 
 #include <algorithm>
 #include <cmath>
@@ -93,8 +94,8 @@ void Dogleg::StepIsInvalid() {
 ///
 ///   beta^2 <q-c,q-c> + 2 beta <c,q-c> + <c,c> - R^2 = 0,
 ///
-/// whose positive root is written such that nothing cancels if <c,q-c> >= 0. Without damping in q,
-/// this is always true by Kantorovich's inequality: the path leads outwards.
+/// whose positive root is computed without cancellation if <c,q-c> >= 0. Without damping in q, this
+/// is always true by Kantorovich's inequality: the path leads outwards.
 ///
 /// Subspace dogleg. In the orthonormal basis (of D-lengths)
 ///
@@ -110,7 +111,7 @@ void Dogleg::StepIsInvalid() {
 ///   (A + z) x + B y = -P,  B x + (C + z) y = 0,   or   (x, y) = -P (C + z, -B) / det,
 ///   det = (A + z) (C + z) - B^2,                       x^2 + y^2 = R^2.
 ///
-/// Ceres multiplies the last equation out, to a quartic polynomial in z, and tries all four roots.
+/// Ceres transforms the last equation to a quartic polynomial in z and tries all four roots.
 /// Because the curvature is positive semidefinite, there is only one z > 0, and it belongs to the
 /// minimum. Write w = (C + z, -B), so that the length is n = P ||w|| / det. 1/n is concave and
 /// increasing in z (J. J. More, D. C. Sorensen: Computing a Trust Region Step, 1983). So Newton's

@@ -18,10 +18,11 @@
 /// * The quality of a shortened step is measured by the model cost change of the full step.
 ///
 /// Ceres searches along every step. If the trust region would accept d, the search ends at a = 1.
-/// So the search here is only for the other steps, and costs nothing in most iterations. Neither
-/// strategy goes beyond the minimum of the model m(t) = t s + t^2 c / 2 along its own step, so that
-/// -s / c >= 1, and the model cost change -s - c / 2 is at least -s / 2. An accepted step lowers
-/// the cost by more than a thousandth of that: by more than 1e-4 (-s).
+/// Therefore, this code searches only along steps that the trust region would reject. In most
+/// iterations it takes no time. Neither strategy goes beyond the minimum of the model m(t) = t s +
+/// t^2 c / 2 along its own step, so that -s / c >= 1, and the model cost change -s - c / 2 is at
+/// least -s / 2. An accepted step lowers the cost by more than a thousandth of that: by more than
+/// 1e-4 (-s).
 
 #include <Eigen/Core>
 #include <algorithm>

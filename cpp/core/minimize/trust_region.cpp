@@ -6,13 +6,13 @@
 /// conventions:
 ///
 /// * The start is iteration 0 and counts as a successful step.
-/// * Parameter and function tolerance are tested before a step is taken: one that meets them is not
-///   taken and leaves no record. So does one that ends in an error.
+/// * Parameter and function tolerance are tested before a step is taken: a step that meets them is
+/// not taken and has no record. So does one that ends in an error.
 /// * Parameter tolerance is not tested until a step has succeeded.
 /// * A cost that is held counts in decreases alone (least_squares.h); costs of records are without.
 /// * The record of a rejected step has the candidate's cost, its change, and the gradient at x; a
-///   candidate whose cost is not finite costs DBL_MAX. That of an invalid step has the cost at x,
-///   and zeros. The radius in a record is that of the next step.
+///   candidate whose cost is not finite costs DBL_MAX. The record of an invalid step has the cost
+///   at x, and zeros. The radius in a record is that of the next step.
 ///
 /// One difference from Ceres: factors other than observations settle (interface/settling.h).
 

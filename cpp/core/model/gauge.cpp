@@ -3,16 +3,16 @@
 /// The gauge.
 ///
 /// Fixed by two cameras: pose numbers hold the free motions of the world (gauge_hold.cpp). If the
-/// world is completely free, these are the first pose and a coordinate of the translation of a
-/// second pose. (COLMAP takes the largest coordinate of the inverse motion. Both fix the gauge, so
-/// both reach the same cost.)
+/// world is completely free, these numbers are the first pose and a coordinate of the translation
+/// of a second pose. (COLMAP takes the largest coordinate of the inverse motion. Both fix the
+/// gauge, so both reach the same cost.)
 ///
 /// Fixed by three points: all nine coordinates of three points that are not on a line, as in
-/// COLMAP. That is two more than the gauge has: the shape of their triangle does not change any
-/// more. Points that are constant anyway are used first. The others are chosen far apart but from
-/// the bulk of the cloud, so that no outlier becomes the reference. If rigs or constant images help
-/// to fix the world, three points would hold even more degrees of freedom: the remaining motions
-/// are then held as by two cameras.
+/// COLMAP. These are two numbers more than the gauge has: the shape of the triangle is fixed, too.
+/// Points that are constant anyway are used first. The others are chosen far apart within the main
+/// part of the cloud, so that no outlier becomes the reference. If rigs or constant images help to
+/// fix the world, three points would fix even more degrees of freedom. The remaining motions are
+/// then fixed as with two cameras.
 ///
 /// Directions in which cameras and points can move together without a change of any image: the
 /// world moves to X' = X + a, c + Exp(b) (X - c) or c + (1 + s) (X - c), with c the mean of the
@@ -129,7 +129,7 @@ std::string FixThreePoints(const AdjustmentProblem& problem, const std::vector<i
     double least = kFar * most;
     const int of_held = k == 2 ? -1 : Furthest(problem, held, chosen, k, &least);
     if (of_held >= 0) chosen[k] = of_held;
-    if (chosen[k] < 0) return "Gauge three_points is not held: no three points span a plane.";
+    if (chosen[k] < 0) return "Gauge three_points fixes nothing: no three points span a plane.";
   }
   for (const int p : chosen) free->point[p] = 0;
   return "";
@@ -156,8 +156,9 @@ std::string FixGauge(const AdjustmentProblem& problem, Gauge gauge, FreeParamete
   if (PosesHoldSomething(problem, images, *free)) {
     const std::string sentence = HoldFreeMotions(problem, free);
     if (!sentence.empty()) return sentence;
-    return "Gauge three_points is held as two_cameras, by poses: rigs or images that are held give "
-           "part of it, and three points would hold the shape of their triangle as well.";
+    return "Gauge two_cameras was used instead of three_points: rigs or constant images fix a part "
+           "of "
+           "the gauge, and three points would also fix the shape of their triangle.";
   }
   if (problem.division.communicator != nullptr) {
     throw InputError(

@@ -15,8 +15,8 @@
 
 namespace bundle {
 
-/// Removes the unobservable degrees of freedom from `free`: as many numbers as are counted, and
-/// with three points two more. Returns a message for the user if this could not be done as
+/// Removes the unobservable degrees of freedom from `free`, one number for each; with three points
+/// it removes two more numbers. Returns a message for the user if this could not be done as
 /// requested; otherwise "".
 std::string FixGauge(const AdjustmentProblem& problem, Gauge gauge, FreeParameters* free);
 

@@ -24,8 +24,8 @@
 /// those of [delta_i, -M_s], so that baselines down to 1e-10 of the scene count. Only the triangle
 /// of the QR factorisation of W is kept. A free frame of one image reaches every direction and has
 /// no rows. Constant points need three rows each, in units of their distance if they are far. But a
-/// similarity that keeps two points keeps their line, and one that keeps three keeps the world:
-/// three points that are far apart represent all.
+/// similarity that fixes two points fixes their line, and a similarity that fixes three points
+/// fixes the world: three points that are far apart represent all.
 ///
 /// A pose is refined by (w, t) with t about the origin of the problem. About the centre c of the
 /// cameras it is t_c = t + R c. A rotation with constant t moves t_c by phi x R c. If an image
@@ -149,7 +149,7 @@ FreeMotions::PoseMoves FreeMotions::MovesOf(int pose, const MatrixXd& motions) c
     moves.chart = moves.centered;
     return moves;
   }
-  // The images of a frame agree, so that the first of them gives its motion.
+  // The images of a frame give the same motion, so that the first of them is sufficient.
   const auto place = std::find(poses_.begin(), poses_.end(), pose) - poses_.begin();
   const int image = moving_[place].front();
   const PoseState own = Centered(pose);

@@ -9,19 +9,19 @@
 /// remains. This is true for any other constant parameters (a point, an image, a baseline), because
 /// N takes them into account.
 ///
-/// Numbers are held one by one. After each, N becomes an orthonormal basis of the null space of the
-/// number's row. Poses are used in the order of images, each for as many numbers as possible. A
-/// pose that moves by less than kShare of another one is skipped: a relatively short baseline
-/// determines the scale badly, and one of noise alone can change its sign. Sensors are used last;
-/// they determine the scale if there is no second frame.
+/// Numbers are held one by one. After each number, N becomes an orthonormal basis of the null space
+/// of its row. Poses are used in the order of images, each for as many numbers as possible. A pose
+/// that moves by less than kShare of the motion of another pose is skipped. A relatively short
+/// baseline determines the scale badly, and a baseline that is only noise can change its sign.
+/// Sensors are used last; they determine the scale if there is no second frame.
 ///
-/// Numbers of a pose's rotation come first, as long as it turns by kTurn times its shift (radians
-/// compared with units of the scene). With the rotation held, its translation is equivalent to its
-/// centre, for any origin. If a point far away is held, rotations about it are shifts. Among
-/// several numbers, the one that moves most is held. If no other parameter is constant, these are
-/// all six of the first pose. The remaining motion scales the world about the first pose's centre.
-/// It moves a second pose's translation by t_2 -> t_2 + (s - 1) t_21, with t_21 that of
-/// cam2_from_cam1: its largest coordinate is held.
+/// Numbers of the rotation come first, as long as the pose rotates by at least kTurn times its
+/// translation (radians compared with units of the scene). With the rotation held, its translation
+/// is equivalent to its centre, for any origin. If a far point is held, rotations about it are
+/// translations. Among several numbers, the one that moves most is held. If no other parameter is
+/// constant, these are all six of the first pose. The remaining motion scales the world about the
+/// first pose's centre. It moves a second pose's translation by t_2 -> t_2 + (s - 1) t_21, with
+/// t_21 that of cam2_from_cam1: its largest coordinate is held.
 
 #include <Eigen/Core>
 #include <algorithm>
@@ -85,7 +85,7 @@ class GaugeHolder {
     return largest;
   }
 
-  /// Changes by the basis, computed on demand: those of most poses are never needed.
+  /// Changes of poses by the basis, computed on demand: most of them are never needed.
   const FreeMotions::PoseMoves& MovesOf(size_t place) {
     std::optional<FreeMotions::PoseMoves>& moves = moves_[place];
     if (!moves) moves = motions_.MovesOf(poses_[place], basis_);
@@ -147,7 +147,7 @@ std::string HoldFreeMotions(const AdjustmentProblem& problem, FreeParameters* fr
     return std::all_of(bits.begin(), bits.end(), [](uint8_t b) { return b == 0; });
   };
   if (none(before.pose) && none(before.frame) && none(before.sensor)) return "";
-  return "Gauge two_cameras holds only one place: nothing that is refined stands elsewhere, so the "
+  return "Gauge two_cameras fixes only one position: all refined poses have this position, so the "
          "scale is free.";
 }
 

@@ -4,11 +4,11 @@
 ///
 /// The state is [block 0 | block 1 | ...]. A block has the free numbers of one image (pose, then
 /// its camera's intrinsics if no other image uses that camera), or of one frame or one sensor of
-/// rigs. Or it has those of one camera that several images or an image of a rig use, or that has
-/// factors and no observations. Points are a separate array. A block has only refined numbers, so
-/// that no solver gets constant numbers, subset manifolds or zero columns. Blocks have equal sizes
-/// if the problem allows it, which fixed-size Schur kernels such as Ceres' (2,3,6) and (2,3,9)
-/// require.
+/// rigs. Other blocks have the free numbers of one camera: a camera that several images or an image
+/// of a rig use, or that has factors and no observations. Points are a separate array. A block has
+/// only refined numbers, so that no solver gets constant numbers, subset manifolds or zero columns.
+/// Blocks have equal sizes if the problem allows it, which fixed-size Schur kernels such as Ceres'
+/// (2,3,6) and (2,3,9) require.
 ///
 /// Column j of a camera Jacobian row counts (w, t) of the pose as 0..5 and intrinsics from 6.
 
@@ -44,8 +44,8 @@ inline int MovingPose(const ProblemView& problem, int image) {
 /// qx qy qz qw tx ty tz in the problem.
 const double* ValueOfPose(const ProblemView& problem, int pose);
 
-/// A parameter of a camera that is a multiple of an unknown, of which other parameters are
-/// multiples, too (Restrictions::camera_tie).
+/// A camera parameter that is a multiple of an unknown, like other parameters
+/// (Restrictions::camera_tie).
 struct TiedParameter {
   int8_t column = 0;  ///< as in CameraBlock
   int block = -1;
@@ -105,8 +105,8 @@ struct StateBounds {
 /// Parameters that are multiples of one number have one unknown. If all belong to one camera, the
 /// unknown is the first of them, in the camera's block, and the others follow. If they belong to
 /// several cameras, the unknown is in a block shared by all cameras that are tied to each other,
-/// directly or through others. The columns of this block have no meaning, except that they are not
-/// those of a pose.
+/// directly or through others. The columns of this block are placeholders outside the columns of a
+/// pose.
 class ParameterLayout {
  public:
   ParameterLayout(const AdjustmentProblem& problem, FreeParameters free);
@@ -140,8 +140,8 @@ class ParameterLayout {
   const std::vector<TiedParameter>& tied(int camera) const {
     return tied_.empty() ? no_ties_ : tied_[camera];
   }
-  /// True if the unknowns of an image's block, by its place in ImageBlocks, are not columns of the
-  /// image but move these by a map. Not for blocks of sensors.
+  /// True if the unknowns of an image's block, given by its index in ImageBlocks, move the columns
+  /// of the image by a map. Not for blocks of sensors.
   bool HasMap(const AdjustmentProblem& problem, int image, int place) const;
   /// Writes this map, at a pose of the image.
   void FillMap(const AdjustmentProblem& problem, int image, int place, const PoseState& pose,
@@ -151,8 +151,8 @@ class ParameterLayout {
   /// True if an observation depends on a free parameter.
   bool IsRefined(const AdjustmentProblem& problem, int64_t observation) const;
   /// Blocks that occur together with another block in some residual, except the first block of each
-  /// image. No two of all other blocks occur in the same residual. If there are such blocks, they
-  /// include shared cameras.
+  /// image. No residual contains two of the other blocks. If there are such blocks, they include
+  /// shared cameras.
   std::set<int> BlocksBesideFirst() const;
 
   /// The state at the problem's own values: w = 0.

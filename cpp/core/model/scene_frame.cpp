@@ -202,7 +202,7 @@ FarPoints FindFarPoints(const AdjustmentProblem& problem, const ParameterLayout&
            << "). ";
   if (num_free > 0) sentence << "The parameter tolerance leaves them out; a few ";
   if (num_free == 0) sentence << "A few ";
-  sentence << "wrong points can stop the others from converging, remove them if they are.";
+  sentence << "wrong points can prevent the convergence of all others: remove wrong points.";
   result.warning = sentence.str();
   return result;
 }
@@ -244,7 +244,7 @@ void JudgeFarPoints(const AdjustmentProblem& problem, const FarPoints& far,
   if (!pulls || !(far_cost > near_cost || near_cost > kMaxNearRise * near_cost_before)) return;
   summary.is_solution_usable = false;
   std::ostringstream sentence;
-  sentence << "The solution is not usable: it was bent to fit the points far outside the scene, "
+  sentence << "The solution is not usable: it mainly fits the points far outside the scene, "
            << "whose observations cost " << far_cost << "; all others cost " << near_cost
            << " at the end and " << near_cost_before << " at the start.";
   Warn(WarningKind::kFarPointsDominate, sentence.str(), &summary.warnings);

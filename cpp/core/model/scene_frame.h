@@ -93,8 +93,9 @@ FarPoints FindFarPoints(const AdjustmentProblem& problem, const ParameterLayout&
 /// start. Observations behind their cameras at the start or the end are left out. Both criteria
 /// apply only if far points pull. They pull if the square root of the mean of rho' s over their
 /// observations, with s the squared residual, exceeds kFarPull pixels or loss scales (rho' s is the
-/// gradient of an observation along its residual). Otherwise, they may have most of a cost that is
-/// rounding, or that a loss bounds. A solve without iterations is not judged.
+/// gradient of an observation along its residual). Without this condition, far points could have
+/// most of a cost that consists of rounding errors or is bounded by a loss. A solve without
+/// iterations is not judged.
 void JudgeFarPoints(const AdjustmentProblem& problem, const FarPoints& far,
                     const SolveOptions& options, SolveOutput* output);
 

@@ -84,9 +84,8 @@ void ParameterLayout::AddTiedBlocks() {
   std::vector<int> block_of(component_sizes_.size());
   for (size_t k = 0; k < component_sizes_.size(); ++k) {
     if (component_sizes_[k] > ColumnMap::kMaxSize - kPoseSize) {
-      throw InputError("camera_params: expected cameras that share at most " +
-                       std::to_string(ColumnMap::kMaxSize - kPoseSize) +
-                       " numbers, directly or by others, found " +
+      throw InputError("camera_params: expected a group of cameras that share at most " +
+                       std::to_string(ColumnMap::kMaxSize - kPoseSize) + " numbers, found " +
                        std::to_string(component_sizes_[k]));
     }
     block_of[k] = AddBlock(0, (1u << component_sizes_[k]) - 1);

@@ -38,7 +38,7 @@ std::vector<UnknownName> NameUnknowns(const AdjustmentProblem& problem,
       }
     }
   }
-  // A number that several cameras share has the name of the first of them.
+  // A number that several cameras share has the name of the first of these cameras.
   for (int c = problem.num_cameras - 1; c >= 0; --c) {
     for (const TiedParameter& tied : layout.tied(c)) {
       const CameraBlock& block = layout.blocks()[tied.block];

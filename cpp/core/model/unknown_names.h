@@ -12,7 +12,7 @@
 namespace bundle {
 
 /// An unknown of a layout: an entry of (w, t) of a pose, or a parameter of a camera. A number that
-/// several cameras share has the name of the first of them.
+/// several cameras share has the name of the first of these cameras.
 struct UnknownName {
   enum Kind : int32_t { kImage, kFrame, kSensor, kCamera };
   int32_t kind = kImage;

@@ -31,9 +31,10 @@ ScaledProblem::ScaledProblem(const AdjustmentProblem& problem) : scaled_(problem
   }
   if (MayFixGauge(problem)) {
     std::ostringstream sentence;
-    sentence << "The scene measures " << size << " units, and priors or other factors keep this "
-             << "unit: steps and tolerances are made for " << kSmallestWorld << " to "
-             << kLargestWorld << ", and the solve may end early. Choose another unit.";
+    sentence << "The size of the scene is " << size
+             << " units, and priors or other factors fix this "
+             << "unit. Steps and tolerances are designed for sizes from " << kSmallestWorld
+             << " to " << kLargestWorld << "; the solve may end early. Choose another unit.";
     warning_ = sentence.str();
     return;
   }

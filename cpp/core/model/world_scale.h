@@ -5,9 +5,9 @@
 /// The scale of the world is free, but solvers depend on it. Ceres damps a column j by clamp(s_j^2
 /// c_j, 1e-6, ...) / s_j^2 with c_j = ||J e_j||^2 and s_j = 1 / (1 + sqrt(c_j)). This is
 /// proportional to c_j until sqrt(c_j) falls below 1e-3. In a scene of 1e6 units, columns of points
-/// fall below. Their damping then stays too large, and steps become too short. Also, the parameter
-/// tolerance compares a step with all of x, in which large coordinates dominate rotations and small
-/// coordinates.
+/// are below this limit. Their damping then stays too large, and steps become too short. Also, the
+/// parameter tolerance compares a step with all of x, in which large coordinates dominate rotations
+/// and small coordinates.
 ///
 /// So a scene whose size is outside of kSmallestWorld to kLargestWorld is solved with all its
 /// lengths times a power of two that makes its size about 1. No bit of a mantissa changes in either

@@ -146,9 +146,9 @@ int CountStartableThreads(int wanted) {
 
 namespace {
 
-// In the thread's static block, because worker threads read it too. In a module that was loaded
-// late, other thread-local variables would be allocated at this access, and a failure would end the
-// process.
+// Stored in the thread's static block, because worker threads read it, too. In a module that was
+// loaded late, other thread-local variables would be allocated at this access, and a failure would
+// end the process.
 __attribute__((tls_model("initial-exec"))) thread_local InterruptionScope* innermost = nullptr;
 
 }  // namespace

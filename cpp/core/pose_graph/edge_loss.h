@@ -2,11 +2,11 @@
 
 /// Losses of edges: those of all factors (factors/loss.h), and two for wrong loop closures.
 ///
-/// Both come from a switch variable s in [0, 1] for each loop closure, eliminated in closed form.
+/// Both give each loop closure a switch variable s in [0, 1], which is eliminated in closed form.
 /// With x = ||r||^2 and b the squared scale:
 ///
-///   switchable constraints (Suenderhauf and Protzel, 2012) minimise s^2 x + b (1 - s)^2, which
-///   s = b / (b + x) does. What is left is
+///   switchable constraints (Suenderhauf and Protzel, 2012) minimise s^2 x + b (1 - s)^2; the
+///   minimum is at s = b / (b + x). What is left is
 ///
 ///     rho(x) = b x / (b + x),      rho' = s^2,
 ///

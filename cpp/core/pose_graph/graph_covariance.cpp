@@ -26,11 +26,12 @@
 /// covariance K = I - A C_ij A^T, where I leaves out rows without information. Its trace is the
 /// redundancy of the edge, 0 if no other edge checks it, and r~^T K^+ r~ is distributed as chi2
 /// with rank(K) degrees of freedom. Far from the constant pose, large numbers cancel in C_ij.
-/// Rounding errors of these count as unchecked, and edges with no more than that are not judged.
+/// Rounding errors of these numbers count as unchecked. An edge whose K has only rounding errors is
+/// not judged.
 ///
 /// Poses are eliminated in the order of a solve (block_pattern_of_edges.h). In the selected
 /// inverse, rounding errors grow from level to level down the elimination tree. FindInflation
-/// therefore looks for variances below those with all other unknowns known.
+/// therefore searches for variances that are below the variance with all other unknowns known.
 
 #include <Eigen/Core>
 #include <algorithm>

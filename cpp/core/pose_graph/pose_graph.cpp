@@ -78,7 +78,7 @@ std::vector<double> Normalized(const Retraction& retraction, const char* name, i
     if (finite && retraction.Normalize(value)) continue;
     throw InputError(
         std::string(name) + "[" + std::to_string(i) + "]: expected " +
-        (finite ? "a quaternion, found one of norm 0" : "finite numbers, found one that is not"));
+        (finite ? "a quaternion, found norm 0" : "finite numbers, found infinity or nan"));
   }
   return result;
 }

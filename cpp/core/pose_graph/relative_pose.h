@@ -15,7 +15,7 @@
 ///         that the same information weighs rotations a quarter as much.
 ///   ceres r = (t_B - t_Z, theta_B - theta_Z) in the plane, r = (2 d_v, t_B - t_Z) in space,
 ///         d_v the vector part of q_Z q_B^-1 with d_w >= 0; that of Ceres' examples
-///         pose_graph_2d and pose_graph_3d. Its translation is not turned into the frame of the
+///         pose_graph_2d and pose_graph_3d. Its translation is not rotated into the frame of the
 ///         measurement.
 ///
 /// All are in the order of the tangent coordinates (geometry/retraction.h): in space the rotation
@@ -37,8 +37,8 @@
 ///         E = diag(-(d_w I + [d_v]x) R_B, R_B).
 ///
 /// The angle of M is in [-pi, pi] for any number of turns of the poses' angles. So errors do not
-/// jump where angles wrap. They jump only at half a turn between prediction and measurement, where
-/// no error is smooth.
+/// jump where angles wrap. They jump only where prediction and measurement differ by half a turn.
+/// No error function is smooth there.
 
 #include <cmath>
 

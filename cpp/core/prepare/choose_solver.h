@@ -37,7 +37,7 @@ struct LinearSolverCosts {
   LinearSolverCost iterative;
 };
 
-/// `structure` is sparse; `ordering` is the order in which it would be factorised.
+/// `structure` is sparse; `ordering` is the order of its factorisation.
 LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
                                            const FillOrdering& ordering, int num_threads);
 

@@ -174,8 +174,8 @@ void RefuseTooMuchMemory(LinearSolverType type, double bytes, const char* what,
   if (available < 0) return;
   throw NotEnoughMemoryError("linear_solver_type: " + UpperName(type, kLinearSolverTypes) +
                              " needs " + FormatBytes(bytes) + " for its " + what +
-                             ", of which this machine has " + FormatBytes(available) +
-                             " free; use " + instead);
+                             "; this machine has " + FormatBytes(available) + " free; use " +
+                             instead);
 }
 
 void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape,
@@ -189,9 +189,9 @@ bool FitsIntoMemory(double bytes, double available) { return bytes <= 0.9 * avai
 void RefuseTooMuchMemory(double working_bytes) {
   const double available = AvailableIfTooLittle(working_bytes);
   if (available < 0) return;
-  throw NotEnoughMemoryError(
-      "not enough memory: the observations and points take " + FormatBytes(working_bytes) +
-      " within a solve, of which this machine has " + FormatBytes(available) + " free");
+  throw NotEnoughMemoryError("not enough memory: the observations and points take " +
+                             FormatBytes(working_bytes) + " within a solve; this machine has " +
+                             FormatBytes(available) + " free");
 }
 
 void RefuseTooMuchMemory(LinearSolverType type, double factor_bytes, double working_bytes) {

@@ -13,8 +13,8 @@
 namespace bundle {
 
 /// Bytes of the dense matrices that a solver allocates, by method: the Jacobian, the normal
-/// equations or the Schur complement. 0 for the solvers without a dense matrix. `solver` is the one
-/// that actually runs, after fallbacks.
+/// equations or the Schur complement. 0 for the solvers without a dense matrix. `solver` is the
+/// solver that actually runs, after fallbacks.
 double PredictDenseMatrixBytes(LinearSolverType solver, const ProblemShape& shape,
                                bool cameras_eliminated);
 

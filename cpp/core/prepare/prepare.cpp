@@ -26,7 +26,7 @@ std::string FindFactorForCeres(const AdjustmentProblem& problem, const Parameter
     const Factor& factor = *problem.factors->factors[f];
     if (!factor.IsThreadSafe()) return factor.name() + ", a function in Python";
     if (!LeavesPointsApart(unknowns[f])) {
-      return factor.name() + ", of a point and something else that is refined";
+      return factor.name() + ", of a point and another refined variable";
     }
   }
   return "";
@@ -38,8 +38,8 @@ std::string FindSuperfluousGauge(const AdjustmentProblem& problem, const FreePar
   const bool is_held = before.pose != after.pose || before.point != after.point ||
                        before.frame != after.frame || before.sensor != after.sensor;
   if (!is_held || !MayFixGauge(problem)) return "";
-  return "The gauge is held although factors say where images or points are: what it holds does "
-         "not follow them. Use gauge none to let the factors decide.";
+  return "The gauge is fixed although factors determine the world: the fixed numbers do not follow "
+         "the factors. Use gauge none to let the factors decide.";
 }
 
 }  // namespace

@@ -48,7 +48,7 @@ void CheckIdsUnique(const char* what, const int64_t* ids, int count) {
   std::vector<int64_t> sorted(ids, ids + count);
   std::sort(sorted.begin(), sorted.end());
   const auto repeated = std::adjacent_find(sorted.begin(), sorted.end());
-  if (repeated != sorted.end()) Fail(what, " ", *repeated, ": expected every id once, found twice");
+  if (repeated != sorted.end()) Fail(what, " ", *repeated, ": expected unique ids, found this id twice");
 }
 
 template <typename... Name>
@@ -108,7 +108,7 @@ void CheckRigImages(const ProblemView& problem) {
            ", found ", sensor);
     }
     if (sensor < 0) continue;
-    if (frame < 0) Fail("image ", id, ": expected a frame beside its sensor, found ", frame);
+    if (frame < 0) Fail("image ", id, ": expected a frame for its sensor, found ", frame);
     const int64_t camera = problem.camera_ids[problem.image_camera[i]];
     if (camera != problem.sensor_camera_ids[sensor]) {
       Fail("image ", id, ": expected camera ", problem.sensor_camera_ids[sensor],
@@ -202,7 +202,7 @@ void ValidateProblem(const ProblemView& problem) {
 
 namespace {
 
-constexpr const char* kSameStructure = "expected the structure that the solver was made for, ";
+constexpr const char* kSameStructure = "expected the structure of the solver, ";
 
 void CheckSameCount(const char* name, int64_t expected, int64_t found) {
   if (expected == found) return;

@@ -12,12 +12,12 @@
 /// where the last needs all entries of the image's A^T A. This is computed once per block of a
 /// chunk, not once per pair of observations.
 ///
-/// A sensor on a rig moves its image by K times the move of the frame (factors/rig_pose.h); K is 6
-/// x 6 and different at every state. Constant maps are, for instance, from one focal length to fx
-/// and fy, or from a rotation about a fixed centre to a pose. To add such a map, fill in an
-/// ImageBlock (assembler.cpp, AddBlock) and lay out its block. Implement the same map for steps
-/// (state_records.cpp, CameraStep), for factors (model/problem_factors.h) and for Ceres
-/// (ceres/reprojection_cost.h).
+/// A step of a sensor moves its image like K times this step as a step of the frame
+/// (factors/rig_pose.h). K is 6 x 6 and different at every state. Constant maps are, for instance,
+/// from one focal length to fx and fy, or from a rotation about a fixed centre to a pose. To add
+/// such a map, fill in an ImageBlock (assembler.cpp, AddBlock) and lay out its block. Implement the
+/// same map for steps (state_records.cpp, CameraStep), for factors (model/problem_factors.h) and
+/// for Ceres (ceres/reprojection_cost.h).
 
 #include <cstdint>
 
@@ -51,8 +51,8 @@ struct ImageBlock {
 inline constexpr int kMaxMapped =
     (kPoseSize + kMaxCameraParams + 3) / 4 * 4 * (kPoseSize + kMaxCameraParams);
 
-/// to = sum of factor[index[k] * stride] times row k of a matrix with `size` columns. If kSize is
-/// not 0, it equals `size`.
+/// to = sum over k of factor[index[k] * stride] times row k of a matrix with `size` columns. If
+/// kSize is not 0, it equals `size`.
 template <int kSize>
 inline void CombineRows(const double* factor, const int8_t* index, int stride, int count,
                         const double* rows, int size, double* to) {

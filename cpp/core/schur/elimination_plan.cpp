@@ -191,7 +191,7 @@ class Planner {
   void EndChunk(int last_point, Chunk* chunk) {
     if (chunk->num_blocks() > kMaxBlocks) {
       throw std::logic_error("a chunk of " + std::to_string(chunk->num_blocks()) +
-                             " blocks, which 16 bits do not number");
+                             " blocks does not fit 16-bit numbers");
     }
     chunk->last_point = last_point;
     for (const int image : chunk->images) image_slot_[image] = -1;

@@ -87,7 +87,7 @@ struct Chunk {
   /// The images that occur, in the order of their blocks in the layout; block i of the chunk is the
   /// diagonal one of images[i].
   std::vector<int> images;
-  /// Per image: the last earlier chunk with an image of the same owner; -1: no such chunk.
+  /// Per image: the previous chunk with an image of the same owner; -1: no such chunk.
   std::vector<int> previous_chunk;
   /// Blocks from number images.size() on: pairs of indices into `images`, the smaller first.
   struct Pair {
@@ -123,9 +123,9 @@ struct EliminationPlan {
   int64_t num_observations() const { return static_cast<int64_t>(image.size()); }
 };
 
-/// The maximum number of observations of a point. Numbers of 16 bits for its images and for one row
-/// of its pairs would allow three times as many. But time and memory grow with its pairs: 10,000
-/// observations have 50 million pairs, 100 MB and a second or two per step.
+/// The maximum number of observations of a point. The 16-bit numbers of a chunk would allow three
+/// times as many. But time and memory grow with its pairs: 10,000 observations have 50 million
+/// pairs, 100 MB and a second or two per step.
 inline constexpr int64_t kMaxTrackLength = 10000;
 
 /// Approximate bytes of the blocks of a chunk, in large problems.
@@ -163,7 +163,7 @@ struct PlanSize {
 
 PlanSize MeasurePlan(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
-/// The observations of a plan that hold a residual at a state (factors/reprojection.h). Memory:
-/// 24 bytes for each of them, nothing for those that count.
+/// The observations of a plan that hold a residual at a state (factors/reprojection.h). Memory: 24
+/// bytes for each of these observations, and none for the others.
 
 }  // namespace bundle

@@ -1,7 +1,7 @@
 #pragma once
 
 /// Observations of a plan that hold a residual at a state (factors/reprojection.h). Memory: 24
-/// bytes for each of them, no memory for observations that count.
+/// bytes for each of these observations, and none for the others.
 
 #include <algorithm>
 #include <cstddef>

@@ -11,7 +11,7 @@
 /// So q is orthogonal to N in the inner product of D^2. But S is rounded, and the solution divides
 /// rounding errors along N by the damping. With the 1e-8 of doglegs, half of the digits of q depend
 /// on the order of summation of S. The quadratic model does not depend on the component along N.
-/// Costs at x + q do, because they are curved along N. That component is removed:
+/// Costs at x + q do, because they are curved along N. The component along N is therefore removed:
 ///
 ///   q - N k,    (N^T D^2 N) k = N^T D^2 q,    <q,q> - k^T N^T D^2 q,
 ///

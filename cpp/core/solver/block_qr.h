@@ -3,18 +3,18 @@
 /// Sparse QR factorisation by blocks: variables are eliminated one after the other, each by
 /// Householder reflections of the dense rows that contain it.
 ///
-/// The rows that contain the first variable of the order are stacked. Reflections make the
-/// variable's columns zero in all rows but the first ones, as many as it has columns:
+/// The rows that contain the first variable of the order are stacked. If the variable has k
+/// columns, reflections make these columns zero in all rows except the first k:
 ///
 ///   Q^T [A_v  A_rest  b] = [R_v  R_rest  d],
 ///                          [ 0   A'_rest b']
 ///
-/// The first line is part of R. The second consists of rows of the remaining variables, and is
-/// stored until the next of these is eliminated. That is the multifrontal method with a front per
-/// variable (J. W. H. Liu, The multifrontal method for sparse matrix solution, SIAM Review 34,
-/// 1992). Fronts with more than twice as many rows as columns are first reduced to a triangle. The
-/// order is approximate minimum degree on the variables. If a variable has fewer rows than columns,
-/// R_v is singular.
+/// The first line is part of R. The second line contains only the remaining variables; it is stored
+/// until the next of these is eliminated. That is the multifrontal method with a front per variable
+/// (J. W. H. Liu, The multifrontal method for sparse matrix solution, SIAM Review 34, 1992). Fronts
+/// with more than twice as many rows as columns are first reduced to a triangle. The order is
+/// approximate minimum degree on the variables. If a variable has fewer rows than columns, R_v is
+/// singular.
 
 #include <Eigen/Core>
 #include <vector>
@@ -42,7 +42,7 @@ class BlockQr {
   Eigen::VectorXd Solve() const;
   /// (R^T R)^-1 y
   Eigen::VectorXd SolveNormal(const Eigen::VectorXd& y) const;
-  /// |R_cc| of each column; infinite if its variable is kept.
+  /// |R_cc| of each column; infinite for columns of kept variables.
   Eigen::VectorXd Pivots() const;
   /// Rows of the kept variables.
   const std::vector<RowBlock>& rest() const { return rest_; }

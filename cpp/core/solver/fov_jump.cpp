@@ -177,12 +177,12 @@ class SeveralSolves {
       const double omega = std::abs(OmegaOf(solution, met_[i]));
       text << (i == 0 ? "" : "; ") << "camera " << problem_.camera_ids[met_[i]];
       if (omega == 0) {
-        text << " is best without it, as a pinhole (omega 0)";
+        text << " fits best as a pinhole (omega 0)";
       } else if (std::abs(omega - kFovJump) < kAtJump) {
-        text << " ended there, below the cost of a pinhole but in no minimum";
+        text << " ended at the jump, below the cost of a pinhole but not at a minimum";
       } else {
-        text << (omega < kFovJump ? " has a minimum within it, at omega "
-                                  : " was taken over it, to omega ")
+        text << (omega < kFovJump ? " has a minimum below the jump, at omega "
+                                  : " was moved across the jump, to omega ")
              << OmegaOf(solution, met_[i]);
       }
     }

@@ -27,8 +27,8 @@ class GraphJacobian {
   /// Columns of each factor's free Jacobian, multiplied by a scale per column, followed by -r.
   std::vector<RowBlock> Rows(const Sparse& jacobian, const Eigen::VectorXd& residual,
                              const Eigen::VectorXd& scale) const;
-  /// Cost at the values, NaN if a factor has no value; J and r, losses applied, if both are
-  /// requested.
+  /// Returns the cost at the values, NaN if a factor has no value. Computes J and r, corrected for
+  /// losses, if both are requested.
   double Evaluate(const Values& values, Eigen::VectorXd* residual, Sparse* jacobian) const;
   /// to = `from` moved by the step of the free columns.
   void Move(const Values& from, const Eigen::VectorXd& step, Values* to) const;

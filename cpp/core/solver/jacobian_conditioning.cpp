@@ -46,7 +46,8 @@ JacobianConditioning EstimateConditioning(const FactorGraph& graph) {
   VectorXd residual;
   GraphJacobian::Sparse jacobian;
   if (!std::isfinite(evaluation.Evaluate(values, &residual, &jacobian))) {
-    throw InputError("factor graph: a factor has no value, or no finite one");
+    throw InputError(
+        "factor graph: expected finite residuals and Jacobians, found a factor without");
   }
   VectorXd scale(n);
   for (int c = 0; c < n; ++c) {

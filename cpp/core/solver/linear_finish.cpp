@@ -3,7 +3,7 @@
 /// A trust region method ends when another step would hardly change the cost. With the default
 /// tolerance and damping, this is some 1e-4 standard deviations before the minimum. With curved
 /// residuals this does not matter, because their linearisation is not more accurate. With linear
-/// residuals it is a wrong digit, although the minimum is one step away. A graph is considered
+/// residuals it gives a wrong digit, although the minimum is one step away. A graph is considered
 /// linear if
 ///
 ///   its first step lowered the cost by what the model had promised, to rounding (not asked where
@@ -79,7 +79,8 @@ class LinearFinish {
  public:
   explicit LinearFinish(const FactorGraph& graph) : graph_(graph), evaluation_(graph) {}
 
-  /// Takes all useful steps; false if no step was useful, or the graph is not linear.
+  /// Takes steps as long as each halves the gradient; false if the first does not, or the graph is
+  /// not linear.
   bool Run(const Values& values) {
     if (!Evaluate(values, &at_)) return false;
     scale_.resize(evaluation_.num_columns());

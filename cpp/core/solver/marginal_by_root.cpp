@@ -102,8 +102,8 @@ void RefuseUndetermined(const BlockQr& qr, const Columns& columns,
     end += columns.size[b];
     if (smallest < end) {
       throw InputError(blocks[b].name +
-                       ": expected factors that determine what is eliminated, found a direction "
-                       "that none does");
+                       ": expected factors that determine the eliminated variables, found an "
+                       "undetermined direction");
     }
   }
 }

@@ -65,12 +65,10 @@ bool RefinesBesidePoints(const SolveOptions& options) {
          options.refine_extra || options.refine_sensor_from_rig;
 }
 
-Unsupported NoFreePoints() {
-  return {"refine", "points, to eliminate them,", "none that is refined"};
-}
+Unsupported NoFreePoints() { return {"refine", "points, to eliminate them,", "constant points"}; }
 
 Unsupported NothingBesidePoints() {
-  return {"refine", "poses or intrinsics beside the points", "none that are refined"};
+  return {"refine", "poses or intrinsics in addition to points", "only points"};
 }
 
 std::optional<Unsupported> FindUnsupported(const SolveOptions& options) {
@@ -101,8 +99,8 @@ std::optional<Unsupported> FindUnsupported(const SolveOptions& options,
   const int64_t longest_track = prepared.longest_track;
   if (longest_track > kMaxTrackLength) {
     return Unsupported{"backend",
-                       "at most " + std::to_string(kMaxTrackLength) + " observations a point",
-                       "one with " + std::to_string(longest_track)};
+                       "at most " + std::to_string(kMaxTrackLength) + " observations per point",
+                       "a point with " + std::to_string(longest_track)};
   }
   if (!prepared.factor_for_ceres.empty()) {
     return Unsupported{"factors", "factors of images and cameras, or of one point,",
@@ -120,7 +118,7 @@ std::string SentenceOf(const Unsupported& obstacle) {
 
 std::string ReasonForCeres(const SolveOptions& options) {
   if (options.backend == Backend::kFused) return "";
-  if (options.backend == Backend::kCeres) return "Ceres was asked for (backend).";
+  if (options.backend == Backend::kCeres) return "Ceres was requested (backend).";
   const std::optional<Unsupported> obstacle = FindUnsupported(options);
   return obstacle ? SentenceOf(*obstacle) : "";
 }
@@ -148,8 +146,8 @@ SolveOutput SolveWithCeresAsAsked(const AdjustmentProblem& problem, SolveOptions
                                   PreparedSolve prepared, const ProgressCallback& progress) {
   if (options.deterministic && options.num_threads != 1) {
     options.num_threads = 1;
-    Warn(WarningKind::kSingleThread,
-         "Ceres is deterministic on one thread only, and so it got one.", &prepared.warnings);
+    Warn(WarningKind::kSingleThread, "Ceres is deterministic on one thread only, so it used one.",
+         &prepared.warnings);
   }
   return SolveWithCeres(problem, options, std::move(prepared), progress);
 }
@@ -250,8 +248,8 @@ class Solver::Impl {
       int64_t found = user->load();
       if (found == ProcessId() || !user->compare_exchange_strong(found, ProcessId())) {
         throw InputError(
-            "Solver: expected one solve at a time, found another that has not ended; threads need "
-            "a solver each");
+            "Solver: expected one solve at a time, found another solve in progress; each thread "
+            "needs its own solver");
       }
     }
     ~UseGuard() { user_->store(kNobody); }
@@ -313,7 +311,8 @@ class Solver::Impl {
     return SolveWithCeresAsAsked(problem_, options, std::move(prepared), progress);
   }
 
-  /// Structure, bounds and factors of the constructor's problem, values of the last, centred.
+  /// Structure, bounds and factors of the constructor's problem, with the centred values of the
+  /// last solve.
   AdjustmentProblem problem_;
   const SolveOptions options_;
   const bool is_reused_;

@@ -31,9 +31,9 @@ std::string ReasonForCeres(const SolveOptions& options);
 ///
 /// The fused backend keeps its threads, the layout, the order of the elimination, the analysed
 /// linear solver and all buffers. A solve does no symbolic work and has the same bits as that of a
-/// new solver. There are two exceptions. If the gauge has to hold other numbers because of the new
-/// values, the solve lays out everything anew. And the two-level preconditioner forms its clusters
-/// from the values of each solve. With Ceres, nothing is kept between solves.
+/// new solver. There are two exceptions. If the new values make the gauge hold other numbers, the
+/// solve lays out everything anew. The two-level preconditioner forms its clusters from the values
+/// of each solve. With Ceres, nothing is kept between solves.
 ///
 /// In a forked process, the first solve lays out everything anew, because threads do not survive a
 /// fork.
@@ -57,8 +57,8 @@ class Solver {
   /// CopyChangeable copies them; other differences have no effect. After an exception the solver
   /// can be used again.
   ///
-  /// Throws InputError if the problem has another structure, or the solver is in use: by another
-  /// thread, or by its caller where a progress callback calls it.
+  /// Throws InputError if the problem has another structure. Also throws it if the solver is in
+  /// use: by another thread, or by this thread in a progress callback.
   SolveOutput Solve(const AdjustmentProblem& problem, const SolveOptions& options,
                     const ProgressCallback& progress);
 

@@ -140,7 +140,8 @@ FactorSummary SummarizeFactor(const BlockStructure& structure, const FactorStati
 }
 
 std::string FindSwollenFactor(const FactorStatistics& statistics) {
-  // Panels have at most a fifth of zeros (supernodes.cpp); with more, the count is wrong.
+  // At most a fifth of the values of a panel are explicit zeros (supernodes.cpp); if there are
+  // more, the predicted count was wrong.
   constexpr double kFar = 1.5;
   if (!(statistics.stored > kFar * statistics.predicted)) return "";
   char text[160];

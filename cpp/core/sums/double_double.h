@@ -6,9 +6,9 @@
 /// Art of Computer Programming 2, 4.2.2, theorem B). Let s be a sum in doubles and e the total of
 /// its rounding errors. Then s + e is the sum as if computed with 106 bits (T. Ogita, S. M. Rump,
 /// S. Oishi: Accurate Sum and Dot Product, SIAM J. Sci. Comput. 26, 2005, Sum2). Another order of
-/// the terms changes s + e by 2^-106 times the size of the terms. Its value rounded to a double is
-/// then the same in any order, unless s + e is that close to the middle of two doubles: one sum in
-/// about 10^15.
+/// the terms changes s + e by 2^-106 times the size of the terms. The value of s + e rounded to a
+/// double is then the same in any order, except if s + e is within this distance of the midpoint of
+/// two doubles: one sum in about 10^15.
 ///
 /// The error term of a sum that is not finite is undefined.
 

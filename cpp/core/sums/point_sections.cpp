@@ -57,7 +57,8 @@ std::vector<uint16_t> FindPointSections(int num_images, int num_points, int64_t 
   int64_t before = 0;
   for (const uint64_t key : order) {
     const auto point = static_cast<uint32_t>(key);
-    // Points without observations at the end would be one section too far.
+    // Without this limit, points without observations at the end would get the index of a section
+    // that does not exist.
     const int64_t at = total == 0 ? 0 : std::min(before * sections / total, sections - 1);
     section[point] = static_cast<uint16_t>(at);
     before += seen[point];

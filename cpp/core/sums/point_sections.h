@@ -5,18 +5,19 @@
 /// A sum over points has the same bits on one rank and on several if it has the same partial sums.
 /// So the points are divided into K sections that depend only on the problem. They are sorted by
 /// the first image that sees them, then by the last, then by their indices. They are cut where the
-/// number of observations so far is k/K of all. Each of N ranks has complete sections
-/// (python/bundle/solving/ranks/partition.py) if N divides K, and the chunks of an elimination plan
-/// end with sections. The order of chunks has nearly no effect on sums over them (double_double.h).
+/// cumulative number of observations reaches k/K of the total. Each of N ranks has complete
+/// sections (python/bundle/solving/ranks/partition.py) if N divides K, and the chunks of an
+/// elimination plan end with sections. The order of chunks has nearly no effect on sums over them
+/// (double_double.h).
 ///
-/// Sections cost time. Without them, all points are sorted by the blocks of S and add to S from its
-/// first column to its last. If an image shares points with a few dozen others, as on a street, the
-/// difference is a few percent. If it shares points with hundreds, and S is in another order than
-/// the images, adding to S takes twice as long. Sections are then not used (SchurSetup): such
-/// problems determine their unknowns well, and rounding errors do not grow.
+/// Sections cost time. Without sections, all points are sorted by their blocks of S, so that they
+/// fill S from its first column to its last. If an image shares points with a few dozen others, as
+/// on a street, the difference is a few percent. If it shares points with hundreds, and S is in
+/// another order than the images, adding to S takes twice as long. Sections are then not used
+/// (SchurSetup): such problems determine their unknowns well, and rounding errors do not grow.
 ///
 /// K is a multiple of 12, which is divisible by 1, 2, 3, 4, 6 and 12, and grows with the problem.
-/// If N does not divide K, ranks have parts of sections, and the bits are those of N ranks.
+/// If N does not divide K, sections are split among ranks, and the bits depend on N.
 
 #include <cstdint>
 #include <vector>

@@ -4,20 +4,20 @@
 /// Gilbert, Ng and Peyton, An efficient algorithm to compute row and column counts for sparse
 /// Cholesky factorization, 1994).
 ///
-/// Let parent(j) be the first block row below the diagonal of block column j of L; the parents make
+/// Let parent(j) be the first block row below the diagonal of block column j of L; the parents form
 /// the elimination tree. Block (i, j) of L is nonzero exactly if j lies on the path of parents from
 /// some k with A_ik nonzero, k < i, up to i: these paths are the row's subtree, with root i. The
-/// rows in column j are those whose subtrees hold j, and their number follows from differences
-/// along the tree without walking a single path. In postorder, where a subtree is an interval, each
-/// subtree of a row i adds its weight w_i at its leaves, takes it off where the paths from two
-/// neighbouring leaves meet and at the parent of i; the sum over the tree below j is then the
-/// weight of rows in column j. The weight is 1 for blocks and the block's size for scalar rows. The
-/// time is nearly that of reading the matrix, whatever the fill-in of L.
+/// rows in column j are those whose subtrees contain j. Their number follows from differences along
+/// the tree, so that no path has to be traversed. In postorder, a subtree is an interval. Each
+/// subtree of a row i adds its weight w_i at its leaves, and subtracts it where the paths from two
+/// neighbouring leaves meet and at the parent of i. The sum over the tree below j is then the
+/// weight of the rows in column j. The weight is 1 for counts of blocks and the size of the block
+/// for counts of scalar rows. The time is nearly that of reading the matrix, for any fill-in of L.
 ///
 /// The blocks of the matrix are full, so the scalar factor is full in the blocks of L: the c-th
 /// last scalar column of a block of size m with h rows below has h + c - 1 entries below its
-/// diagonal. The counts are those of a scalar analysis (a test holds them against CHOLMOD's) at 1 /
-/// m^2 of its cost.
+/// diagonal. The counts equal those of a scalar analysis (a test compares them with CHOLMOD's) at 1
+/// / m^2 of its cost.
 
 #include <algorithm>
 #include <cstddef>

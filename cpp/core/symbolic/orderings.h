@@ -13,7 +13,8 @@
 namespace bundle {
 
 /// CHOLMOD's workspace and settings for its orderings, silent: errors are in
-/// `common.status`. Its 64-bit functions throughout, as a matrix may have more than 2^31 values.
+/// `common.status`. Only its 64-bit functions are used, because a matrix may have more than 2^31
+/// values.
 class CholmodSession {
  public:
   CholmodSession() {

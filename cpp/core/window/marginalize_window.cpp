@@ -21,7 +21,7 @@ void CheckLandmarksThatStay(const WindowView& view, const Marginalization& reque
     if (request.landmarks[l] != 0) continue;
     if (request.states[view.anchor_states[l]] != 0 || request.states[view.observers[k]] != 0) {
       throw InputError("landmark " + std::to_string(l) +
-                       ": expected it to go with the states that saw it, or no observation there");
+                       ": expected its elimination together with the states that observed it");
     }
   }
 }
@@ -166,7 +166,8 @@ MarginalizedWindow MarginalizeWindow(const WindowView& view, const Marginalizati
   selection.imu = request.imu;
   LinearizeWindow(view, at, selection, &rows);
   if (!rows.is_finite) {
-    throw InputError("landmarks: expected those that go before the cameras that see them");
+    throw InputError(
+        "landmarks: expected eliminated landmarks in front of the cameras that see them");
   }
   MarginalizedWindow result;
   result.prior.blocks = columns.kept;

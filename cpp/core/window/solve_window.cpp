@@ -17,7 +17,7 @@ WindowOutput SolveWindow(const WindowView& view, const WindowSolveOptions& optio
   output.before = CostsOfWindow(view, WindowState(view));
   if (!(output.before.Total() < std::numeric_limits<double>::infinity())) {
     throw InputError(
-        "window: expected landmarks before the cameras that see them, and finite "
+        "window: expected landmarks in front of the cameras that see them, and finite "
         "residuals");
   }
   SolveOptions solve_options;

@@ -127,7 +127,7 @@ struct WindowState {
 void MoveState(const double* state, const double* d, double* out);
 /// The coordinates d of `state` about `point`, of 15: MoveState(point, d) is `state`.
 void StateFrom(const double* point, const double* state, double* d);
-/// Both for camera_from_imu, 7 numbers and 6 coordinates.
+/// The same two functions for camera_from_imu, with 7 numbers and 6 coordinates.
 void MoveCamera(const double* camera, const double* d, double* out);
 void CameraFromPoint(const double* point, const double* camera, double* d);
 

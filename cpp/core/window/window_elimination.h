@@ -237,7 +237,8 @@ class WindowElimination {
     return blocks;
   }
 
-  /// Rows of a landmark, those of its anchoring image last: by its three numbers, by blocks, r.
+  /// Rows of a landmark: derivatives by its three numbers, derivatives by the blocks, and r. The
+  /// rows of the anchoring image are last.
   Matrix DenseLandmark(size_t* k, const std::vector<int>& blocks, const AnchorRows& anchor) const {
     const int landmark = rows_.visual[*k].landmark;
     size_t end = *k;

@@ -9,8 +9,8 @@
 namespace bundle {
 namespace {
 
-/// Threshold of information along a direction, as a share of D^2: above the rounding of a window,
-/// below any prior's.
+/// Threshold of information along a direction, as a share of D^2. It is above the rounding errors
+/// of a window and below the information of any prior.
 constexpr double kKnown = 1e-11;
 
 const double* StateOfJacobian(const WindowView& view, const WindowState& at, int i) {

@@ -34,7 +34,7 @@ class WindowProblem final : public LeastSquares {
   Candidate EvaluateNewtonStep() override;
   void Accept() override;
   double StateNorm() const override { return x_norm_; }
-  /// Levenberg-Marquardt needs neither; both throw std::logic_error.
+  /// Levenberg-Marquardt does not call these two methods; both throw std::logic_error.
   DoglegProducts Products() override;
   Candidate EvaluateDoglegStep(double a, double b) override;
 

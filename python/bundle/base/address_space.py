@@ -44,7 +44,7 @@ def require(what: str, sizes: tuple[float, float]) -> None:
         left = limit - _pages(field) * resource.getpagesize()
         if left < needed:
             raise MemoryError(
-                f"{what} takes about {needed / 1e6:.0f} MB, of which the limit ({option}) leaves "
+                f"{what} takes about {needed / 1e6:.0f} MB; the limit ({option}) leaves "
                 f"{max(left, 0) / 1e6:.0f} MB"
             )
 

@@ -42,7 +42,7 @@ def real_numbers(name: str, value: Any) -> NDArray[Any]:
             name.
     """
     if is_masked(value):
-        raise InputError(f"{name}: expected an array without a mask, found a masked one")
+        raise InputError(f"{name}: expected an array without a mask, found a masked array")
     try:
         given = np.asarray(value)
     except Exception:  # any error of the object's __array__, __len__ or __getitem__
@@ -82,7 +82,7 @@ def as_integers(argument: str, values: Any) -> NDArray[np.int64]:
             f"{argument}: expected an array of integers, found {brief(values)}"
         ) from None
     if is_masked(values):
-        raise InputError(f"{argument}: expected an array without a mask, found a masked one")
+        raise InputError(f"{argument}: expected an array without a mask, found a masked array")
     if array.size == 0:
         return np.zeros(array.shape, np.int64)
     if array.dtype.kind not in "iu":

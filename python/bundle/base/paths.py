@@ -24,13 +24,15 @@ def as_path(path: Any, name: str = "path") -> Path:
         raise InputError(f"{name}: expected a path, found {brief(path)}")
     text = os.fspath(path)
     if text == "":
-        raise InputError(f"{name}: expected a path, found an empty one")
+        raise InputError(f"{name}: expected a path, found an empty string")
     try:
         valid = b"\0" not in os.fsencode(text)
     except UnicodeEncodeError:
         valid = False
     if not valid:
-        raise InputError(f"{name}: expected a path of this system, found {brief(text)}")
+        raise InputError(
+            f"{name}: expected a path that this system can encode, found {brief(text)}"
+        )
     return Path(text)
 
 

@@ -74,7 +74,7 @@ def check_gradients(
         raise InputError(f"blocks: expected a list of arrays, found {brief(blocks)}")
     start: list[Array] = [as_array("blocks", block).reshape(-1).copy() for block in blocks]
     if not start or not all(len(block) for block in start):
-        raise InputError("blocks: expected at least one block, none of them empty")
+        raise InputError("blocks: expected at least one block, and no empty block")
     for b, block in enumerate(start):
         if not np.isfinite(block).all():
             raise InputError(f"blocks: expected finite numbers, found nan or infinity in block {b}")

@@ -41,19 +41,24 @@ def add_inspect(parser: Parser) -> None:
         metavar="INPUT",
         type=reconstruction,
         nargs="?",
-        help="a BAL file (plain, .gz or .bz2) or the folder of a COLMAP model (binary or text) or "
-        "a pose graph (g2o); told by its content",
+        help=(
+            "a BAL file (plain, .gz or .bz2) or the folder of a COLMAP model (binary or text) or a "
+            "pose graph (g2o); the format is detected automatically"
+        ),
     )
     parser.add_argument(
         "--html",
         metavar="FILE",
         type=page_path("report"),
-        help="also write a page with pictures, which needs no network",
+        help="also write a page with figures, which needs no network",
     )
     parser.add_argument(
         "--recalibrate",
         action="store_true",
-        help="measure this machine's rates again, which takes seconds (default: once, then kept)",
+        help=(
+            "measure the rates of this machine again, which takes seconds (default: measured once, "
+            "then stored)"
+        ),
     )
     add_options(parser, "SolveOptions", "what is refined", PATTERN)
     add_options(parser, "RankOptions", "several processes (docs/mpi.md)")
@@ -71,8 +76,10 @@ def add_compare(parser: Parser) -> None:
         metavar="INPUT",
         type=reconstruction,
         nargs="+",
-        help="BAL files (plain, .gz or .bz2) and folders of COLMAP models; several give "
-        "performance profiles as well; or one pose graph (g2o)",
+        help=(
+            "BAL files (plain, .gz or .bz2) and folders of COLMAP models; several inputs also give "
+            "performance profiles; or one pose graph (g2o)"
+        ),
     )
     compared = ("solvers", "backends", "preconditioners", "orderings", "threads")
     add_options(parser, "CompareOptions", "what is compared: every combination of", compared)

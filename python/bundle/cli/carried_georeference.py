@@ -52,8 +52,8 @@ def check_georeference(path: str, format: str) -> None:
     if not owner or (beside.parent / owner).exists():
         what = shown(owner) if owner else "the model in its folder"
         raise InputError(
-            f"{shown(path)}: expected a folder in which {beside.name} is not of another model, "
-            f"found that of {what}"
+            f"{shown(path)}: expected a folder without the {beside.name} of another model, found "
+            f"that of {what}"
         )
 
 

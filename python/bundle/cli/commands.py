@@ -73,8 +73,10 @@ def _refine(parser: Parser) -> None:
     parser.add_argument(
         "--check-gradients",
         action="store_true",
-        help="first check the Jacobians on a sample, as `bundle check` does, and stop with its "
-        "report if any is wrong, not where that is undecided (default: off)",
+        help=(
+            "first check the Jacobians on a sample, as `bundle check` does, and stop with its "
+            "report if one is wrong; an undecided check does not stop (default: off)"
+        ),
     )
 
 
@@ -89,7 +91,7 @@ def _align(parser: Parser) -> None:
         "--reference",
         metavar="MODEL",
         type=reconstruction,
-        help="a model with images of the same names, into whose frame INPUT goes (default: none)",
+        help="a model with images of the same names; INPUT is moved into its frame (default: none)",
     )
     add_options(parser, "GeoreferenceOptions", "robustness", ROBUSTNESS)
 
@@ -114,8 +116,10 @@ def _merge(parser: Parser) -> None:
         metavar="PX",
         type=float,
         default=8.0,
-        help="points that meet at a keypoint are one if their projections differ by at most this, "
-        "the median over the images of both, in pixels (default: 8)",
+        help=(
+            "two points at one keypoint are joined if their projections differ by at most this, in "
+            "pixels; the difference is the median over the images of both (default: 8)"
+        ),
     )
 
 
@@ -160,8 +164,10 @@ def _vio(parser: Parser) -> None:
         metavar="FILE.tum",
         type=trajectory_path,
         required=True,
-        help="poses world_from_imu of the images that were solved for, a line each: timestamp in "
-        "seconds, tx ty tz, qx qy qz qw; z is up",
+        help=(
+            "poses world_from_imu of the solved images, one per line: timestamp in seconds, tx ty "
+            "tz, qx qy qz qw; z is up"
+        ),
     )
     parser.add_argument(
         "--ground-truth",
@@ -173,7 +179,7 @@ def _vio(parser: Parser) -> None:
         "--telemetry",
         metavar="FILE.jsonl",
         type=telemetry_path,
-        help="one line of JSON per keyframe, as it is settled",
+        help="one line of JSON per keyframe, written when the keyframe is complete",
     )
     parser.add_argument(
         "--html",
@@ -186,8 +192,10 @@ def _vio(parser: Parser) -> None:
         "--publish",
         metavar="FILE.tum",
         type=trajectory_path,
-        help="a pose per IMU sample: the window's last solution, propagated, and moved by what "
-        "closures correct",
+        help=(
+            "a pose per IMU sample: the last solution of the window, propagated and corrected by "
+            "closures"
+        ),
     )
     loops.add_argument(
         "--loops",
@@ -217,21 +225,25 @@ def _synth(parser: Parser) -> None:
         "output",
         metavar="OUTPUT",
         type=PathArgument("output", is_data=True),
-        help="where the start goes: NAME.txt, .txt.gz and .txt.bz2 are BAL files, other names "
-        "folders of COLMAP models; of a flight the folder of a sequence",
+        help=(
+            "output path of the start: NAME.txt, .txt.gz and .txt.bz2 are BAL files, other names "
+            "folders of COLMAP models; for a flight the folder of a sequence"
+        ),
     )
     add_format(parser)
     parser.add_argument(
         "--ground-truth",
         metavar="PATH",
         type=PathArgument("ground truth", is_data=True, otherwise=ground_truth_path),
-        help="where the true solution goes, with the same observations (default: beside OUTPUT, "
-        "OUTPUT_ground_truth)",
+        help=(
+            "output path of the true solution, with the same observations (default: "
+            "OUTPUT_ground_truth, next to OUTPUT)"
+        ),
     )
     parser.add_argument(
         "--overwrite",
         action="store_true",
-        help="replace what stands at these paths (default: stop if there is anything)",
+        help="replace existing files at these paths (default: stop if a file exists)",
     )
     add_options(parser, "SceneOptions", "options of the scene")
     add_flight_flags(parser)

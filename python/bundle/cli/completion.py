@@ -32,7 +32,8 @@ class PrintCompletion(argparse.Action):
             import shtab
         except ImportError:
             raise InputError(
-                "--print-completion: expected shtab, found none (pip install shtab)"
+                "--print-completion: expected the package shtab, which is not installed: pip "
+                "install shtab"
             ) from None
         for command in parser.commands().values():
             for action in command._actions:

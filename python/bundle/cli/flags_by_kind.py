@@ -86,7 +86,7 @@ def refuse_flags_of_flights(arguments: argparse.Namespace) -> None:
     """
     scene = arguments.scene or option_class("SceneOptions")().asdict()["scene"]
     for flag in _given(arguments, _only("FlightOptions", "SceneOptions")):
-        raise InputError(f"{flag}: expected with --scene {FLIGHT} only, found with --scene {scene}")
+        raise InputError(f"{flag}: valid only with --scene {FLIGHT}, found --scene {scene}")
 
 
 def refuse_flags_of_scenes(arguments: argparse.Namespace) -> None:
@@ -100,7 +100,7 @@ def refuse_flags_of_scenes(arguments: argparse.Namespace) -> None:
         f"--{n.replace('_', '-')}" for n in ("format", "ground_truth") if arguments.__dict__[n]
     ]
     for flag in (*_given(arguments, scenes), *others):
-        raise InputError(f"{flag}: expected with other scenes, found with --scene {FLIGHT}")
+        raise InputError(f"{flag}: valid only with other scenes, found --scene {FLIGHT}")
 
 
 def refuse_flags_of_graphs(arguments: argparse.Namespace) -> None:
@@ -110,7 +110,7 @@ def refuse_flags_of_graphs(arguments: argparse.Namespace) -> None:
         InputError: such a flag was given.
     """
     for flag in _given(arguments, _only("PoseGraphOptions", "SolveOptions")):
-        raise InputError(f"{flag}: expected with a pose graph only, found a reconstruction")
+        raise InputError(f"{flag}: valid only with a pose graph, found a reconstruction")
 
 
 def refuse_flags_of_reconstructions(
@@ -129,7 +129,7 @@ def refuse_flags_of_reconstructions(
         if name in _OF_ALL or name in taken or value is None or value is False:
             continue
         flag = arguments.flags[name]
-        raise InputError(f"{flag}: expected with a reconstruction only, found a pose graph")
+        raise InputError(f"{flag}: valid only with a reconstruction, found a pose graph")
 
 
 def _only(kind: str, other: str) -> list[dataclasses.Field[Any]]:

@@ -42,22 +42,24 @@ def georeference_given(
             not exist.
     """
     if page and arguments.images is not None and not Path(arguments.images).is_dir():
-        raise InputError(f"--images: expected a folder, found none: {shown(arguments.images)}")
+        raise InputError(f"--images: there is no folder {shown(arguments.images)}")
     beside = ("images",) if page else ()
     given = options_given(arguments, GeoreferenceOptions, beside=beside)
     if not given.is_given:
         return given
     if given.gps == "exif" and given.images is None:
-        raise InputError("--gps exif: expected --images DIR with it")
+        raise InputError("--gps exif: expected --images DIR, too")
     if given.gps not in (None, "exif") and given.images is not None and not page:
-        raise InputError("--images: expected with --gps exif only, found with a file")
+        raise InputError("--images: valid only with --gps exif, found --gps with a file")
     if arguments.prior_loss_scale is not None and given.prior_loss == "trivial":
-        raise InputError("--prior-loss-scale: expected with a --prior-loss other than trivial")
+        raise InputError("--prior-loss-scale: valid only with a --prior-loss other than trivial")
     flag = main_flag(given)
     if only_images is not None:
-        raise InputError(f"{flag}: expected without --only-images, which leaves the rest in place")
+        raise InputError(
+            f"{flag}: not valid with --only-images, which leaves all other images in place"
+        )
     if "poses" not in refined:
-        raise InputError(f"{flag}: expected poses among those of --refine, found them held")
+        raise InputError(f"{flag}: expected poses in --refine, found constant poses")
     return given
 
 

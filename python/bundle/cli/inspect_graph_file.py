@@ -39,9 +39,9 @@ def _refuse_flags_of_problems(arguments: argparse.Namespace) -> None:
     options_given(arguments, RankOptions)
     for name in ("ranks", *SolveOptions.names()):
         if getattr(arguments, name, None) is not None:
-            raise InputError(f"{arguments.flags[name]}: expected with INPUT only")
+            raise InputError(f"{arguments.flags[name]}: valid only with INPUT")
     if arguments.recalibrate:
-        raise InputError("--recalibrate: expected with INPUT only")
+        raise InputError("--recalibrate: valid only with INPUT")
 
 
 def _eliminate(given: GraphFileOptions) -> GraphInspection:

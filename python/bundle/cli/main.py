@@ -93,7 +93,7 @@ def command_parser() -> Parser:
     parser = Parser(
         prog="bundle",
         description="Refines structure-from-motion reconstructions and explains the solve.",
-        epilog="bundle COMMAND --help tells more.",
+        epilog="bundle COMMAND --help describes a command.",
         explain=lambda found: unknown(found, ""),
     )
     parser.add_argument("--version", action="version", version=f"bundle {__version__}")

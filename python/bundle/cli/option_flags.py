@@ -104,7 +104,7 @@ def options_given(
         alone = needs and field.name not in beside and all(not values[name] for name in needs)
         if alone and values[field.name] is not None:
             others = join(flags[name] for name in needs)
-            raise InputError(f"{field.metadata['flag']}: expected with {others} only")
+            raise InputError(f"{field.metadata['flag']}: valid only with {others}")
     return given
 
 

@@ -56,8 +56,8 @@ def check_replaced(
         parts = "poses" if found == "a pose graph" else "images"
         found = f"{found} of other {parts}"
     raise InputError(
-        f"{shown(path)}: expected nothing there or what INPUT holds, found {found} "
-        "(--overwrite replaces it)"
+        f"{shown(path)}: expected no file, or the model of INPUT, found {found} (--overwrite "
+        "replaces it)"
     )
 
 
@@ -86,7 +86,7 @@ def check_new(path: str, flag: str) -> None:
     if not os.path.lexists(target) or (target.is_dir() and next(target.iterdir(), None) is None):
         return
     found = reconstruction_at(target) or ("a folder" if target.is_dir() else "a file")
-    raise InputError(f"{shown(path)}: expected nothing there, found {found} ({flag} replaces it)")
+    raise InputError(f"{shown(path)}: expected a new path, found {found} ({flag} replaces it)")
 
 
 class Request(Protocol):

@@ -67,7 +67,7 @@ class PathArgument:
             argparse.ArgumentTypeError: the path is empty.
         """
         if not text.strip():
-            raise argparse.ArgumentTypeError("expected a path, found an empty one")
+            raise argparse.ArgumentTypeError("expected a path, found an empty string")
         return text
 
 
@@ -133,8 +133,8 @@ def check_paths(actions: Iterable[argparse.Action], arguments: argparse.Namespac
             allowed = other.argument in one.kind.replaces or one.argument in other.kind.replaces
             if not allowed and _meet(one, other):
                 raise InputError(
-                    f"{shown(one.path)}: the {one.kind.written} would replace what {other.name} "
-                    "names"
+                    f"{shown(one.path)}: the {one.kind.written} would replace the file of "
+                    f"{other.name}"
                 )
         known.append(one)
         if not one.kind.is_data:

@@ -44,7 +44,7 @@ def cameras_edited(given: LensOptions, problem: Problem) -> CameraEdits | None:
     if not given.changed():
         return None
     if given.share_cameras is not None and given.split_cameras:
-        raise InputError("--split-cameras: expected without --share-cameras, found both")
+        raise InputError("--split-cameras: not valid with --share-cameras, found both")
     from bundle.editing.cameras.edit_record import edit_cameras
 
     share = False if given.share_cameras is None else given.share_cameras

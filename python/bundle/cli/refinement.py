@@ -100,7 +100,7 @@ class Refinement:
         loops = options_given(arguments, LoopOptions)
         if loops.loops is not None and local.only_images is not None:
             raise InputError(
-                "--loops: expected without --only-images, which leave the rest in place"
+                "--loops: not valid with --only-images, which leaves all other images in place"
             )
         rules = options_given(arguments, RuleOptions)
         constraints = rules_of(rules)

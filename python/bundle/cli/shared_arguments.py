@@ -37,7 +37,7 @@ def add_common(parser: argparse.ArgumentParser) -> None:
         "--json",
         metavar="FILE",
         type=report_path,
-        help="also write a report for programs; -: to standard output, and nothing else there",
+        help="also write a report for programs; -: to standard output, which then has nothing else",
     )
     parser.add_argument(
         "--quiet", action="store_true", help="no progress on standard error (default: shown)"
@@ -45,7 +45,7 @@ def add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--verbose",
         action="store_true",
-        help="show what the headline leaves out: all tables and findings (default: off)",
+        help="show all tables and findings after the headline (default: off)",
     )
 
 
@@ -58,10 +58,12 @@ def add_input(
         metavar="INPUT",
         nargs=nargs,
         type=reconstruction,
-        help="a BAL file (plain, .gz or .bz2), the folder of a COLMAP model (binary or text) or, "
-        "for info, refine, compare, inspect, diagnose, covariance and convert, a pose graph (g2o, "
-        "plain, .gz or .bz2), or, for info and convert, the folder of a visual-inertial sequence; "
-        "told by its content",
+        help=(
+            "a BAL file (plain, .gz or .bz2), the folder of a COLMAP model (binary or text) or, "
+            "for info, refine, compare, inspect, diagnose, covariance and convert, a pose graph "
+            "(g2o, plain, .gz or .bz2), or, for info and convert, the folder of a visual-inertial "
+            "sequence; the format is detected automatically"
+        ),
     )
 
 
@@ -83,22 +85,24 @@ def add_output(
         *names,
         metavar="OUTPUT",
         type=PathArgument("output", is_data=True, replaces=replaces),
-        help="what to write, which may be INPUT; NAME.txt, .txt.gz and .txt.bz2 are BAL files, "
-        "NAME/ and folders that exist COLMAP models, other names take INPUT's format",
+        help=(
+            "output path, which may be INPUT; NAME.txt, .txt.gz and .txt.bz2 are BAL files, NAME/ "
+            "and existing folders are COLMAP models, other names get the format of INPUT"
+        ),
         **settings,
     )
     add_format(parser)
     parser.add_argument(
         "--overwrite",
         action="store_true",
-        help="replace a model of other images at OUTPUT (default: stop if there is one)",
+        help="replace a model of other images at OUTPUT (default: stop if it exists)",
     )
 
 
 def add_format(parser: argparse.ArgumentParser) -> None:
     """Add the flag --format."""
     parser.add_argument(
-        "--format", choices=OUTPUT_FORMATS, help="format of OUTPUT (default: what its name says)"
+        "--format", choices=OUTPUT_FORMATS, help="format of OUTPUT (default: by its name)"
     )
 
 
@@ -108,9 +112,11 @@ def add_rig_config(parser: argparse.ArgumentParser) -> None:
         "--rig-config",
         metavar="FILE",
         type=a_path,
-        help="make rigs out of the images, as COLMAP's rig_config.json says: images whose names "
-        "differ in their prefix only are a frame; poses of sensors that it does not have are means "
-        "over the frames (default: the rigs of INPUT)",
+        help=(
+            "make rigs by COLMAP's rig_config.json: images whose names differ only in their prefix "
+            "form a frame; missing poses of sensors are means over the frames (default: the rigs "
+            "of INPUT)"
+        ),
     )
 
 
@@ -120,9 +126,11 @@ def add_rules(parser: argparse.ArgumentParser) -> None:
         parser,
         "RuleOptions",
         "constraints",
-        description="What is known beside the pixels, such as --set 'cameras *: f prior 2 %' or "
-        "--set 'camera 3: cx,cy fixed'. Focal lengths and the principal point are in pixels, "
-        "positions in the unit of the model (metres with --gps), rotations in degrees.",
+        description=(
+            "Knowledge in addition to the pixels, such as --set 'cameras *: f prior 2 %' or --set "
+            "'camera 3: cx,cy fixed'. Focal lengths and the principal point are in pixels, "
+            "positions in the unit of the model (metres with --gps), rotations in degrees."
+        ),
     )
 
 

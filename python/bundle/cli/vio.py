@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     source, target = arguments.sequence, arguments.output
     if arguments.publish is None and (arguments.loops is not None or arguments.real_time):
         flag = "--real-time" if arguments.loops is None else "--loops"
-        raise InputError(f"{flag}: expected --publish FILE.tum with it")
+        raise InputError(f"{flag}: expected --publish FILE.tum, too")
     options = options_given(arguments, WindowOptions)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")

@@ -118,8 +118,8 @@ def _rig(place: str, rig: Any) -> RigConfig:
     if "ref_camera_id" in rig:
         raise InputError(
             f"{place}: expected the format of COLMAP 3.12 (image_prefix, ref_sensor: true, "
-            "cam_from_rig_rotation and cam_from_rig_translation of each camera), found the "
-            "older one with ref_camera_id"
+            "cam_from_rig_rotation and cam_from_rig_translation of each camera), found the older "
+            "format with ref_camera_id"
         )
     sensors = tuple(_sensor(f"{place}, camera {i}", camera) for i, camera in enumerate(cameras, 1))
     count = sum(sensor.is_reference for sensor in sensors)

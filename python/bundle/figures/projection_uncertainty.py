@@ -254,7 +254,7 @@ def _terms(
         xy: (n, 2) pixels.
         covariance: S of these columns.
         follow: K, (6, free).
-        housing: n^2 M^+, (6, 6).
+        housing: n^2 M^+ of the derivation above, (6, 6).
     """
     rays, is_seen = pixel_rays(model, params, xy)
     made = project(model, params, rays, jacobians=True)

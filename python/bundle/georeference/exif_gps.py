@@ -55,9 +55,7 @@ def read_exif_gps(folder: str | os.PathLike[str], names: Iterable[str]) -> GpsPo
     """
     root = Path(folder)
     if not root.is_dir():
-        raise InputError(
-            f"{shown(folder)}: expected the folder of the images, which does not exist"
-        )
+        raise InputError(f"{shown(folder)}: expected the folder of the images; it does not exist")
     wanted = [name for name in dict.fromkeys(names) if name]
     found: dict[str, tuple[float, ...]] = {}
     missing: list[str] = []

@@ -109,8 +109,8 @@ def _read_line(
         target.role = "check"
     if label and target.name not in ("", label):
         raise InputError(
-            f"{place}: expected label {target.name}, as for the same coordinates in line "
-            f"{target.line}, found {brief(label)}"
+            f"{place}: expected label {target.name}, because line {target.line} has the same "
+            f"coordinates, found {brief(label)}"
         )
     target.name = target.name or label
     if "sigma" in settings:
@@ -128,8 +128,8 @@ def _read_line(
     image = words[5]
     if image in target.measurements:
         raise InputError(
-            f"{place}: expected one measurement of a target in each image, found a second "
-            f"one in {brief(image)}"
+            f"{place}: expected one measurement of a target per image, found a second measurement "
+            f"in {brief(image)}"
         )
     target.measurements[image] = Measurement(image, px + PIXEL_SHIFT, py + PIXEL_SHIFT, pixel_sigma)
 

@@ -54,8 +54,8 @@ class Frame:
         if None in systems:
             if len(systems) > 1 or positions is not None:
                 raise InputError(
-                    "gcps: expected a reference system for all control points, because others or "
-                    "GPS have one, found None"
+                    "gcps: expected a reference system for each control point, because other "
+                    "points or GPS positions have one, found None"
                 )
             return
         geodetic = np.empty_like(self.control_points)
@@ -139,7 +139,7 @@ def given_gps(
             raise InputError('images: expected the folder of the images for "exif", found None')
         return read_exif_gps(images, problem.image_names)
     if images is not None:
-        raise InputError(f'images: expected "exif" for gps beside it, found {brief(gps)}')
+        raise InputError(f'images: expected gps="exif" together with it, found {brief(gps)}')
     if gps is None or isinstance(gps, GpsPositions):
         return None if gps is None else with_fix(gps)
     if is_path(gps):

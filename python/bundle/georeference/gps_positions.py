@@ -111,7 +111,7 @@ def matched(index: ImageIndex, positions: GpsPositions) -> dict[int, int]:
         if row in rows:
             raise InputError(
                 f"{positions.source}: expected one position for each image of the model, found "
-                f"{brief(positions.names[rows[row]])} and {brief(name)} for the same one"
+                f"{brief(positions.names[rows[row]])} and {brief(name)} for the same image"
             )
         rows[row] = position
     return rows

@@ -21,7 +21,7 @@ class ImageIndex:
 
     def __init__(self, problem: Problem, argument: str = "") -> None:
         if problem.num_images and not any(problem.image_names):
-            raise InputError(f"{argument}expected images with names; BAL files have none")
+            raise InputError(f"{argument}expected images with names; BAL files have no names")
         self._problem = problem
         self._argument = argument
         self._whole: dict[str, list[int]] = {}

@@ -95,8 +95,8 @@ def check_readings(survey: Survey) -> tuple[str, ...]:
             raise InputError(f"{whose}: {what} ({survey.what}: the model is {found})")
     if upright < -UPRIGHT:
         return (
-            "The cameras look up at their points, or their images are upside down: so is "
-            "the model unless that is meant.",
+            "The cameras look up at their points, or their images are upside down: the model is "
+            "probably upside down.",
         )
     return ()
 

@@ -83,7 +83,7 @@ class PositionPrior(Displayed):
             )
         self._set(position=position, lever_arm=lever_arm)
         if (self.sigma is None) == (self.covariance is None):
-            raise InputError(f"{name}: expected one of sigma and covariance")
+            raise InputError(f"{name}: expected either sigma or covariance")
         if self.sigma is not None:
             self._set(sigma=_sigmas(f"{name}: sigma", self.sigma))
         else:

@@ -75,12 +75,13 @@ class ProblemPriors:
                 meant = nearest(image, list(names)) if isinstance(image, str) else ""
                 found = f"0{meant}" if row is None else "several"
                 raise InputError(
-                    f"{place}: expected one image {brief(image)} in the problem, found {found}"
+                    f"{place}: expected exactly one image {brief(image)} in the problem, found "
+                    f"{found}"
                 )
             if row in rows:
                 raise InputError(
-                    f"{place}: expected one prior for each image, found another one of "
-                    f"{brief(image)} (the first: [{rows[row]}])"
+                    f"{place}: expected one prior per image, found another prior of {brief(image)} "
+                    f"(the first: [{rows[row]}])"
                 )
             rows[row] = position
         found_rows = np.fromiter(rows, dtype=np.int64, count=len(rows))

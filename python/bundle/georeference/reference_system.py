@@ -262,8 +262,8 @@ class ReferenceSystem:
             raise InputError(f"{_expected(self.name)}; PROJ: {brief(reason)}") from None
         if not (crs.is_geographic or crs.is_projected or crs.is_geocentric):
             raise InputError(
-                f"coordinate reference system {brief(self.name)}: expected one with places on the "
-                f"map, found a {crs.type_name}"
+                f"coordinate reference system {brief(self.name)}: expected a system with "
+                f"horizontal coordinates, found a {crs.type_name}"
             )
         return crs
 
@@ -281,7 +281,7 @@ class ReferenceSystem:
             except pyproj.exceptions.ProjError as error:
                 reason = first_line(error)
         raise InputError(
-            f"coordinate reference system {brief(self.name)}: expected one that PROJ can "
+            f"coordinate reference system {brief(self.name)}: expected a system that PROJ can "
             f"transform to WGS84, found {brief(reason)}"
         )
 

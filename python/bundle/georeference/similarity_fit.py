@@ -112,8 +112,8 @@ def fit_similarity(
     except (np.linalg.LinAlgError, OverflowError):
         raise InputError(
             f"expected {what} and a model of comparable magnitude, found coordinates up to "
-            f"{np.nanmax(np.abs(points.target)):.3g} and in the model "
-            f"{np.abs(points.source).max():.3g}"
+            f"{np.nanmax(np.abs(points.target)):.3g}, and up to {np.abs(points.source).max():.3g} "
+            "in the model"
         ) from None
 
 

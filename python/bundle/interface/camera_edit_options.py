@@ -18,21 +18,21 @@ class LensOptions(Options):
     camera_model: str | None = option(
         None,
         "--camera-model",
-        "model that all cameras get, such as OPENCV; from the same pixels, exactly where the model "
-        "can, else by a fit, whose error is reported",
+        "new model of all cameras, such as OPENCV; parameters are converted exactly if the new "
+        "model permits, otherwise fitted to the same pixels, and the error is reported",
         metavar="MODEL",
         unset="they keep theirs",
     )
     share_cameras: tuple[int, ...] | bool | str | None = option(
         None,
         "--share-cameras",
-        "make these cameras, of one model and size, the one with the lowest id; size: the cameras "
-        "of each image size; parameters are the means weighted by observations",
+        "replace these cameras of one model and size by the camera with the lowest id; size: the "
+        "cameras of each image size; parameters are means weighted by observations",
         metavar="IDS|all|size",
         value="ids or all",
     )
     split_cameras: bool = option(
-        False, "--split-cameras", "give each image a camera of its own", negatable=False
+        False, "--split-cameras", "give each image its own camera", negatable=False
     )
 
 
@@ -44,17 +44,17 @@ class RuleOptions(Options):
     rules: tuple[str, ...] | None = option(
         None,
         "--set",
-        "hold, bound, share or pull parameters: TARGET: NAMES fixed | NAMES prior [VALUE] sigma S "
-        "| NAMES prior [VALUE] P % | NAMES in [MIN, MAX] | share NAMES | NAME/NAME fixed; TARGET: "
+        "fix, bound, share or pull parameters: TARGET: NAMES fixed | NAMES prior [VALUE] sigma S | "
+        "NAMES prior [VALUE] P % | NAMES in [MIN, MAX] | share NAMES | NAME/NAME fixed; TARGET: "
         'camera 3, cameras 1-4, cameras *, image 7, image "left/*.jpg", point 12; NAMES: '
-        "COLMAP's of the camera model, or position and rotation; may be given several times",
+        "parameters of the camera model, or position and rotation; may be given several times",
         metavar="RULE",
         value="several",
     )
     constraints: str | None = option(
         None,
         "--constraints",
-        "the same rules from a file, one a line; # begins a comment",
+        "the same rules from a file, one per line; # begins a comment",
         metavar="FILE",
         value="path",
     )

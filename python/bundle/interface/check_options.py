@@ -28,7 +28,7 @@ class CheckOptions(Options):
     samples_per_image: int = option(
         SAMPLES_PER_IMAGE,
         "--samples",
-        "observations to check of each image and its camera",
+        "number of observations to check for each image and its camera",
         minimum=1,
         maximum=math.inf,
         metavar="N",
@@ -37,14 +37,14 @@ class CheckOptions(Options):
     tolerance: float = option(
         TOLERANCE,
         "--tolerance",
-        "relative error from which on an entry is wrong",
+        "relative error above which an entry is wrong",
         metavar="X",
         late=True,
     )
     num_threads: int = option(
         0,
         "--threads",
-        "threads, at most one a core; 0: all cores",
+        "number of threads, at most one per core; 0: all cores",
         minimum=0,
         maximum=math.inf,
         metavar="N",

@@ -104,14 +104,14 @@ class CompareOptions(Options):
     timeout: float = option(
         TIMEOUT,
         "--timeout",
-        "stop a solve that takes longer",
+        "time after which a solve is stopped",
         metavar="SECONDS",
         late=True,
     )
     memory_cap: str | None = option(
         None,
         "--memory-cap",
-        "stop a solve that takes more memory beyond the loaded problem, such as 500MB; 1 MB is "
+        "memory beyond the loaded problem above which a solve is stopped, such as 500MB; 1 MB is "
         "1,000,000 bytes",
         metavar="SIZE",
         unset=f"{100 * SHARE_OF_FREE_MEMORY:g} % of what is free at the start",

@@ -34,8 +34,8 @@ class CovarianceOptions(Options):
     relative: tuple[tuple[int, int], ...] = option(
         (),
         "--relative",
-        "pairs of image ids: covariances of cam_b_from_cam_a; of a pose graph pairs of pose ids, "
-        "of X_a^-1 X_b",
+        "pairs of image ids, for covariances of cam_b_from_cam_a; for a pose graph pairs of pose "
+        "ids, for X_a^-1 X_b",
         metavar="A:B,...",
         value="pairs",
         late=True,
@@ -43,9 +43,9 @@ class CovarianceOptions(Options):
     covariance_gauge: str | None = option(
         None,
         "--gauge",
-        "how position, direction and scale of the world are held: inner gives the least trace "
-        "(the pseudo-inverse); none: by priors or what is fixed; first, for pose graphs: as a "
-        "solve does, by the first pose of each component without a fixed one",
+        "how position, rotation and scale of the world are fixed. inner: by the constraints of "
+        "least trace (the pseudo-inverse); none: by priors and fixed parameters; first, for pose "
+        "graphs: by the first pose of each component without a fixed pose, as in a solve",
         choices=(*GAUGES, "first"),
         unset="inner; pose graphs: first",
         late=True,
@@ -53,14 +53,15 @@ class CovarianceOptions(Options):
     scale: str = option(
         SCALES[0],
         "--scale",
-        "unit: residuals have a sigma of 1 px; sigma0: the one that they show; priors keep theirs",
+        "unit: residuals have a sigma of 1 px; sigma0: the sigma is estimated from the residuals; "
+        "priors keep their sigmas",
         choices=SCALES,
     )
     robust: str | None = option(
         None,
         "--robust",
-        "what --loss means: weights of observations, or H^-1 (sum psi psi^T) H^-1, which holds for "
-        "residuals of any distribution",
+        "effect of --loss: weights of observations, or H^-1 (sum psi psi^T) H^-1, which is valid "
+        "for residuals of any distribution",
         choices=ROBUST,
         unset="weights",
         late=True,
@@ -89,5 +90,5 @@ def parts_of(name: str, value: str | Iterable[str]) -> tuple[str, ...]:
     words = value.split(",") if isinstance(value, str) else list(value)
     named = {one_of(name, word.strip() if isinstance(word, str) else word, PARTS) for word in words}
     if not named:
-        raise InputError(f"{name}: expected some of {', '.join(PARTS)}, found ''")
+        raise InputError(f"{name}: expected at least one of {', '.join(PARTS)}, found ''")
     return tuple(part for part in PARTS if part in named)

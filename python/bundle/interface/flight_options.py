@@ -35,7 +35,7 @@ class FlightOptions(Options):
         choices=MOTIONS,
     )
     duration: float = option(
-        30.0, "--duration", "seconds, rest included", above=0.0, metavar="SECONDS"
+        30.0, "--duration", "seconds, including the rest at the start", above=0.0, metavar="SECONDS"
     )
     rest: float = option(
         2.0, "--rest", "seconds at rest at the start", minimum=0.0, metavar="SECONDS"
@@ -47,12 +47,12 @@ class FlightOptions(Options):
         20.0, "--camera-rate", "images per second", above=0.0, maximum=1e3, metavar="HZ"
     )
     num_tracks: int = option(
-        60, "--tracks", "tracks per image, where as many points are in view", minimum=1, metavar="N"
+        60, "--tracks", "tracks per image, if enough points are in view", minimum=1, metavar="N"
     )
     track_length: float = option(
         60.0,
         "--mean-track",
-        "images after which a track is lost, on average, while its point stays in view",
+        "mean number of images after which a track is lost, if its point stays in view",
         minimum=1.0,
         metavar="N",
     )
@@ -61,8 +61,8 @@ class FlightOptions(Options):
     imu_noise_scale: float = option(
         1.0,
         "--imu-noise",
-        "noise densities and random walks of the IMU, in those of an ADIS16448 (EuRoC): 1.7e-4 "
-        "rad/s and 2.0e-3 m/s^2 per sqrt(Hz)",
+        "noise densities and random walks of the IMU, as multiples of those of an ADIS16448 "
+        "(EuRoC): 1.7e-4 rad/s and 2.0e-3 m/s^2 per sqrt(Hz)",
         minimum=0.0,
         below=1e6,
         metavar="X",
@@ -86,20 +86,25 @@ class FlightOptions(Options):
     imu_samples: str = option(
         "interval",
         "--imu-samples",
-        "interval: a sample is what the motion up to the next one adds, so that integration with "
-        "zero-order hold is exact; instant: the rate and specific force at its stamp",
+        "interval: a sample is the mean up to the next sample, so that integration with zero-order "
+        "hold is exact; instant: a sample is the rate and specific force at its stamp",
         choices=SAMPLES,
     )
     time_offset: float = option(
         0.0,
         "--time-offset",
-        "seconds that have to be added to the stamps of images",
+        "seconds that must be added to the stamps of images",
         minimum=-1.0,
         maximum=1.0,
         metavar="SECONDS",
     )
     seed: int = option(
-        0, "--seed", "same seed, same flight", minimum=0, maximum=math.inf, metavar="N"
+        0,
+        "--seed",
+        ("seed of the random numbers; the same seed gives the same flight"),
+        minimum=0,
+        maximum=math.inf,
+        metavar="N",
     )
 
     def __post_init__(self) -> None:

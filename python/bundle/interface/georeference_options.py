@@ -34,7 +34,7 @@ class GeoreferenceOptions(Options):
     gps: str | None = option(
         None,
         "--gps",
-        "measured positions; exif: what the images themselves say; FILE: OpenDroneMap's geo.txt",
+        "measured positions; exif: from the EXIF tags of the images; FILE: OpenDroneMap's geo.txt",
         metavar="exif|FILE",
         value="exif or path",
     )
@@ -49,22 +49,23 @@ class GeoreferenceOptions(Options):
     gps_sigma: str = option(
         GPS_SIGMA,
         "--gps-sigma",
-        "standard deviation of positions without their own, horizontal and vertical, in metres",
+        "standard deviation of positions that have no own accuracy, horizontal and vertical, in "
+        "metres",
         metavar="H[/V]",
         needs=("gps",),
     )
     antenna: str = option(
         "0,0,0",
         "--antenna",
-        "place of the antenna in the frame of the camera, right, down, forward, in metres",
+        "position of the antenna in the camera frame, right, down, forward, in metres",
         metavar="X,Y,Z",
         needs=("gps",),
     )
     prior_loss: str = option(
         "trivial",
         "--prior-loss",
-        "robust loss of positions and control points: tukey and arctan give up on gross errors, "
-        "the others keep pulling",
+        "robust loss of positions and control points: tukey and arctan ignore gross errors, all "
+        "others only reduce their influence",
         choices=LOSSES,
         metavar="NAME",
         needs=("gcp", "gps"),
@@ -73,8 +74,8 @@ class GeoreferenceOptions(Options):
     prior_loss_scale: float = option(
         ROBUST_SCALE,
         "--prior-loss-scale",
-        "length of a residual in standard deviations at which it bends; 5 % of good ones exceed "
-        "the default",
+        "residual in standard deviations at which this loss begins to bend; 5 % of correct "
+        "residuals exceed the default",
         metavar="X",
         needs=("gcp", "gps"),
         late=True,
@@ -85,15 +86,15 @@ class GeoreferenceOptions(Options):
     gcp_sigma: str = option(
         GCP_SIGMA,
         "--gcp-sigma",
-        "standard deviation of control points, horizontal and vertical, in metres, where the file "
-        "has none",
+        "standard deviation of control points, horizontal and vertical, in metres, if the file "
+        "does not give it",
         metavar="H[/V]",
         needs=("gcp",),
     )
     gcp_pixel_sigma: float = option(
         GCP_PIXEL_SIGMA,
         "--gcp-pixel-sigma",
-        "standard deviation of their measurements in pixels, where the file has none",
+        "standard deviation of their measurements in pixels, if the file does not give it",
         metavar="PX",
         needs=("gcp",),
         late=True,
@@ -101,7 +102,7 @@ class GeoreferenceOptions(Options):
     check_points: str | None = option(
         None,
         "--check-points",
-        "control points that are compared and have no influence, such as gcp02,gcp07",
+        "control points that are only compared and have no influence, such as gcp02,gcp07",
         metavar="NAMES",
         unset="those that the file marks so",
         needs=("gcp",),

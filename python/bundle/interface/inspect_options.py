@@ -31,7 +31,8 @@ class RankOptions(Options):
     ranks: str | None = option(
         None,
         "--ranks",
-        "predict `mpirun -n N bundle refine` for these N, such as 1,4,16,64,256",
+        "numbers of processes for which `mpirun -n N bundle refine` is predicted, such as "
+        "1,4,16,64,256",
         metavar="LIST",
     )
     network: str = option(
@@ -79,7 +80,8 @@ class GraphFileOptions(Options):
     graph: str | None = option(
         None,
         "--graph",
-        "eliminate a small graph step by step: an edge a line, two names; # begins a comment",
+        "file of a small graph, which is eliminated step by step: one edge per line, two names; # "
+        "begins a comment",
         metavar="FILE",
         value="path",
     )
@@ -102,7 +104,7 @@ class GraphFileOptions(Options):
     block_size: int = option(
         1,
         "--block-size",
-        "scalars of each variable, such as 6 for poses",
+        "number of scalars of each variable, such as 6 for poses",
         metavar="N",
         needs=("graph",),
         late=True,

@@ -22,17 +22,17 @@ class LoopOptions(Options):
     loops: str | None = option(
         None,
         "--loops",
-        "first close these loops by a graph of the images' poses, points carried along: edges "
-        "between ids of images, EDGE_SE3:QUAT i j with the pose of camera j in the frame of camera "
-        "i, in the length unit of the model around image i",
+        "file of loop closures, which a graph of the images' poses closes before the solve; points "
+        "move with their images. Edges are between image ids: EDGE_SE3:QUAT i j with the pose of "
+        "camera j in the frame of camera i, in the length unit of the model near image i",
         metavar="FILE.g2o",
         value="path",
     )
     loop_loss: str = option(
         "cauchy",
         "--loop-loss",
-        "robust loss by which right closures are told from wrong ones; half of them have to be "
-        "right; trivial takes all",
+        "robust loss that separates right from wrong closures; at least half of them must be "
+        "right; trivial uses all",
         choices=LOOP_LOSSES,
         needs=("loops",),
         late=True,
@@ -40,7 +40,8 @@ class LoopOptions(Options):
     loop_loss_scale: float = option(
         1.0,
         "--loop-loss-scale",
-        "sigmas at which that loss begins to bend; a closure is right within 4.9 times as many",
+        "sigmas at which this loss begins to bend; a closure is right if its error is within 4.9 "
+        "times this value",
         metavar="X",
         needs=("loops",),
         late=True,

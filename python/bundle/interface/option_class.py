@@ -42,8 +42,8 @@ class Options:
             if field.metadata["idle"] == "error":
                 other, values = field.metadata["only_with"]
                 raise InputError(
-                    f"{field.name}: expected with {other}={join(map(str, values))} only, "
-                    f"found with {other}={getattr(self, other)}"
+                    f"{field.name}: valid only with {other}={join(map(str, values))}, found "
+                    f"{other}={getattr(self, other)}"
                 )
 
     @classmethod

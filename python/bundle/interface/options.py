@@ -79,20 +79,20 @@ class SolveOptions(Options):
     backend: str = option(
         "auto",
         "--backend",
-        "solver library: fused is our own, built for eliminating points; auto takes fused for "
-        "everything that it supports, otherwise Ceres, and gives the reason",
+        "solver library: fused is our own solver, which eliminates points; auto uses fused if it "
+        "supports the problem, otherwise Ceres, and reports the reason",
         choices=BACKENDS,
     )
     linear_solver_type: str = option(
         "auto",
         "--solver",
-        "linear solver; auto chooses by predicted cost and gives the reason",
+        "linear solver; auto chooses by predicted cost and reports the reason",
         choices=LINEAR_SOLVER_TYPES,
     )
     linear_solver_ordering: str = option(
         "points_first",
         "--ordering",
-        "which blocks are eliminated first",
+        "blocks that are eliminated first",
         choices=ORDERINGS,
         only_with=(
             "linear_solver_type",
@@ -178,56 +178,58 @@ class SolveOptions(Options):
     fixed_camera_ids: tuple[int, ...] = option(
         (),
         "--fix-cameras",
-        "ids of cameras whose intrinsics are held fixed",
+        "ids of cameras with constant intrinsics",
         metavar="IDS",
         value="ids",
     )
     fixed_image_ids: tuple[int, ...] = option(
         (),
         "--fix-images",
-        "images whose pose is held fixed, on a rig with their frame; their sensors are not refined",
+        "images with constant poses; the frames of such images on a rig are constant, too, and "
+        "their sensors are not refined",
         metavar="IMAGES",
         value="images",
     )
     fixed_point_ids: tuple[int, ...] = option(
-        (), "--fix-points", "ids of points that are held fixed", metavar="IDS", value="ids"
+        (), "--fix-points", "ids of constant points", metavar="IDS", value="ids"
     )
     refine_sensor_from_rig: bool = option(
         False,
         "--refine-sensor-from-rig",
-        "refine where sensors are on their rigs, unless the reference sensor of a rig observes "
-        "nothing",
+        "refine the poses of sensors on their rigs, except for rigs whose reference sensor "
+        "observes nothing",
     )
     fixed_sensors: tuple[tuple[int, int], ...] = option(
         (),
         "--fix-sensors",
-        "sensors whose pose on their rig is held fixed, each a rig's id and a camera's",
+        "sensors with a constant pose on their rig, each given by the ids of rig and camera",
         metavar="SENSORS",
         value="sensors",
     )
     gauge: str = option(
         "auto",
         "--gauge",
-        "how the gauge is fixed: position, rotation and scale of the world (7 degrees of freedom), "
-        "or what fixed points, images and baselines of rigs leave of these; auto: none for BAL and "
-        "beside positions and other factors, else two-cameras, which holds exactly what is free; "
-        "three-points holds 9 numbers as COLMAP does, 2 too many: the cost is higher for it, and "
+        "how the gauge is fixed: position, rotation and scale of the world (7 degrees of freedom, "
+        "fewer with fixed points, images or baselines of rigs). auto: none for BAL and with "
+        "positions or other factors, otherwise two-cameras. two-cameras fixes exactly the free "
+        "degrees. three-points fixes 9 numbers, 2 too many, as in COLMAP: the cost is higher, and "
         "covariances are smaller",
         choices=GAUGES,
     )
     cheirality: str = option(
         "auto",
         "--cheirality",
-        "residual of an observation that its camera does not see: zero (COLMAP; one that goes "
-        "behind later costs more than in front) or algebraic (the formula's value); auto: "
-        "algebraic for BAL and where the formula of a wide lens goes on past 90 degrees, else zero",
+        "residual of an observation that its camera does not see. zero: none, as in COLMAP, but an "
+        "observation that moves behind its camera during the solve has a constant cost. algebraic: "
+        "the value of the formula. auto: algebraic for BAL and for wide lenses whose formula "
+        "continues beyond 90 degrees, otherwise zero",
         choices=CHEIRALITIES,
     )
     check_solution: bool = option(
         True,
         "--check-solution",
-        "look for signs of a wrong Jacobian after the solve and count the nonzeros of the "
-        "information matrix; a result that is no reconstruction is found out in any case",
+        "search for signs of a wrong Jacobian after the solve and count the nonzeros of the "
+        "information matrix; an invalid result is detected in any case",
     )
 
     def _check(self, fields: Iterable[dataclasses.Field[Any]]) -> None:
@@ -306,7 +308,7 @@ class GraphOptions(SolveOptions):
     trust_region_strategy_type: str = option(
         "levenberg_marquardt",
         "--trust-region",
-        "trust region strategy; gauss_newton is levenberg_marquardt that starts without damping",
+        "trust region strategy; gauss_newton is levenberg_marquardt with a start without damping",
         choices=("gauss_newton", *TRUST_REGION_STRATEGIES),
     )
 

@@ -27,46 +27,46 @@ class PoseGraphOptions(Options):
     backend: str = option(
         "auto",
         "--backend",
-        "solver library: fused is our own, with block-sparse normal equations; auto takes it",
+        "solver library: fused is our own solver, with block-sparse normal equations; auto uses it",
         choices=BACKENDS,
     )
     error: str = option(
         "log",
         "--error",
-        "error of an edge: log is the logarithm of Z^-1 X_i^-1 X_j as a whole (GTSAM's), g2o its "
-        "translation and angle, or in space the vector part of its quaternion, ceres that of "
-        "Ceres' pose graph examples",
+        "error of an edge. log: the full logarithm of Z^-1 X_i^-1 X_j, as in GTSAM; g2o: its "
+        "translation and its angle, or in space the vector part of its quaternion; ceres: the "
+        "error of Ceres' pose graph examples",
         choices=POSE_ERRORS,
     )
     init: str = option(
         "file",
         "--init",
-        "where the solve starts: the file's poses, a chain or a tree of edges, the chordal "
-        "relaxation (two linear solves), or auto: the one of these from which some steps reach "
-        "the least cost",
+        "start of the solve: the poses of the file, a chain of edges, a tree of edges, or the "
+        "chordal relaxation (two linear solves). auto: the start that reaches the lowest cost in a "
+        "few steps",
         choices=("file", "odometry", "spanning_tree", "chordal", "auto"),
     )
     information: str = option(
         "file",
         "--information",
-        "information of the edges: the file's, or isotropic: one number for the rotation and one "
-        "for the translation, the means of the diagonal",
+        "information of the edges: full as in the file, or isotropic with one number for the "
+        "rotation and one for the translation, the means of the diagonal",
         choices=("file", "isotropic"),
     )
     loss: str = option(
         "trivial",
         "--loss",
-        "robust loss of an edge's whitened error; geman-mcclure, dcs and switchable constraints "
-        "are for wrong closures, as is gnc-tls, which solves some tens of times and ends with each "
-        "edge in or out; auto: none where no closure is to be doubted, else the better of dcs and "
-        "gnc-tls, which then looks at the set of --consistency, too",
+        "robust loss of the whitened error of an edge. geman-mcclure, dcs, switchable constraints "
+        "and gnc-tls are for wrong closures; gnc-tls solves some tens of times and accepts or "
+        "rejects each edge. auto: no loss if no closure is suspicious, otherwise the better of dcs "
+        "and gnc-tls, which then also uses the set of --consistency",
         choices=GRAPH_LOSSES,
     )
     loss_scale: float = option(
         1.0,
         "--loss-scale",
-        "error at which the loss begins to bend, in sigmas; gnc-tls: in radii that hold 99.95 % "
-        "of the errors of right edges",
+        "error at which the loss begins to bend, in sigmas; for gnc-tls in radii that contain "
+        "99.95 % of the errors of right edges",
         above=0.0,
         metavar="X",
         only_with=("loss", GRAPH_LOSSES[1:]),
@@ -74,26 +74,26 @@ class PoseGraphOptions(Options):
     loss_on: str = option(
         "closures",
         "--loss-on",
-        "edges that the loss applies to; closures are edges that are not between consecutive ids",
+        "edges to which the loss applies; closures are edges between ids that are not consecutive",
         choices=("closures", "all"),
         only_with=("loss", GRAPH_LOSSES[1:]),
     )
     consistency: bool = option(
         False,
         "--consistency",
-        "before the solve, find the largest set of closures that agree with each other pair by "
-        "pair along the odometry, and leave the others out (needs SciPy)",
+        "before the solve, find the largest set of closures that agree pairwise along the "
+        "odometry, and leave out all others (needs SciPy)",
     )
     trust_region_strategy_type: str = option(
         "gauss_newton",
         "--trust-region",
-        "how steps are found; gauss-newton is levenberg-marquardt that starts without damping",
+        "trust region strategy; gauss-newton is levenberg-marquardt with a start without damping",
         choices=("gauss_newton", *TRUST_REGION_STRATEGIES),
     )
     ordering: str = option(
         "auto",
         "--pose-ordering",
-        "order in which the poses are eliminated; auto: the cheapest of all",
+        "order in which the poses are eliminated; auto: the cheapest order",
         choices=("auto", "amd", "metis", "natural"),
     )
     max_num_iterations: int = option(

@@ -30,17 +30,16 @@ class RoundOptions(Options):
     num_rounds: int = option(
         0,
         "--rounds",
-        "maximum number of rounds: adjust, then remove observations and points beyond the limits; "
-        "the last round too. They end early when a round removes less than 0.05 % of its "
-        "observations; what the last one leaves is adjusted once more. 0: adjust once, remove "
-        "nothing",
+        "maximum number of rounds. Each round adjusts, then removes observations and points beyond "
+        "the limits. Rounds end early if one removes less than 0.05 % of its observations; the "
+        "remaining problem is then adjusted once more. 0: adjust once, remove nothing",
         minimum=0,
         metavar="N",
     )
     max_error: float = option(
         4.0,
         "--max-error",
-        "largest reprojection error that a round leaves, in pixels",
+        "largest reprojection error that a round keeps, in pixels",
         above=0.0,
         metavar="PIXELS",
         needs=("num_rounds",),
@@ -49,7 +48,7 @@ class RoundOptions(Options):
         1.5,
         "--min-angle",
         "smallest triangulation angle of a point (the largest over pairs of its observations) that "
-        "a round leaves, in degrees; 0: any",
+        "a round keeps, in degrees; 0: any",
         minimum=0.0,
         maximum=90.0,
         metavar="DEGREES",
@@ -58,7 +57,7 @@ class RoundOptions(Options):
     min_track_length: int = option(
         2,
         "--min-track",
-        "smallest number of observations of a point that a round leaves",
+        "smallest number of observations of a point that a round keeps",
         minimum=0,
         metavar="N",
         needs=("num_rounds",),
@@ -73,8 +72,9 @@ class LocalOptions(Options):
     only_images: str | None = option(
         None,
         "--only-images",
-        "refine only these images, the points that they see and their cameras, and leave all else "
-        "as it is, bit for bit; other images that see these points take part, held",
+        "refine only these images, the points that they see and their cameras; everything else "
+        "stays the same, bit for bit. Other images that see these points take part with constant "
+        "poses",
         metavar="IMAGES",
         value="names of images",
         unset="all images",
@@ -82,10 +82,10 @@ class LocalOptions(Options):
     rest: str = option(
         RESTS[0],
         "--rest",
-        "with --only-images, what all else does. fixed: other images that see these points are "
-        "held. marginal: they and their cameras move too, under the exact marginal prior of "
-        "everything that does not take part; only the named images, their points and cameras are "
-        "written",
+        "with --only-images, treatment of everything else. fixed: other images that see these "
+        "points are constant. marginal: these images and their cameras move, too, under the exact "
+        "marginal prior of everything that does not take part; only the named images, their points "
+        "and cameras are written",
         choices=RESTS,
         needs=("only_images",),
     )
@@ -106,17 +106,18 @@ class CheckpointOptions(Options):
     resume: str | None = option(
         None,
         "--resume",
-        "go on from this checkpoint, with the same INPUT and options (--threads may differ), and "
-        "go on writing it; from the start if there is no such file. With --deterministic the "
-        "result is that of a run with --checkpoint that was not killed, bit for bit",
+        "continue from this checkpoint, with the same INPUT and options (--threads may differ), "
+        "and continue to write it; begin at the start if the file does not exist. With "
+        "--deterministic, the result equals that of a run with --checkpoint that was not killed, "
+        "bit for bit",
         metavar="FILE",
         value="resumed checkpoint",
     )
     checkpoint_interval: int = option(
         CHECKPOINT_INTERVAL,
         "--checkpoint-interval",
-        "iterations from one checkpoint to the next within a round; the solver starts anew from "
-        "each, which takes a few more steps",
+        "iterations from one checkpoint to the next within a round; the solver restarts at each "
+        "checkpoint, which takes a few more steps",
         metavar="N",
         needs=("checkpoint", "resume"),
         late=True,

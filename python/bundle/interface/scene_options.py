@@ -72,8 +72,8 @@ class SceneOptions(Options):
     mean_track_length: float = option(
         0.0,
         "--track-length",
-        "observations per point, on average, at least 2; 0: 6, or what the images of a small scene "
-        "allow",
+        "mean number of observations per point, at least 2; 0: 6, or as many as the images of a "
+        "small scene permit",
         minimum=0.0,
         metavar="X",
     )
@@ -83,8 +83,8 @@ class SceneOptions(Options):
     cameras: str = option(
         "auto",
         "--cameras",
-        "one camera for all images, or one per image; auto: individual for photo-collection, "
-        "shared for the others",
+        "one camera for all images, or one camera per image; auto: individual for "
+        "photo-collection, shared for other scenes",
         choices=CAMERAS,
     )
     image_size: tuple[int, int] = option(
@@ -132,8 +132,8 @@ class SceneOptions(Options):
     distortion_noise: float = option(
         0.005,
         "--distortion-noise",
-        "perturbation of the start's radial distortion coefficients: standard deviation; a tenth "
-        "of it for tangential ones",
+        "perturbation of the start's radial distortion coefficients: standard deviation; "
+        "tangential coefficients get a tenth of it",
         minimum=0.0,
         below=1e6,
         metavar="X",
@@ -142,7 +142,7 @@ class SceneOptions(Options):
     loop_closure: bool = option(
         True,
         "--loop-closure",
-        "drive laps that come back to known places, not one way",
+        "drive laps, which return to earlier positions, instead of one way",
         only_with=("scene", ("street",)),
     )
     num_rings: int = option(
@@ -154,7 +154,12 @@ class SceneOptions(Options):
         only_with=("scene", ("orbit",)),
     )
     seed: int = option(
-        0, "--seed", "same seed, same scene", minimum=0, maximum=math.inf, metavar="N"
+        0,
+        "--seed",
+        ("seed of the random numbers; the same seed gives the same scene"),
+        minimum=0,
+        maximum=math.inf,
+        metavar="N",
     )
 
     def __post_init__(self) -> None:

@@ -20,33 +20,37 @@ class WindowOptions(Options):
     """
 
     window: int = option(
-        10, "--window", "keyframes in the window, beside the newest frame", minimum=2, metavar="N"
+        10,
+        "--window",
+        ("keyframes in the window, in addition to the newest frame"),
+        minimum=2,
+        metavar="N",
     )
     marginalize: str = option(
         "marginalize",
         "--marginalize",
-        "what becomes of the oldest keyframe: marginalize leaves a prior on what it touched, drop "
-        "forgets it, keep keeps it, so that the window grows",
+        "treatment of the oldest keyframe. marginalize: replaced by a prior on the variables of "
+        "its factors; drop: removed; keep: kept, so that the window grows",
         choices=("marginalize", "drop", "keep"),
     )
     jacobians: str = option(
         "first_estimate",
         "--jacobians",
-        "where Jacobians of states that the prior touches are taken: at their first estimates, or "
-        "at the current ones, the prior staying where it is or moving along (relinearize-prior); "
-        "the last two make yaw seem known",
+        "estimates at which Jacobians of the prior's states are taken. first-estimate: the first "
+        "estimates; current: the current estimates; relinearize-prior: the current estimates, to "
+        "which the prior moves, too. With the last two, yaw seems to be observable",
         choices=("first_estimate", "current", "relinearize_prior"),
     )
     prior_form: str = option(
         "information",
         "--prior-form",
-        "how the prior is kept: its information matrix, or a square root of it by QR",
+        "form of the prior: its information matrix, or a square root of it by QR",
         choices=("information", "square_root"),
     )
     precision: str = option(
         "double",
         "--prior-precision",
-        "precision in which the prior is made and kept",
+        "precision in which the prior is computed and stored",
         choices=("double", "single"),
     )
     loss: str = option(
@@ -56,7 +60,11 @@ class WindowOptions(Options):
         choices=("trivial", "huber", "soft_l1", "cauchy"),
     )
     loss_scale: float = option(
-        1.0, "--loss-scale", "error at which it begins to bend, in sigmas", above=0.0, metavar="X"
+        1.0,
+        "--loss-scale",
+        ("error at which this loss begins to bend, in sigmas"),
+        above=0.0,
+        metavar="X",
     )
     pixel_sigma: float = option(
         1.0, "--pixel-sigma", "sigma of an image coordinate, pixels", above=0.0, metavar="PX"
@@ -64,21 +72,21 @@ class WindowOptions(Options):
     imu_noise_scale: float = option(
         5.0,
         "--imu-noise-scale",
-        "factor of the noise densities of gyroscope and accelerometer: data sheets know no "
-        "vibration",
+        "factor on the noise densities of gyroscope and accelerometer, because data sheets do not "
+        "include vibration",
         above=0.0,
         metavar="X",
     )
     integration: str = option(
         "zero_order_hold",
         "--integration",
-        "between two samples: the first of them, or their mean",
+        "value of the IMU between two samples: the first sample, or the mean of both",
         choices=("zero_order_hold", "midpoint"),
     )
     refine_extrinsics: bool = option(
         False,
         "--refine-extrinsics",
-        "refine camera_from_imu, too, which is taken to be given to 3 degrees and 5 cm",
+        "refine camera_from_imu, too, with a prior of 3 degrees and 5 cm at its given value",
     )
     refine_time_offset: bool = option(
         False, "--refine-time-offset", "refine the time offset of the images, too"
@@ -89,7 +97,7 @@ class WindowOptions(Options):
     time_budget: float = option(
         0.04,
         "--time-budget",
-        "seconds of a solve after which no step begins; the best state so far is kept",
+        "seconds of a solve after which no step begins; the best state so far is the result",
         above=0.0,
         metavar="S",
     )
@@ -103,49 +111,61 @@ class WindowOptions(Options):
     frame_rate: float = option(
         10.0,
         "--frame-rate",
-        "images per second that are solved for; of faster cameras every so many images are taken",
+        "images per second that are solved; of a faster camera, only every n-th image is used",
         above=0.0,
         metavar="HZ",
     )
     min_parallax: float = option(
         30.0,
         "--min-parallax",
-        "median motion of the tracks since the last keyframe that makes a keyframe, pixels",
+        "median motion of the tracks since the last keyframe above which a frame becomes a "
+        "keyframe, pixels",
         minimum=0.0,
         metavar="PX",
     )
     min_tracks: int = option(
-        10, "--min-tracks", "fewer tracks in common make a keyframe", minimum=0, metavar="N"
+        10,
+        "--min-tracks",
+        (
+            "number of tracks in common with the last keyframe below which a frame becomes a "
+            "keyframe"
+        ),
+        minimum=0,
+        metavar="N",
     )
     max_interval: float = option(
-        0.5, "--max-interval", "seconds after which a keyframe follows", above=0.0, metavar="S"
+        0.5,
+        "--max-interval",
+        ("seconds since the last keyframe after which a frame becomes a keyframe"),
+        above=0.0,
+        metavar="S",
     )
     min_translation: float = option(
         0.02,
         "--min-translation",
-        "motion below which nothing makes a keyframe, metres",
+        "motion below which no frame becomes a keyframe, metres",
         minimum=0.0,
         metavar="M",
     )
     marginal_parallax: float = option(
         2.0,
         "--marginal-parallax",
-        "landmarks of the oldest keyframe that moved less are not marginalised with it but go on "
-        "from their next image, pixels",
+        "motion below which landmarks of the oldest keyframe are not marginalised with it but "
+        "continue from their next image, pixels",
         minimum=0.0,
         metavar="PX",
     )
     start_position_sigma: float = option(
         0.0,
         "--start-position-sigma",
-        "prior on the first position, metres; 0: none, and where the world begins stays free",
+        "prior on the first position, metres; 0: no prior, the origin of the world stays free",
         minimum=0.0,
         metavar="M",
     )
     start_yaw_sigma: float = option(
         0.0,
         "--start-yaw-sigma",
-        "prior on the first yaw, degrees; 0: none",
+        "prior on the first yaw, degrees; 0: no prior",
         minimum=0.0,
         metavar="DEG",
     )
@@ -166,14 +186,17 @@ class WindowOptions(Options):
     steady_speed_sigma: float = option(
         0.0,
         "--steady-speed-sigma",
-        "while nothing excites the accelerometer, take the speed for steady to this acceleration, "
-        "m/s^2, so that the scale is held; 0: do not. Wrong for what brakes gently and evenly",
+        "while the accelerometer is not excited, assume a constant speed up to this acceleration, "
+        "m/s^2, so that the scale does not drift; 0: no assumption. Wrong for gentle constant "
+        "braking",
         minimum=0.0,
         metavar="X",
     )
     nullity: bool = option(
         False,
         "--nullity",
-        "count the directions that nothing in the window sees, per keyframe",
+        "count the unobservable directions of the window at each keyframe",
     )
-    covariance: bool = option(False, "--covariance", "covariance of the newest state, per keyframe")
+    covariance: bool = option(
+        False, "--covariance", ("compute the covariance of the newest state at each keyframe")
+    )

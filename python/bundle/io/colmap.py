@@ -87,8 +87,8 @@ def load(path: str | os.PathLike[str]) -> Problem:
         if place is None:
             raise
         raise InputError(
-            f"{place}: expected the keypoints of the previous image, in a line that is blank if "
-            "there are none, found the next image"
+            f"{place}: expected the keypoints of the previous image (a blank line without "
+            "keypoints), found the next image"
         ) from None
     problem = problem_of(folder, model, fields)
     if hasattr(model, "image_poses"):
@@ -228,7 +228,7 @@ def _check_names(image_ids: NDArray[np.int64], names: tuple[str, ...]) -> None:
     if not all(names):
         raise InputError(
             f"image {image_ids[names.index('')]}: expected a name, as COLMAP's text format "
-            "requires, found an empty one"
+            "requires, found an empty name"
         )
 
 

@@ -76,4 +76,4 @@ def check_name(
     if suffix in allowed or (suffix not in _OWNERS and (not packed or compressed)):
         return
     found = _OWNERS.get(suffix, "a compressed file")
-    raise InputError(f"{shown(path)}: expected a name of {what}, found that of {found}")
+    raise InputError(f"{shown(path)}: expected a name of {what}, found a name of {found}")

@@ -48,7 +48,8 @@ def evaluate_loss(loss: str, scale: float, squared_norms: ArrayLike) -> NDArray[
     squared = as_array("squared_norms", squared_norms)
     if squared.ndim != 1 or not (squared >= 0).all():
         raise InputError(
-            f"squared_norms: expected numbers of 0 or more in one row, found {brief(squared_norms)}"
+            "squared_norms: expected a 1-D array of numbers of 0 or more, found "
+            f"{brief(squared_norms)}"
         )
     return _core.evaluate_loss(name, scale, squared)
 

@@ -115,15 +115,15 @@ class PoseGraph(Displayed):
                 zero = ~values[:, :4].any(axis=1)
                 if zero.any():
                     raise InputError(
-                        f"{name}[{int(np.argmax(zero))}]: expected a quaternion qx qy qz qw, "
-                        "found one of norm 0"
+                        f"{name}[{int(np.argmax(zero))}]: expected a quaternion qx qy qz qw, found "
+                        "norm 0"
                     )
         outside = (self.edges < 0) | (self.edges >= n)
         if outside.any():
             k = int(np.argmax(outside.any(axis=1)))
             raise InputError(
-                f"edges[{k}]: expected positions of poses, 0 to {n - 1}, "
-                f"found {self.edges[k].tolist()}"
+                f"edges[{k}]: expected indices of poses from 0 to {n - 1}, found "
+                f"{self.edges[k].tolist()}"
             )
         loops = self.edges[:, 0] == self.edges[:, 1]
         if loops.any():
@@ -134,7 +134,7 @@ class PoseGraph(Displayed):
         unique, counts = np.unique(self.ids, return_counts=True)
         if len(unique) < n:
             raise InputError(
-                f"ids: expected each once, found {unique[np.argmax(counts > 1)]} again"
+                f"ids: expected unique ids, found {unique[np.argmax(counts > 1)]} more than once"
             )
         if unique[0] < 0:
             raise InputError(f"ids: expected whole numbers from 0, found {unique[0]}")

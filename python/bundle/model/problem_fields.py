@@ -56,7 +56,7 @@ def default(problem: ProblemArrays, name: str) -> NDArray[Any]:
     if name == "image_camera" and problem.num_cameras != count:
         if problem.num_cameras != 1:
             raise InputError(
-                "image_camera: expected the index of each image's camera, as there are "
+                "image_camera: expected the index of each image's camera, because there are "
                 f"{count} images and {problem.num_cameras} cameras, found None"
             )
         return filled((count,), 0, dtype)
@@ -74,7 +74,7 @@ def sigmas_or_none(given: Any) -> NDArray[np.float64] | None:
 def strings(field_name: str, names: Any) -> tuple[str, ...]:
     """Return names as a tuple of plain strings; the core checks their characters."""
     if isinstance(names, (str, bytes)):
-        raise InputError(f"{field_name}: expected a sequence of strings, found a single one")
+        raise InputError(f"{field_name}: expected a sequence of strings, found a single string")
     try:
         found = tuple(names)
     except TypeError:
@@ -102,6 +102,6 @@ def check_values(problem: ProblemArrays) -> None:
     if problem.num_observations and problem.observation_keypoint.min() < -1:
         observation = int(np.argmin(problem.observation_keypoint))
         raise InputError(
-            f"observation_keypoint: observation {observation}: expected an index, or -1 for none, "
-            f"found {problem.observation_keypoint[observation]}"
+            f"observation_keypoint: observation {observation}: expected a keypoint index, or -1 "
+            f"without a keypoint, found {problem.observation_keypoint[observation]}"
         )

@@ -139,7 +139,7 @@ def default(problem: ProblemArrays, name: str) -> NDArray[Any]:
     count = num_frames if name == "image_frame" else len(problem.sensor_from_rig)
     if count:
         beside = "rig_from_world" if name == "image_frame" else "sensor_from_rig"
-        raise InputError(f"{name}: expected numbers beside {beside}, found None")
+        raise InputError(f"{name}: expected numbers together with {beside}, found None")
     if name == "image_sensor" and num_frames:
         return filled((problem.num_images,), -1, np.int32)
     return filled((0,), 0, DTYPES[name])
@@ -155,8 +155,8 @@ def settle(problem: ProblemArrays) -> None:
         return
     if len(problem.sensor_from_rig):
         raise InputError(
-            f"sensor_from_rig: expected no sensors where there are no frames, "
-            f"found {len(problem.sensor_from_rig)}"
+            "sensor_from_rig: expected no sensors without frames, found "
+            f"{len(problem.sensor_from_rig)}"
         )
     for name in ("image_frame", "image_sensor"):
         rows = getattr(problem, name)
@@ -165,8 +165,8 @@ def settle(problem: ProblemArrays) -> None:
         if (rows != -1).any():
             bad = int(np.argmax(rows != -1))
             raise InputError(
-                f"{name}: image {problem.image_ids[bad]}: expected -1 as there are no frames, "
-                f"found {rows[bad]}"
+                f"{name}: image {problem.image_ids[bad]}: expected -1 without frames, found "
+                f"{rows[bad]}"
             )
         object.__setattr__(problem, name, filled((0,), 0, np.int32))
 
@@ -188,8 +188,8 @@ def check(problem: ProblemArrays) -> None:
     if not problem.num_sensors and (problem.image_sensor != -1).any():
         bad = int(np.argmax(problem.image_sensor != -1))
         raise InputError(
-            f"image_sensor: image {problem.image_ids[bad]}: expected -1 as there are no sensors, "
-            f"found {problem.image_sensor[bad]}"
+            f"image_sensor: image {problem.image_ids[bad]}: expected -1 without sensors, found "
+            f"{problem.image_sensor[bad]}"
         )
     images = np.flatnonzero(problem.image_frame >= 0)
     frame, sensor = problem.image_frame[images], problem.image_sensor[images]
@@ -273,7 +273,8 @@ def _rigs_of_frames(problem: ProblemArrays) -> NDArray[np.int64]:
     if (rig < 0).any():
         bad = problem.frame_ids[int(np.argmax(rig < 0))]
         raise InputError(
-            f"frame_rig_ids: expected numbers, as nothing tells the rig of frame {bad}, found None"
+            f"frame_rig_ids: expected numbers, because no image determines the rig of frame {bad}, "
+            "found None"
         )
     return rig
 
@@ -311,8 +312,8 @@ def _check_once(problem: ProblemArrays, images: Any) -> None:
         first, second = images[order[twice[0]]], images[order[twice[0] + 1]]
         raise InputError(
             f"image_sensor: frame {problem.frame_ids[problem.image_frame[first]]}: expected one "
-            f"image a sensor, found images {problem.image_ids[first]} and "
-            f"{problem.image_ids[second]} of one"
+            f"image per sensor, found images {problem.image_ids[first]} and "
+            f"{problem.image_ids[second]} of one sensor"
         )
 
 

@@ -180,7 +180,8 @@ def select(
         if (state["image_camera"] < 0).any():
             bad = chosen["images"][int(np.argmax(state["image_camera"] < 0))]
             raise InputError(
-                f"cameras: expected those of the images, found none of image {whole.image_ids[bad]}"
+                "cameras: expected the camera of each selected image, that of image "
+                f"{whole.image_ids[bad]} is missing"
             )
     if of_images is not None or of_cameras is not None:
         count = len(chosen["observations"])

@@ -181,7 +181,9 @@ def prepare(request: SolveRequest) -> Prepared:
     part, align = request.part, request.align
     if part is not None:
         if align:
-            raise InputError("align: expected without only_images, which leave the rest in place")
+            raise InputError(
+                "align: not valid with only_images, which leaves all other images in place"
+            )
         align = False
     placed = place_at_priors(request.problem, request.factors, request.priors, align)
     local = None if part is None else _local_part(request.problem, part, placed)
@@ -231,7 +233,8 @@ def _local_part(problem: Problem, part: PartRequest, placed: PlacedProblem) -> L
 
     if placed.control_point_ids:
         raise InputError(
-            "priors: expected no control points beside only_images, which leave the rest in place"
+            "priors: control points are not valid with only_images, which leaves all other images "
+            "in place"
         )
     images = find_images("only_images", problem, part.images)
     return LocalPart(problem, images, placed.factors, marginal=part.rest == "marginal")

@@ -59,7 +59,7 @@ class PartRequest:
         """
         rest = choice("rest", rest, RESTS)
         if images is None and rest == "marginal":
-            raise InputError("rest: expected with only_images only, found marginal without")
+            raise InputError("rest: marginal is valid only with only_images")
         return None if images is None else PartRequest(images, rest)
 
 

@@ -220,6 +220,6 @@ def _check_pickles(name: str, factor: Factor) -> None:
         pickle.dumps(function)
     except Exception as error:
         raise InputError(
-            f"{name}: expected a function that pickles, as those of a module do, "
+            f"{name}: expected a function that can be pickled, such as a function of a module, "
             f"found {brief(function)} ({first_line(error)})"
         ) from None

@@ -101,11 +101,11 @@ TEST(ValidateProblem, FindsIndicesOutOfRange) {
 
 TEST(ValidateProblem, FindsRepeatedIds) {
   EXPECT_EQ(ComplaintAfter([](Scene* s) { s->image_ids = {9, 4, 9}; }),
-            "image 9: expected every id once, found twice");
+            "image 9: expected unique ids, found this id twice");
   EXPECT_EQ(ComplaintAfter([](Scene* s) { s->camera_ids = {-1, -1, 0}; }),
-            "camera -1: expected every id once, found twice");
+            "camera -1: expected unique ids, found this id twice");
   EXPECT_EQ(ComplaintAfter([](Scene* s) { s->point_ids = {4, 3, 2, 4}; }),
-            "point 4: expected every id once, found twice");
+            "point 4: expected unique ids, found this id twice");
   EXPECT_EQ(ComplaintAfter([](Scene* s) { s->point_ids = {4, 3, 2, 1}; }), "");
 }
 
@@ -142,11 +142,11 @@ TEST(ValidateProblem, FindsWhatIsNoRig) {
   EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->image_sensor[1] = -2; }),
             "image 3: expected a sensor index from -1 to 0, found -2");
   EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->image_frame[1] = -1; }),
-            "image 3: expected a frame beside its sensor, found -1");
+            "image 3: expected a frame for its sensor, found -1");
   EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->image_camera[3] = 0; }),
             "image 7: expected camera 103 of its sensor, found camera 101");
   EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->frame_ids[1] = 31; }),
-            "frame 31: expected every id once, found twice");
+            "frame 31: expected unique ids, found this id twice");
   EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->rig_from_world[12] = kNan; }),
             "frame 33: expected a finite pose, found nan");
   EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->sensor_from_rig[4] = kInf; }),

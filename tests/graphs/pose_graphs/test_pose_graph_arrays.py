@@ -13,7 +13,7 @@ BAD = {
     "edges": (np.zeros((17, 3), int), r"^edges: expected shape"),
     "measurements": (np.zeros((17, 7)), r"^measurements: expected shape"),
     "information": (np.zeros((17, 6, 6)), r"^information: expected shape"),
-    "ids": (np.zeros(12, int), r"^ids: expected each once, found 0"),
+    "ids": (np.zeros(12, int), r"^ids: expected unique ids, found 0"),
     "fixed": (np.zeros(12), r"^fixed: expected flags"),
     "edge_lines": (np.zeros(3, int), r"^edge_lines: expected shape"),
 }
@@ -39,7 +39,7 @@ def changed(graph, name, place, value):
         (2, "measurements", (2, 0), np.inf, r"^measurements\[2\]: expected finite"),
         (3, "poses", (5, slice(0, 4)), 0, r"^poses\[5\]: expected a quaternion"),
         (3, "measurements", (1, slice(0, 4)), 0, r"^measurements\[1\]: expected a quaternion"),
-        (2, "edges", (4, 1), 12, r"^edges\[4\]: expected positions of poses, 0 to 11"),
+        (2, "edges", (4, 1), 12, r"^edges\[4\]: expected indices of poses from 0 to 11"),
         (2, "edges", (4, 1), -1, r"^edges\[4\]: expected positions"),
         (2, "edges", (4, 1), 4, r"^edges\[4\]: expected two different poses"),
         (2, "ids", 0, -3, r"^ids: expected whole numbers from 0, found -3"),

@@ -226,7 +226,7 @@ def test_progress_is_told_and_may_stop():
     [
         ({"init": "chordel"}, "^init: expected one of"),
         ({"error": "l2"}, "^error: expected one of"),
-        ({"loss_scale": 2.0}, "^loss_scale: expected with loss="),
+        ({"loss_scale": 2.0}, "^loss_scale: valid only with loss="),
         ({"refine": ("poses",)}, "there is no option"),
         ({"priors": [1]}, "^priors: expected none for a pose graph"),
         ({"options": bundle.SolveOptions()}, "^options: expected PoseGraphOptions"),

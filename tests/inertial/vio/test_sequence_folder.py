@@ -169,7 +169,7 @@ def test_what_is_no_yaml_is_refused(tmp_path: Path, text: str) -> None:
     ("changes", "found"),
     [
         ({"accel": np.tile([0, 0, 1.0], (401, 1))}, "probably g"),
-        ({"accel": np.tile([0, 0, 2.5], (401, 1))}, "median length of 2.5"),
+        ({"accel": np.tile([0, 0, 2.5], (401, 1))}, "median norm of 2.5"),
         ({"gyro": np.tile([0, 0, 90.0], (401, 1))}, "probably degrees"),
         ({"track_timestamps_ns": np.repeat(np.arange(21), 5)}, "no overlap"),
         ({"gyro": np.zeros((400, 3))}, "gyro: expected shape (401, 3)"),

@@ -204,7 +204,10 @@ def test_steps_are_recorded_where_that_is_quick():
         ({"landmarks": [6]}, "landmarks: expected variables 0 to 5, found 6"),
         ({"block_size": 0}, "block_size: expected 1 to 2147483647, found 0"),
         ({"block_size": 6.5}, "block_size: expected"),
-        ({"block_size": [6, 6]}, "block_size: expected one or 6, one per variable, found (2,)"),
+        (
+            {"block_size": [6, 6]},
+            "block_size: expected one size, or 6 sizes, one per variable, found (2,)",
+        ),
     ],
 )
 def test_what_makes_no_sense_is_refused(arguments, message):

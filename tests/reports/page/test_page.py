@@ -54,7 +54,7 @@ def test_a_page_that_cannot_be_written_leaves_what_was_there(tmp_path, monkeypat
         write_page(path, "new", [])
     assert path.read_bytes() == b"old"
     assert [file.name for file in tmp_path.iterdir()] == ["page.html"]
-    with pytest.raises(bundle.InputError, match="expected a file or nothing, found a folder"):
+    with pytest.raises(bundle.InputError, match="expected a file or a new path, found a folder"):
         write_page(tmp_path, "new", [])
 
 

@@ -29,7 +29,7 @@ REFUSED = {
     "camera 2: p1,k2 prior 5 %": "p1 of camera 2.*0; give a sigma",
     "camera 1: f prior -5 2 %": "above 0",
     "camera 2: f/k1 fixed": "fx and fy",
-    "camera 2: fx/k2 fixed": "k2 of camera 2 at 0",
+    "camera 2: fx/k2 fixed": "k2 of camera 2 = 0",
 }
 
 

@@ -58,6 +58,6 @@ def test_a_track_beyond_that_is_left_to_ceres():
     problem = repeat_first_point(10_001)
     summary = bundle.solve(problem, max_num_iterations=1).summary
     assert summary.backend_used == "CERES"
-    assert "at most 10000 observations a point" in summary.backend_choice
-    with pytest.raises(bundle.InputError, match=r"at most 10000 .* found one with 10001"):
+    assert "at most 10000 observations per point" in summary.backend_choice
+    with pytest.raises(bundle.InputError, match=r"at most 10000 .* found a point with 10001"):
         bundle.solve(problem, backend="fused")

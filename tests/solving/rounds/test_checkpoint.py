@@ -311,7 +311,7 @@ def test_the_command_goes_on(run, model, tmp_path):
         (["--checkpoint", "{model}/none/run"], "none"),
         (["--checkpoint", ""], "--checkpoint"),
         (["--checkpoint", "run", "--checkpoint-interval", "0"], "--checkpoint-interval"),
-        (["--checkpoint-interval", "3"], "--checkpoint-interval: expected with --checkpoint"),
+        (["--checkpoint-interval", "3"], "--checkpoint-interval: valid only with --checkpoint"),
         (["--resume", "{model}"], "model"),
     ],
 )

@@ -90,7 +90,9 @@ def test_the_order_of_keys_and_what_a_factor_remembers_of_solves_do_not_count():
 
 def test_functions_that_do_not_pickle_are_refused():
     factor = bundle.FunctionFactor(("a",), lambda values: values)
-    with pytest.raises(bundle.InputError, match=r"^checkpoint: expected factors that pickle"):
+    with pytest.raises(
+        bundle.InputError, match=r"^checkpoint: expected factors that can be pickled"
+    ):
         digest_of_fields({1: (factor,)})
 
 

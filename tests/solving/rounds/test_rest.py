@@ -453,7 +453,7 @@ def test_rounds_and_checkpoints(tmp_path):
 @pytest.mark.parametrize(
     ("settings", "named"),
     [
-        ({"rest": "marginal"}, "^rest: expected with only_images only"),
+        ({"rest": "marginal"}, "^rest: marginal is valid only with only_images"),
         ({"rest": "free", "only_images": [1]}, "^rest: expected one of fixed, marginal"),
         (
             {"rest": "marginal", "only_images": [5], "constraints": ["cameras *: f fixed"]},

@@ -216,9 +216,9 @@ def test_without_rounds_nothing_is_told_of_them(run, colmap_model, tmp_path):
         (["--rounds", "2", "--max-error", "0"], "--max-error"),
         (["--rounds", "2", "--min-angle", "91"], "--min-angle"),
         (["--rounds", "2", "--min-track", "1.5"], "--min-track"),
-        (["--max-error", "3"], "--max-error: expected with --rounds"),
-        (["--min-angle", "3"], "--min-angle: expected with --rounds"),
-        (["--min-track", "3"], "--min-track: expected with --rounds"),
+        (["--max-error", "3"], "--max-error: valid only with --rounds"),
+        (["--min-angle", "3"], "--min-angle: valid only with --rounds"),
+        (["--min-track", "3"], "--min-track: valid only with --rounds"),
         (["--rounds", "2", "--max-error", "1e-9"], "--max-error 1e-09"),
     ],
 )

@@ -150,7 +150,7 @@ def pattern(sizes, column_begin, rows):
         (pattern([1, 1], [0, 2, 3], [0, 2, 1]), "block column 0: expected rows below 2, found 2"),
         (pattern([1, 1], [0, 2, 3], [0, -1, 1]), "block column 0: expected ascending rows, found"),
         (pattern([1, -1], [0, 1, 2], [0, 1]), "block 1: expected a size of at least 1, found -1"),
-        (pattern([[1]], [0, 1], [0]), "sizes: expected one entry a block"),
+        (pattern([[1]], [0, 1], [0]), "sizes: expected one entry per block"),
         (pattern([1], [[0], [1]], [0]), "column_begin: expected 2 entries, found 2 x 1"),
     ],
 )

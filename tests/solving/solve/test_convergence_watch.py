@@ -21,7 +21,7 @@ def lying_trace(scene, lie, **options):
 
 
 def convergence(iterations):
-    return _core.watch_convergence(iterations, "`bundle check` finds out")
+    return _core.watch_convergence(iterations, "test it with `bundle check`")
 
 
 def watch(trace):

@@ -58,7 +58,7 @@ def huge_problem():
     ],
 )
 def test_dense_matrices_beyond_memory_are_refused_with_their_size(options):
-    message = r"needs [\d.]+ [TP]B for its dense matrices, of which this machine has .* free"
+    message = r"needs [\d.]+ [TP]B for its dense matrices; this machine has .* free"
     with pytest.raises(bundle.InputError, match=message):
         bundle.solve(huge_problem(), **options)
 

@@ -14,8 +14,8 @@
 /// Several threads add chunks at the same time, but no bit may depend on their speed. So each block
 /// of S belongs to one queue, and chunks are added to a queue in their order. The blocks of a pose
 /// belong to the queue of its image or frame (ImageOrder::owner). The block of two poses belongs to
-/// the queue of the first. Blocks between shared cameras or sensors all belong to one queue. Only
-/// this queue is serial, and it is short: 9 of a pair's 81 products if a camera has three
+/// the queue of the first. All blocks between shared cameras or sensors belong to one queue. Only
+/// this queue is serial. It is short: 9 of the 81 products of a pair if a camera has three
 /// parameters.
 
 #include <cstddef>

@@ -28,7 +28,7 @@
 /// s and t must be known before the sums are made. They come from the previous linearisation, with
 /// a margin to grow. If a column exceeds its margin, the pass is repeated. The norms depend on
 /// rounding errors, but s and t use only their exponents and are therefore the same for any order.
-/// The margin costs digits: the error of an entry is 2^-52 s_a s_b per term, five bits more than
+/// The margin costs digits: the error of an entry is 2^-52 s_a s_b per term, 2^5 times the error
 /// without a grid. Conjugate gradients do not need these digits, because they stop at a tenth of
 /// the residual.
 

@@ -14,7 +14,7 @@
 /// A_i. Also, the subtraction is between numbers of the size of pixels, before they are multiplied.
 /// For d = 9
 ///
-///   an observation    its projection and derivatives, about 400 flops, kLanes at a time;
+///   an observation its projection and derivatives, about 400 flops, kLanes at a time;
 ///                     S_ii: 45 x 4 flops,
 ///   a pair            Y_i Y_j^T: 20, times A_i: 54, S_ij: 81 x 4 flops.
 ///

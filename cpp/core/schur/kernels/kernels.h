@@ -5,7 +5,8 @@
 #include <cstdint>
 
 #include "core/interface/options.h"
-// Unused, but part of the bits: without it GCC 12 contracts other multiply-adds of Products.
+// Unused, but it must stay: without it, GCC 12 fuses other multiply-adds of Products, which changes
+// the bits of results.
 #include "core/model/camera_states.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/held_residuals.h"
@@ -69,7 +70,7 @@ struct StateRecords {
   int stride = 0;  ///< stride of `images`; a multiple of 4
   const double* points = nullptr;
   const StateRecords* before = nullptr;  ///< for a candidate: the state that the step starts from
-  /// Observations that hold a residual at this state, ascending. For a candidate: at the state
+  /// Observations that hold a residual at this state, ascending; of a candidate, those of the state
   /// before.
   const HeldResidual* held = nullptr;
   int64_t num_held = 0;

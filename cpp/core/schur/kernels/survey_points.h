@@ -1,13 +1,13 @@
 #pragma once
 
-/// Pass over the points before the solution of a covariance. It finds the points that their
-/// observations determine clearly, sums of squares, and sums for the similarities of the world
-/// (covariance/gauge_sums.h). Included by kernels.cpp only.
+/// Pass over the points before the solution of a covariance. It finds the points that are clearly
+/// determined by their observations. It also computes sums of squares and the sums for the
+/// similarities of the world (covariance/gauge_sums.h). Included by kernels.cpp only.
 ///
 /// For a point with V = L L^T and V^-1 N_p = L^-T (L^-1 N_p), an observation with rows A and B adds
 /// A^T (B V^-1 N_p) to the eliminated part of its image's N. Its row of J N is A N_i + B N_p. If
-/// all of an image moves along, this row is zero up to rounding, and A N_i = -B N_p. Then only the
-/// squares of these two parts are needed, as the scale of rounding errors.
+/// the complete image moves with the world, this row is zero up to rounding, and A N_i = -B N_p.
+/// Then only the squares of these two parts are needed, as the scale of rounding errors.
 
 #include "core/schur/kernels/eliminate_chunk.h"
 #include "core/schur/kernels/point_block.h"

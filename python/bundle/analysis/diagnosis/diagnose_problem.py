@@ -85,11 +85,11 @@ def diagnose(
     """Find the determined and undetermined parameters of a problem at its current values.
 
     The points are eliminated; points without parallax are removed exactly. The resulting reduced
-    camera system is scaled to a unit diagonal. Its null directions are compared with moving,
-    rotating and scaling the world. Null directions beyond these, and weak directions, are named
-    with the parameters that move and the cause. The problem is not solved. The diagnosis is that
-    of the linearisation, so a problem far from its solution may look better or worse than at the
-    solution.
+    camera system is scaled to a unit diagonal. Its null directions are compared with the
+    translations, rotations and scaling of the world. Null directions beyond these, and weak
+    directions, are named with the parameters that move and the cause. The problem is not solved.
+    The diagnosis uses the linearisation at these values, so a problem far from its solution may
+    look better or worse than at the solution.
 
     For a pose graph, the result of its solve, or a g2o file, the result is a
     :class:`GraphDiagnosis`. It has the rank from the information of the edges, weak joints by pose

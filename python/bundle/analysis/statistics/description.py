@@ -31,7 +31,7 @@ __all__ = ["CameraGroup", "Description", "Distribution", "describe"]
 
 @dataclass(frozen=True, kw_only=True)
 class Distribution:
-    """Distribution of whole numbers; every statistic is NaN without numbers.
+    """Distribution of whole numbers; every statistic is NaN if there are no numbers.
 
     ``histogram`` holds (low, high, count), both ends inclusive; each bin is twice as wide as the
     previous one: 0, 1, 2, 3-4, 5-8, 9-16, ... Empty bins outside the range are left out.

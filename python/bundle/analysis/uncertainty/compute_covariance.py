@@ -107,8 +107,8 @@ def covariance(
     parameters constant as these gauges of a solve, so these images or points have no covariance.
     "none": priors and fixed parameters determine the gauge. Angles, ratios of lengths and relative
     poses, apart from their scale, do not depend on the gauge, with one exception: "three_points"
-    holds the shape of a triangle, two numbers more than are free. All covariances are then too
-    small, and a note says so.
+    also fixes the shape of a triangle, two numbers too many. All covariances are then too small,
+    and a note says so.
 
     Points without parallax are left out along their undetermined direction, exactly and without
     damping. ``null_point_ids`` lists them. They take no part in the inner constraints.
@@ -197,7 +197,9 @@ def covariance(
         robust=one_of("robust", robust, ROBUST),
     )
     if recipe.robust == "sandwich" and recipe.scale == "sigma0":
-        raise InputError("scale: expected unit with the sandwich, whose scale is that of residuals")
+        raise InputError(
+            "scale: expected unit with the sandwich, which takes its scale from the residuals"
+        )
     return recipe.compute(list(relative))
 
 
@@ -205,8 +207,8 @@ def _check_same_factors(result: Result, *given: Iterable[Any]) -> None:
     """Refuse a result without the factors of its solve: it is a minimum with them only."""
     if len(result.factor_costs_after) and not any(_is_given(one) for one in given):
         raise InputError(
-            f"problem: expected the factors, priors or constraints of the solve "
-            f"({len(result.factor_costs_after)}) beside its result"
+            "problem: expected the factors, priors or constraints of the solve "
+            f"({len(result.factor_costs_after)}) together with its result"
         )
 
 
@@ -261,9 +263,9 @@ class _Recipe:
         dof = out["num_residuals"] - out["num_parameters"] + out["gauge_degrees"]
         if dof < 0:  # a factor of rounding errors is meaningless
             raise InputError(
-                f"problem: expected at least as many residuals as parameters, found "
+                "problem: expected at least as many residuals as parameters, found "
                 f"{out['num_residuals']} for {out['num_parameters'] - out['gauge_degrees']} "
-                f"(bundle diagnose says what is not determined)"
+                "(bundle diagnose names the undetermined parameters)"
             )
         sigma0 = float(np.sqrt(out["weighted_squares"] / dof)) if dof > 0 else float("nan")
         notes = list(out["warnings"])

@@ -151,8 +151,8 @@ def graph_covariance(
     held, _, for_gauge = _core.hold_poses(used)
     if gauge == "none" and for_gauge:
         raise InputError(
-            f"gauge: expected a fixed pose in each component for none, found "
-            f"{plural(len(for_gauge), 'component')} without; first holds one in each"
+            "gauge: none expects a fixed pose in each component, found "
+            f"{plural(len(for_gauge), 'component')} without; first holds a pose in each"
         )
     _check_determined(weighted, held, for_gauge, rows)
     out = _core.graph_covariance(
@@ -162,8 +162,8 @@ def graph_covariance(
         raise _not_determined(used, [int(out["undetermined_pose"])])
     if not np.isfinite(out["inflation"]):
         raise InputError(
-            "graph: expected normal equations whose inverse has digits left, found variances that "
-            "are rounding alone; fix a pose in the middle, or cut the graph"
+            "graph: expected well-conditioned normal equations, found variances that are only "
+            "rounding errors; fix a pose in the middle, or split the graph"
         )
     chi2 = float(_core.edge_chi2(used, weighted.options.error).sum())
     dof = used.tangent_size * (used.num_edges - int((~held).sum()))
@@ -221,8 +221,8 @@ def _check_determined(
     for a, b in rows:
         if component[a] != component[b] and {int(component[a]), int(component[b])} & floating:
             raise InputError(
-                f"relative: expected poses that edges or fixed poses join, "
-                f"found {used.ids[a]} and {used.ids[b]}"
+                f"relative: expected poses that edges or fixed poses connect, found {used.ids[a]} "
+                f"and {used.ids[b]}"
             )
 
 

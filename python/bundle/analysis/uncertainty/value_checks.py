@@ -87,7 +87,8 @@ def refuse_rounding(problem: Problem, out: dict[str, Any]) -> None:
         for row in np.flatnonzero(wrong.any(axis=1) | no_number[: len(wrong)])[:1]:
             raise InputError(
                 f"{kind} {ids[row]}: expected variances, found {variances[row].min():g}, which is "
-                "rounding alone: the problem has no digits left; bundle diagnose says why"
+                "only a rounding error: the problem is too ill-conditioned; bundle diagnose names "
+                "the cause"
             )
 
 

@@ -129,9 +129,8 @@ def _check_rigs(problem: Problem, images: NDArray[np.int64]) -> None:
     framed = images[problem.image_frame[images] >= 0]
     if len(framed):
         raise InputError(
-            f"image {problem.image_ids[framed[0]]}: expected an image outside of rigs to "
-            "get another camera, found one of frame "
-            f"{problem.frame_ids[problem.image_frame[framed[0]]]}"
+            f"image {problem.image_ids[framed[0]]}: expected an image without a rig to get another "
+            f"camera, found an image of frame {problem.frame_ids[problem.image_frame[framed[0]]]}"
         )
 
 

@@ -104,9 +104,7 @@ def lens_region(
         widest = angles(rays).max() if enough else WIDEST
         seen &= angles(grid_rays) <= widest
     if not seen.any():
-        raise InputError(
-            f"{what}: expected a lens with rays, found 0 rays at the pixels of its image"
-        )
+        raise InputError(f"{what}: expected pixels with rays in the image, found 0")
     return LensRegion(grid[seen], grid_rays[seen], observed, rays, num_without_ray)
 
 

@@ -183,7 +183,7 @@ def _changed(
     old_model, camera_id = problem.camera_models[camera], int(problem.camera_ids[camera])
     if _SPHERE in (model, old_model):
         raise InputError(
-            f"camera {camera_id}: expected lens models, found {old_model} to become "
+            f"camera {camera_id}: expected two lens models, found a change from {old_model} to "
             f"{model}: {_SPHERE} is an image of the whole sphere"
         )
     names = camera_models()

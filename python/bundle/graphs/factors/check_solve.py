@@ -192,7 +192,7 @@ def checked(output: Mapping[str, Any], graph: SolvedGraph) -> dict[str, Any]:
         # A step projected onto bounds may miss the model's prediction, as if a Jacobian were wrong.
         "suspicious_steps": ""
         if has_bounds
-        else _core.watch_convergence(output["iterations"], f"{ADVICE} finds out"),
+        else _core.watch_convergence(output["iterations"], f"test it with {ADVICE}"),
         "wrong_factor": spot_checked(output, graph.factors, graph.variables, ends, seconds, ADVICE),
         "several_components": about_parts(graph.variables, parts, graph.factors),
         "free_directions": about_free_directions(

@@ -68,7 +68,7 @@ class GraphContents(Displayed):
         """
         check_key("key", key)
         if key in self._variables:
-            raise InputError(f"{variable_name(key)}: expected a new key, found one of the graph")
+            raise InputError(f"{variable_name(key)}: expected a new key, found a key of the graph")
         self._variables[key] = Variable.make(key, value, manifold, fixed, lower, upper)
 
     def add_factor(self, factor: Factor) -> None:

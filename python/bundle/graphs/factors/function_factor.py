@@ -94,7 +94,8 @@ class _CheckedFunction:
         residual = as_array(f"{self.name}: residual", answer[0])
         if residual.size != max(residual.shape, default=1):  # a column is accepted as a row
             raise InputError(
-                f"{self.name}: residual: expected a row of numbers, found shape {residual.shape}"
+                f"{self.name}: residual: expected a 1-D array of numbers, found shape "
+                f"{residual.shape}"
             )
         residual = residual.reshape(-1)
         if not self.num_residuals:

@@ -137,7 +137,9 @@ class IncrementalSmoother(Displayed):
                 empty.
         """
         if self._broken:
-            raise InputError(f"update: expected a usable smoother, found one that {self._broken}")
+            raise InputError(
+                f"update: expected a usable smoother, found a smoother that {self._broken}"
+            )
         if not self._graph.keys:
             raise InputError("update: expected at least one variable, found 0")
         values, factors = self._gtsam.Values(), self._gtsam.NonlinearFactorGraph()

@@ -153,7 +153,9 @@ class GraphMarginals(GraphContents):
         used = [i for i, factor in enumerate(self._factors) if not gone.isdisjoint(factor.keys)]
         touched = {key for i in used for key in self._factors[i].keys}
         for key in gone - touched:
-            raise InputError(f"{variable_name(key)}: expected at least one factor of it, found 0")
+            raise InputError(
+                f"{variable_name(key)}: expected at least one factor of this variable, found 0"
+            )
         kept = [key for key in self._variables if key in touched - gone]
         if not kept:
             raise InputError("keys: expected factors that also have other variables, found 0")

@@ -157,7 +157,7 @@ def as_row(name: str, value: Any) -> Array:
     """
     row = np.atleast_1d(as_array(name, value))
     if row.ndim != 1:
-        raise InputError(f"{name}: expected a row of numbers, found shape {row.shape}")
+        raise InputError(f"{name}: expected a 1-D array of numbers, found shape {row.shape}")
     return row
 
 
@@ -174,7 +174,7 @@ def as_keys(argument: str, keys: Any, *, ordered: bool = True) -> tuple[Key, ...
     """
     listed = as_list(argument, "keys", keys)
     if ordered and isinstance(keys, Set):
-        raise InputError(f"{argument}: expected keys in an order, found a set")
+        raise InputError(f"{argument}: expected a list of keys with an order, found a set")
     seen: set[Key] = set()
     for key in listed:
         check_key(argument, key)
@@ -231,7 +231,7 @@ def _bound(
     if bound is None:
         return np.full(size, none)
     if manifold != "euclidean":
-        raise InputError(f"{name}: {what}: expected on a euclidean variable, found {manifold}")
+        raise InputError(f"{name}: {what}: expected a euclidean variable, found {manifold}")
     values = as_array(f"{name}: {what}", bound)
     if values.ndim and values.shape != (size,):
         raise InputError(

@@ -173,7 +173,7 @@ def images_of(
         if same.any():
             edge = int(np.argmax(same))
             raise InputError(
-                f"{closures.edge_name(edge)}: expected images of two frames, found two of frame "
-                f"{problem.frame_ids[frames[edge, 0]]}"
+                f"{closures.edge_name(edge)}: expected images of two frames, found two images of "
+                f"frame {problem.frame_ids[frames[edge, 0]]}"
             )
     return found

@@ -253,7 +253,7 @@ def _inverse_right_jacobian(vectors: Array) -> Array:
 
 
 def _moves_of_cameras(mounts: Array) -> Array:
-    """Return (m, 7, 7): motion of a camera with this mount for a step of its node."""
+    """Return (m, 7, 7) maps from a step of a node to the step of its camera with this mount."""
     back = np.swapaxes(rotation_matrices(mounts[:, :4]), 1, 2)
     matrix = np.zeros((len(mounts), 7, 7))
     matrix[:, :3, :3] = back

@@ -151,8 +151,8 @@ def pair_chi2(graph: PoseGraph, closures: NDArray[np.intp], chain: OdometryChain
                 solved = np.linalg.solve(covariance, apart[:, :, None])[:, :, 0]
             except np.linalg.LinAlgError:
                 raise InputError(
-                    "consistency: expected information with invertible covariances along the "
-                    "odometry, found a singular one"
+                    "consistency: expected invertible covariances along the odometry, found a "
+                    "singular covariance"
                 ) from None
             chi2[a, b] = np.maximum(chi2[a, b], np.einsum("nc,nc->n", apart, solved))
         chi2[b, a] = chi2[a, b]

@@ -96,7 +96,9 @@ def weighted_graph(
         )
     weighed = checked_information(graph, options.information)
     if options.consistency and weights is None:
-        raise InputError("consistency: expected the result of a solve with it, found a graph")
+        raise InputError(
+            "consistency: expected the result of a solve with consistency, found a graph"
+        )
     if weights is None:
         weights = _weights(weighed, options)
     kept = np.flatnonzero(weights > 0)

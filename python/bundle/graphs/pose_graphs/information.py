@@ -104,7 +104,7 @@ def isotropic(graph: PoseGraph) -> PoseGraph:
     if wrong.any():
         edge = int(np.argmax(wrong))
         raise InputError(
-            f"{graph.edge_name(edge)}: information: expected means of the diagonal above 0 for "
-            f"isotropic, found {', '.join(f'{weights[edge, part.start]:g}' for part in parts)}"
+            f"{graph.edge_name(edge)}: information: isotropic expects a diagonal with means above "
+            f"0, found {', '.join(f'{weights[edge, part.start]:g}' for part in parts)}"
         )
     return graph.replace(information=weights[:, :, None] * np.eye(graph.tangent_size))

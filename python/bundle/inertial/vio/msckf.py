@@ -132,7 +132,7 @@ def track_rows(
             f"{len(given)}, {len(image)} and {first.size}"
         )
     if (first < 0).any() or (first + 6 > size).any():
-        raise InputError(f"columns: expected from 0 to {size - 6}, found {first.tolist()}")
+        raise InputError(f"columns: expected indices from 0 to {size - 6}, found {first.tolist()}")
     world_from_imu = rotation_matrices(given[:, :4])
     camera = rotation_matrices(extrinsics[:, :4])[0]
     cam_from_world = camera @ world_from_imu.transpose(0, 2, 1)
@@ -145,7 +145,7 @@ def track_rows(
     if not (in_camera[:, 2] > 0).all():
         if point is None:
             raise InputError(
-                "xy: expected a track with parallax, found one with its least-squares landmark "
+                "xy: expected a track with parallax, found a track whose least-squares landmark is "
                 "behind its cameras"
             )
         depth = in_camera[:, 2].min()
@@ -262,7 +262,7 @@ def msckf_update(
         raise InputError(f"covariance: expected finite numbers (n, n), found shape {before.shape}")
     scale = np.abs(before).max()
     if np.abs(before - before.T).max() > 1e-9 * scale:
-        raise InputError("covariance: expected a symmetric matrix, found an asymmetric one")
+        raise InputError("covariance: expected a symmetric matrix, found an asymmetric matrix")
     limit = np.inf if max_nis is None else number("max_nis", max_nis, above=0)
     rejected, nis, rows, innovations = [], np.full(len(tracks), np.nan), [], []
     for place, track in enumerate(tracks):

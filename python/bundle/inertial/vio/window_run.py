@@ -151,7 +151,7 @@ class WindowRun:
         found = find_start(images, float(np.linalg.norm(window.gravity)), options.integration)
         if not found:
             raise InputError(
-                "sequence: expected rest for half a second at its start, or motion that "
+                "sequence: expected half a second without motion at its start, or a motion that "
                 f"determines scale and gravity; start failed: {found.reason}"
             )
         chosen, states = found.images.tolist(), found.states

@@ -75,9 +75,9 @@ def check_file(path: Path) -> None:
     """
     target = Path(os.path.realpath(path))
     if target.is_dir():
-        raise InputError(f"{shown(path)}: expected a file or nothing, found a folder")
+        raise InputError(f"{shown(path)}: expected a file or a new path, found a folder")
     if is_stream(path):
-        raise InputError(f"{shown(path)}: expected a file or nothing, found a device or pipe")
+        raise InputError(f"{shown(path)}: expected a file or a new path, found a device or pipe")
     _check_parent(path, target)
     if target in mount_points():
         raise InputError(
@@ -98,20 +98,22 @@ def check_folder(path: Path) -> None:
     target = Path(os.path.realpath(path))
     if is_stream(path):
         raise InputError(
-            f"{shown(path)}: expected a COLMAP model folder or nothing, found a device or pipe"
+            f"{shown(path)}: expected a COLMAP model folder or a new path, found a device or pipe"
         )
     _check_parent(path, target)
     if not target.exists():
         _check_writable(path, target.parent)
         return
     if not target.is_dir():
-        raise InputError(f"{shown(path)}: expected a COLMAP model folder or nothing, found a file")
+        raise InputError(
+            f"{shown(path)}: expected a COLMAP model folder or a new path, found a file"
+        )
     if missing_model_files(target):
         others = sorted(file.name for file in target.iterdir() if not is_temporary(file.name))
         if others:
             raise InputError(
-                f"{shown(path)}: expected a COLMAP model, an empty folder or nothing, "
-                f"found a folder with other content ({shown(others[0])})"
+                f"{shown(path)}: expected a COLMAP model, an empty folder or a new path, found a "
+                f"folder with other content ({shown(others[0])})"
             )
     for file in sorted(target.iterdir()):
         if file.name in MODEL_FILES and file.is_dir():

@@ -152,11 +152,11 @@ def check_sequence_target(path: str | os.PathLike[str]) -> None:
             )
         return
     if not folder.is_dir():
-        raise InputError(f"{shown(path)}: expected a sequence folder or nothing, found a file")
+        raise InputError(f"{shown(path)}: expected a sequence folder or a new path, found a file")
     others = sorted(file.name for file in folder.iterdir() if file.name not in FILES)
     if others and sequence_at(folder) is None:
         raise InputError(
-            f"{shown(path)}: expected a sequence folder, an empty folder or nothing, found a "
+            f"{shown(path)}: expected a sequence folder, an empty folder or a new path, found a "
             f"folder with other content ({shown(others[0])})"
         )
 

@@ -77,7 +77,7 @@ def read_track_csv(path: str | os.PathLike[str]) -> Sequence:
         samples = np.array(imu, np.float64).reshape(-1, 7)
         observations = np.array(tracks, np.float64).reshape(-1, 4)
     except ValueError as error:
-        raise InputError(f"{name}: expected numbers, found otherwise: {error}") from None
+        raise InputError(f"{name}: expected numbers, found: {error}") from None
     imu_stamps, stamps = _nanoseconds(samples[:, 0]), _nanoseconds(observations[:, 0])
     ids = observations[:, 1].astype(np.int64)
     order = np.lexsort((ids, stamps))

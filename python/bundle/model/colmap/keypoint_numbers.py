@@ -54,8 +54,8 @@ def number_keypoints(problem: ProblemArrays, num_keypoints: _Indices) -> Keypoin
         image_id = problem.image_ids[problem.observation_image[bad]]
         raise InputError(
             f"observation_keypoint: observation {bad}: expected one of the {capacity[bad]} "
-            f"keypoints that image {image_id} has in the source, or -1 for a new one, "
-            f"found {problem.observation_keypoint[bad]}"
+            f"keypoints that image {image_id} has in the source, or -1 for a new keypoint, found "
+            f"{problem.observation_keypoint[bad]}"
         )
     _check_once(problem, np.flatnonzero(given))
     is_new = ~given | (capacity < 0)

@@ -64,7 +64,7 @@ def check_rigs(problem: ProblemArrays, source: SourceRecords) -> None:
             if rig_id not in references and not _fits(problem, source):
                 raise InputError(
                     f"{name}: rig {rig_id}: expected an image of its reference sensor, which "
-                    "COLMAP requires; the problem has none"
+                    "COLMAP requires; the problem has no such image"
                 )
 
 

@@ -63,8 +63,8 @@ def rigs_of(reconstruction: pycolmap.Reconstruction, images: list[pycolmap.Image
         row = sensor_row.get((frame.rig_id, sensor.id))
         if row is None:
             raise InputError(
-                f"rig {frame.rig_id}: expected the pose of camera {sensor.id} on the rig, as it "
-                f"took image {image.image_id} of frame {frame.frame_id}"
+                f"rig {frame.rig_id}: expected the pose of camera {sensor.id} on the rig, because "
+                f"it took image {image.image_id} of frame {frame.frame_id}"
             )
         return row
 

@@ -177,8 +177,8 @@ def _check_tracks(
     if (length != observed).any():
         bad = int(np.argmax(length != observed))
         raise InputError(
-            f"point {points[bad][0]}: expected as many track elements as keypoints of registered "
-            f"images that refer to it, found {length[bad]} and {observed[bad]}"
+            f"point {points[bad][0]}: expected one track element for each keypoint that refers to "
+            f"it, found {length[bad]} elements and {observed[bad]} keypoints"
         )
     if _is_valid(reconstruction):
         return

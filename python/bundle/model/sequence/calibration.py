@@ -167,7 +167,7 @@ def _pose(name: str, value: Any) -> tuple[float, ...]:
             or np.linalg.det(rotation) < 0
             or np.abs(found[3] - [0, 0, 0, 1]).max() > 1e-9
         ):
-            raise InputError(f"{name}: expected a rigid motion, found a 4x4 matrix that is not one")
+            raise InputError(f"{name}: expected a rigid motion, found a 4x4 matrix of another kind")
         found = np.r_[quaternion_from_matrix(rotation[None])[0], found[:3, 3]]
     if found.shape != (7,):
         raise InputError(

@@ -39,7 +39,7 @@ def check_imu_samples(
     samples = {name: _rows(name, given) for name, given in (("gyro", gyro), ("accel", accel))}
     if len(samples["gyro"]) != len(samples["accel"]):
         raise InputError(
-            f"gyro, accel: expected as many rows, found {len(samples['gyro'])} and "
+            f"gyro, accel: expected the same number of rows, found {len(samples['gyro'])} and "
             f"{len(samples['accel'])}"
         )
     for name, limit, unit in (("gyro", gyro_range, "rad/s"), ("accel", accel_range, "m/s^2")):

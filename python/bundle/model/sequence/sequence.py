@@ -156,8 +156,8 @@ def check_imu(stamps: Any, gyro: Any, accel: Any, place: Place) -> None:
     norm = float(np.median(np.linalg.norm(accel, axis=1)))
     if norm < FREE_FALL:
         raise InputError(
-            f"{place(0)}: accel: expected m/s^2 with gravity, about 9.81 long, found a median "
-            f"length of {norm:.3g}"
+            f"{place(0)}: accel: expected m/s^2 including gravity, with a norm of about 9.81, "
+            f"found a median norm of {norm:.3g}"
         )
 
 
@@ -187,8 +187,8 @@ def check_tracks(stamps: Any, ids: Any, xy: Any, place: Place) -> None:
         row = int(wrong[0]) + 1
         if ids[row] == ids[row - 1]:
             raise InputError(
-                f"{place(row)}: expected a track once per image, found track {ids[row]} again at "
-                f"{stamps[row]} ns ({place(row - 1)} has it too)"
+                f"{place(row)}: expected a track once per image, found track {ids[row]} twice at "
+                f"{stamps[row]} ns (also in {place(row - 1)})"
             )
         raise InputError(
             f"{place(row)}: expected ids that ascend within an image, found {ids[row]} after "
@@ -206,8 +206,7 @@ def check_overlap(imu_stamps: Any, image_stamps: Any, where: str) -> None:
     if not inside.any():
         raise InputError(
             f"{where}: expected images between the IMU samples ({imu_stamps[0]} to "
-            f"{imu_stamps[-1]} ns), found them from {image_stamps[0]} to {image_stamps[-1]} ns: "
-            "no overlap"
+            f"{imu_stamps[-1]} ns), found images from {image_stamps[0]} to {image_stamps[-1]} ns"
         )
 
 

@@ -91,7 +91,7 @@ def _imu_gaps(sequence: Sequence, place: Place, findings: list[SequenceFinding])
         SequenceFinding(
             "imu gap",
             f"{place(worst + 1)}: expected an IMU sample every {1e-6 * np.median(step):.3g} ms, "
-            f"found none for {1e-9 * step[worst]:.3g} s",
+            f"found a gap of {1e-9 * step[worst]:.3g} s",
             len(gaps),
             is_fatal=len(long) > 0,
         )
@@ -133,7 +133,7 @@ def _tracks(sequence: Sequence, place: Place, findings: list[SequenceFinding]) -
                 SequenceFinding(
                     "image gap",
                     f"{place(int(begin[worst + 1]))}: expected an image every "
-                    f"{1e-6 * np.median(step):.3g} ms, found none for {1e-9 * step[worst]:.3g} s",
+                    f"{1e-6 * np.median(step):.3g} ms, found a gap of {1e-9 * step[worst]:.3g} s",
                     len(gaps),
                 )
             )

@@ -47,8 +47,8 @@ def check_stamp_unit(
     if power > 2.5:
         unit = _UNITS[min(max(3 * round(power / 3), 3), 9)]
         raise InputError(
-            f"{place(0)}: expected stamps in nanoseconds, one every {1e9 / rate:.3g} as the "
-            f"{name} of {rate:g} Hz says, found one every {period:.3g}: {unit}?"
+            f"{place(0)}: expected stamps in nanoseconds, {1e9 / rate:.3g} apart for the {name} of "
+            f"{rate:g} Hz, found {period:.3g} apart; are they in {unit}?"
         )
 
 

@@ -173,7 +173,7 @@ class Run(Displayed):
 
     @property
     def measurement(self) -> Measurement | None:
-        """Repeat with the median total time; the faster of the two in the middle."""
+        """Repeat with the median total time, the faster of the middle two for an even number."""
         if not self.measurements:
             return None
         totals = [one.total_time_in_seconds for one in self.measurements]

@@ -113,7 +113,9 @@ def calibrate(num_threads: int) -> Rates:
     try:
         return _Calibration(num_threads).run()
     except InputError as error:  # scenes and options are valid: memory is the cause
-        raise MemoryError("the solves that measure this machine's rates do not fit") from error
+        raise MemoryError(
+            "the solves that measure this machine's rates do not fit into the free memory"
+        ) from error
 
 
 class _Calibration:

@@ -131,7 +131,7 @@ def as_names(
     if names is None:
         return tuple(map(str, range(count)))
     if len(names) != count:
-        raise InputError(f"names: expected {count}, one per variable, found {len(names)}")
+        raise InputError(f"names: expected {count} names, one per variable, found {len(names)}")
     return tuple(map(str, names))
 
 
@@ -155,7 +155,8 @@ def as_block_sizes(block_size: int | Sequence[int], num_variables: int) -> NDArr
         sizes = np.full(num_variables, sizes[0])
     if sizes.shape != (num_variables,):
         raise InputError(
-            f"block_size: expected one or {num_variables}, one per variable, found {sizes.shape}"
+            f"block_size: expected one size, or {num_variables} sizes, one per variable, found "
+            f"{sizes.shape}"
         )
     wrong = sizes[(sizes < 1) | (sizes > MOST_SCALARS_A_BLOCK)]
     if len(wrong):

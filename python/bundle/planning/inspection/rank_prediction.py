@@ -220,7 +220,8 @@ def _method(inspection: Inspection) -> MethodInspection:
     ]
     if not able:
         raise InputError(
-            "ranks: expected a problem for the fused backend, found one that only Ceres solves"
+            "ranks: expected a problem for the fused backend, found a problem that only Ceres can "
+            "solve"
         )
     return min(able, key=lambda method: method.time_per_step_in_seconds)
 

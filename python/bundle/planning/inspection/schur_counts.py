@@ -6,8 +6,8 @@ counts m k n, the inverse of a 3 x 3 block 3^3, a Cholesky factorisation of n co
 
     points    V_p^-1 for each point: 27 n_p
     products  W_ip V_p^-1 W_jp^T for each point p and each ordered pair of cameras (i, j) that see
-              it, both triangles of S and the diagonal, without sharing between pairs:
-              6 3 3 + 6 3 6 = 162 each, d^2 of them for a point seen d times
+              it, also for i = j: 162 = 6 3 3 + 6 3 6 per product. A point that d cameras see has
+              d^2 products; they share no factors
     reduced   Cholesky of S: (6 n_c)^3 / 3
     dense     Cholesky of all 6 n_c + 3 n_p unknowns at once, for comparison
 

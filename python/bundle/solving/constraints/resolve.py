@@ -138,7 +138,7 @@ class _Resolver(ConstantParts):
             if rule.target.kind == "image" and self._is_on_rig(index):
                 raise InputError(
                     f"{rule.place}: expected images with a pose of their own, found image "
-                    f"{self._problem.image_ids[index]} on a rig; hold its frame by fixed_image_ids"
+                    f"{self._problem.image_ids[index]} on a rig; fix its frame with fixed_image_ids"
                 )
             for part in rule.parameters:
                 self._poses.setdefault((index, part), number)
@@ -180,7 +180,7 @@ class _Resolver(ConstantParts):
                 continue
             if len(columns) > 1 or len(second[camera]) > 1:
                 raise InputError(
-                    f"{rule.place}: expected the names of two numbers, found f of camera "
+                    f"{rule.place}: expected the names of two parameters, found f of camera "
                     f"{self._problem.camera_ids[camera]}, which has fx and fy"
                 )
             a, b = (camera, columns[0]), (camera, second[camera][0])
@@ -188,16 +188,16 @@ class _Resolver(ConstantParts):
             for member in (a, b):
                 if self._params[member] == 0:
                     raise InputError(
-                        f"{rule.place}: expected a ratio of numbers other than 0, found "
-                        f"{self._name(member)} at 0"
+                        f"{rule.place}: expected a ratio of nonzero parameters, found "
+                        f"{self._name(member)} = 0"
                     )
             self._tie(number, rule, a, b, float(self._params[a] / self._params[b]))
 
     def _tie(self, number: int, rule: Rule, a: Member, b: Member, times: float) -> None:
         if not self._groups.tie(a, b, times, number):
             raise InputError(
-                f"{rule.place}: {self._name(a)} and {self._name(b)} are tied already, by other "
-                "rules and in another ratio"
+                f"{rule.place}: {self._name(a)} and {self._name(b)} are already tied by other "
+                "rules, in another ratio"
             )
 
     def _settle_ties(self) -> tuple[tuple[Tie, ...], set[Member]]:
@@ -208,8 +208,8 @@ class _Resolver(ConstantParts):
         excess = check_components(groups)
         if excess is not None:
             raise InputError(
-                f"{self._place(excess.rules[-1])}: expected cameras that share at most "
-                f"{MOST_SHARED} numbers, directly or by others, found more with "
+                f"{self._place(excess.rules[-1])}: expected at most {MOST_SHARED} shared numbers "
+                "in a group of connected cameras, found more in that of "
                 f"{self._name(excess.members[0][0])}"
             )
         for group in groups:
@@ -242,8 +242,8 @@ class _Resolver(ConstantParts):
             if not lower <= u <= upper:
                 place, name = self._place(self._bounded[member]), self._name(member)
                 raise InputError(
-                    f"{place}: {name}: expected a shared start of {times * u:.10g} within the "
-                    f"bounds of all that share it, found [{times * lower:g}, {times * upper:g}]"
+                    f"{place}: {name}: expected bounds that contain the shared start "
+                    f"{times * u:.10g}, found [{times * lower:g}, {times * upper:g}]"
                 )
         if by < 0:
             return
@@ -269,7 +269,7 @@ class _Resolver(ConstantParts):
             why = self._why_pose_held(kind, index, name)
             if why:
                 raise InputError(
-                    f"{rule.place}: expected a prior on what is refined, found the {name} of "
+                    f"{rule.place}: expected a prior on a refined parameter, found the {name} of "
                     f"{kind} {key}, which {why}"
                 )
             self._counts[number] += 1
@@ -295,7 +295,7 @@ class _Resolver(ConstantParts):
                 why = self._why_held(member) or ("is held by what it shares" * (member in held))
                 if why:
                     raise InputError(
-                        f"{rule.place}: expected a prior on what is refined, found "
+                        f"{rule.place}: expected a prior on a refined parameter, found "
                         f"{self._name(member)}, which {why}"
                     )
                 self._counts[number] += 1

@@ -113,8 +113,8 @@ class Restrictions:
             if abs(u - expected) > 1e-12 * abs(expected):
                 names = parameter_names("constraints", problem, camera)
                 raise InputError(
-                    f"constraints: camera {problem.camera_ids[camera]}: {names[j]}: expected what "
-                    f"camera {problem.camera_ids[first]} has, with which it is one number, found "
+                    f"constraints: camera {problem.camera_ids[camera]}: {names[j]}: expected the "
+                    f"value of camera {problem.camera_ids[first]}, with which it is shared, found "
                     f"{problem.camera_params[camera, j]:.10g}"
                 )
 

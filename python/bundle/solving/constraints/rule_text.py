@@ -104,7 +104,7 @@ class _Reader:
             self._take()
             numbers = self._list(infinite=True)
             if len(numbers) != 2:
-                raise InputError(f"expected [lower, upper], found numbers: {len(numbers)}")
+                raise InputError(f"expected [lower, upper], found {len(numbers)} numbers")
             return Bounds(self._target, names, *numbers, place=self._place)
         raise InputError(f"expected a rule such as {_CLAUSES}, found {brief(self._clause)}")
 

@@ -58,7 +58,7 @@ class Group:
             for other, found in others:
                 if not _agree(u, found):
                     raise InputError(
-                        f"expected values that agree where both are held, found "
+                        "expected equal values of tied constant parameters, found "
                         f"{describe(first)} at {value(first):.10g} and {describe(other)} at "
                         f"{value(other):.10g}"
                     )

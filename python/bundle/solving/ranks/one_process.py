@@ -20,7 +20,7 @@ _OPEN = ("gauge", "cheirality")
 def reason_in_options(options: dict[str, Any]) -> str:
     """Return why no solve with these options can be divided; "" if it can."""
     if options["gauge"] == "three_points":
-        return "Three points, which may be in different parts, hold the gauge (gauge)."
+        return "The three points that fix the gauge may be in different parts (gauge)."
     return _core.reason_for_ceres(options | {name: _core.default_options()[name] for name in _OPEN})
 
 
@@ -39,7 +39,7 @@ def reason_to_be_alone(options: dict[str, Any], core_factors: Any) -> str:
     for factor in factors:
         kinds = [places[variable][0] for variable in factor[2]]
         if "point" in kinds and len(kinds) > 1:
-            return f"{factor[1]} joins a point and something else (factors)."
+            return f"{factor[1]} couples a point with another variable (factors)."
     return ""
 
 

@@ -132,8 +132,8 @@ def digest_of_fields(value: Any) -> str:
         return _hash(value).hexdigest()
     except Exception as error:  # objects of users may raise anything
         raise InputError(
-            "checkpoint: expected factors that pickle, so that the run that goes on has the same, "
-            f"found one that does not ({first_line(error)})"
+            "checkpoint: expected factors that can be pickled, so that a resumed run can compare "
+            f"them, found a factor that cannot ({first_line(error)})"
         ) from None
 
 

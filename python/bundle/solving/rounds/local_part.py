@@ -152,7 +152,7 @@ class LocalPart:
         """Raise an InputError if the images see no points."""
         if self.problem.num_observations == 0:
             raise InputError(
-                f"only_images: expected images that see points, found none in "
+                "only_images: expected images that see points, found 0 points in "
                 f"{plural(self.record.num_images, 'image')}"
             )
 

@@ -161,9 +161,9 @@ def _refuse_far_origins(whole: Problem) -> None:
     distance = float(np.linalg.norm(center))
     if distance > FAR * size:
         raise InputError(
-            f"rest: marginal expects the origin within {FAR:g} times the size of the scene, found "
-            f"a scene of size {size:.3g} at {distance:.3g} from it; use fixed, or move the scene "
-            "nearer (bundle align)"
+            f"rest: marginal expects an origin within {FAR:g} scene sizes, found a scene of size "
+            f"{size:.3g} at {distance:.3g} from it; use fixed, or move the scene nearer (bundle "
+            "align)"
         )
 
 
@@ -173,8 +173,8 @@ def _refuse_too_much(size: int, num_neighbours: int) -> None:
     if needed > SHARE_OF_FREE_MEMORY * free:
         raise InputError(
             f"rest: marginal needs {format_size(needed)} for a dense prior on {size} unknowns of "
-            f"{plural(num_neighbours, 'neighbouring image')} and their cameras, of which this "
-            f"machine has {format_size(free)} free; name fewer images, or use fixed"
+            f"{plural(num_neighbours, 'neighbouring image')} and their cameras; this machine has "
+            f"{format_size(free)} free; name fewer images, or use fixed"
         )
 
 
