@@ -45,10 +45,7 @@ def rotation_vectors(evidence: Evidence) -> None:
         raw = evidence.deviations.reference[..., columns]
         for change, words in (
             (np.linalg.inv(left), BY_LEFT),
-            (
-                np.linalg.inv(right),
-                "the derivative by d of Exp(w) Exp(d), not by w: J_r is missing",
-            ),
+            (np.linalg.inv(right), BY_RIGHT),
             (np.linalg.solve(left, right), f"the right Jacobian of {what} instead of the left"),
             (np.linalg.solve(right, left), f"the left Jacobian of {what} instead of the right"),
         ):

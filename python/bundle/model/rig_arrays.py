@@ -31,7 +31,6 @@ __all__ = [
     "recomputed_poses",
     "reference_cameras",
     "rig_of_image",
-    "sensor_names",
     "settle",
 ]
 
@@ -214,12 +213,6 @@ def rig_of_image(problem: ProblemArrays) -> NDArray[np.int64]:
         images = problem.image_frame >= 0
         rig[images] = problem.frame_rig_ids[problem.image_frame[images]]
     return rig
-
-
-def sensor_names(problem: ProblemArrays) -> list[str]:
-    """Return "RIG:CAMERA" of each sensor, the syntax of ``--fix-sensors``."""
-    pairs = zip(problem.sensor_rig_ids.tolist(), problem.sensor_camera_ids.tolist(), strict=True)
-    return [f"{rig}:{camera}" for rig, camera in pairs]
 
 
 def reference_cameras(problem: ProblemArrays) -> dict[int, int]:

@@ -93,16 +93,6 @@ class LandmarkTable(NamedTuple):
             self.velocity[rows],
         )
 
-    def without_observations(self, dropped: Array) -> LandmarkTable:
-        """Return the table without some observations; landmarks without observations are kept."""
-        rows = ~dropped
-        return self._replace(
-            landmarks=self.landmarks[rows],
-            observers=self.observers[rows],
-            xy=self.xy[rows],
-            velocity=self.velocity[rows],
-        )
-
     def parallax(self) -> Array:
         """Return the largest distance of an observation from the anchor, per landmark.
 
