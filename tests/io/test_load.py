@@ -109,7 +109,7 @@ def test_choice_of_format(
     (tmp_path / "empty").mkdir()
     target = f"{tmp_path}/{name}"
     problem = problem.replace(format=source)
-    assert bundle.io.open.output_format(problem, target, format) == expected
+    assert bundle.io.open.output_format(problem.format, target, format) == expected
     bundle.io.open.check_target(problem, target, format)
     assert bundle.save(problem, target, format) == (() if expected == "bal" else ("colours",))
     if expected == "bal":

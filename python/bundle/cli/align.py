@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
         problem = load(source, progress.text)
         output = {
             "path": target,
-            "format": output_format(problem, target, arguments.format, source),
+            "format": output_format(problem.format, target, arguments.format, source),
         }
         check_target(problem, **output)
         check_replaced(target, [source], arguments.overwrite, same_images(problem))

@@ -31,7 +31,10 @@ def run(arguments: argparse.Namespace) -> int:
         edits = cameras_edited(options_given(arguments, LensOptions), problem)
         edited = problem if edits is None else edits.problem
         edited = with_rigs(edited, arguments.rig_config)
-        output = {"path": path, "format": output_format(edited, path, arguments.format, source)}
+        output = {
+            "path": path,
+            "format": output_format(edited.format, path, arguments.format, source),
+        }
         check_target(edited, **output)
         place = georeference_at(source)
         if place is not None:

@@ -35,7 +35,10 @@ def run(arguments: argparse.Namespace) -> int:
             progress.stage(f"reading {shown(path)}")
             problems.append(load(path, progress.text))
         a, b = problems
-        output = {"path": target, "format": output_format(a, target, arguments.format, paths[0])}
+        output = {
+            "path": target,
+            "format": output_format(a.format, target, arguments.format, paths[0]),
+        }
         check_target(a, **output)
         place = georeference_at(paths[0])
         if place is not None:

@@ -166,7 +166,7 @@ def _open(asked: Refinement, progress: Progress) -> Opened:
 def _checked_output(asked: Refinement, problem: Problem, options: SolveOptions) -> dict[str, str]:
     """Return path and format of OUTPUT after checking that it can be written and replaced."""
     source, target = asked.source, asked.target
-    output = {"path": target, "format": output_format(problem, target, asked.format, source)}
+    output = {"path": target, "format": output_format(problem.format, target, asked.format, source)}
     fixed = options.fixed_camera_ids
     check_target(problem, **output, refined=options.refine, fixed_camera_ids=fixed)
     check_replaced(target, [source], asked.overwrite, same_images(problem))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,21 +43,13 @@ def sliced_input(
     source_format = _format(path)
     if source_format is None:
         return None
-    found = _Found(source_format)
-    target_format = output_format(found, target, format, source)  # type: ignore[arg-type]
+    target_format = output_format(source_format, target, format, source)
     is_compressed = target_format == "bal" and Path(target).suffix.lower() in COMPRESSED
     if target_format != source_format or is_compressed:
         return None
     from bundle.solving.slices.sliced_refinement import SlicedRefinement  # only under mpirun
 
     return SlicedRefinement(crew, path)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Found:
-    """Attributes of a problem that ``output_format`` reads."""
-
-    format: str
 
 
 def _format(source: Path) -> str | None:

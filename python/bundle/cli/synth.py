@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
         progress.stage(f"making {options.num_images} images of {options.num_points} points")
         scene = SceneInBlocks(options)
         images = scene.images()
-        format = output_format(images, path, arguments.format)
+        format = output_format(images.format, path, arguments.format)
         check_target(images, path, format)
         check_target(images, truth_path, format)
         is_plain = not any(name.lower().endswith((".gz", ".bz2")) for name in (path, truth_path))

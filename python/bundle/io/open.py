@@ -99,7 +99,7 @@ def save(
     """
     _check_problem(problem)
     recover(path)
-    chosen = output_format(problem, path, format)
+    chosen = output_format(problem.format, path, format)
     path = as_path(path)
     if chosen == "bal":
         lost = bal.losses(problem)
@@ -134,7 +134,7 @@ def save_model(
 
 
 def output_format(
-    problem: Problem,
+    source_format: str,
     path: str | os.PathLike[str],
     format: str | None = None,
     source: str | os.PathLike[str] | None = None,
@@ -146,7 +146,7 @@ def output_format(
     * An explicit format.
     * The path. Names in ".txt", ".txt.gz" and ".txt.bz2" mean BAL. An existing folder or a trailing
       slash means COLMAP: text if the folder holds a text model, binary if it holds a binary model.
-    * The format from which the problem was read; COLMAP for a problem from memory. COLMAP is text
+    * The format of the problem; COLMAP for a problem from memory. COLMAP is text
       if the problem was read from a text model at ``source``, otherwise binary.
 
     Raises:
@@ -164,7 +164,7 @@ def output_format(
     if name.lower().endswith(_BAL_SUFFIXES):
         return "bal"
     check_name(path, "a folder or of a BAL file (.txt, .txt.gz, .txt.bz2)", compressed=".txt")
-    return "bal" if problem.format == "bal" else default
+    return "bal" if source_format == "bal" else default
 
 
 def check_target(
@@ -189,7 +189,7 @@ def check_target(
         OSError: permission to write is missing.
     """
     recover(path)
-    chosen = output_format(problem, path, format)
+    chosen = output_format(problem.format, path, format)
     if chosen == "bal":
         bal.check_refined(problem, refined, fixed_camera_ids)
         atomic.check_file(Path(path))
