@@ -47,7 +47,7 @@ class Options:
                 )
 
     @classmethod
-    def of(cls, options: Self | None, changes: Mapping[str, Any], caller: str) -> Self:
+    def of(cls, options: Options | None, changes: Mapping[str, Any], caller: str) -> Self:
         """Return ``options``, or the defaults if it is None, with changes.
 
         Raises:

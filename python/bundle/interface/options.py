@@ -313,7 +313,7 @@ class GraphOptions(SolveOptions):
     )
 
     @classmethod
-    def of(cls, options: SolveOptions | None, changes: Mapping[str, Any], caller: str) -> Self:
+    def of(cls, options: Options | None, changes: Mapping[str, Any], caller: str) -> Self:
         """Return the options with some changed; ``options`` may also be plain SolveOptions."""
         if isinstance(options, SolveOptions) and not isinstance(options, cls):
             options = cls(**options.asdict())

@@ -6,6 +6,7 @@ import os
 import re
 from enum import StrEnum
 from pathlib import Path
+from typing import TypeGuard
 
 from bundle.base.words import FORMATS
 from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files
@@ -86,7 +87,7 @@ def reconstruction_at(path: Path) -> str | None:
     return "a pose graph" if is_pose_graph_file(path) else None
 
 
-def is_pose_graph_file(path: object) -> bool:
+def is_pose_graph_file(path: object) -> TypeGuard[str | os.PathLike[str]]:
     """Return True if a path leads to a g2o file; pipes are not opened."""
     if not isinstance(path, str | os.PathLike):
         return False

@@ -183,7 +183,7 @@ def solve(
         OSError: the path cannot be read.
     """
     if is_pose_graph_file(problem):
-        problem = load_g2o(problem)  # type: ignore[arg-type]
+        problem = load_g2o(problem)
     if isinstance(problem, PoseGraph):
         beside = {
             "factors": factors,
@@ -196,7 +196,7 @@ def solve(
                 raise InputError(f"{name}: expected none for a pose graph, found {brief(value)}")
         return solve_pose_graph(problem, options, progress=progress, **changes)  # type: ignore[arg-type]
     problem = as_problem(problem)
-    options = SolveOptions.of(options, changes, "solve")  # type: ignore[arg-type]
+    options = SolveOptions.of(options, changes, "solve")
     check_function("progress", progress)
     share = HoldOutOptions(hold_out=hold_out, hold_out_seed=hold_out_seed)
     prepared = prepare(

@@ -273,7 +273,7 @@ def test_bad_input_is_one_line_that_names_its_place(build, words):
 def test_a_variable_without_factors_is_named_and_so_is_one_that_nothing_determines():
     graph = chain()
     graph.add_factor(bundle.PriorFactor("a", [0, 0], 1.0))
-    with pytest.raises(bundle.InputError, match=r"^variable 'b': expected a factor"):
+    with pytest.raises(bundle.InputError, match=r"^variable 'b': expected at least one factor"):
         graph.solve()
     graph = bundle.FactorGraph()
     for key in "pqrs":

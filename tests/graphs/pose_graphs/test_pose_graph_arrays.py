@@ -40,7 +40,7 @@ def changed(graph, name, place, value):
         (3, "poses", (5, slice(0, 4)), 0, r"^poses\[5\]: expected a quaternion"),
         (3, "measurements", (1, slice(0, 4)), 0, r"^measurements\[1\]: expected a quaternion"),
         (2, "edges", (4, 1), 12, r"^edges\[4\]: expected indices of poses from 0 to 11"),
-        (2, "edges", (4, 1), -1, r"^edges\[4\]: expected positions"),
+        (2, "edges", (4, 1), -1, r"^edges\[4\]: expected indices"),
         (2, "edges", (4, 1), 4, r"^edges\[4\]: expected two different poses"),
         (2, "ids", 0, -3, r"^ids: expected whole numbers from 0, found -3"),
     ],

@@ -128,7 +128,7 @@ def diagnose(
         options = problem.options.replace(gauge="auto") if options is None else options
         problem = problem.problem
     problem = as_problem(problem)  # type: ignore[arg-type]
-    options = SolveOptions.of(options, changes, "diagnose")  # type: ignore[arg-type]
+    options = SolveOptions.of(options, changes, "diagnose")
     if options.gauge == "auto":
         options = options.replace(gauge="none")
     prepared = prepare(

@@ -64,7 +64,7 @@ def _of_csv(path: os.PathLike[str]) -> list[Closure]:
     return closures
 
 
-def _of_g2o(path: os.PathLike[str]) -> list[Closure]:
+def _of_g2o(path: str | os.PathLike[str]) -> list[Closure]:
     graph = load_g2o(path)
     if graph.dimension != 3:
         raise InputError(f"{shown(path)}: expected edges EDGE_SE3:QUAT, found planar edges")
