@@ -151,11 +151,15 @@ def test_reconstruction_whose_references_do_not_resolve() -> None:
         Problem.from_pycolmap(source)
     image.reset_point3D_for_point2D(spare)
     image.set_point3D_for_point2D(spare, min(source.points3D))
-    with pytest.raises(InputError, match=rf"^point {min(source.points3D)}: .*found 6 elements and 7 keypoints$"):
+    with pytest.raises(
+        InputError, match=rf"^point {min(source.points3D)}: .*found 6 elements and 7 "
+    ):
         Problem.from_pycolmap(source)
     image.reset_point3D_for_point2D(spare)
     source.point3D(min(source.points3D)).track.add_element(image.image_id, spare)
-    with pytest.raises(InputError, match=rf"^point {min(source.points3D)}: .*found 7 and 6$"):
+    with pytest.raises(
+        InputError, match=rf"^point {min(source.points3D)}: .*found 7 elements and 6 "
+    ):
         Problem.from_pycolmap(source)
 
 
