@@ -97,6 +97,7 @@ if TYPE_CHECKING:
     from bundle.model.sequence.imu_samples import check_imu_samples
     from bundle.model.sequence.sequence import Sequence
     from bundle.planning.comparison.compare_methods import compare
+    from bundle.planning.comparison.comparison_file import read_comparison
     from bundle.planning.comparison.comparison_result import Comparison
     from bundle.planning.comparison.graph_comparison import GraphComparison
     from bundle.planning.inspection.graph_inspection import GraphInspection, inspect_graph
@@ -240,6 +241,7 @@ __all__ = [
     "pose_graph_chi2",
     "project",
     "propagate",
+    "read_comparison",
     "report",
     "reprojection_errors",
     "run_odometry",
@@ -341,6 +343,7 @@ _DEFERRED = {
     "model.sequence.imu_samples": ("check_imu_samples",),
     "model.sequence.sequence": ("Sequence",),
     "planning.comparison.compare_methods": ("compare",),
+    "planning.comparison.comparison_file": ("read_comparison",),
     "planning.comparison.comparison_result": ("Comparison",),
     "planning.comparison.graph_comparison": ("GraphComparison",),
     "planning.inspection.graph_inspection": ("GraphInspection", "inspect_graph"),

@@ -15,7 +15,7 @@ from tests.printed import figures
 
 pytestmark = pytest.mark.usefixtures("unpredicted")
 
-QUICK = ("--repeat", 1, "--threads", 1)
+QUICK = ("--repeat", 1, "--threads", 1, "--trust-regions", "levenberg-marquardt")
 
 
 def test_table_recommendation_and_command_line(run, model):
@@ -33,7 +33,7 @@ def test_table_recommendation_and_command_line(run, model):
 
 def test_recommended_command_runs(run, model, tmp_path):
     out = run("compare", model, *QUICK, "--solvers", "dense-schur", "--backends", "fused").out
-    line = out[out.index("bundle refine") :].replace("\\\n", " ")
+    line = out[out.index("bundle refine") :].split("\n\n")[0].replace("\\\n", " ")
     words = line.replace("OUTPUT", str(tmp_path / "refined.txt")).split()
     assert run(*words[1:]).code == 0
 

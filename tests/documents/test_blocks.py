@@ -24,6 +24,7 @@ from tests.documents import workspace
 
 ROOT = workspace.REPOSITORY
 WITH_DATA: dict[str, Callable[[Path, Path], None]] = {
+    "docs/compare.md": workspace.measured,
     "docs/pose-graphs.md": workspace.graphs,
     "docs/vio.md": workspace.sequence,
     "docs/drone_block.md": workspace.flights,

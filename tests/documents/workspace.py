@@ -14,7 +14,10 @@ from bundle.georeference.local_frame import LocalFrame
 from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.io.sequences.trajectory_files import load_trajectory
 from bundle.model.rigid_motions import inverse_poses, multiply_poses
+from bundle.reports.sections import dumps
+from bundle.reports.terminal.compare import compared
 from tests.editing.merging.halves import halves, whole
+from tests.figures.matplotlib.comparisons import comparison
 from tests.georeference.test_exif_gps import photo
 from tests.graphs.loops.drift import closures_of, drifted_street
 
@@ -71,6 +74,11 @@ def targets(truth: bundle.Problem) -> list[str]:
             name = truth.image_names[truth.observation_image[row]]
             lines.append(f"{lon!r} {lat!r} {h!r} {x!r} {y!r} {name} gcp{number:02}")
     return lines
+
+
+def measured(folder: Path, _data: Path) -> None:
+    """report.json, a comparison of solvers."""
+    (folder / "report.json").write_text(dumps(compared(comparison(1)).json()))
 
 
 def two_pieces(folder: Path) -> None:

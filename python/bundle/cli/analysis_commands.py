@@ -70,6 +70,8 @@ def add_inspect(parser: Parser) -> None:
 
 def add_compare(parser: Parser) -> None:
     """Add the arguments of `bundle compare`."""
+    from bundle.interface.compare_options import COMPARED  # only for this command
+
     parser.usage = "bundle compare INPUT... [options]"
     parser.add_argument(
         "inputs",
@@ -81,15 +83,14 @@ def add_compare(parser: Parser) -> None:
             "performance profiles; or one pose graph (g2o)"
         ),
     )
-    compared = ("solvers", "backends", "preconditioners", "orderings", "threads")
+    compared = ("solvers", "backends", "preconditioners", "orderings", "trust_regions", "threads")
     add_options(parser, "CompareOptions", "what is compared: every combination of", compared)
     group = parser.add_argument_group("options of the comparison")
-    add_fields(group, "CompareOptions", ("repeat", "timeout", "memory_cap"))
+    add_fields(group, "CompareOptions", ("perturb", "seed", "repeat", "timeout", "memory_cap"))
     group.add_argument(
         "--html", metavar="FILE", type=page_path(), help="also write a page with plots"
     )
-    varied = (*("backend", "linear_solver_type", "linear_solver_ordering"), "preconditioner_type")
-    others = [n for n in SolveOptions.__dataclass_fields__ if n not in (*varied, "num_threads")]
+    others = [name for name in SolveOptions.__dataclass_fields__ if name not in COMPARED]
     add_options(parser, "SolveOptions", "options of every solve", others)
     add_pose_graph_flags(
         parser,

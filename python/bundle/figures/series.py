@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.planning.comparison.comparison_result import Comparison, PerformanceProfile
+from bundle.planning.comparison.comparison_result import Comparison
 from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.profiles import PerformanceProfile
 
 __all__ = ["Style", "cost_curve", "labels", "profile_curve", "styles"]
 
@@ -30,7 +31,7 @@ class Style:
 
 
 def styles(methods: tuple[Method, ...]) -> dict[Method, Style]:
-    """Return a style for each method: colour by linear solver, line by backend."""
+    """Return a style for each method: colour by linear solver and trust region, line by backend."""
     kinds: dict[tuple[str, ...], int] = {}
     lines: dict[tuple[str, int], int] = {}
     for method in sorted(methods, key=lambda method: -method.num_threads):
@@ -75,4 +76,9 @@ def profile_curve(
 
 
 def _kind(method: Method) -> tuple[str, ...]:
-    return method.linear_solver_type, method.preconditioner_type, method.linear_solver_ordering
+    return (
+        method.linear_solver_type,
+        method.preconditioner_type,
+        method.linear_solver_ordering,
+        method.trust_region_strategy_type,
+    )

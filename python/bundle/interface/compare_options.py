@@ -1,6 +1,6 @@
 """Options of a comparison, with the defaults of :func:`bundle.compare`.
 
-The compared methods are all combinations of the values of five solve options (``COMPARED``).
+The compared methods are all combinations of the values of six solve options (``COMPARED``).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from bundle.interface.options import (
 from bundle.interface.options import (
     LINEAR_SOLVER_TYPES,
     PRECONDITIONER_TYPES,
+    TRUST_REGION_STRATEGIES,
 )
 from bundle.interface.options import (
     ORDERINGS as EVERY_ORDERING,
@@ -27,6 +28,7 @@ from bundle.interface.options import (
 __all__ = [
     "BACKENDS",
     "COMPARED",
+    "LARGEST_PERTURBATION",
     "ORDERINGS",
     "PRECONDITIONERS",
     "REPEAT",
@@ -35,6 +37,7 @@ __all__ = [
     "SOLVERS",
     "THREADS",
     "TIMEOUT",
+    "TRUST_REGIONS",
     "CompareOptions",
 ]
 
@@ -42,6 +45,7 @@ BACKENDS = ("fused", "ceres")
 SOLVERS = ("dense_schur", "sparse_schur", "iterative_schur")
 PRECONDITIONERS = ("auto",)
 ORDERINGS = ("points_first",)
+TRUST_REGIONS = TRUST_REGION_STRATEGIES
 THREADS = (0,)
 REPEAT = 3
 """Number of runs of each method."""
@@ -49,12 +53,14 @@ TIMEOUT = 60.0
 """Seconds after which a solve is stopped."""
 SECONDS_NOT_REPEATED = 10.0
 """Time of a run in seconds from which it is not repeated, because its spread is small."""
+LARGEST_PERTURBATION = 0.5
 
 COMPARED = {
     "backend": "backends",
     "linear_solver_type": "solvers",
     "linear_solver_ordering": "orderings",
     "preconditioner_type": "preconditioners",
+    "trust_region_strategy_type": "trust_regions",
     "num_threads": "threads",
 }
 """Options of a solve that are compared, with the arguments (and flags) that list their values."""
@@ -84,6 +90,12 @@ class CompareOptions(Options):
     )
     orderings: tuple[str, ...] = _listed(
         ORDERINGS, "--orderings", "which blocks are eliminated first, ", EVERY_ORDERING
+    )
+    trust_regions: tuple[str, ...] = _listed(
+        TRUST_REGIONS,
+        "--trust-regions",
+        "doglegs with direct solvers only, ",
+        TRUST_REGION_STRATEGIES,
     )
     threads: tuple[int, ...] = option(
         THREADS,
@@ -116,6 +128,17 @@ class CompareOptions(Options):
         metavar="SIZE",
         unset=f"{100 * SHARE_OF_FREE_MEMORY:g} % of what is free at the start",
     )
+
+    perturb: float = option(
+        0.0,
+        "--perturb",
+        "perturb the start: standard deviation of centres and points relative to their distances, "
+        "of rotations in radians, and of focal lengths relatively; such as 0.01",
+        minimum=0.0,
+        maximum=LARGEST_PERTURBATION,
+        metavar="SIZE",
+    )
+    seed: int = option(0, "--seed", "seed of --perturb", minimum=0, metavar="N")
 
     def __post_init__(self) -> None:
         _ = self.memory_cap_in_bytes

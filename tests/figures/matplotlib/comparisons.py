@@ -11,13 +11,12 @@ from bundle.planning.comparison.comparison_result import (
     GAPS,
     ComparedProblem,
     Comparison,
-    Measurement,
-    PerformanceProfile,
-    Prediction,
     Recommendation,
-    Run,
 )
+from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
 from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.profiles import PerformanceProfile
+from tests.planning.comparison.fakes import ENVIRONMENT
 from tests.reports.terminal.fakes import summary
 
 HOSTILE = "a</script><script>document.title='owned'</script>&<b>$\\frac$.txt"
@@ -149,6 +148,7 @@ def comparison(num_problems: int = 2, name: str = "street-980.txt") -> Compariso
         memory_cap_in_bytes=int(2e9),
         interrupted=False,
         wall_time_in_seconds=77.0,
+        environment=ENVIRONMENT,
     )
     return dataclasses.replace(made, profiles=profiles(made) if num_problems > 1 else ())
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
+
 import pytest
 
 from bundle import pictures
@@ -50,6 +53,33 @@ def test_one_picture(name, width):
     check_everything_shows(made)
 
 
+def doubled(made):
+    """Every method also with a dogleg: fourteen curves."""
+    more = [
+        dataclasses.replace(
+            run, method=dataclasses.replace(run.method, trust_region_strategy_type="dogleg")
+        )
+        for run in made.runs
+    ]
+    return dataclasses.replace(made, runs=(*made.runs, *more))
+
+
+@pytest.mark.parametrize("draw", [pictures.draw_cost_against_time, pictures.draw_breakdown])
+def test_a_column_of_a_paper_holds_fourteen_methods(draw):
+    made, axes = pictures.figure(width=3.4, height=2.6)
+    draw(axes[0, 0], doubled(comparison(1)))
+    check_everything_shows(made)
+    ax = axes[0, 0]
+    assert made.get_figwidth() == 3.4 and ax.get_window_extent().height / made.dpi > 1.5
+    texts = [*ax.get_xticklabels(), *ax.get_yticklabels(), *ax.get_legend().get_texts()]
+    assert {text.get_fontsize() for text in texts} <= {7.0, 8.0}
+    rows = [text.get_window_extent() for text in ax.get_yticklabels() if text.get_text()]
+    apart = sorted(rows, key=lambda box: box.y0)
+    assert all(one.y1 <= other.y0 + 1 for one, other in itertools.pairwise(apart))
+    colours = {(line.get_color(), line.get_linestyle()) for line in ax.lines}
+    assert len(colours) == len(ax.lines)
+
+
 @pytest.mark.parametrize("width", [3.4, 4.0])
 def test_pictures_side_by_side(width):
     made, axes = pictures.figure(2, 2, width=width)
@@ -68,5 +98,5 @@ def test_of_a_long_name_the_end_is_shown():
     name = "/a/long/way/to/" + 5 * "projects/" + "garden/sparse/0"
     made = comparison(name=name)
     pictures.draw_breakdown(axes[0, 0], made)
-    title = axes[0, 0].get_title()
+    title = axes[0, 0].get_title("right")  # the axis is narrower than its names
     assert name.endswith(title.removeprefix("...")) and 40 < len(title) < 50

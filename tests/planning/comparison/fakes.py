@@ -5,13 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from bundle.interface.options import SolveOptions
-from bundle.planning.comparison.comparison_result import (
-    ComparedProblem,
-    Comparison,
-    Measurement,
-    Prediction,
-    Run,
-)
+from bundle.planning.comparison.comparison_result import ComparedProblem, Comparison
+from bundle.planning.comparison.environment import Environment
+from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
 from bundle.planning.comparison.method import Method
 from tests.reports.terminal import fakes
 
@@ -19,6 +15,16 @@ DENSE = Method(backend="fused", linear_solver_type="dense_schur", num_threads=2)
 SPARSE = Method(backend="fused", linear_solver_type="sparse_schur", num_threads=2)
 ITERATIVE = Method(backend="fused", linear_solver_type="iterative_schur", num_threads=2)
 CERES = Method(backend="ceres", linear_solver_type="dense_schur", num_threads=2)
+
+
+ENVIRONMENT = Environment(
+    date="2026-11-26T05:00:00+00:00",
+    cpu_model="AMD EPYC",
+    num_cores=2,
+    load_before=0.1,
+    load_after=1.5,
+    versions={"bundle": "0.1.0", "ceres": "2.1.0", "blas": "", "python": "3.11.7"},
+)
 
 
 def measurement(total=1.0, cost=100.0, **changes):
@@ -79,6 +85,7 @@ def comparison(*runs, **changes):
         "memory_cap_in_bytes": 500_000_000,
         "interrupted": False,
         "wall_time_in_seconds": 9.0,
+        "environment": ENVIRONMENT,
     }
     return Comparison(**{**values, **changes})
 

@@ -22,12 +22,12 @@ from tests.scenes import make_problem, scene
 pytestmark = pytest.mark.usefixtures("unpredicted")
 
 PROBLEM = make_problem(num_images=8, num_points=200)
-QUICK = {"repeat": 1, "threads": [1]}
+QUICK = {"repeat": 1, "threads": [1], "trust_regions": ["levenberg_marquardt"]}
 
 
 def test_every_method_reaches_the_same_cost():
     comparison = compare(PROBLEM, repeat=2, threads=[1])
-    assert len(comparison.runs) == 6
+    assert len(comparison.runs) == 2 * (3 + 2 * 2)  # doglegs of the direct solvers
     assert {run.outcome for run in comparison.runs} == {"done"}
     here = bundle.solve(PROBLEM, num_threads=1).summary.final_cost
     for run in comparison.runs:
@@ -129,7 +129,8 @@ def test_several_problems_give_profiles(tmp_path):
         assert dense.share(1) + iterative.share(1) >= 1
         assert dense.share(math.inf) == 1
     text = render(*laid_out(compared(comparison)))
-    assert ["2", "1e-3"] in [figures(line)[:2] for line in text.splitlines() if "fastest" in line]
+    heads = [figures(line)[:2] for line in text.splitlines() if "within" in line]
+    assert ["2", "1e-3"] in heads
     assert max(map(len, text.splitlines())) <= 100
 
 

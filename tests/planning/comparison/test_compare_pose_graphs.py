@@ -101,10 +101,12 @@ def test_the_command(tmp_path, capsys):
     assert "ceres gauss-newton" in said and "advice" in said
     found = json.loads((tmp_path / "r.json").read_text())
     assert found["command"] == "compare" and len(found["runs"]) == 10
+    assert found["environment"]["cpu_model"] and found["environment"]["load_after"] is not None
     assert found["recommendation"]["command"].startswith(f"bundle refine {source}")
     for flags in (
         ["--solvers", "dense-schur"],
-        ["--trust-region", "dogleg"],
+        ["--trust-regions", "dogleg"],
+        ["--perturb", "0.01"],
         ["--html", str(tmp_path / "x.html")],
         ["--memory-cap", "1GB"],
     ):

@@ -97,7 +97,7 @@ def solved(monkeypatch, tmp_path):
         channel = (tmp_path / "channel").open("w")
         options = SolveOptions(num_threads=1, max_num_iterations=1)
         with channel:
-            report = worker._run(tmp_path, options, cap, worker.Reporter(channel))
+            report = worker._run(tmp_path, options, {"memory_cap": cap}, worker.Reporter(channel))
         first = json.loads((tmp_path / "channel").read_text().splitlines()[0])
         assert first == {"resident": resident}
         return report["measurement"], limits

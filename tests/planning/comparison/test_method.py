@@ -16,10 +16,12 @@ CORES = _core.hardware_threads()
 
 def test_defaults_are_the_schur_solvers_of_both_backends():
     names = [method.name for method in expand()]
+    regions = {"ITERATIVE": [""], "DENSE": ["", " dogleg", " subspace-dogleg"]}
     assert names == [
-        f"{backend} {solver}_SCHUR"
+        f"{backend} {solver}_SCHUR{region}"
         for backend in ("fused", "ceres")
         for solver in ("DENSE", "SPARSE", "ITERATIVE")
+        for region in regions.get(solver, regions["DENSE"])
     ]
     assert {method.num_threads for method in expand()} == {CORES}
 
@@ -30,6 +32,7 @@ def test_every_combination_once():
         preconditioners=["jacobi", "schur-jacobi"],
         orderings=["points-first", "automatic"],
         backends=["ceres"],
+        trust_regions=["levenberg-marquardt"],
         threads=[1, 0, CORES, 10_000],
     )
     counts = {1, CORES}
@@ -38,6 +41,13 @@ def test_every_combination_once():
     direct = [method for method in methods if not method.is_iterative]
     assert {method.preconditioner_type for method in direct} == {"auto"}
     assert "ceres ITERATIVE_SCHUR JACOBI automatic" in {method.name for method in methods}
+
+
+def test_doglegs_of_iterative_solvers_run_only_when_nothing_else_is_asked():
+    asked = {"backends": ["fused"], "solvers": ["iterative_schur"]}
+    assert [method.name for method in expand(**asked)] == ["fused ITERATIVE_SCHUR"]
+    (only,) = expand(**asked, trust_regions=["dogleg"])  # a row that says why it is refused
+    assert only.name == "fused ITERATIVE_SCHUR dogleg"
 
 
 @pytest.mark.parametrize(

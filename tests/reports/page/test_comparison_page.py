@@ -55,7 +55,7 @@ def test_recommendation_leads(written):
     assert made.recommendation.command in page.text
     lost = written(dataclasses.replace(made, recommendation=None, interrupted=True))
     assert made.recommendation.command not in lost.text
-    assert lost.source.count('class="warn"') == page.source.count('class="warn"') + 2
+    assert lost.source.count('class="warn"') == page.source.count('class="warn"') + 1
 
 
 def test_profiles_need_several_problems(written):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -24,13 +23,22 @@ from bundle.figures.marks import (
     Vectors,
     direction_colours,
 )
+from bundle.figures.matplotlib.around_axis import (
+    WIDE,
+    Place,
+    keep_room,
+    legend_below,
+    name_rows,
+    note_below,
+    show_title,
+)
 from bundle.interface.option_fields import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as MatplotlibFigure
 
-__all__ = ["COLOURS", "DASHES", "draw", "figure", "legend_below", "show_title"]
+__all__ = ["COLOURS", "DASHES", "draw", "figure"]
 
 # Okabe and Ito's colours, which colour-blind readers can distinguish, then three tinted greys, as
 # dark as on a page with a white background.
@@ -39,19 +47,15 @@ COLOURS = (
     "#8a5a20", "#2f7f77",
 )  # fmt: skip
 DASHES = ("-", "--", ":", "-.")
-# Characters per inch: of a title, of labels in two columns, and of a label line on an axis narrower
-# than 4 inches.
-TITLE, OF_TWO, OF_A_LINE = 11.0, 5.5, 7.0
-WIDE = 4.0  # inches: on wider axes, labels have one line
-# Space in points below an axis for ticks and label.
-LABELS_BELOW = 38
-LINE, OF_A_NOTE = 9, 8.0  # points and characters per inch of a note
 
 
 def figure(
     num_rows: int = 1, num_columns: int = 1, *, width: float = 4.0, height: float = 4.0
 ) -> tuple[MatplotlibFigure, Any]:
     """Return a figure and its (num_rows, num_columns) axes, each ``width`` by ``height`` inches.
+
+    ``width=3.4`` fits a column of most two-column papers. If one axis has names of many curves or
+    rows, the figure becomes higher than ``height``, so that the axis stays legible.
 
     The figure belongs to no window and no global state. ``figure.savefig("a.svg")`` writes PNG or
     SVG, depending on the suffix.
@@ -73,7 +77,13 @@ def figure(
         figsize=(num_columns * width, num_rows * height), layout="constrained"
     )
     made.set_layout_engine("constrained", w_pad=0.08, h_pad=0.08)
-    return made, made.subplots(num_rows, num_columns, squeeze=False)
+    axes = made.subplots(num_rows, num_columns, squeeze=False)
+    if width < WIDE:  # a column of a paper
+        for ax in axes.flat:
+            ax.tick_params(labelsize=8)
+            ax.xaxis.label.set_size(8)
+            ax.yaxis.label.set_size(8)
+    return made, axes
 
 
 def draw(ax: Axes, figure: Figure, title: str | None = None) -> None:
@@ -88,20 +98,13 @@ def draw(ax: Axes, figure: Figure, title: str | None = None) -> None:
         _set_axes(ax, figure)
     for mark in figure.marks:
         _KINDS[type(mark)](ax, mark)
-    show_title(ax, figure.title if title is None else title)
-    below = _note_below(ax, figure.note) if figure.note else 0
+    named_rows = any(isinstance(mark, Bars | StackedBars) for mark in figure.marks)
+    place: Place = "right" if named_rows else "center"  # an axis beside names is narrow
+    show_title(ax, figure.title if title is None else title, place)
+    below = note_below(ax, figure.note, place) if figure.note else 0.0
     if figure.legend or any(isinstance(mark, StackedBars) and mark.rows for mark in figure.marks):
-        legend_below(ax, below)
-
-
-def _note_below(ax: Axes, note: str) -> int:
-    """Write a note below an axis and its label; return the height of its lines in points."""
-    lines = textwrap.wrap(note, max(round(OF_A_NOTE * _inches(ax)), 20))
-    ax.annotate(
-        "\n".join(lines), (0.5, 0.0), (0, -LABELS_BELOW), xycoords="axes fraction",
-        textcoords="offset points", ha="center", va="top", fontsize=7, parse_math=False,
-    )  # fmt: skip
-    return LINE * len(lines) + 4
+        below += legend_below(ax, below, place)
+    keep_room(ax, below, named_rows)
 
 
 def _set_axes(ax: Axes, figure: Figure) -> None:
@@ -174,7 +177,7 @@ def _bars(ax: Axes, mark: Bars) -> None:
             textcoords="offset points", va="center", fontsize=7, parse_math=False,
         )  # fmt: skip
     ax.set_xlim(scale.low, scale.high * (scale.high / scale.low) ** 0.5)  # room for text
-    _name_rows(ax, [*rows])
+    name_rows(ax, [*rows])
 
 
 def _stacked_bars(ax: Axes, mark: StackedBars) -> None:
@@ -185,12 +188,7 @@ def _stacked_bars(ax: Axes, mark: StackedBars) -> None:
         colour = _paint(index) if phase != "rest" else "0.75"
         ax.barh(np.arange(len(parts)), lengths, left=left, label=phase, color=colour)
         left += lengths
-    _name_rows(ax, [*mark.rows])
-
-
-def _name_rows(ax: Axes, names: list[str]) -> None:
-    ax.set_yticks(np.arange(len(names)), [*map(_wrapped, names)], fontsize=7)
-    ax.set_ylim(len(names) - 0.4, -0.6)
+    name_rows(ax, [*mark.rows])
 
 
 def _cells(ax: Axes, mark: Cells) -> None:
@@ -267,47 +265,5 @@ _KINDS: dict[type, Callable[..., None]] = {
 _WITHOUT_AXES = Bars | StackedBars | Matrix
 
 
-def legend_below(ax: Axes, below: int = 0) -> None:
-    """Put the legend below the axis, its label and ``below`` points, where it hides no curve."""
-    from matplotlib.transforms import offset_copy  # not installed with bundle
-
-    handles, names = ax.get_legend_handles_labels()
-    inches = _inches(ax)
-    two_fit = max(map(len, names), default=0) <= OF_TWO * inches
-    if inches < WIDE and not two_fit:
-        names = [_wrapped(name, round(OF_A_LINE * inches)) for name in names]
-    ax.legend(
-        handles,
-        names,
-        fontsize=7,
-        loc="upper center",
-        bbox_to_anchor=(0.5, 0.0),
-        bbox_transform=offset_copy(
-            ax.transAxes, ax.get_figure(root=True), y=-LABELS_BELOW - below, units="points"
-        ),
-        borderaxespad=0.0,
-        ncols=2 if two_fit else 1,
-    )
-
-
-def show_title(ax: Axes, name: str) -> None:
-    """Draw a title. Long titles are cut at the beginning, because file names differ at the end."""
-    longest = max(round(TITLE * _inches(ax)), 10)
-    shown = name if len(name) <= longest else "..." + name[3 - longest :]
-    ax.set_title(shown, fontsize=9, parse_math=False)
-
-
 def _paint(colour: int) -> str:
     return COLOURS[colour % len(COLOURS)]
-
-
-def _inches(ax: Axes) -> float:
-    """Return the width of an axis in inches, including the labels around it."""
-    spec = ax.get_subplotspec()
-    columns = 1 if spec is None else spec.get_gridspec().ncols
-    return float(ax.get_figure(root=True).get_figwidth()) / columns  # type: ignore[union-attr]
-
-
-def _wrapped(name: str, width: int = 22) -> str:
-    """Return a name wrapped into short lines."""
-    return textwrap.fill(name, width, break_long_words=False, break_on_hyphens=False)

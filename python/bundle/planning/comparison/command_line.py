@@ -1,4 +1,4 @@
-"""Command line of a solve with given options."""
+"""Command lines of a solve and of a comparison with given options."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ import dataclasses
 import shlex
 from typing import Any
 
+import bundle._core as _core
+from bundle.interface.compare_options import COMPARED, CompareOptions
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.planning.comparison.comparison_result import Comparison
 from bundle.planning.inspection.inspection_result import Inspection
 
-__all__ = ["command_line", "recommended_command"]
+__all__ = ["command_line", "comparison_command", "recommended_command"]
 
 
 def command_line(
@@ -20,6 +23,25 @@ def command_line(
     words = ["bundle", "refine", source, "-o", output]
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)
+        if value != field.default:
+            words += _flag(field, value)
+    return shlex.join(words)
+
+
+def comparison_command(comparison: Comparison, *, perturb: float) -> str:
+    """Return the `bundle compare` command of a comparison, with another perturbation."""
+    words = ["bundle", "compare"]
+    words += [problem.name if problem.is_file else "INPUT" for problem in comparison.problems]
+    words += ["--perturb", f"{perturb:g}"]
+    defaults = CompareOptions()
+    for name, listed in COMPARED.items():
+        of = [m for m in comparison.methods if m.is_iterative or name != "preconditioner_type"]
+        values = tuple(dict.fromkeys(getattr(method, name) for method in of))
+        usual = (_core.hardware_threads(),) if listed == "threads" else getattr(defaults, listed)
+        if values and values != usual:
+            words += [f"--{listed.replace('_', '-')}", ",".join(map(str, values)).replace("_", "-")]
+    for field in dataclasses.fields(comparison.options):
+        value = getattr(comparison.options, field.name)
         if value != field.default:
             words += _flag(field, value)
     return shlex.join(words)

@@ -16,6 +16,7 @@ from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.compare_options import (
     BACKENDS,
     COMPARED,
+    LARGEST_PERTURBATION,
     ORDERINGS,
     PRECONDITIONERS,
     REPEAT,
@@ -23,6 +24,7 @@ from bundle.interface.compare_options import (
     SOLVERS,
     THREADS,
     TIMEOUT,
+    TRUST_REGIONS,
 )
 from bundle.interface.option_class import spellings, takes_options
 from bundle.interface.option_fields import number
@@ -32,10 +34,11 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.files import Source
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison import process_memory
-from bundle.planning.comparison.comparison_result import GAPS, Comparison, PerformanceProfile
+from bundle.planning.comparison.comparison_result import GAPS, Comparison
+from bundle.planning.comparison.environment import Environment
 from bundle.planning.comparison.graph_comparison import GraphComparison, compare_graph
 from bundle.planning.comparison.method import expand
-from bundle.planning.comparison.profiles import performance_profiles
+from bundle.planning.comparison.profiles import PerformanceProfile, performance_profiles
 from bundle.planning.comparison.recommendation import recommend
 from bundle.planning.comparison.work import Progress, Work
 
@@ -65,7 +68,10 @@ def compare(
     preconditioners: Iterable[str] = PRECONDITIONERS,
     orderings: Iterable[str] = ORDERINGS,
     backends: Iterable[str] = BACKENDS,
+    trust_regions: Iterable[str] = TRUST_REGIONS,
     threads: Iterable[int] = THREADS,
+    perturb: float = 0.0,
+    seed: int = 0,
     repeat: int = REPEAT,
     timeout: float = TIMEOUT,
     memory_cap: int = 0,
@@ -83,7 +89,10 @@ def compare(
     preconditioners: Iterable[str] = PRECONDITIONERS,
     orderings: Iterable[str] = ORDERINGS,
     backends: Iterable[str] = BACKENDS,
+    trust_regions: Iterable[str] = TRUST_REGIONS,
     threads: Iterable[int] = THREADS,
+    perturb: float = 0.0,
+    seed: int = 0,
     repeat: int = REPEAT,
     timeout: float = TIMEOUT,
     memory_cap: int = 0,
@@ -92,7 +101,8 @@ def compare(
 ) -> Comparison | GraphComparison:
     """Solve the same start by every combination of methods and recommend one.
 
-    Runs are sequential, each in its own process. A run that fails, crashes or exceeds the time or
+    Methods that end in different minima are grouped, and none of them is recommended. Runs are
+    sequential, each in its own process. A run that fails, crashes or exceeds the time or
     memory limit becomes a row with the reason, and the comparison continues. Ctrl-C ends the
     comparison and returns the completed runs.
 
@@ -109,7 +119,12 @@ def compare(
         preconditioners: values of ``preconditioner_type``, for iterative solvers.
         orderings: values of ``linear_solver_ordering``.
         backends: values of ``backend``.
+        trust_regions: values of ``trust_region_strategy_type``; doglegs need a direct solver.
         threads: values of ``num_threads``; 0 for all cores.
+        perturb: size of a perturbation of the start, such as 0.01, for inputs at their minimum:
+            standard deviation of centres and points relative to their distances, of rotations in
+            radians, and of focal lengths relatively. Constant values are not perturbed.
+        seed: seed of the perturbation.
         repeat: runs of each method, whose median counts; a run of more than 10 s is not repeated.
         timeout: seconds after which a solve is stopped.
         memory_cap: bytes that a solve may allocate beyond the loaded problem; 0: 90 % of the free
@@ -130,6 +145,9 @@ def compare(
             solvers=None if solvers is SOLVERS else solvers,
             preconditioners=None if preconditioners is PRECONDITIONERS else preconditioners,
             orderings=None if orderings is ORDERINGS else orderings,
+            trust_regions=None if trust_regions is TRUST_REGIONS else trust_regions,
+            perturb=perturb or None,
+            seed=seed or None,
             memory_cap=memory_cap or None,
         )
         return compare_graph(
@@ -142,15 +160,18 @@ def compare(
             progress=progress,
             **changes,
         )
-    started = time.perf_counter()
+    started, environment = time.perf_counter(), Environment.now()
     options = _options(options, changes)  # type: ignore[arg-type]
     methods = expand(
         solvers=solvers,
         preconditioners=preconditioners,
         orderings=orderings,
         backends=backends,
+        trust_regions=trust_regions,
         threads=threads,
     )
+    perturb = number("perturb", perturb, minimum=0, maximum=LARGEST_PERTURBATION)
+    seed = number("seed", seed, whole=True, minimum=0)
     repeat = number("repeat", repeat, whole=True, minimum=1)
     timeout = number("timeout", timeout, above=0)
     memory_cap = number("memory_cap", memory_cap, whole=True, minimum=0, maximum=2**63 - 1)
@@ -169,12 +190,15 @@ def compare(
             timeout=timeout,
             memory_cap=cap,
             report=report,
+            perturb=perturb,
+            seed=seed,
         )
         compared = tuple(work.take_over(index, source) for index, source in enumerate(sources))
         interrupted = work.run_all(compared)
+        runs = tuple(work.runs(len(compared), interrupted))
         comparison = Comparison(
             problems=compared,
-            runs=tuple(work.runs(len(compared))),
+            runs=runs,
             profiles=(),
             recommendation=None,
             options=options,
@@ -183,6 +207,9 @@ def compare(
             memory_cap_in_bytes=cap,
             interrupted=interrupted,
             wall_time_in_seconds=time.perf_counter() - started,
+            environment=environment.finished(),
+            perturb=perturb,
+            seed=seed,
         )
     return dataclasses.replace(
         comparison,
@@ -193,7 +220,7 @@ def compare(
 
 def _options(options: SolveOptions | None, changes: Mapping[str, Any]) -> SolveOptions:
     """Return the options of every solve; refuse options that the methods vary."""
-    own = ("repeat", "timeout", "memory_cap", "progress", *COMPARED.values())
+    own = ("perturb", "seed", "repeat", "timeout", "memory_cap", "progress", *COMPARED.values())
     known = {
         **{
             spelling: COMPARED.get(name, name) for spelling, name in spellings(SolveOptions).items()

@@ -3,37 +3,32 @@
 from __future__ import annotations
 
 import math
-import statistics
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
 from bundle.base.memory_sizes import format_size
-from bundle.base.words import change, contents, number, plural, seconds
+from bundle.base.words import contents, plural, seconds
 from bundle.errors import shown
 from bundle.interface.options import SolveOptions
-from bundle.interface.summary import Summary
+from bundle.planning.comparison.environment import Environment
+from bundle.planning.comparison.measured_run import Run
 from bundle.planning.comparison.method import Method
 from bundle.planning.comparison.profiles import PerformanceProfile
 
 __all__ = [
+    "AT_MINIMUM",
     "GAPS",
     "ComparedProblem",
     "Comparison",
-    "Measurement",
-    "PerformanceProfile",
-    "Prediction",
     "Recommendation",
-    "Run",
 ]
 
 GAPS = (1e-2, 1e-3, 1e-5)
 """Relative distances to the best cost at which methods are compared by time."""
 
-Trace = tuple[NDArray[np.float64], NDArray[np.float64]]
+AT_MINIMUM = 1e-3
+"""Relative distance of the start's cost to the best cost, below which the input is at its minimum:
+the recommendation counts such costs as equally good, so that there is nothing to compare."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,182 +42,6 @@ class ComparedProblem:
     num_images: int
     num_points: int
     num_observations: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class Prediction:
-    """Predicted cost of a method. NaN: not predicted. 0: not applicable.
-
-    Matrices count both triangles and the diagonal; L counts its lower triangle with the diagonal.
-
-    Attributes:
-        ordering: order of the factorisation, such as "amd"; "" without a factorisation.
-        num_unknowns: columns of S, or of the full system if S is not formed.
-        nnz_reduced: nonzeros of the reduced camera system S, even if the solver stores it as dense.
-        nnz_factor: nnz(L).
-        flops: flops of the factorisation of a step.
-        memory_in_bytes: peak memory beyond the loaded problem.
-        time_per_step_in_seconds: time of a trust region step.
-    """
-
-    ordering: str
-    num_unknowns: int
-    nnz_reduced: float
-    nnz_factor: float
-    flops: float
-    memory_in_bytes: float
-    time_per_step_in_seconds: float
-    fits_in_memory: bool
-    note: str = ""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Measurement(Displayed):
-    """One solve in one process.
-
-    Attributes:
-        summary: the solver's summary.
-        iterations: one array per field of Ceres' IterationSummary, one entry per iteration.
-        build_time_in_seconds: time to build the solver's problem and to copy the result back.
-        solve_time_in_seconds: time inside the solver.
-        peak_memory_in_bytes: peak resident memory, including interpreter and problem.
-        added_memory_in_bytes: peak memory of the solve beyond the loaded problem; -1 if the system
-            does not report it.
-    """
-
-    summary: Summary
-    iterations: dict[str, NDArray[Any]]
-    build_time_in_seconds: float
-    solve_time_in_seconds: float
-    peak_memory_in_bytes: int
-    added_memory_in_bytes: int
-
-    @property
-    def total_time_in_seconds(self) -> float:
-        """Sum of build and solve time, which is all time that depends on the method."""
-        return self.build_time_in_seconds + self.solve_time_in_seconds
-
-    @property
-    def num_steps(self) -> int:
-        """Number of attempted steps, accepted or not, without the start."""
-        return len(self.iterations["iteration"]) - 1
-
-    @property
-    def time_per_step_in_seconds(self) -> float:
-        """Minimizer time per linear solve; NaN without a linear solve."""
-        solves = self.summary.num_linear_solves
-        return self.summary.minimizer_time_in_seconds / solves if solves > 0 else math.nan
-
-    def _display(self) -> Display:
-        summary = self.summary
-        facts = (
-            ("cost", change(summary.initial_cost, summary.final_cost)),
-            ("steps", str(self.num_steps)),
-            ("time", f"{seconds(self.total_time_in_seconds)} s"),
-            ("peak memory", format_size(self.peak_memory_in_bytes)),
-        )
-        return Display(title=f"Measurement: {summary.termination_type}", facts=facts)
-
-    @property
-    def breakdown(self) -> dict[str, float]:
-        """Seconds of residuals, Jacobians and linear solver, and the rest of the total.
-
-        The fused backend eliminates the points while it computes Jacobians; see ``Summary``.
-        """
-        summary = self.summary
-        parts = {
-            "residuals": max(summary.residual_evaluation_time_in_seconds, 0.0),
-            "Jacobians": max(summary.jacobian_evaluation_time_in_seconds, 0.0),
-            "linear solver": max(summary.linear_solver_time_in_seconds, 0.0),
-        }
-        return {**parts, "rest": max(self.total_time_in_seconds - sum(parts.values()), 0.0)}
-
-    @property
-    def trace(self) -> Trace:
-        """(Seconds since the loaded problem was passed to the solver, cost) of accepted states."""
-        return _trace(self.iterations, self.build_time_in_seconds)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Run(Displayed):
-    """All repeats of one method on one problem.
-
-    Attributes:
-        problem: index into ``Comparison.problems``.
-        outcome: "done" (usable solution, converged or not), "failed" (no usable solution),
-            "refused" (the method does not support these options), "timed_out", "out_of_memory",
-            "died" or "not_run".
-        message: reason in one sentence, unless the outcome is "done".
-        measurements: one per completed repeat, in order; empty unless "done" or "failed".
-        unfinished: iterations that an incomplete run sent, by the names of Ceres' IterationSummary.
-        prediction: predicted cost; None without a prediction.
-    """
-
-    problem: int
-    method: Method
-    outcome: str
-    message: str = ""
-    measurements: tuple[Measurement, ...] = ()
-    unfinished: dict[str, NDArray[Any]] | None = None
-    prediction: Prediction | None = None
-
-    @property
-    def is_usable(self) -> bool:
-        """True if the run has a usable solution."""
-        return self.outcome == "done"
-
-    @property
-    def measurement(self) -> Measurement | None:
-        """Repeat with the median total time, the faster of the middle two for an even number."""
-        if not self.measurements:
-            return None
-        totals = [one.total_time_in_seconds for one in self.measurements]
-        return self.measurements[totals.index(statistics.median_low(totals))]
-
-    @property
-    def final_cost(self) -> float:
-        """Final cost; NaN without a usable solution."""
-        measurement = self.measurement
-        return measurement.summary.final_cost if measurement and self.is_usable else math.nan
-
-    @property
-    def total_time_in_seconds(self) -> float:
-        """Median total time; NaN without a usable solution."""
-        measurement = self.measurement
-        return measurement.total_time_in_seconds if measurement and self.is_usable else math.nan
-
-    @property
-    def peak_memory_in_bytes(self) -> int:
-        """Largest peak of all repeats; 0 without a completed repeat."""
-        return max((one.peak_memory_in_bytes for one in self.measurements), default=0)
-
-    @property
-    def trace(self) -> Trace:
-        """(Seconds, costs) of accepted states, also of an incomplete run."""
-        if self.measurement is not None:
-            return self.measurement.trace
-        return _trace(self.unfinished, 0.0) if self.unfinished else (np.empty(0), np.empty(0))
-
-    def _display(self) -> Display:
-        title = f"Run: {self.method.name}, {self.method.threads}: {self.outcome}"
-        if self.measurement is None or not self.is_usable:
-            return Display(title=title, facts=(("message", self.message),))
-        facts = (
-            ("cost", number(self.final_cost)),
-            ("time", f"{seconds(self.total_time_in_seconds)} s"),
-            ("repeats", str(len(self.measurements))),
-        )
-        return Display(title=title, facts=facts)
-
-    def time_to(self, cost: float) -> float:
-        """Return the seconds to the first state of at most this cost; NaN if it is never reached.
-
-        Times are not interpolated between iterations: a cost counts from the time of its
-        evaluation.
-        """
-        times, costs = self.trace
-        reached = np.flatnonzero(costs <= cost)
-        return float(times[reached[0]]) if reached.size else math.nan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,6 +78,9 @@ class Comparison(Displayed):
         memory_cap_in_bytes: bytes that a solve could allocate beyond the loaded problem.
         interrupted: True if Ctrl-C ended the comparison.
         wall_time_in_seconds: total wall time.
+        environment: machine, load, versions and date.
+        perturb: relative size of the perturbation of the start; 0: none.
+        seed: seed of the perturbation.
     """
 
     problems: tuple[ComparedProblem, ...]
@@ -271,6 +93,9 @@ class Comparison(Displayed):
     memory_cap_in_bytes: int
     interrupted: bool
     wall_time_in_seconds: float
+    environment: Environment
+    perturb: float = 0.0
+    seed: int = 0
 
     @property
     def methods(self) -> tuple[Method, ...]:
@@ -294,6 +119,30 @@ class Comparison(Displayed):
     def time_to_gap(self, run: Run, gap: float) -> float:
         """Return the seconds to (1 + gap) times the best cost; NaN if it was not reached."""
         return run.time_to((1 + gap) * self.best_cost(run.problem))
+
+    def start_gap(self, problem: int) -> float:
+        """Return the start's cost / the best final cost - 1; NaN if no run is usable."""
+        best = self.best_cost(problem)
+        runs = [run for run in self.runs_of(problem) if run.is_usable]
+        starts = [float(run.trace[1][0]) for run in runs if len(run.trace[1])]
+        if not starts:
+            return math.nan
+        return starts[0] / best - 1 if best > 0 else starts[0] - best
+
+    def is_at_minimum(self, problem: int) -> bool:
+        """Return True if the start is at a minimum: no method can lower its cost notably."""
+        return self.start_gap(problem) <= AT_MINIMUM
+
+    def minima(self, problem: int) -> tuple[tuple[Run, ...], ...]:
+        """Return the usable runs by the minimum at which they ended, the lowest cost first.
+
+        Runs with an unknown minimum are left out.
+        """
+        groups: dict[int, list[Run]] = {}
+        for run in self.runs_of(problem):
+            if run.is_usable and run.minimum >= 0:
+                groups.setdefault(run.minimum, []).append(run)
+        return tuple(tuple(groups[number]) for number in sorted(groups))
 
     def _display(self) -> Display:
         facts = [(shown(problem.name), contents(problem)) for problem in self.problems]
@@ -321,11 +170,3 @@ class Comparison(Displayed):
             seconds(run.total_time_in_seconds),
             format_size(run.peak_memory_in_bytes),
         )
-
-
-def _trace(iterations: dict[str, NDArray[Any]], start: float) -> Trace:
-    """Return times and costs of accepted states; rejected steps have no state."""
-    accepted = np.asarray(iterations["step_is_successful"], bool).copy()
-    accepted[:1] = True  # the evaluation at the start
-    times = np.asarray(iterations["cumulative_time_in_seconds"], float)[accepted]
-    return start + times, np.asarray(iterations["cost"], float)[accepted]

@@ -24,6 +24,7 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison.command_line import command_line
+from bundle.planning.comparison.environment import Environment
 from bundle.planning.comparison.method import as_tuple, thread_counts
 
 __all__ = ["GraphComparison", "GraphMethod", "GraphRun", "compare_graph"]
@@ -113,6 +114,7 @@ class GraphComparison(Displayed):
         warnings: warnings of the recommended solve.
         repeat: solves of each method, of which the median time counts.
         timeout: seconds after which a solve was stopped.
+        environment: machine, load, versions and date.
     """
 
     graph: PoseGraph
@@ -124,6 +126,7 @@ class GraphComparison(Displayed):
     warnings: tuple[str, ...]
     repeat: int
     timeout: float
+    environment: Environment
 
     def gap(self, run: GraphRun) -> float:
         """Return the relative distance of a run's final cost to the best one."""
@@ -177,6 +180,7 @@ def compare_graph(
     timeout = checked_number("timeout", timeout, above=0)
     check_function("progress", progress)
     methods = _methods(_listed("backends", backends), _listed("threads", threads), options.loss)
+    environment = Environment.now()
     # The start is computed once, because all methods must share it.
     started = solve_pose_graph(source, options.replace(max_num_iterations=0)).problem
     base = options.replace(init="file")
@@ -196,6 +200,7 @@ def compare_graph(
         warnings=best.warnings if best else (),
         repeat=repeat,
         timeout=timeout,
+        environment=environment.finished(),
     )
 
 

@@ -14,9 +14,10 @@ import numpy as np
 from bundle.base.arrays import freeze
 from bundle.model.problem import Problem
 
-__all__ = ["restore", "store"]
+__all__ = ["restore", "restore_solution", "store", "store_solution"]
 
 _REST = "problem.json"
+_SOLVED = ("cam_from_world", "camera_params", "points", "rig_from_world", "sensor_from_rig")
 
 
 def store(problem: Problem, folder: Path) -> None:
@@ -41,3 +42,15 @@ def restore(folder: Path, mmap_mode: Literal["r"] | None = None) -> Problem:
         for path in sorted(folder.glob("*.npy"))
     }
     return Problem(**arrays, **json.loads((folder / _REST).read_text()))
+
+
+def store_solution(problem: Problem, path: Path) -> None:
+    """Write the values that a solve changes."""
+    with path.open("wb") as file:
+        np.savez(file, **{name: getattr(problem, name) for name in _SOLVED})
+
+
+def restore_solution(problem: Problem, path: Path) -> Problem:
+    """Return the problem with the values of a stored solution."""
+    with np.load(path) as arrays:
+        return problem.replace(**{name: arrays[name] for name in _SOLVED})

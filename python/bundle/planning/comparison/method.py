@@ -10,13 +10,21 @@ from typing import Any
 import bundle._core as _core
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
-from bundle.interface.compare_options import BACKENDS, ORDERINGS, PRECONDITIONERS, SOLVERS, THREADS
+from bundle.interface.compare_options import (
+    BACKENDS,
+    ORDERINGS,
+    PRECONDITIONERS,
+    SOLVERS,
+    THREADS,
+    TRUST_REGIONS,
+)
 from bundle.interface.option_fields import number
 from bundle.interface.options import SolveOptions
 
 __all__ = ["ITERATIVE", "Method", "as_tuple", "expand", "thread_counts"]
 
 
+_USUAL = "levenberg_marquardt"
 ITERATIVE = ("iterative_schur", "cgnr")
 
 
@@ -31,6 +39,7 @@ class Method:
     linear_solver_type: str
     linear_solver_ordering: str = "points_first"
     preconditioner_type: str = "auto"
+    trust_region_strategy_type: str = _USUAL
     num_threads: int
 
     @property
@@ -41,6 +50,8 @@ class Method:
             words.append(self.preconditioner_type.upper())
         if self.linear_solver_ordering != "points_first":
             words.append(self.linear_solver_ordering.replace("_", " "))
+        if self.trust_region_strategy_type != _USUAL:
+            words.append(self.trust_region_strategy_type.replace("_", "-"))
         return " ".join(words)
 
     @property
@@ -60,6 +71,7 @@ class Method:
             linear_solver_type=self.linear_solver_type,
             linear_solver_ordering=self.linear_solver_ordering,
             preconditioner_type=self.preconditioner_type,
+            trust_region_strategy_type=self.trust_region_strategy_type,
             num_threads=self.num_threads,
         )
 
@@ -70,12 +82,14 @@ def expand(
     preconditioners: Iterable[str] = PRECONDITIONERS,
     orderings: Iterable[str] = ORDERINGS,
     backends: Iterable[str] = BACKENDS,
+    trust_regions: Iterable[str] = TRUST_REGIONS,
     threads: Iterable[int] = THREADS,
 ) -> tuple[Method, ...]:
     """Return the methods, backend by backend.
 
-    Values without effect, such as the preconditioner of a direct solver, are dropped. Thread counts
-    are limited to the number of cores, as in a solve; 0 stands for all cores.
+    Values without effect, such as the preconditioner of a direct solver, are dropped, and so are
+    doglegs of iterative solvers if Levenberg-Marquardt is compared, too: they need exact steps.
+    Thread counts are limited to the number of cores, as in a solve; 0 stands for all cores.
 
     Raises:
         InputError: a value is not a value of its option, or a list is empty.
@@ -85,6 +99,7 @@ def expand(
         "linear_solver_type": as_tuple("solvers", solvers),
         "linear_solver_ordering": as_tuple("orderings", orderings),
         "preconditioner_type": as_tuple("preconditioners", preconditioners),
+        "trust_region_strategy_type": as_tuple("trust_regions", trust_regions),
         "num_threads": thread_counts("num_threads", as_tuple("threads", threads)),
     }
     for name, values in given.items():
@@ -92,7 +107,9 @@ def expand(
             raise InputError(f"{name}: expected at least one value to compare, found 0")
     combinations = itertools.product(*given.values())
     chosen = (SolveOptions(**dict(zip(given, values, strict=True))) for values in combinations)
-    return tuple(dict.fromkeys(map(_method, chosen)))
+    methods = dict.fromkeys(map(_method, chosen))
+    usual = {method for method in methods if method.trust_region_strategy_type == _USUAL}
+    return tuple(m for m in methods if m in usual or not (usual and m.is_iterative))
 
 
 def as_tuple(argument: str, values: Any) -> tuple[Any, ...]:
@@ -119,5 +136,6 @@ def _method(options: SolveOptions) -> Method:
         linear_solver_type=options.linear_solver_type,
         linear_solver_ordering=options.linear_solver_ordering,
         preconditioner_type=options.preconditioner_type,
+        trust_region_strategy_type=options.trust_region_strategy_type,
         num_threads=options.num_threads,
     )

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from bundle.errors import InputError
 from bundle.interface.options import AUTO_PRECONDITIONER, SolveOptions
 from bundle.model.problem import Problem
-from bundle.planning.comparison.comparison_result import Prediction
+from bundle.planning.comparison.measured_run import Prediction
 from bundle.planning.comparison.method import Method
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
 from bundle.planning.inspection.problem_inspection import inspect

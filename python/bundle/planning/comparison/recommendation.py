@@ -10,10 +10,18 @@ import numpy as np
 
 from bundle.base.words import duration, plural
 from bundle.planning.comparison.command_line import command_line
-from bundle.planning.comparison.comparison_result import Comparison, Prediction, Recommendation, Run
+from bundle.planning.comparison.comparison_result import Comparison, Recommendation
+from bundle.planning.comparison.measured_run import Prediction, Run
 from bundle.planning.comparison.method import ITERATIVE, Method
 
-__all__ = ["COST_TOLERANCE", "NEAR_ENOUGH", "reason_on_many", "reason_on_one", "recommend"]
+__all__ = [
+    "COST_TOLERANCE",
+    "NEAR_ENOUGH",
+    "reached_best",
+    "reason_on_many",
+    "reason_on_one",
+    "recommend",
+]
 
 
 def reason_on_one(comparison: Comparison, method: Method, tolerance: float) -> str:
@@ -180,10 +188,16 @@ def recommend(
         comparison: comparison without a recommendation.
         foreseen: for each problem the method that was predicted to be the fastest.
 
+    Problems whose methods end in several minima do not count: times to different solutions say
+    nothing about each other.
+
     Returns:
-        None if no run has a usable solution.
+        None if no run has a usable solution, or if no problem has one minimum.
     """
-    ratios = [_ratios(comparison, index) for index in range(len(comparison.problems))]
+    numbers = range(len(comparison.problems))
+    ratios = [
+        {} if len(comparison.minima(index)) > 1 else _ratios(comparison, index) for index in numbers
+    ]
     ranked = sorted(
         (method for method in comparison.methods if any(method in row for row in ratios)),
         key=lambda method: _rank(method, ratios),
@@ -206,13 +220,17 @@ def recommend(
 
 def _ratios(comparison: Comparison, problem: int) -> dict[Method, float]:
     """Return total times relative to the least, of the runs that reached the best cost."""
-    good = [run for run in comparison.runs_of(problem) if _reached_best(comparison, run)]
+    good = [run for run in comparison.runs_of(problem) if reached_best(comparison, run)]
     least = min((run.total_time_in_seconds for run in good), default=math.nan)
     return {run.method: run.total_time_in_seconds / least for run in good}
 
 
-def _reached_best(comparison: Comparison, run: Run) -> bool:
-    return run.is_usable and comparison.gap(run) <= COST_TOLERANCE
+def reached_best(comparison: Comparison, run: Run) -> bool:
+    """Return True for a usable run near the lowest cost, and at its minimum as far as known."""
+    if not run.is_usable or comparison.gap(run) > COST_TOLERANCE:
+        return False
+    usable = (other for other in comparison.runs_of(run.problem) if other.is_usable)
+    return run.minimum == min(usable, key=lambda other: other.final_cost).minimum
 
 
 def _rank(method: Method, ratios: Sequence[dict[Method, float]]) -> tuple[int, float]:

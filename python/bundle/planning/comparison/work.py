@@ -20,17 +20,23 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary
 from bundle.io.files import Source, as_problem
 from bundle.planning.comparison import hand_over
-from bundle.planning.comparison.comparison_result import (
-    ComparedProblem,
-    Measurement,
-    Prediction,
-    Run,
-)
+from bundle.planning.comparison.comparison_result import ComparedProblem
+from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
 from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.minima import find_minima
+from bundle.planning.comparison.perturbed_start import perturbed
 from bundle.planning.comparison.predictions import foresee, predict
 from bundle.planning.comparison.process import WorkerEnd, run_worker
 
 __all__ = ["Progress", "Work"]
+
+TIGHT = {
+    "max_num_iterations": 200,
+    "function_tolerance": 1e-12,
+    "gradient_tolerance": 1e-14,
+    "parameter_tolerance": 1e-12,
+}
+"""Options of solves that tell other minima from solutions that are not converged."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +63,8 @@ class Work:
     timeout: float
     memory_cap: int
     report: Callable[[Progress], None]
+    perturb: float = 0.0
+    seed: int = 0
     ends: dict[tuple[int, Method], list[WorkerEnd]] = field(default_factory=dict)
     predictions: list[dict[Method, Prediction]] = field(default_factory=list)
     foreseen: list[Method | None] = field(default_factory=list)
@@ -71,6 +79,8 @@ class Work:
         source = as_problem(source, name="problems")
         if source.num_observations == 0:
             raise InputError(f"{shown(name)}: expected observations to refine, found 0")
+        if self.perturb:
+            source = perturbed(source, self.options, self.perturb, self.seed)
         hand_over.store(source, self.folder / str(index))
         return ComparedProblem(
             name=name,
@@ -98,19 +108,35 @@ class Work:
                         if self._is_settled(index, method):
                             continue
                         stage = f"{number} of {total}: {method.name}, {method.threads}{where}"
-                        self.report(Progress(stage=stage))
                         self._run(index, method, stage)
         except KeyboardInterrupt:
             return True
         return False
 
-    def runs(self, num_problems: int) -> Iterable[Run]:
-        """Yield the run of each problem and method."""
+    def runs(self, num_problems: int, interrupted: bool) -> Iterable[Run]:
+        """Yield the run of each problem and method, with the minimum at which it ended."""
         for index in range(num_problems):
             predictions = self.predictions[index] if index < len(self.predictions) else {}
-            for method in self.methods:
-                ends = self.ends.get((index, method), [])
-                yield _run(index, method, ends, predictions.get(method))
+            runs = [
+                _run(index, method, self.ends.get((index, method), []), predictions.get(method))
+                for method in self.methods
+            ]
+            yield from self._with_minima(index, runs, interrupted)
+
+    def _with_minima(self, index: int, runs: Sequence[Run], interrupted: bool) -> Sequence[Run]:
+        problem = hand_over.restore(self.folder / str(index), mmap_mode="r")
+        paths = {run.method: self._solution(index, run.method) for run in runs}
+
+        def refine(run: Run, target: Path) -> WorkerEnd:
+            """Continue a solution with the default method at tight tolerances."""
+            stage = f"refining the solution of {run.method.name} further"
+            options = self.options.replace(**TIGHT)
+            return self._worker(index, options, stage, paths[run.method], target)
+
+        return find_minima(problem, self.options, runs, paths, None if interrupted else refine)
+
+    def _solution(self, index: int, method: Method) -> Path:
+        return self.folder / f"{index}-{self.methods.index(method)}.npz"
 
     def _predict(self, index: int) -> None:
         problem = hand_over.restore(self.folder / str(index), mmap_mode="r")
@@ -129,17 +155,34 @@ class Work:
         return False
 
     def _run(self, index: int, method: Method, stage: str) -> None:
-        request = self.folder / "request.json"
-        options = method.options(self.options).asdict()
-        request.write_text(json.dumps({"options": options, "memory_cap": self.memory_cap}))
-        end = run_worker(
+        ends = self.ends.setdefault((index, method), [])
+        solution = None if ends else self._solution(index, method)
+        ends.append(self._worker(index, method.options(self.options), stage, None, solution))
+
+    def _worker(
+        self,
+        index: int,
+        options: SolveOptions,
+        stage: str,
+        start: Path | None,
+        solution: Path | None,
+    ) -> WorkerEnd:
+        request = {
+            "options": options.asdict(),
+            "memory_cap": self.memory_cap,
+            "start": None if start is None else str(start),
+            "solution": None if solution is None else str(solution),
+        }
+        path = self.folder / "request.json"
+        path.write_text(json.dumps(request))
+        self.report(Progress(stage=stage))
+        return run_worker(
             self.folder / str(index),
-            request,
+            path,
             timeout=self.timeout,
             memory_cap=self.memory_cap,
             on_iteration=lambda latest: self.report(Progress(stage=stage, iteration=latest)),
         )
-        self.ends.setdefault((index, method), []).append(end)
 
 
 def _run(

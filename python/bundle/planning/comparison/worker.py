@@ -1,6 +1,7 @@
 """Worker of one run: ``python -m bundle.planning.comparison.worker FOLDER REQUEST CHANNEL``.
 
-FOLDER contains the problem (see ``hand_over``). REQUEST is a JSON file of options and limits.
+FOLDER contains the problem (see ``hand_over``). REQUEST is a JSON file of options and limits. It
+may have two paths: "start" has the values to start from, "solution" receives the result.
 CHANNEL is the number of an open file that receives one JSON object per line:
 
 - ``{"resident": bytes}`` once the problem is loaded,
@@ -25,7 +26,8 @@ import bundle._core as _core
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.planning.comparison import process_memory
-from bundle.planning.comparison.hand_over import restore
+from bundle.planning.comparison.environment import load_average
+from bundle.planning.comparison.hand_over import restore, restore_solution, store_solution
 from bundle.solving.result import Result
 from bundle.solving.solve import solve
 
@@ -66,7 +68,7 @@ def main() -> None:
     with os.fdopen(channel, "w", encoding="ascii") as file:
         reporter = Reporter(file)
         try:
-            reporter.send(_run(folder, options, request["memory_cap"], reporter))
+            reporter.send(_run(folder, options, request, reporter))
         except InputError as error:
             # Running out of memory under a cap is an outcome; on the whole machine it is an error.
             is_beyond = isinstance(error, _core.NotEnoughMemoryError) and request["memory_cap"] > 0
@@ -76,22 +78,30 @@ def main() -> None:
 
 
 def _run(
-    folder: Path, options: SolveOptions, memory_cap: int, reporter: Reporter
+    folder: Path, options: SolveOptions, request: dict[str, Any], reporter: Reporter
 ) -> dict[str, Any]:
     problem = restore(folder)
+    if request.get("start") is not None:
+        problem = restore_solution(problem, Path(request["start"]))
     load_peak = process_memory.peak_memory()
     resident = process_memory.resident_memory()
     knows_growth = process_memory.restart_peak()
     reporter.send({"resident": resident})
-    if memory_cap:
-        process_memory.limit_growth(memory_cap, options.num_threads)
+    if request["memory_cap"]:
+        process_memory.limit_growth(request["memory_cap"], options.num_threads)
+    load, begun, cpu = load_average(), time.perf_counter(), time.process_time()
     result = solve(problem, options, progress=reporter.iteration)
+    cpu, wall = time.process_time() - cpu, time.perf_counter() - begun
     peak = process_memory.peak_memory()
+    if request.get("solution") is not None and result.summary.is_solution_usable:
+        store_solution(result.problem, Path(request["solution"]))
     return {
         "measurement": {
             **_measured(result),
             "peak_memory_in_bytes": max(peak, load_peak),
             "added_memory_in_bytes": max(peak - resident, 0) if knows_growth else -1,
+            "cpu_per_wall": cpu / max(wall, 1e-9),
+            "load": load,
         }
     }
 

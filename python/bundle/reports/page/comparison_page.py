@@ -14,10 +14,12 @@ from bundle.figures.cost_figures import breakdown_figure, profile_figure, time_f
 from bundle.figures.drawing import Figure
 from bundle.figures.marks import StackedBars
 from bundle.figures.series import labels
-from bundle.planning.comparison.comparison_result import GAPS, Comparison, Run
+from bundle.planning.comparison.comparison_result import GAPS, Comparison
+from bundle.planning.comparison.measured_run import Run
 from bundle.reports.page.page import tag, write_page
 from bundle.reports.page.svg import grid
 from bundle.reports.page.table import Notes, convention, table
+from bundle.reports.terminal.compare_verdict import findings, headline, sigmas
 
 __all__ = ["write_comparison"]
 
@@ -48,21 +50,31 @@ def _scope(comparison: Comparison) -> str:
     )
     if comparison.repeat > 1:
         words += f" Runs of up to {comparison.repeat} repeats show the one of median time."
-    scope = tag("p", words, class_="quiet")
-    if comparison.interrupted:
-        scope += tag("p", "Interrupted: what had not run is missing.", class_="warn")
-    return scope
+    if comparison.perturb:
+        words += f" The start is perturbed by {comparison.perturb:g}, seed {comparison.seed}."
+    here = comparison.environment
+    versions = ", ".join(f"{name} {version}" for name, version in here.versions.items() if version)
+    conditions = (
+        f"Measured {here.date} on {here.cpu_model}, {plural(here.num_cores, 'core')}, load "
+        f"{here.load_before:.1f} before and {here.load_after:.1f} after. {versions}."
+    )
+    return tag("p", escape(words), class_="quiet") + tag("p", escape(conditions), class_="quiet")
 
 
 def _recommendation(comparison: Comparison) -> str:
+    """Return headline, findings with their commands, and the recommended command."""
     found = comparison.recommendation
-    if found is None:
-        return tag(
-            "p", "No run has a usable solution: there is nothing to recommend.", class_="warn"
-        )
-    lines = [tag("p", escape(found.reason)), tag("pre", tag("code", escape(found.command)))]
-    if found.verdict:
-        lines.append(tag("p", escape(found.verdict), class_="quiet"))
+    style = {} if found is not None else {"class_": "warn"}
+    lines = [tag("p", escape(sentence), **style) for sentence in headline(comparison)]
+    for finding in findings(comparison):
+        lines.append(tag("p", escape(finding.sentence), class_="warn"))
+        if finding.command:
+            lines.append(tag("pre", tag("code", escape(finding.command))))
+    if found is not None:
+        lines.append(tag("p", escape(found.reason)))
+        lines.append(tag("pre", tag("code", escape(found.command))))
+        if found.verdict:
+            lines.append(tag("p", escape(found.verdict), class_="quiet"))
     return tag("div", *lines, class_="recommended")
 
 
@@ -100,8 +112,8 @@ def _runs(comparison: Comparison, problem: int) -> str:
     names = labels(comparison.methods)
     runs = comparison.runs_of(problem)
     head = [
-        "method", "cost", "above the best", "steps", "time per step", "total",
-        *(f"time to {gap:g}" for gap in GAPS), "peak memory", "outcome",
+        "method", "cost", "above the best", "sigmas", "steps", "total", "spread",
+        *(f"to {gap:g}" for gap in GAPS), "peak memory", "outcome",
     ]  # fmt: skip
     rows = [[names[run.method], *_measured(comparison, run)] for run in runs]
     usable = [run for run in runs if run.is_usable]
@@ -114,14 +126,17 @@ def _measured(comparison: Comparison, run: Run) -> list[str]:
     measurement = run.measurement
     gaps = [span(comparison.time_to_gap(run, gap)) for gap in GAPS]
     if measurement is None:
-        return ["-", "-", "-", "-", "-", *gaps, "-", _outcome(run)]
-    above = comparison.gap(run)
+        return [*6 * ["-"], *gaps, "-", _outcome(run)]
+    above, spread = comparison.gap(run), run.spread
+    several = len(comparison.minima(run.problem)) > 1 and run.minimum >= 0
+    minimum = f", minimum {run.minimum + 1}" if several else ""
     return [
         f"{run.final_cost:#.7g}" if run.is_usable else "-",
         _above(above),
+        sigmas(run.distance_in_sigmas) + minimum,
         f"{measurement.num_steps}",
-        span(measurement.time_per_step_in_seconds),
         span(measurement.total_time_in_seconds),
+        f"{100 * spread.relative:.0f} %" if spread and spread.num_repeats > 1 else "-",
         *gaps,
         format_size(run.peak_memory_in_bytes),
         _outcome(run),

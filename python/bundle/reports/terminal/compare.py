@@ -10,24 +10,24 @@ from bundle.base.memory_sizes import format_size
 from bundle.base.words import contents, format_name, number, plural, seconds
 from bundle.errors import shown
 from bundle.interface.summary import share
-from bundle.planning.comparison.comparison_result import (
-    GAPS,
-    ComparedProblem,
-    Comparison,
-    Measurement,
-    Run,
-)
+from bundle.planning.comparison.comparison_result import GAPS, ComparedProblem, Comparison
+from bundle.planning.comparison.measured_run import Measurement, Run
 from bundle.planning.comparison.method import Method
 from bundle.reports.sections import Column, Report, Section, Table
 from bundle.reports.terminal.compare_json import comparison_data
+from bundle.reports.terminal.compare_verdict import findings, headline, sigmas
 
 __all__ = ["compared"]
 
 Pair = tuple[Run, Measurement]
 
 LEGEND = (
-    "gap: final cost / best cost - 1; to: seconds until within that gap; total: seconds; "
-    "MB: peak memory of the process"
+    "gap: final cost / best cost - 1; spread: (slowest - fastest) / median of the repeats; sigmas: "
+    "distance from the solution of the best cost; MB: peak memory of the process"
+)
+DETAILS = (
+    "to: seconds until within that gap; cpu/wall: CPU time of all threads / wall time; load: "
+    "average of the last minute"
 )
 PREDICTED_LEGEND = "nnz(L): lower triangle with the diagonal; MB: beyond the loaded problem"
 
@@ -46,7 +46,9 @@ def compared(comparison: Comparison) -> Report:
         sections += _profiles(comparison)
     return Report(
         command="compare",
-        sections=[*sections, *_recommendation(comparison)],
+        headline=headline(comparison),
+        findings=findings(comparison),
+        sections=[*sections, *_recommendation(comparison), _environment(comparison)],
         data=comparison_data(comparison),
     )
 
@@ -61,7 +63,25 @@ def _conditions(comparison: Comparison) -> Section:
     if cap:
         words.append(f"at most {format_size(cap)} beyond the loaded problem")
     took = f"{seconds(comparison.wall_time_in_seconds)} s"
-    return Section(facts=[("each method", ", ".join(words)), ("all of it took", took)])
+    facts = [("each method", ", ".join(words)), ("all of it took", took)]
+    if comparison.perturb:
+        facts.append(("start", f"perturbed by {comparison.perturb:g}, seed {comparison.seed}"))
+    return Section(facts=facts)
+
+
+def _environment(comparison: Comparison) -> Section:
+    here = comparison.environment
+    versions = ", ".join(f"{name} {version}" for name, version in here.versions.items() if version)
+    load = f"{here.load_before:.1f} before, {here.load_after:.1f} after"
+    return Section(
+        facts=[
+            ("measured", here.date),
+            ("processor", f"{here.cpu_model}, {plural(here.num_cores, 'core')}"),
+            ("load", load),
+            ("versions", versions),
+        ],
+        is_detail=True,
+    )
 
 
 def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> list[Section]:
@@ -80,7 +100,9 @@ def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> li
         for run in runs
         if not run.is_usable
     ]
-    results = Table(_result_columns(comparison, names), measured, legend=LEGEND)
+    several = len(comparison.minima(index)) > 1
+    results = Table(_result_columns(comparison, names, several), measured, legend=LEGEND)
+    times = Table(_time_columns(comparison, names), measured, legend=DETAILS)
     shares = Table([*names.columns("share of the time"), *SHARES], measured)
     predicted = [pair for pair in measured if pair[0].prediction is not None]
     predictions = Table(
@@ -89,18 +111,17 @@ def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> li
     return [
         Section(facts=facts),
         *([Section(tables=[results])] if measured else []),
+        *([Section(tables=[_minima(comparison, index, names)])] if several else []),
         *([Section(notes=told, is_warning=True)] if told else []),
-        *([Section(tables=[shares])] if measured else []),
-        *([Section(tables=[predictions])] if predicted else []),
+        *([Section(tables=[times], is_detail=True)] if measured else []),
+        *([Section(tables=[shares], is_detail=True)] if measured else []),
+        *([Section(tables=[predictions], is_detail=True)] if predicted else []),
         *_warnings(measured, names),
     ]
 
 
-def _result_columns(comparison: Comparison, names: _Names) -> list[Column]:
-    def time_to(gap: float) -> Column:
-        title = f"to {gap:.0e}".replace("e-0", "e-")
-        return Column(title, lambda pair: comparison.time_to_gap(pair[0], gap), seconds)
-
+def _result_columns(comparison: Comparison, names: _Names, several: bool) -> list[Column]:
+    minimum = Column("minimum", lambda pair: _ordinal(pair[0]))
     return [
         *names.columns("method"),
         Column(
@@ -108,12 +129,58 @@ def _result_columns(comparison: Comparison, names: _Names) -> list[Column]:
             lambda pair: comparison.gap(pair[0]),
             lambda gap: f"{gap:.0e}" if gap > 0 else "0",
         ),
+        Column("sigmas", lambda pair: pair[0].distance_in_sigmas, sigmas),
+        *([minimum] if several else []),
         Column("steps", lambda pair: pair[1].num_steps),
-        Column("s/step", lambda pair: pair[1].time_per_step_in_seconds, number),
-        *map(time_to, GAPS),
-        Column("total", lambda pair: pair[1].total_time_in_seconds, seconds),
+        Column("total [s]", lambda pair: pair[1].total_time_in_seconds, seconds),
+        Column("spread", lambda pair: _spread(pair[0])),
         Column("MB", lambda pair: pair[0].peak_memory_in_bytes / 1e6, number),
     ]
+
+
+def _time_columns(comparison: Comparison, names: _Names) -> list[Column]:
+    def time_to(gap: float) -> Column:
+        title = f"to {gap:.0e}".replace("e-0", "e-")
+        return Column(title, lambda pair: comparison.time_to_gap(pair[0], gap), seconds)
+
+    return [
+        *names.columns("seconds"),
+        Column("s/step", lambda pair: pair[1].time_per_step_in_seconds, number),
+        *map(time_to, GAPS),
+        Column("cpu/wall", lambda pair: pair[1].cpu_per_wall, _ratio),
+        Column("load", lambda pair: pair[1].load, _ratio),
+    ]
+
+
+def _minima(comparison: Comparison, index: int, names: _Names) -> Table:
+    """Return the table of minima: the methods at each, and the fastest of them."""
+
+    def fastest(runs: Sequence[Run]) -> Run:
+        return min(runs, key=lambda run: run.total_time_in_seconds)
+
+    columns = [
+        Column("minimum", lambda runs: _ordinal(runs[0])),
+        Column("fastest method", lambda runs: names.words(fastest(runs).method)),
+        Column("total [s]", lambda runs: seconds(fastest(runs).total_time_in_seconds)),
+        Column("methods", len),
+        Column("cost", lambda runs: _cost(min(run.final_cost for run in runs))),
+        Column("sigmas", lambda runs: sigmas(min(run.distance_in_sigmas for run in runs))),
+    ]
+    return Table(columns, comparison.minima(index), left=2)
+
+
+def _ordinal(run: Run) -> str:
+    """Return the number of a run's minimum, from 1; "-" if it is unknown."""
+    return str(run.minimum + 1) if run.minimum >= 0 else "-"
+
+
+def _spread(run: Run) -> str:
+    spread = run.spread
+    return "-" if spread is None or spread.num_repeats < 2 else f"{100 * spread.relative:.0f} %"
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.2f}" if math.isfinite(value) else "-"
 
 
 def _share(phase: str) -> Column:
@@ -191,16 +258,12 @@ FACTORS = (
 
 def _recommendation(comparison: Comparison) -> list[Section]:
     found = comparison.recommendation
-    sections = []
-    if comparison.interrupted:
-        sections.append(Section(facts=[("interrupted", "methods that had not run are missing")]))
     if found is None:
-        nothing = "none: no method has a usable solution"
-        sections.append(Section(facts=[("recommended", nothing)], is_joined=bool(sections)))
-        return sections
-    rows = [("recommended", found.reason), *([("", found.verdict)] if found.verdict else [])]
-    sections.append(Section(facts=rows, is_joined=bool(sections)))
-    return [*sections, Section(command=found.command)]
+        return []
+    single = len(comparison.problems) == 1  # with several, the reason is the headline
+    reason = [("reason", found.reason)] if single else []
+    verdict = [("prediction", found.verdict)] if found.verdict else []
+    return [Section(facts=[*reason, *verdict]), Section(command=found.command)]
 
 
 class _Names:

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from bundle.planning.comparison.comparison_result import (
-    GAPS,
-    ComparedProblem,
-    Comparison,
-    Measurement,
-    Run,
-)
+from bundle.planning.comparison.comparison_result import GAPS, ComparedProblem, Comparison
+from bundle.planning.comparison.measured_run import Measurement, Run
 from bundle.planning.comparison.method import Method
 from bundle.reports.sections import fields, records
 from bundle.reports.terminal.solve_data import solve_options
@@ -24,10 +19,14 @@ def comparison_data(comparison: Comparison) -> dict[str, Any]:
     return {
         "inputs": [_input(problem) for problem in comparison.problems],
         "options": solve_options(comparison.options),
+        "environment": comparison.environment,
+        "perturb": comparison.perturb,
+        "seed": comparison.seed,
         "repeat": comparison.repeat,
         "timeout_in_seconds": comparison.timeout,
         "memory_cap_in_bytes": comparison.memory_cap_in_bytes,
         "best_costs": [comparison.best_cost(i) for i in range(len(comparison.problems))],
+        "at_minimum": [comparison.is_at_minimum(i) for i in range(len(comparison.problems))],
         "runs": [_run(comparison, run) for run in comparison.runs],
         "profiles": [
             {**fields(profile), "method": _method(profile.method)}
@@ -71,6 +70,9 @@ def _run(comparison: Comparison, run: Run) -> dict[str, Any]:
             {"gap": gap, "time_in_seconds": comparison.time_to_gap(run, gap)} for gap in GAPS
         ],
         "total_time_in_seconds": run.total_time_in_seconds,
+        "spread": run.spread,
+        "distance_in_sigmas": run.distance_in_sigmas,
+        "minimum": run.minimum if run.minimum >= 0 else None,
         "peak_memory_in_bytes": run.peak_memory_in_bytes or None,
         "prediction": run.prediction,
         "measurements": [_measurement(one) for one in run.measurements],
@@ -89,6 +91,8 @@ def _measurement(measurement: Measurement) -> dict[str, Any]:
         "added_memory_in_bytes": (
             measurement.added_memory_in_bytes if measurement.added_memory_in_bytes >= 0 else None
         ),
+        "cpu_per_wall": measurement.cpu_per_wall,
+        "load": measurement.load,
         "summary": measurement.summary,
         "iterations": records(measurement.iterations),
     }

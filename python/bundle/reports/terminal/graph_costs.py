@@ -104,6 +104,7 @@ def compared_graph(
         ],
         data={
             "options": dict(options),
+            "environment": found.environment,
             "repeat": found.repeat,
             "timeout": found.timeout,
             "runs": [_run(found, run) for run in found.runs],

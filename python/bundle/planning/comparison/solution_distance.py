@@ -1,0 +1,74 @@
+"""Distance between two solutions in sigmas of their covariance, without computing it.
+
+Let x_a and x_b be two solutions, r their residuals in sigmas of the observations, J the Jacobian,
+and W = diag(rho') the weights of the loss at the solution of the lowest cost. The covariance is
+C = sigma0^2 (J^T W J)^-1 with sigma0^2 = r^T W r / (residuals - parameters). The distance
+
+    d^2 = (x_a - x_b)^T C^-1 (x_a - x_b) = ||W^1/2 J (x_a - x_b)||^2 / sigma0^2
+        = ||W^1/2 (r_a - r_b)||^2 / sigma0^2        to first order
+
+needs no Jacobian, and does not depend on the gauge: J maps free directions to 0. By Cauchy and
+Schwarz it bounds every parameter and every linear combination of parameters v,
+
+    |v^T (x_a - x_b)| <= d sqrt(v^T C v),
+
+with equality for one v (Scheffe's bound). At a minimum x_b the cost rises by d^2 sigma0^2 / 2, so a
+relative gap g of the cost is a distance of about sqrt(g (residuals - parameters)): for a million
+observations, a gap of 1e-6 is more than one sigma.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.interface.options import SolveOptions
+from bundle.model.losses import evaluate_loss
+from bundle.model.problem import Problem
+from bundle.model.residuals import residuals
+from bundle.planning.comparison.hand_over import restore_solution
+
+__all__ = ["SolutionDistance"]
+
+LEAST_SIGMA0 = 1e-3
+"""Least sigma0. Data without noise would make rounding errors many sigmas."""
+
+
+class SolutionDistance:
+    """Distances between stored solutions of one problem.
+
+    Args:
+        problem: the problem; its values are not used.
+        options: options of the solves.
+        best: stored solution of the lowest cost.
+        redundancy: number of residuals minus number of parameters.
+    """
+
+    def __init__(
+        self, problem: Problem, options: SolveOptions, best: Path, redundancy: int
+    ) -> None:
+        self._problem, self._options = problem, options
+        residual = self._residual(best)
+        squared = np.where(np.isfinite(residual), residual, 0.0) ** 2
+        lengths = squared.sum(axis=1)
+        rho = evaluate_loss(options.loss, options.loss_scale, lengths)
+        self._weight = rho[:, 1]
+        variance = float(self._weight @ lengths) / max(redundancy, 1)
+        self._sigma0 = max(math.sqrt(variance), LEAST_SIGMA0)
+
+    def between(self, one: Path, other: Path) -> float:
+        """Return the distance in sigmas. Observations without a projection in one do not count."""
+        apart = self._residual(one) - self._residual(other)
+        squared = np.where(np.isfinite(apart), apart, 0.0) ** 2
+        return math.sqrt(float(self._weight @ squared.sum(axis=1))) / self._sigma0
+
+    def _residual(self, path: Path) -> NDArray[np.float64]:
+        """Return (num_observations, 2) residuals in sigmas; NaN where they do not count."""
+        problem = restore_solution(self._problem, path)
+        found = residuals(problem, self._options.cheirality)
+        xy = np.where(found.counted[:, None], found.xy, np.nan)
+        sigma = problem.observation_sigma
+        return xy if sigma is None else xy / sigma[:, None]
