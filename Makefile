@@ -3,8 +3,9 @@
 PYTHON ?= python3
 DEMO_INPUT ?= data/street_colmap
 DEMO_OUTPUT ?= out/demo
+DEMO_REFERENCE ?= $(DEMO_INPUT)_ground_truth
 # 1 % of the demo's observations are gross outliers, which a least-squares fit alone would follow.
-DEMO_OPTIONS ?= --loss cauchy
+DEMO_OPTIONS ?= --loss cauchy --rounds 3
 
 VENV := .venv
 READY := $(VENV)/ready
@@ -44,9 +45,11 @@ $(READY_TO_DOCUMENT): $(READY)
 	  $(VENV)/bin/python -m pip install --quiet --no-compile --requirement /dev/stdin
 	@touch $@
 
-demo: $(READY)  ## refine the model in data/ and show where the time went
+demo: $(READY)  ## refine the model in data/ and compare it with the truth
 	@mkdir -p $(dir $(DEMO_OUTPUT))
 	$(VENV)/bin/bundle refine $(DEMO_INPUT) -o $(DEMO_OUTPUT) $(DEMO_OPTIONS)
+	test ! -e $(DEMO_REFERENCE) || \
+	  $(VENV)/bin/bundle evaluate $(DEMO_OUTPUT) --reference $(DEMO_REFERENCE)
 
 test: $(READY)  ## run the tests
 	$(VENV)/bin/python -m pytest --numprocesses auto --dist worksteal
@@ -89,7 +92,7 @@ docs: $(READY_TO_DOCUMENT)  ## build the documentation, build/site/index.html; a
 
 quotes: $(READY)  ## rewrite what documents quote from the code
 	$(VENV)/bin/python tools/camera_table.py --update
-	$(VENV)/bin/python tools/demo_output.py --update
+	$(VENV)/bin/python tools/quoted_outputs.py --update
 	$(VENV)/bin/python tools/readme_picture.py
 	$(VENV)/bin/python tools/page_picture.py
 

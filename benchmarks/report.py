@@ -83,8 +83,8 @@ def markdown(results: Results, page: str, image: str) -> str:
     """Return the report; ``page`` and ``image`` are paths as its links have them, or ""."""
     parts = [
         short_table(results),
-        "Totals are build and solve under one stopping rule, ratios are multiples of bundle's (in "
-        "brackets the spread of the runs).",
+        "Totals are build and solve under one stopping rule. 2.00x: twice as long, or twice as "
+        "large, as bundle; in brackets the spread of the runs.",
         heading(results),
     ]
     if image:

@@ -9,10 +9,8 @@ from benchmarks.rows import GAPS, Row
 
 
 def seconds(value: float) -> str:
-    """Return a time with three digits in a unit that fits."""
-    if value >= 99.95:
-        return f"{value:.0f} s"
-    return f"{value:.3g} s" if value >= 0.9995 else f"{1e3 * value:.3g} ms"
+    """Return a time in seconds with three digits; all times of a column have this unit."""
+    return f"{value:.0f} s" if value >= 99.95 else f"{value:.3g} s"
 
 
 def megabytes(value: float) -> str:
@@ -35,7 +33,7 @@ def ratio(
     if reference is None or reference.median <= 0:
         return unit(spread.median)
     middle, low, high = (
-        f"{value / reference.median:.2f}" for value in (spread.median, spread.low, spread.high)
+        f"{value / reference.median:.2f}x" for value in (spread.median, spread.low, spread.high)
     )
     return middle if low == high else f"{middle} ({low}-{high})"
 

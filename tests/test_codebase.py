@@ -12,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from tools import quoted_outputs
 
 import bundle
 from bundle import _core
@@ -146,19 +147,19 @@ def test_the_page_of_camera_models_has_the_table_that_the_code_gives() -> None:
     assert between == table, "run `make quotes`"
 
 
-def test_the_readme_shows_what_the_demo_prints() -> None:
+def test_documents_quote_what_commands_print() -> None:
     """The words; numbers may differ in their last digits."""
 
     def rows(text: str) -> list[list[str]]:
         lines = [line.split() for line in text.splitlines() if line.strip()]
         return [[word for word in line if not re.match(r"[-\d.(]", word)] for line in lines]
 
-    script = [sys.executable, ROOT / "tools" / "demo_output.py"]
+    script = [sys.executable, ROOT / "tools" / "quoted_outputs.py"]
     printed = subprocess.run(script, capture_output=True, text=True, check=True).stdout
-    readme = (ROOT / "README.md").read_text()
-    shown = readme.split("<!-- demo:begin -->\n")[1].split("<!-- demo:end -->")[0]
+    texts = [page.read_text(encoding="utf-8") for page in quoted_outputs.documents()]
+    shown = "\n".join(found[1] for text in texts for found in quoted_outputs.QUOTE.finditer(text))
     assert rows(shown) == rows(printed), "run `make quotes`"
-    assert len(rows(shown)) > 4
+    assert len(rows(shown)) > 10
 
 
 def test_modules_have_names_of_their_own() -> None:

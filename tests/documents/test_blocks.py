@@ -1,14 +1,17 @@
 """Every code block of the documents runs: Python as it stands, commands of bundle one by one.
 
 A page begins in a folder with the files that it names (workspace.py) and goes on from block to
-block. What a block shows under a command with a prompt is what the command prints. `bundle compare`
-starts a process per method: its flags are held by tests/cli, and Python blocks that call it get two
-solvers of our own backend.
+block. What a block shows under a command with a prompt is what the command prints, and a block of
+language "output" is what the Python block above it prints (UPDATE_GOLDEN=1 rewrites it). Quotes of
+tools/quoted_outputs.py are held by tests/test_codebase.py. `bundle compare` starts a process per
+method: its flags are held by tests/cli, and Python blocks that call it get two solvers of our own
+backend.
 """
 
 from __future__ import annotations
 
 import functools
+import os
 import re
 import shlex
 from collections.abc import Callable
@@ -17,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tools.quoted_outputs import QUOTE
 
 import bundle
 from bundle.cli.main import COMMANDS, main
@@ -36,7 +40,7 @@ WITH_DATA: dict[str, Callable[[Path, Path], None]] = {
 
 def blocks(page: Path) -> list[tuple[str, str]]:
     """Language and text of each block."""
-    text = page.read_text(encoding="utf-8")
+    text = QUOTE.sub("", page.read_text(encoding="utf-8"))
     return re.findall(r"^```([^\n]*)\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
@@ -166,11 +170,15 @@ def test_the_blocks_of_a_page_run(
         workspace.base(tmp_path)
     if name in WITH_DATA:
         WITH_DATA[name](tmp_path, request.getfixturevalue("bundle_data"))
-    names = names_of(name, tmp_path)
+    names, said = names_of(name, tmp_path), ""
     try:
         for number, (language, text) in enumerate(blocks(page)):
             if language == "python":
+                capsys.readouterr()
                 exec(compile(text, f"{name}, block {number}", "exec"), names)
+                said = capsys.readouterr().out
+            elif language == "output":
+                check_output(page, text, said)
             elif language in ("", "sh"):
                 for words in commands(text):
                     assert main([*words, "--quiet"]) == 0, f"{name}, block {number}: {words}"
@@ -181,6 +189,17 @@ def test_the_blocks_of_a_page_run(
         for value in names.values():
             if isinstance(value, bundle.WindowLoop | bundle.ClosureLoop):
                 value.close()
+
+
+def check_output(page: Path, shown: str, said: str) -> None:
+    """Compare the output that a page shows with the one that was printed, or rewrite the page."""
+    if os.environ.get("UPDATE_GOLDEN") == "1":
+        text = page.read_text(encoding="utf-8")
+        assert text.count(f"```output\n{shown}```") == 1
+        page.write_text(text.replace(f"```output\n{shown}```", f"```output\n{said}```"), "utf-8")
+        return
+    lines, others = shown.splitlines(), said.splitlines()
+    assert len(lines) == len(others) and all(map(agree, lines, others)), f"{page}: {said}"
 
 
 def test_there_are_blocks() -> None:

@@ -24,7 +24,7 @@ __all__ = ["run"]
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compare methods on INPUT; return 0 if one can be recommended."""
+    """Compare methods on INPUT; return 0 if one has a usable solution."""
     refuse_flags_of_graphs(arguments)
     options = options_given(arguments, SolveOptions)
     asked = options_given(arguments, CompareOptions)
@@ -49,9 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.html is not None:
             _write_page(comparison, arguments.html, progress)
     publish(compared(comparison), arguments)
-    if comparison.recommendation is None or comparison.interrupted:
-        return EXIT_NO_SOLUTION
-    return EXIT_DONE
+    usable = any(run.is_usable for run in comparison.runs)
+    return EXIT_DONE if usable and not comparison.interrupted else EXIT_NO_SOLUTION
 
 
 def _write_page(compared: Comparison, path: str, progress: Progress) -> None:

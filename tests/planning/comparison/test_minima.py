@@ -66,7 +66,7 @@ def test_distance_is_that_of_the_dense_covariance(tmp_path, loss):
     projected = covariance @ np.linalg.pinv(covariance, rcond=1e-12) @ step  # without the gauge
     expected = np.sqrt(projected @ np.linalg.pinv(covariance, rcond=1e-12) @ projected)
     distance = SolutionDistance(best, options, tmp_path / "best", redundancy)
-    found = distance.between(tmp_path / "other", tmp_path / "best")
+    found = distance.between(tmp_path / "other", tmp_path / "best").sigmas
     assert found == pytest.approx(expected, rel=1e-3)
     # The bound of every pose, with covariances of another implementation.
     marginal = bundle.covariance(best, options, gauge="two_cameras", scale="unit")
@@ -85,7 +85,7 @@ def test_a_gap_of_the_cost_is_a_distance(tmp_path):
     redundancy = summary.num_residuals_reduced - summary.num_parameters_reduced
     gap = early.summary.final_cost / summary.final_cost - 1
     distance = SolutionDistance(problem, SolveOptions(), tmp_path / "best", redundancy)
-    found = distance.between(tmp_path / "early", tmp_path / "best")
+    found = distance.between(tmp_path / "early", tmp_path / "best").sigmas
     assert gap > 1e-5 and found == pytest.approx(np.sqrt(gap * redundancy), rel=0.05)
 
 
@@ -99,7 +99,7 @@ def test_other_gauge_no_distance(tmp_path):
     )
     hand_over.store_solution(scaled, tmp_path / "scaled")
     distance = SolutionDistance(best, SolveOptions(), tmp_path / "best", 100)
-    assert distance.between(tmp_path / "scaled", tmp_path / "best") < 1e-8
+    assert distance.between(tmp_path / "scaled", tmp_path / "best").sigmas < 1e-8
 
 
 def test_data_without_noise_has_no_distant_solutions(tmp_path):
@@ -109,7 +109,20 @@ def test_data_without_noise_has_no_distant_solutions(tmp_path):
     hand_over.store_solution(tight, tmp_path / "tight")
     hand_over.store_solution(usual, tmp_path / "usual")
     distance = SolutionDistance(exact, SolveOptions(), tmp_path / "tight", 100)
-    assert distance.between(tmp_path / "usual", tmp_path / "tight") < 1
+    assert distance.between(tmp_path / "usual", tmp_path / "tight").sigmas < 1
+
+
+def test_single_points_at_other_positions_are_counted_and_left_out(tmp_path):
+    best = bundle.solve(make_problem(num_images=4, num_points=1000)).problem
+    hand_over.store_solution(best, tmp_path / "best")
+    distance = SolutionDistance(best, SolveOptions(), tmp_path / "best", 100)
+    for number, counted in ((1, 1), (2, 2), (3, 0)):  # at most 0.2 % of the points
+        points = best.points + 0.3 * (np.arange(1000) < number)[:, None]
+        path = tmp_path / str(number)
+        hand_over.store_solution(dataclasses.replace(best, points=points), path)
+        found = distance.between(path, tmp_path / "best")
+        assert found.num_points == counted
+        assert found.sigmas > 10 if counted == 0 else found.sigmas == 0
 
 
 @pytest.fixture

@@ -103,7 +103,9 @@ def test_one_minimum_names_the_largest_distance():
     made = judged(at(done(DENSE), 0, 0.0), at(done(CERES, 2.0), 0, 0.25), failed(SPARSE))
     assert figures(headline(made)[1]) == ["2", "0.25"]
     lost = judged(at(done(DENSE), 0, 0.0), at(done(CERES, 2.0, 150.0), -1, 90.0))
-    assert "did not converge" in headline(lost)[-1]
+    assert "did not converge" in headline(lost)[-1] and figures(headline(lost)[-1]) == ["1"]
+    flipped = dataclasses.replace(at(done(CERES, 2.0), 0, 0.25), num_points_elsewhere=3)
+    assert figures(headline(judged(at(done(DENSE), 0, 0.0), flipped))[1]) == ["2", "0.25", "3"]
     assert lost.recommendation.method == DENSE
 
 
@@ -117,6 +119,13 @@ def test_an_early_stop_is_a_finding():
     (finding,) = findings(made)
     assert finding.kind == "early-stop" and figures(finding.sentence)[0] == "31"
     assert "--function-tolerance 1e-08" in finding.command
+
+
+def test_an_unfinished_solve_is_a_finding():
+    stopped = dataclasses.replace(measurement().summary, termination_type="NO_CONVERGENCE")
+    run = dataclasses.replace(done(DENSE), measurements=(measurement(summary=stopped),))
+    (finding,) = findings(judged(run))
+    assert finding.kind == "not-converged" and finding.evidence == {"num_steps": 3}
 
 
 def test_a_busy_machine_is_a_finding():

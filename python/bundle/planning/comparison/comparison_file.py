@@ -115,6 +115,7 @@ def _run(entry: Entry) -> Run:
         unfinished=_columns(unfinished) if unfinished else None,
         prediction=None if prediction is None else _record(Prediction, prediction),
         distance_in_sigmas=_number(entry["distance_in_sigmas"]),
+        num_points_elsewhere=entry["num_points_elsewhere"],
         minimum=-1 if entry["minimum"] is None else entry["minimum"],
     )
 

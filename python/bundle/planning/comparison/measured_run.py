@@ -150,6 +150,8 @@ class Run(Displayed):
         prediction: predicted cost; None without a prediction.
         distance_in_sigmas: distance of the solution from that of the lowest cost, see
             ``solution_distance``; NaN if unknown.
+        num_points_elsewhere: points at other positions than in that solution, which the distance
+            leaves out.
         minimum: number of the minimum at which the run ended, from 0 in the order of costs; -1 if
             unknown.
     """
@@ -162,6 +164,7 @@ class Run(Displayed):
     unfinished: dict[str, NDArray[Any]] | None = None
     prediction: Prediction | None = None
     distance_in_sigmas: float = math.nan
+    num_points_elsewhere: int = 0
     minimum: int = -1
 
     @property

@@ -1,10 +1,10 @@
 """Minima at which the methods of a comparison ended.
 
 Solutions within one sigma of that of the lowest cost are at the same minimum: no measurement could
-tell them apart. A solution farther away is at another minimum, or its method stopped too early. To
-tell which, one method continues from each of them at tight tolerances; solutions whose
-continuations meet are at one minimum. Costs alone cannot tell: an early stop and a poor minimum
-have the same gap.
+tell them apart. Single points at other positions do not count. A solution farther away is at
+another minimum, or its method stopped too early. To tell which, one method continues from each of
+them at tight tolerances; solutions whose continuations meet are at one minimum. Costs alone cannot
+tell: an early stop and a poor minimum have the same gap.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def find_minima(
         run.method: distance.between(solutions[run.method], solutions[best.method])
         for run in usable
     }
-    far = [run for run in usable if apart[run.method] > SAME]
+    far = [run for run in usable if apart[run.method].sigmas > SAME]
     numbers = {run.method: 0 for run in usable if run not in far}
     if far and refine is not None:
         found = _minima([best, *far], solutions, distance, refine)
@@ -63,9 +63,12 @@ def find_minima(
     return [
         dataclasses.replace(
             run,
-            distance_in_sigmas=apart.get(run.method, float("nan")),
+            distance_in_sigmas=apart[run.method].sigmas,
+            num_points_elsewhere=apart[run.method].num_points,
             minimum=numbers.get(run.method, -1),
         )
+        if run.method in apart
+        else run
         for run in runs
     ]
 
@@ -93,7 +96,9 @@ def _minima(
     centres: list[Path] = []
     numbers: dict[Method, int] = {}
     for _, method, path in sorted(ends, key=lambda end: end[0]):
-        near = (k for k, centre in enumerate(centres) if distance.between(path, centre) <= SAME)
+        near = (
+            k for k, centre in enumerate(centres) if distance.between(path, centre).sigmas <= SAME
+        )
         number = next(near, len(centres))
         if number == len(centres):
             centres.append(path)

@@ -15,12 +15,18 @@ Schwarz it bounds every parameter and every linear combination of parameters v,
 with equality for one v (Scheffe's bound). At a minimum x_b the cost rises by d^2 sigma0^2 / 2, so a
 relative gap g of the cost is a distance of about sqrt(g (residuals - parameters)): for a million
 observations, a gap of 1e-6 is more than one sigma.
+
+A point with an outlier or without parallax often has several minima of its own, which the cameras
+do not notice. d^2 is a sum over observations, hence over points. Points that alone contribute more
+than one sigma are therefore counted and left out, if they are at most 0.2 % of all: the rest of the
+sum bounds all other parameters, for a covariance without the observations of these points.
 """
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +37,25 @@ from bundle.model.problem import Problem
 from bundle.model.residuals import residuals
 from bundle.planning.comparison.hand_over import restore_solution
 
-__all__ = ["SolutionDistance"]
+__all__ = ["Distance", "SolutionDistance"]
+
+MOST_POINTS = 0.002
+"""Largest share of points that are left out."""
 
 LEAST_SIGMA0 = 1e-3
 """Least sigma0. Data without noise would make rounding errors many sigmas."""
+
+
+class Distance(NamedTuple):
+    """Distance of two solutions.
+
+    Attributes:
+        sigmas: distance without the points that are counted.
+        num_points: number of points that are at other positions.
+    """
+
+    sigmas: float
+    num_points: int
 
 
 class SolutionDistance:
@@ -59,11 +80,17 @@ class SolutionDistance:
         variance = float(self._weight @ lengths) / max(redundancy, 1)
         self._sigma0 = max(math.sqrt(variance), LEAST_SIGMA0)
 
-    def between(self, one: Path, other: Path) -> float:
-        """Return the distance in sigmas. Observations without a projection in one do not count."""
+    def between(self, one: Path, other: Path) -> Distance:
+        """Return the distance. Observations without a projection in one solution do not count."""
         apart = self._residual(one) - self._residual(other)
-        squared = np.where(np.isfinite(apart), apart, 0.0) ** 2
-        return math.sqrt(float(self._weight @ squared.sum(axis=1))) / self._sigma0
+        squared = (np.where(np.isfinite(apart), apart, 0.0) ** 2).sum(axis=1)
+        problem = self._problem
+        weighted = self._weight * squared / self._sigma0**2
+        of_points = np.bincount(problem.observation_point, weighted, problem.num_points)
+        elsewhere = of_points > 1
+        if elsewhere.sum() > MOST_POINTS * problem.num_points:
+            elsewhere[:] = False
+        return Distance(math.sqrt(float(of_points[~elsewhere].sum())), int(elsewhere.sum()))
 
     def _residual(self, path: Path) -> NDArray[np.float64]:
         """Return (num_observations, 2) residuals in sigmas; NaN where they do not count."""

@@ -25,6 +25,7 @@ LEGEND = (
     "gap: final cost / best cost - 1; spread: (slowest - fastest) / median of the repeats; sigmas: "
     "distance from the solution of the best cost; MB: peak memory of the process"
 )
+POINTS = "points: points at other positions, which the distance leaves out"
 DETAILS = (
     "to: seconds until within that gap; cpu/wall: CPU time of all threads / wall time; load: "
     "average of the last minute"
@@ -101,7 +102,9 @@ def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> li
         if not run.is_usable
     ]
     several = len(comparison.minima(index)) > 1
-    results = Table(_result_columns(comparison, names, several), measured, legend=LEGEND)
+    columns = _result_columns(comparison, names, several)
+    legend = f"{LEGEND}; {POINTS}" if any(c.title == "points" for c in columns) else LEGEND
+    results = Table(columns, measured, legend=legend)
     times = Table(_time_columns(comparison, names), measured, legend=DETAILS)
     shares = Table([*names.columns("share of the time"), *SHARES], measured)
     predicted = [pair for pair in measured if pair[0].prediction is not None]
@@ -122,6 +125,8 @@ def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> li
 
 def _result_columns(comparison: Comparison, names: _Names, several: bool) -> list[Column]:
     minimum = Column("minimum", lambda pair: _ordinal(pair[0]))
+    points = Column("points", lambda pair: pair[0].num_points_elsewhere)
+    elsewhere = any(run.num_points_elsewhere for run in comparison.runs if run.is_usable)
     return [
         *names.columns("method"),
         Column(
@@ -130,6 +135,7 @@ def _result_columns(comparison: Comparison, names: _Names, several: bool) -> lis
             lambda gap: f"{gap:.0e}" if gap > 0 else "0",
         ),
         Column("sigmas", lambda pair: pair[0].distance_in_sigmas, sigmas),
+        *([points] if elsewhere else []),
         *([minimum] if several else []),
         Column("steps", lambda pair: pair[1].num_steps),
         Column("total [s]", lambda pair: pair[1].total_time_in_seconds, seconds),

@@ -72,6 +72,7 @@ def _run(comparison: Comparison, run: Run) -> dict[str, Any]:
         "total_time_in_seconds": run.total_time_in_seconds,
         "spread": run.spread,
         "distance_in_sigmas": run.distance_in_sigmas,
+        "num_points_elsewhere": run.num_points_elsewhere,
         "minimum": run.minimum if run.minimum >= 0 else None,
         "peak_memory_in_bytes": run.peak_memory_in_bytes or None,
         "prediction": run.prediction,

@@ -102,9 +102,15 @@ def _solutions(comparison: Comparison) -> Iterator[str]:
         elif minima and len(minima[0]) > 1:
             most = sigmas(max(run.distance_in_sigmas for run in minima[0]))
             count = plural(len(minima[0]), "solution")
-            yield f"{count}{place} at one minimum, within {most} sigmas of the lowest cost."
+            points = max(run.num_points_elsewhere for run in minima[0])
+            but = f", apart from {plural(points, 'point')}" if points else ""
+            yield f"{count}{place} at one minimum, within {most} sigmas of the lowest cost{but}."
         if unknown:
-            yield f"{plural(unknown, 'method')}{place} did not converge: minimum unknown."
+            verb = "is" if unknown == 1 else "are"
+            yield (
+                f"{plural(unknown, 'solution')}{place} {verb} farther away and did not converge "
+                "when continued: minimum unknown."
+            )
 
 
 def findings(comparison: Comparison) -> list[Finding]:
@@ -123,7 +129,7 @@ def findings(comparison: Comparison) -> list[Finding]:
                 evidence={"start_gap": gap, "problems": at_minimum},
             )
         )
-    return [*found, *_busy(comparison), *_early(comparison)]
+    return [*found, *_busy(comparison), *_unfinished(comparison), *_early(comparison)]
 
 
 def _busy(comparison: Comparison) -> Iterator[Finding]:
@@ -143,6 +149,24 @@ def _busy(comparison: Comparison) -> Iterator[Finding]:
             "least_cpu_per_wall": min(ratios, default=math.nan),
         },
     )
+
+
+def _unfinished(comparison: Comparison) -> Iterator[Finding]:
+    """Yield a finding if the recommended method was stopped by the limit of iterations."""
+    best = comparison.recommendation
+    runs = [run for run in comparison.runs if best is not None and run.method == best.method]
+    steps = [
+        run.measurement.num_steps
+        for run in runs
+        if run.measurement and run.measurement.summary.termination_type == "NO_CONVERGENCE"
+    ]
+    if best is not None and steps:
+        yield Finding(
+            kind="not-converged",
+            sentence=f"{best.method.name} did not converge in {plural(max(steps), 'step')}: the "
+            "lowest cost is not known, and a gap is one to an unfinished solve.",
+            evidence={"num_steps": max(steps)},
+        )
 
 
 def _early(comparison: Comparison) -> Iterator[Finding]:
