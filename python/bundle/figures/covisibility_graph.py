@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from bundle.analysis.statistics.covisibility import shared_points
 from bundle.base.arguments import check_type
+from bundle.base.words import plural
 from bundle.figures.axes import SHAPE, Axis, square
 from bundle.figures.drawing import Figure
 from bundle.figures.marks import GREY, Dots, Mark, Vectors
@@ -82,7 +83,8 @@ def covisibility_figure(graph: CovisibilityGraph) -> Figure:
     stretched = bool(0 < half[1] < NARROWEST * half[0])
     if stretched:
         y = Axis(float(middle[1] - 2 * half[1]), float(middle[1] + 2 * half[1]), ())
-    words = f"{len(positions):,} images, {graph.num_pairs:,} pairs share points"
+    words = f"{plural(len(positions), 'image', grouped=True)}, "
+    words += f"{plural(graph.num_pairs, 'pair shares points', 'pairs share points', grouped=True)}"
     if len(graph.edges) < graph.num_pairs:
         words += f"; the strongest {len(graph.edges):,} are drawn"
     return Figure(

@@ -87,8 +87,8 @@ def image_error_figure(problem: Problem, found: Residuals) -> Figure:
     order = there[np.argsort(problem.image_ids[there], kind="stable")]
     order = order[:: max(-(-len(order) // MOST_IMAGES), 1)]
     ids, rmse = problem.image_ids[order].astype(float), np.sqrt(squares[order] / count[order])
-    ends = np.array([ids.min(initial=0.0), ids.max(initial=1.0)])
-    middle = np.full(2, np.median(rmse)) if len(rmse) else np.full(2, np.nan)
+    ends = ids[[0, -1]] if len(ids) else np.array([0.0, 1.0])
+    middle = np.full(2, np.median(rmse) if len(rmse) else np.nan)
     return Figure(
         name="rmse_by_image",
         title="RMSE by image",

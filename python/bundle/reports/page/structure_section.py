@@ -22,6 +22,7 @@ def structure_section(
             ("observations per image", description.observations_per_image),
         )
     ]
+    longest = description.track_length.max
     sizes = description.covisibility.component_sizes
     listed = ", ".join(f"{size:,}" for size in sizes[:5]) + (", ..." if len(sizes) > 5 else "")
     words = "No image shares a point with another."
@@ -32,8 +33,8 @@ def structure_section(
         text=[f"{words} The stronger an edge, the more points its images share."],
         tables=[Table.of(["", "min", "median", "mean", "max"], rows)],
         figures=[
-            length_figure(tracks, int(description.track_length.max)),
-            angle_figure(tracks),
+            *([length_figure(tracks, int(longest))] if longest > 0 else []),
+            *([angle_figure(tracks)] if tracks.angles.any() else []),
             covisibility_figure(graph),
         ],
     )
