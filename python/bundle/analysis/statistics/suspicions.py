@@ -30,6 +30,8 @@ FAR_SCENE = 1e5
 FOCAL_RATIO = 0.1, 10.0
 """Plausible focal lengths in image sizes: COLMAP's min_ and max_focal_length_ratio."""
 QUATERNION_TOLERANCE = 1e-6
+PROBLEMS = ("collapsed_points", "unsupported_camera_models")
+"""Kinds with which a model is no reconstruction."""
 NAMED = 5
 """Number of ids in a sentence."""
 
@@ -285,7 +287,10 @@ def _suspicion(
     noun = of if len(ids) == 1 else f"{of}s"
     listed = ", ".join(map(str, named)) + (", ..." if len(ids) > len(named) else "")
     sentence = f"{total} {verbs[total != 1]} {what} ({noun} {listed})."
-    return Finding(kind=kind, sentence=sentence, evidence=_evidence(total, of, ids))
+    return Finding(
+        kind=kind, sentence=sentence, evidence=_evidence(total, of, ids),
+        is_problem=kind in PROBLEMS,
+    )  # fmt: skip
 
 
 def _evidence(count: int, of: str, ids: NDArray[np.int64]) -> dict[str, Any]:

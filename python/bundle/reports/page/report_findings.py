@@ -2,65 +2,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-from bundle.analysis.statistics.description import Description
 from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.interface.finding import Finding
-from bundle.judging.findings.find import find
+from bundle.judging.findings.find import find, one_list
 from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem
 from bundle.solving.result import Result
 
 __all__ = ["report_findings"]
 
-PROBLEMS = ("collapsed_points", "no_observations", "unsupported_camera_models")
-"""Kinds of suspicions with which a model is no reconstruction."""
-
 
 def report_findings(
     problem: Problem,
     result: Result | None,
-    description: Description,
+    suspicions: Iterable[Finding],
+    given: Iterable[Finding] | None,
     *,
     source: str,
-    covariance: Covariance | str,
+    covariance: Covariance | None,
+    no_covariance: str = "",
     priors: Sequence[Any] = (),
-) -> list[Finding]:
+) -> tuple[Finding, ...]:
     """Return all findings about a model, problems first.
 
     Args:
         problem: the model.
         result: solve that made it, or None.
-        description: description of the model, with its suspicions.
+        suspicions: possible errors from the description of the model.
+        given: findings of the caller; None finds them.
         source: path of the model in commands.
-        covariance: covariance of the model, or the reason why it is missing.
+        covariance: covariance of the model, or None.
+        no_covariance: reason why the covariance is missing; "" if it is known.
         priors: priors of the solve.
     """
-    found = []
-    if isinstance(covariance, str) and covariance:
-        found.append(
-            Finding(
-                kind="no_covariance",
-                sentence=covariance,
-                command=NextCommand(source).other("diagnose"),
-                is_problem="full rank" in covariance,
-            )
-        )
-    for words in () if result is None else dict.fromkeys(result.summary.warnings):
-        found.append(Finding(kind="warning", sentence=words))
-    for one in description.suspicions:
-        is_problem = one.kind in PROBLEMS
-        found.append(Finding(kind=one.kind, sentence=one.sentence, is_problem=is_problem))
-    known = None if isinstance(covariance, str) or covariance.scale != "sigma0" else covariance
-    found += find(
+    singular = Finding(
+        kind="no_covariance",
+        sentence=no_covariance,
+        command=NextCommand(source).other("diagnose"),
+        is_problem="full rank" in no_covariance,
+    )
+    undetermined = [singular] if no_covariance else []
+    if given is not None:
+        return one_list(undetermined, given)
+    warnings = () if result is None else dict.fromkeys(result.summary.warnings)
+    found = find(
         problem,
         source=source,
         options=None if result is None else result.options,
         rounds=0 if result is None else len(result.rounds),
-        covariance=known,
+        covariance=covariance if covariance is not None and covariance.scale == "sigma0" else None,
         priors=priors,
         is_minimum=result is not None and result.summary.termination_type == "CONVERGENCE",
     )
-    return sorted(found, key=lambda one: not one.is_problem)
+    told = [Finding(kind="warning", sentence=words) for words in warnings]
+    return one_list(undetermined, told, suspicions, found)

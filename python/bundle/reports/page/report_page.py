@@ -168,15 +168,10 @@ class _Page:
         room = LARGEST - SIZE_OF_POINT * states * min(problem.num_points, MOST_POINTS)
         photographs = Photographs(images, folder, room)
         self.notes += photographs.notes
-        if findings is None:
-            findings = report_findings(
-                problem,
-                result,
-                description,
-                source=self.name or "INPUT",
-                covariance=self.covariance or self.no_certainty,
-                priors=self.priors,
-            )
+        findings = report_findings(
+            problem, result, description.suspicions, findings, source=self.name or "INPUT",
+            covariance=self.covariance, no_covariance=self.no_certainty, priors=self.priors,
+        )  # fmt: skip
         judged = verdicts(
             Judged(
                 problem=problem, result=result, description=description, fields=planes,
