@@ -102,3 +102,12 @@ def test_models_without_names_are_in_order():
         associate(one, PoseTable(path(4).poses, (), None, "bal"))
     with pytest.raises(bundle.InputError, match="at least 3"):
         associate(PoseTable(path(2).poses), PoseTable(path(2).poses))
+
+
+def test_trajectories_of_the_package_are_inputs():
+    poses = path(6).poses
+    states = np.hstack([poses, np.zeros((6, 9))])
+    found = bundle.evaluate(bundle.Trajectory(STAMPS, states), timed(STAMPS))
+    assert found.verdict == "identical" and found.association.by == "time"
+    with pytest.raises(bundle.InputError, match="a: expected a Problem"):
+        bundle.evaluate(3, timed(STAMPS))

@@ -11,7 +11,7 @@ from bundle.georeference.similarity import Similarity, moved
 from bundle.judging.evaluation.lens_difference import lens_differences
 from bundle.judging.evaluation.shared_points import shared_points
 from tests.rig_scenes import rig_problem
-from tests.scenes import make_problem
+from tests.scenes import make_problem, with_observations
 
 ROWS = np.arange(5)
 
@@ -219,3 +219,40 @@ def test_when_sigmas_are_missing():
     assert found.verdict == "identical" and found.movement is None
     without = a.replace(points=a.points + 1e4)
     assert any("No sigmas" in note for note in bundle.evaluate(without, b).notes)
+
+
+def test_only_the_region_of_the_observations_counts():
+    a = lens("PINHOLE", [700, 700, 400, 300])
+    distance = np.linalg.norm(a.observation_xy - [400, 300], axis=1)
+    near = with_observations(a, distance < 150)
+    assert (np.bincount(near.observation_image) > 0).all() and near.num_observations >= 30
+    (found,) = lens_differences(near, a, ROWS, ROWS)
+    rows, columns = found.field.shape[:2]
+    x = 800 * (np.arange(columns) + 0.5) / columns - 400
+    y = 600 * (np.arange(rows) + 0.5) / rows - 300
+    known = np.isfinite(found.field).all(axis=-1)
+    reach = distance[distance < 150].max()
+    assert np.array_equal(known, np.hypot(*np.meshgrid(x, y)) <= reach)
+    (found,) = lens_differences(with_observations(a, np.arange(20)), a, ROWS, ROWS)
+    assert np.isfinite(found.field).all()  # too few to tell
+
+
+def test_the_same_keypoint_has_nearly_the_same_pixel():
+    a = make_problem(num_images=6, num_points=50, track=4, seed=2)
+    keypoint = np.zeros(a.num_observations, int)
+    for image in range(6):
+        rows = a.observation_image == image
+        keypoint[rows] = np.arange(rows.sum())
+    a = a.replace(observation_keypoint=keypoint)
+    for shift, count in ((0.009, 50), (0.011, 0)):
+        b = a.replace(observation_xy=a.observation_xy + shift)
+        assert len(shared_points(a, b, np.arange(6), np.arange(6))) == count
+
+
+def test_the_headline_counts_lenses():
+    a = make_problem(num_images=6)
+    b = a.replace(camera_params=a.camera_params * [1.01, 1, 1, 1])
+    assert "median of 6 cameras" in bundle.evaluate(a, b).headline[-1]
+    one = make_problem(num_images=6, shared=True)
+    other = one.replace(camera_params=one.camera_params * [1.01, 1, 1, 1])
+    assert "cameras" not in bundle.evaluate(one, other).headline[-1]

@@ -130,3 +130,11 @@ def test_memory_does_not_grow_with_the_pairs():
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 200e6  # an array over all pairs with three coordinates takes 54 MB
+
+
+def test_of_many_images_evenly_spaced_ones_count(monkeypatch):
+    truth = example.path(41)
+    estimate = example.noisy(truth)
+    part = pair_errors(estimate.poses[::4], truth.poses[::4], num_missing=2)
+    monkeypatch.setattr(pairs_module, "MOST_IMAGES", 11)
+    assert pair_errors(estimate.poses, truth.poses, num_missing=7) == part

@@ -84,6 +84,16 @@ def test_outlier_images_are_named_and_the_others_judged():
     assert finding.evidence["rmse_of_others"] < 0.01
 
 
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_small_deviations_are_no_outliers(scale):
+    for shift, found in ((0.005, []), (0.5, ["outlier_images"])):
+        centers = TRUTH.poses[:, 4:].copy()
+        centers[7, 2] += shift
+        estimate = moved(with_poses(TRUTH, centers=centers), scale, (1, 2, 3), (0, 0, 0))
+        truth = moved(TRUTH, scale, (4, 0, 0), (scale, 0, 0))
+        assert kinds(bundle.evaluate(noisy(estimate, 1e-5 * scale, 0.01), truth)) == found
+
+
 @pytest.mark.parametrize("which", ["A", "B"])
 def test_poses_of_the_opposite_direction(which):
     estimate = noisy(TRUTH)
