@@ -104,6 +104,15 @@ def test_models_without_names_are_in_order():
         associate(PoseTable(path(2).poses), PoseTable(path(2).poses))
 
 
+def test_stamps_between_those_of_the_estimate_are_not_missing():
+    truth = path(12)
+    dense = PoseTable(truth.poses, (), STAMPS[0] + 25_000_000 * np.arange(12))
+    estimate = PoseTable(truth.poses[::2], (), STAMPS)
+    found = bundle.evaluate(estimate, dense)
+    assert found.auc == pytest.approx(found.pairs.auc["colmap"])
+    assert "all 6 poses" in found.headline[0]
+
+
 def test_trajectories_of_the_package_are_inputs():
     poses = path(6).poses
     states = np.hstack([poses, np.zeros((6, 9))])

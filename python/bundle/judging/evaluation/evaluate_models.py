@@ -194,7 +194,7 @@ def _evaluate(
         "position_errors": position,
         "rotation_errors": rotation,
         "relative": RelativeErrors(options.delta, *steps),
-        "pairs": pair_errors(given, reference, len(pairs.only_b)),
+        "pairs": pair_errors(given, reference, 0 if pairs.by == "time" else len(pairs.only_b)),
         "auc_definition": options.auc,
         "notes": (*_notes(pairs), *notes),
         "estimate": moved[:, 4:],

@@ -38,9 +38,11 @@ def headline_of(result: Mapping[str, Any]) -> tuple[str, ...]:
 
 def _poses(result: Mapping[str, Any]) -> str:
     pairs, position, rotation = (result[name] for name in ("association", "position", "rotation"))
-    whole = len(pairs) + len(pairs.only_b)
+    # A truth may have many times more stamps than A.
+    missing = pairs.only_a if pairs.by == "time" else pairs.only_b
+    whole = len(pairs) + len(missing)
     noun = "image" if pairs.by in ("name", "base name", "stem") else "pose"
-    of = f"{len(pairs)} of {plural(whole, noun)}" if pairs.only_b else f"all {plural(whole, noun)}"
+    of = f"{len(pairs)} of {plural(whole, noun)}" if missing else f"all {plural(whole, noun)}"
     if result["verdict"] == "identical":
         rounded = " up to rounding errors" if max(position.max, rotation.max) > 0 else ""
         return f"{WORDS['identical']} on {of}{rounded}."

@@ -54,7 +54,10 @@ def write_evaluation(
     for name in names:
         check_type("names", name, str)
     title = f"{shown(names[0])} against {shown(names[1])}"
-    sections = [_verdict(found.headline[1:], found.findings)]
+    sections = [
+        _verdict(found.headline[1:], found.findings),
+        tag("p", escape(f"A: {shown(names[0])}. B: {shown(names[1])}."), class_="quiet"),
+    ]
     if isinstance(found, Evaluation):
         sections += _poses(found)
         notes = found.notes
@@ -75,7 +78,9 @@ def _verdict(more: Sequence[str], findings: Sequence[Finding]) -> str:
 
 
 def _poses(found: Evaluation) -> list[str]:
+    how = f"{found.num_shared} poses {found.association.sentence}; alignment: {found.alignment}."
     sections = [
+        tag("p", escape(how), class_="quiet"),
         tag("h2", "Errors"),
         _statistics(found),
         _pairs(found),
