@@ -8,8 +8,8 @@
     <!-- end -->
 
 The commands of a block run one after the other in a folder with data/ and out/. Of each output,
-the headline is quoted: the lines before the first empty line. `tests/test_codebase.py` holds the
-quotes against new outputs.
+the headline is quoted: the lines before the first empty line, and findings that it announces.
+`tests/test_codebase.py` holds the quotes against new outputs.
 
 python tools/quoted_outputs.py            prints the quotes
 python tools/quoted_outputs.py --update   writes them into the documents
@@ -53,7 +53,10 @@ def quoted(block: str) -> str:
                 text=True,
                 check=True,
             )
-            parts.append(f"$ {command}\n" + done.stdout.strip().split("\n\n")[0] + "\n")
+            headline, *others = done.stdout.strip().split("\n\n")
+            if headline.endswith(":"):  # a number of findings, which follow
+                headline = "\n".join([headline, *others[:1]])
+            parts.append(f"$ {command}\n{headline}\n")
     return "".join(parts)
 
 
