@@ -142,6 +142,7 @@ def test_text_of_other_systems(tmp_path):
         ({"poses": np.zeros((2, 6))}, "shape"),
         ({"poses": np.zeros((2, 7))}, "zeros"),
         ({"poses": np.full((2, 7), np.nan)}, "finite"),
+        ({"poses": np.full((2, 7), 1e200)}, "up to 1e"),
         ({"names": ("a",)}, "names: expected 4, found 1"),
         ({"names": (1, 2, 3, 4)}, "names"),
         ({"timestamps_ns": [1, 2]}, "timestamps_ns"),

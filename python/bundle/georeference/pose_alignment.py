@@ -36,6 +36,9 @@ from bundle.model.rotations import quaternion_from_matrix, quaternion_multiply
 
 __all__ = ["align_centers", "angle_about_line", "moved_poses"]
 
+SMALLEST = 1e-100
+"""Length below which squares of coordinates lose digits."""
+
 SMALLEST_SPREAD = 1e-12
 """Ratio of the spread of centres to their magnitude below which they are at one place."""
 
@@ -82,7 +85,7 @@ def align_centers(source: Array, target: Array, alignment: str = "similarity") -
 def _check_spread(name: str, points: Array) -> None:
     center = points.mean(axis=0)
     spread = np.linalg.svd(points - center, compute_uv=False)
-    if not spread[0] > SMALLEST_SPREAD * max(float(np.abs(center).max()), 1e-300):
+    if not spread[0] > SMALLEST_SPREAD * max(float(np.abs(center).max()), SMALLEST):
         raise InputError(
             f"{name}: expected shared poses at different places, found all {len(points)} at one"
         )

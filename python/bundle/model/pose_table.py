@@ -24,6 +24,9 @@ __all__ = ["PoseTable"]
 
 Array = NDArray[np.float64]
 
+LARGEST = 1e100
+"""Largest coordinate; squares of larger ones overflow."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PoseTable(Displayed):
@@ -37,7 +40,8 @@ class PoseTable(Displayed):
         format: "tum", "euroc", "kitti", "poses", a format of :class:`bundle.Problem`, or "memory".
 
     Raises:
-        InputError: an array has the wrong shape, a number is not finite, or a quaternion is zero.
+        InputError: an array has the wrong shape, a number is not finite or too large, or a
+            quaternion is zero.
     """
 
     poses: Array
@@ -52,6 +56,11 @@ class PoseTable(Displayed):
         if not np.isfinite(poses).all():
             row = int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
             raise InputError(f"poses: row {row}: expected finite numbers, found {poses[row]}")
+        if len(poses) and np.abs(poses[:, 4:]).max() > LARGEST:
+            row = int(np.abs(poses[:, 4:]).max(axis=1).argmax())
+            raise InputError(
+                f"poses: row {row}: expected coordinates up to {LARGEST:g}, found {poses[row, 4:]}"
+            )
         zero = np.flatnonzero(~(np.abs(poses[:, :4]).max(axis=1) > 0))
         if len(zero):
             raise InputError(f"poses: row {int(zero[0])}: expected a quaternion, found zeros")

@@ -117,6 +117,16 @@ def test_axes_of_another_sensor():
     assert finding.evidence["rmse_without"] < 2
 
 
+@pytest.mark.parametrize("count", [3, 4, 5, 8])
+def test_cameras_that_turn_with_the_alignment_have_no_other_axes(count):
+    part = PoseTable(TRUTH.poses[:count], TRUTH.names[:count])
+    for seed in range(10):
+        assert "axes" not in kinds(bundle.evaluate(noisy(part, 0.01, 0.3, seed), part))
+    rng = np.random.default_rng(0)
+    collapsed = with_poses(TRUTH, centers=1e-14 * rng.standard_normal((30, 3)))
+    assert kinds(bundle.evaluate(collapsed, TRUTH)) == []
+
+
 def test_a_path_near_a_line():
     thin = with_poses(TRUTH, centers=TRUTH.poses[:, 4:] * [1, 1e-3, 1e-3])
     found = bundle.evaluate(noisy(thin, 0.01, 0.1), thin)

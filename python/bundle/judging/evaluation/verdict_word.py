@@ -16,10 +16,13 @@ Causes are tried one by one. A cause is a finding if it removes at least 80 % of
     mirrored        A's centres with one coordinate negated, then aligned again
     direction       A or B read as inverse poses, if it is a table of poses; half of the position
                     error suffices, because rotations decide
-    axes            one rotation Q of the camera, R_B^T R_A = Q for all images, as between a camera
-                    and an IMU, or between the axes of OpenCV and OpenGL. Q is the eigenvector of
-                    sum q q^T of the quaternions of the errors (Markley et al. 2007). A path that is
-                    mirrored in a plane has the same effect, with 180 degrees.
+    axes            if positions are close: one rotation Q of the camera, R_B^T R_A = Q for all
+                    images, as between a camera and an IMU, or between the axes of OpenCV and
+                    OpenGL. Q is the eigenvector of sum q q^T of the quaternions of the errors
+                    (Markley et al. 2007). A path that is mirrored in a plane has the same effect,
+                    with 180 degrees.
+
+If no cause is found, centres near a line are a finding: noise determines the rotation about it.
 """
 
 from __future__ import annotations
@@ -52,6 +55,9 @@ EXPLAINED = 0.2
 
 WORST_ANGLE = np.radians(1.0)
 """Uncertainty of the rotation about the line of the centres above which it is a finding."""
+
+SURE = 5.0
+"""Sigmas of the rotation of the alignment beyond which a rotation has another cause."""
 
 THIN = 0.2
 """Ratio of width to length below which centres are near a line."""
@@ -238,6 +244,10 @@ def _axes(given: Compared) -> Finding | None:
     if before <= CLOSE[1] or after > EXPLAINED * before:
         return None
     angle = float(angles_of(common[None])[0])
+    # Cameras that look the same way turn alike if noisy centres turn the alignment.
+    noise, _ = angle_about_line(given.reference[:, 4:], given.position)
+    if given.rms()[0] > CLOSE[0] * given.size or angle <= SURE * np.degrees(noise):
+        return None
     why = (
         "The axes of the cameras differ (camera against IMU, or OpenCV against OpenGL), or a path "
         "in a plane is mirrored."
@@ -254,7 +264,7 @@ def _near_line(given: Compared) -> Finding | None:
     if given.alignment not in ("similarity", "rigid"):
         return None
     angle, ratio = angle_about_line(given.reference[:, 4:], given.position)
-    if angle <= WORST_ANGLE or ratio > THIN:
+    if angle <= WORST_ANGLE or ratio > THIN or given.rms()[0] > THIN * given.size:
         return None
     degrees = min(float(np.degrees(angle)), 180.0)
     return Finding(
