@@ -39,6 +39,7 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
 from bundle.interface.validation_options import HoldOutOptions
 from bundle.io.open import check_target, load, output_format, save
+from bundle.judging.findings.find import find
 from bundle.reports.terminal.refine import refinement
 from bundle.reports.terminal.timing import WallTime
 from bundle.solving.kept_errors import Edit
@@ -46,11 +47,14 @@ from bundle.solving.request import PartRequest, RunPlan, SolveRequest
 from bundle.solving.rounds import solve_rounds
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from bundle.editing.cameras.edit_record import CameraEdits
     from bundle.georeference.gcp_priors import GcpPriors
     from bundle.georeference.georeferenced import Georeference
     from bundle.georeference.gps_priors import GpsPriors
     from bundle.graphs.loops.loop_closing import LoopClosing
+    from bundle.interface.finding import Finding
     from bundle.model.problem import Problem
     from bundle.solving.result import Result
     from bundle.solving.slices.sliced_refinement import SlicedRefinement
@@ -103,8 +107,9 @@ def run(arguments: argparse.Namespace) -> int:
         written, lost = _write(opened, solved, georeference, progress)
         save_time = perf_counter() - begun
         statistics_time = _measure(opened, solved, progress)
+        findings = _judge(asked, opened, solved)
         if asked.page is not None:
-            _write_page(asked, asked.page, opened, solved, georeference, progress)
+            _write_page(asked, asked.page, opened, solved, georeference, findings, progress)
     wall = WallTime(
         load=opened.load_time,
         build=solved.build_time_in_seconds,
@@ -114,7 +119,9 @@ def run(arguments: argparse.Namespace) -> int:
         total=perf_counter() - started,
     )
     told = (asked.source, opened.loaded, solved, wall, written)
-    report = refinement(*told, lost, asked.options_beside(), georeference, opened.edits, closed)
+    report = refinement(
+        *told, lost, asked.options_beside(), georeference, opened.edits, closed, findings
+    )
     publish(report, asked)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE
@@ -247,12 +254,29 @@ def _measure(opened: Opened, solved: Result, progress: Progress) -> float:
     return perf_counter() - begun
 
 
+def _judge(asked: Refinement, opened: Opened, solved: Result) -> tuple[Finding, ...]:
+    """Return the findings about the result; none about one that is not usable or in slices."""
+    if not solved.summary.is_solution_usable or opened.sliced is not None:
+        return ()
+    return find(
+        solved.problem,
+        source=asked.source,
+        target=asked.target,
+        given=asked.given,
+        options=solved.options,
+        rounds=len(solved.rounds),
+        priors=() if opened.known is None else opened.known.priors,
+        is_minimum=solved.summary.termination_type == "CONVERGENCE",
+    )
+
+
 def _write_page(
     asked: Refinement,
     page: str,
     opened: Opened,
     solved: Result,
     georeference: Georeference | None,
+    findings: Sequence[Finding],
     progress: Progress,
 ) -> None:
     """Write the report page; most runs do not need its imports."""
@@ -266,6 +290,7 @@ def _write_page(
         priors=() if opened.known is None else opened.known.priors,
         constraints=asked.constraints,
         georeference=georeference,
+        findings=findings,
         name=asked.source,
     )
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bundle.cli.georeference_flags import georeference_given
+from bundle.cli.next_run import repeated_flags
 from bundle.cli.option_flags import options_given
 from bundle.cli.problem_edits import rules_as_options, rules_of
 from bundle.cli.standard_streams import complain
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Refinement"]
 
-_OF_PLAIN = {"source", "target", "format", "overwrite", "json", "verbose", "checkpoints"}
+_OF_PLAIN = {"source", "target", "format", "overwrite", "json", "given", "verbose", "checkpoints"}
 _OF_PLAIN |= {"options", "fixed_images", "constraints"}  # constraints: parsed rules
 """Fields that a refinement in slices serves, too; any other makes it more than plain."""
 
@@ -57,6 +58,7 @@ class Refinement:
         rules: rules as given.
         constraints: the parsed rules.
         checkpoints: checkpoint files, for a run that may be killed.
+        given: flags that the next command of a finding repeats.
     """
 
     source: str
@@ -79,6 +81,7 @@ class Refinement:
     rules: RuleOptions
     constraints: Constraints | tuple[()]
     checkpoints: CheckpointOptions
+    given: tuple[str, ...]
 
     @staticmethod
     def of(arguments: argparse.Namespace) -> Refinement:
@@ -125,6 +128,7 @@ class Refinement:
             rules=rules,
             constraints=constraints,
             checkpoints=_checkpoints_given(arguments),
+            given=repeated_flags(arguments),
         )
 
     @property

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
 from bundle.analysis.uncertainty.covariance_result import Covariance
-from bundle.analysis.uncertainty.graph_covariance import GraphCovariance, graph_covariance
 from bundle.analysis.uncertainty.value_checks import (
     note_on_far_points,
     refuse_huge,
@@ -21,8 +20,6 @@ from bundle.analysis.uncertainty.value_checks import (
 from bundle.base.arrays import freeze
 from bundle.base.words import not_converged
 from bundle.errors import InputError
-from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
-from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.covariance_options import GAUGES, PARTS, ROBUST, SCALES, one_of, parts_of
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import PoseGraphKeywords
@@ -36,12 +33,14 @@ from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
+    from bundle.analysis.uncertainty.graph_covariance import GraphCovariance
     from bundle.graphs.factors.factors import Factor
+    from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
     from bundle.solving.placed_problem import Prior
 
-__all__ = ["covariance"]
+__all__ = ["covariance", "intrinsics_covariance"]
 
 AT_MINIMUM = 1e-4
 """Relative decrease of the cost by one more step, below which a state counts as a minimum."""
@@ -156,7 +155,12 @@ def covariance(
         >>> cov = bundle.covariance("sparse/0", scale="sigma0")
         >>> cov.pose(7)[3:, 3:]
     """
+    # A refinement computes covariances of intrinsics and needs no pose graphs.
+    from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
+
     if is_graph(problem):
+        from bundle.analysis.uncertainty.graph_covariance import graph_covariance
+
         refuse_for_graphs(
             of=None if of is PARTS else of,
             robust=None if robust == "weights" else robust,
@@ -201,6 +205,23 @@ def covariance(
             "scale: expected unit with the sandwich, which takes its scale from the residuals"
         )
     return recipe.compute(list(relative))
+
+
+def intrinsics_covariance(problem: Problem, options: SolveOptions) -> Covariance:
+    """Return the covariance of the intrinsics, scaled by sigma0, as :func:`covariance` does.
+
+    Raises:
+        InputError: as :func:`covariance`.
+    """
+    gauge = "two_cameras"  # intrinsics do not depend on it
+    recipe = _Recipe(
+        request=SolveRequest(problem=problem, options=options.replace(gauge=gauge)),
+        of=("intrinsics",),
+        gauge=gauge,
+        scale="sigma0",
+        robust="weights",
+    )
+    return recipe.compute([])
 
 
 def _check_same_factors(result: Result, *given: Iterable[Any]) -> None:

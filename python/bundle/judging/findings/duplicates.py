@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.interface.finding import Finding
-from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.measured import Measured, distinct
 from bundle.model.problem import Problem
 
 __all__ = ["duplicate_points"]
@@ -33,8 +33,8 @@ def duplicate_points(measured: Measured) -> Finding | None:
     """Return the finding about points that exist twice, or None."""
     problem = measured.problem
     pairs = _pairs(problem)
-    points = np.unique(pairs)
-    seen = len(np.unique(problem.observation_point))
+    points = distinct(pairs)
+    seen = len(distinct(problem.observation_point))
     share = len(points) / max(seen, 1)
     if len(pairs) < FEWEST_PAIRS or share < SHARE:
         return None

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from bundle.analysis.diagnosis.track_table import TrackTable
 from bundle.analysis.diagnosis.weak_joints import weak_joint
 from bundle.analysis.uncertainty.covariance_result import Covariance
@@ -23,7 +25,7 @@ from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.minimum import not_refined
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.outliers import outliers
-from bundle.judging.findings.positions import measured_positions, scale_drift
+from bundle.judging.findings.positions import is_tense, measured_positions, scale_drift
 from bundle.judging.findings.repaired import is_affordable, repaired
 from bundle.judging.findings.systematic import SystematicResiduals
 from bundle.model.cameras import camera_models
@@ -57,6 +59,8 @@ def one_list(*groups: Iterable[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(kept, key=lambda finding: not finding.is_problem))
 
 
+# Numbers of a valid problem may be as large as a double: an overflow becomes infinite.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def find(
     problem: Problem,
     *,
@@ -108,29 +112,36 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     if start is not None:
         yield start
         return  # other tests need a minimum
-    spoiled = [outliers(measured), scale_drift(measured)]
-    if spoiled[1] is None:
-        spoiled.append(measured_positions(measured, has_outliers=spoiled[0] is not None))
-    yield from spoiled
-    is_spoiled = any(finding is not None for finding in spoiled)
+    far = outliers(measured)
+    is_bent = is_tense(measured)
     can_repair = is_affordable(measured)
-    if is_spoiled and can_repair:
-        measured = repaired(measured) or measured
+    free = repaired(measured) if can_repair and (far is not None or is_bent) else None
+    drift = scale_drift(measured, (free or measured).whole) if is_bent else None
+    places = None
+    if drift is None:
+        places = measured_positions(measured, has_outliers=far is not None)
+    if far is not None and free is not None:
+        far = outliers(measured, robust_scale=free.scale)
+    yield from (far, drift, places)
+    if far is not None or drift is not None or places is not None:
+        if free is None:
+            return
+        measured = free
     found = SystematicResiduals(measured)
     fits = image_fits(found, measured.scale)
     moves = motion(measured, found, fits)
     lens = None if moves is not None else lens_model(measured, found)
     yield lens
-    if lens is not None and can_repair:
-        measured = repaired(measured, lens.evidence["larger_model"]) or measured
-        found = SystematicResiduals(measured)
+    if lens is not None:
+        larger = repaired(measured, lens.evidence["larger_model"]) if can_repair else None
+        if larger is None:
+            return
+        measured, found = larger, SystematicResiduals(larger)
         fits = image_fits(found, measured.scale)
         moves = motion(measured, found, fits)
-    elif lens is not None or (is_spoiled and not can_repair):
-        return
     yield moves
     yield image_residuals(measured, found, fits, is_general=moves is not None)
     groups = list(focal_lengths(measured))
     yield undetermined_intrinsics(measured, groups)
     yield focal_drift(measured, groups, is_jointed=joint is not None)
-    yield shared_lens(measured, groups)
+    yield shared_lens(measured, groups, is_jointed=joint is not None)

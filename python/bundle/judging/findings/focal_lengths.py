@@ -17,8 +17,9 @@ fits its own (two real models with one lens: Q / d of k is 5 and 11, of f 0.9 an
 the lenses are different.
 
 Drift. In the weighted regression f_i = a + b t_i on the order t of the images, from -1 to 1, the
-gain b^2 / var b must exceed 30 by the Q / d that is left, and half of Q, and the change 2 b must be
-2 % of f. If the model has a weak joint, whose parts have errors of their own, 90 instead of 30.
+gain b^2 / var b must exceed 30, and 30 times the Q / d that is left, and the change 2 b must be 2 %
+of f. If the model has a weak joint, whose parts have errors of their own, all limits of Q are 3
+times as high.
 """
 
 from __future__ import annotations
@@ -31,14 +32,15 @@ from numpy.typing import NDArray
 
 from bundle.base.words import named, number, plural
 from bundle.interface.finding import Finding
-from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.measured import Measured, distinct, median
 from bundle.model.cameras import param_kinds
 
 __all__ = ["focal_drift", "focal_lengths", "shared_lens", "undetermined_intrinsics"]
 
 UNDETERMINED = 0.05
 DIFFERENT, EQUAL = 25.0, 4.0
-DRIFT, DRIFT_STATISTIC, DRIFT_SHARE = 0.02, 30.0, 0.5
+DRIFT, DRIFT_STATISTIC = 0.02, 30.0
+JOINTED = 3.0
 FEWEST_CAMERAS = 2
 FEWEST_IN_ORDER = 6
 
@@ -100,7 +102,7 @@ def undetermined_intrinsics(measured: Measured, groups: Groups) -> Finding | Non
         kind="undetermined_intrinsics",
         sentence=f"The focal length is not determined in {plural(len(rows), 'camera')} "
         f"({named('camera', cameras.tolist())}): its standard deviation is "
-        f"{100 * float(np.median(relative)):.0f} % of it. "
+        f"{100 * median(relative):.0f} % of it. "
         f"{'Share the lens' if shares else 'Add a prior'}, or hold it.",
         command=measured.command.refine(*flags),
         evidence={
@@ -111,9 +113,10 @@ def undetermined_intrinsics(measured: Measured, groups: Groups) -> Finding | Non
     )
 
 
-def shared_lens(measured: Measured, groups: Groups) -> Finding | None:
+def shared_lens(measured: Measured, groups: Groups, *, is_jointed: bool = False) -> Finding | None:
     """Return the finding about cameras that have one lens, or None."""
-    equal = [group for group in groups if _is_equal(group)]
+    factor = JOINTED if is_jointed else 1.0
+    equal = [group for group in groups if _is_equal(group, factor)]
     if not equal:
         return None
     group = max(equal, key=lambda one: len(one.cameras))
@@ -125,7 +128,7 @@ def shared_lens(measured: Measured, groups: Groups) -> Finding | None:
         kind="shared_lens",
         sentence=f"{plural(len(ids), 'camera')} of one model and size have the same focal length "
         f"{number(mean)} px within their standard deviations (median "
-        f"{number(float(np.median(group.sigma)))} px; chi2 / dof {group.statistic / dof:.2f}): "
+        f"{number(median(group.sigma))} px; chi2 / dof {group.statistic / dof:.2f}): "
         "share the lens.",
         command=measured.command.refine("--share-cameras", flag),
         evidence={
@@ -133,7 +136,7 @@ def shared_lens(measured: Measured, groups: Groups) -> Finding | None:
             "focal": mean,
             "chi2": group.statistic,
             "dof": dof,
-            "median_sigma": float(np.median(group.sigma)),
+            "median_sigma": median(group.sigma),
             "distortion_chi2_per_dof": group.distortion,
         },
     )
@@ -144,7 +147,7 @@ def focal_drift(measured: Measured, groups: Groups, *, is_jointed: bool = False)
     for group in groups:
         if not group.is_determined.all():
             continue
-        if _drifts(group, DRIFT_STATISTIC * (3.0 if is_jointed else 1.0)):
+        if _drifts(group, DRIFT_STATISTIC * (JOINTED if is_jointed else 1.0)):
             change, gain = _trend(group)
             left = (group.statistic - gain) / (len(group.cameras) - 2)
             ids = measured.whole.camera_ids[group.cameras].tolist()
@@ -166,8 +169,7 @@ def _drifts(group: FocalLengths, least: float) -> bool:
         return False
     change, gain = _trend(group)
     left = (group.statistic - gain) / (len(group.cameras) - 2)
-    is_clear = gain > least + left and gain > DRIFT_SHARE * group.statistic
-    return is_clear and abs(change) > DRIFT
+    return gain > least * max(left, 1.0) and abs(change) > DRIFT
 
 
 def _trend(group: FocalLengths) -> tuple[float, float]:
@@ -188,7 +190,7 @@ def focal_lengths(measured: Measured) -> Iterator[FocalLengths]:
     if known is None:
         return
     problem = measured.whole
-    used = np.unique(problem.image_camera[np.unique(problem.observation_image)])
+    used = distinct(problem.image_camera[distinct(problem.observation_image)])
     groups: dict[tuple[str, int, int], list[int]] = {}
     for camera in used.tolist():
         width, height = problem.camera_sizes[camera].tolist()
@@ -221,14 +223,14 @@ def focal_lengths(measured: Measured) -> Iterator[FocalLengths]:
         )
 
 
-def _is_equal(group: FocalLengths) -> bool:
+def _is_equal(group: FocalLengths, factor: float) -> bool:
     dof = len(group.cameras) - 1
     return bool(
         dof + 1 >= FEWEST_CAMERAS
         and group.is_determined.all()
-        and group.statistic < EQUAL * dof
+        and group.statistic < EQUAL * factor * dof
         and group.distortion < DIFFERENT
-        and not _drifts(group, DRIFT_STATISTIC / 2)
+        and not _drifts(group, DRIFT_STATISTIC / 2 * factor)
     )
 
 

@@ -26,7 +26,7 @@ part is 1.5 times the other.
 Single images. Without motion in general, an image has systematic residuals if b_i^T V_i^-1 b_i >
 3 + 6 sqrt(6) + 20 + 2 log m and its field has an rms of half a scale. It is weak if its scale is
 1.75 times the median of all, which is 3 times the spread of the logarithms and 5 times their
-standard error, 0.72 / sqrt(n), and if its errors without the linear field are as large.
+standard error, 0.72 / sqrt(n), and if its errors without the linear field are 1.5 times as large.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from bundle.base.words import noun, number
 from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.judging.findings.lens_terms import lens_size
-from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.measured import Measured, distinct, median
 from bundle.judging.findings.systematic import SystematicResiduals
 from bundle.model.problem import Problem
 
@@ -50,7 +50,7 @@ RATIO, SIZE, LENS_SIZES = 4.0, 0.45, 8.0
 ROWS_AGAINST_COLUMNS = 1.5
 FEWEST_IMAGES = 6
 FIELD = 0.5
-WEAK = 1.75
+WEAK, WEAK_WITHOUT_FIELD = 1.75, 1.5
 WEAK_SPREADS, WEAK_ERRORS = 3.0, 5.0
 NAMED = 3
 LEFT = 0.01
@@ -165,7 +165,7 @@ def image_fits(found: SystematicResiduals, scale: float) -> ImageFits:
     for row, one in enumerate(found.images):
         columns, normal = found.image_fields(one)
         residual = found.residuals_without_lens[one.rows]
-        fits.medians[row] = np.median(np.hypot(*residual.T))
+        fits.medians[row] = median(np.hypot(*residual.T))
         raw = np.sqrt((found.xy[one.rows] ** 2).sum())
         left = np.flatnonzero(np.diag(normal) > (LEFT * raw) ** 2)
         if not len(left):
@@ -173,7 +173,7 @@ def image_fits(found: SystematicResiduals, scale: float) -> ImageFits:
         columns, inverse = columns[:, :, left], np.linalg.pinv(normal[np.ix_(left, left)])
         fitted = inverse @ (columns * residual[:, :, None]).sum(axis=(0, 1))
         rest = residual - columns @ fitted
-        fits.medians[row] = np.median(np.hypot(*rest.T))
+        fits.medians[row] = median(np.hypot(*rest.T))
         scores = (columns * rest[:, :, None]).sum(axis=1)
         covariance = inverse @ (scores.T @ scores) @ inverse * len(scores) / max(len(scores) - 6, 1)
         fits.coefficients[row, left] = fitted
@@ -215,15 +215,15 @@ def _weak(
     """Return the weak images and the ratio of each image's scale to their median."""
     scale = measured.image_scale
     known = np.isfinite(scale)
-    ratio = np.where(known, scale / np.median(scale[known]) if known.any() else 1.0, 1.0)
+    ratio = np.where(known, scale / median(scale[known]) if known.any() else 1.0, 1.0)
     count = np.bincount(measured.problem.observation_image, minlength=len(scale))
     logarithm = np.log(np.maximum(ratio, 1e-12))
-    spread = 1.4826 * float(np.median(np.abs(logarithm[known]))) if known.any() else 0.0
+    spread = 1.4826 * median(np.abs(logarithm[known])) if known.any() else 0.0
     error = WEAK_ERRORS * 0.72 / np.sqrt(np.maximum(count, 1))
     limit = np.maximum(max(np.log(WEAK), WEAK_SPREADS * spread), error)
     is_weak = known & (logarithm > limit)
     # An image that moved is not weak: its errors are usual without its linear field.
-    usual = WEAK * float(np.median(fits.medians)) if len(fits.medians) else 0.0
+    usual = WEAK_WITHOUT_FIELD * median(fits.medians) if len(fits.medians) else 0.0
     rows = np.array([one.image for one in found.images], np.int64)
     is_weak[rows] &= fits.medians > usual
     return np.flatnonzero(is_weak), ratio
@@ -232,7 +232,7 @@ def _weak(
 def _shared(measured: Measured) -> str:
     """Return the command that shares the cameras of one size; "" if they are shared already."""
     problem = measured.whole
-    used = np.unique(problem.image_camera)
+    used = distinct(problem.image_camera)
     if len(used) < 2 or len(np.unique(problem.camera_sizes[used], axis=0)) > 1:
         return ""
     if len({problem.camera_models[camera] for camera in used.tolist()}) > 1:

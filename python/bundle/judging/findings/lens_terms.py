@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from bundle.base.words import named
 from bundle.interface.finding import Finding
-from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.measured import Measured, distinct
 from bundle.judging.findings.systematic import LEFT, LENS_TERMS, SystematicResiduals
 
 __all__ = ["lens_model", "lens_size"]
@@ -158,11 +158,11 @@ def _field(
     }
     return _Field(
         model=model,
-        camera_ids=tuple(np.sort(problem.camera_ids[np.unique(found.camera[rows])]).tolist()),
+        camera_ids=tuple(np.sort(problem.camera_ids[distinct(found.camera[rows])]).tolist()),
         significant=significant,
         statistic=statistic,
         size=float(np.sqrt(total)) / scale,
-        percentile=float(np.quantile(np.hypot(*field.T), 0.99)),
+        percentile=float(np.sort(np.hypot(*field.T))[(99 * len(field) - 1) // 100]),
         larger=enough[0] if enough else next(reversed(explained), ""),
         shares=shares,
     )

@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.statistics.depths import depths_of_observations
 from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.interface.options import SolveOptions
 from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals, residuals
+from bundle.model.rotations import quaternion_rotate
 
-__all__ = ["Measured", "median_by_group"]
+__all__ = ["SMALLEST_SCALE", "Measured", "distinct", "median", "median_by_group"]
 
 RAYLEIGH_MEDIAN = 1.1774100225154747
 SMALLEST_SCALE = 0.01
@@ -100,7 +100,7 @@ class Measured:
     def scale(self) -> float:
         """Standard deviation s of a coordinate [px], robust, at least 0.01."""
         known = self.errors[self.counted]
-        return _scale(float(np.median(known))) if len(known) else SMALLEST_SCALE
+        return _scale(median(known)) if len(known) else SMALLEST_SCALE
 
     @cached_property
     def image_scale(self) -> Floats:
@@ -151,12 +151,11 @@ class Measured:
             and (self._predicted_focal_sigma() < SURE_FOCAL_SIGMA)
         ):
             return None
-        from bundle.analysis.uncertainty.compute_covariance import covariance
+        from bundle.analysis.uncertainty.compute_covariance import intrinsics_covariance
         from bundle.errors import InputError
 
-        options = self.options.replace(gauge="auto", num_threads=1)
         try:
-            return covariance(whole, options, of="intrinsics", scale="sigma0")
+            return intrinsics_covariance(whole, self.options.replace(num_threads=1))
         except InputError:
             return None
 
@@ -169,8 +168,10 @@ class Measured:
         """
         problem = self.problem
         rows = np.flatnonzero(self.counted)
-        depth = depths_of_observations(problem)[rows]
         image = problem.observation_image[rows]
+        pose = problem.cam_from_world[image]
+        rotated = quaternion_rotate(pose[:, :4], problem.points[problem.observation_point[rows]])
+        depth = rotated[:, 2] + pose[:, 6]
         count = np.maximum(np.bincount(image, minlength=problem.num_images), 1)
         mean = (np.bincount(image, depth, problem.num_images) / count)[image]
         size = problem.camera_sizes[problem.image_camera[image]]
@@ -186,6 +187,17 @@ class Measured:
         scales = np.maximum(medians / RAYLEIGH_MEDIAN, SMALLEST_SCALE)
         scales[numbers < FEWEST] = np.nan
         return scales
+
+
+def distinct(values: NDArray[Any]) -> NDArray[Any]:
+    """Return the distinct values, sorted. NumPy imports masked arrays, unless counts are asked."""
+    return np.unique(values, return_counts=True)[0]
+
+
+def median(values: Floats) -> float:
+    """Return the lower median; 0 without values. NumPy's median imports masked arrays for 6 ms."""
+    middle = (len(values) - 1) // 2
+    return float(np.partition(values, middle)[middle]) if len(values) else 0.0
 
 
 def median_by_group(

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.interface.finding import Finding
-from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.measured import SMALLEST_SCALE, Measured
 from bundle.model.losses import evaluate_loss
 from bundle.model.reprojection import linearize
 
@@ -35,7 +35,8 @@ Floats = NDArray[np.float64]
 
 def not_refined(measured: Measured) -> Finding | None:
     """Return the finding about a model that is not at a minimum, or None."""
-    if measured.is_minimum:
+    is_exact = not measured.scale > SMALLEST_SCALE
+    if measured.is_minimum or is_exact:
         return None
     left, what, decrease = min(_left(measured), default=(1.0, "", 0.0))
     if not left < LEFT:

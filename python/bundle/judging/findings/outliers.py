@@ -8,8 +8,8 @@ cost beyond 6 scales, the RMSE is larger by 1 / sqrt(1 - q).
 Threshold. At least 3 observations, and q >= 0.2: RMSE inflated by 12 % or more.
 
 A robust loss reduces the weight of outliers, and rounds remove them; neither is advised twice.
-Rounds remove errors above 4 px by default. The command states another limit if 6 scales are far
-from it.
+Rounds remove errors above 4 px by default. The command states another limit if 6 scales of a robust
+fit are far from it; those of least squares say little, since outliers bend the model.
 """
 
 from __future__ import annotations
@@ -26,12 +26,18 @@ BEYOND = 6.0
 COST_SHARE = 0.2
 USUAL_LIMIT = 2.0, 4.0
 """Pixels of 6 scales between which the default limit of rounds, 4 px, is right."""
+SMALLEST_LIMIT = 0.5
 FEWEST_OUTLIERS = 3
 FEWEST_OBSERVATIONS = 30
 
 
-def outliers(measured: Measured) -> Finding | None:
-    """Return the finding about outliers, or None."""
+def outliers(measured: Measured, robust_scale: float | None = None) -> Finding | None:
+    """Return the finding about outliers, or None.
+
+    Args:
+        measured: the model.
+        robust_scale: noise of a fit that outliers do not bend [px]; None: unknown.
+    """
     known = measured.counted
     count = int(known.sum())
     if count < FEWEST_OBSERVATIONS:
@@ -52,8 +58,11 @@ def outliers(measured: Measured) -> Finding | None:
         else f"the {measured.options.loss.replace('_', '-')} loss reduces their weight, and they "
         "are still in the model"
     )
-    usual, wanted = USUAL_LIMIT, BEYOND * measured.scale
-    limit = () if usual[0] <= wanted <= usual[1] else ("--max-error", f"{wanted:.2g}")
+    limit: tuple[str, ...] = ()
+    if robust_scale is not None:
+        low, high = USUAL_LIMIT
+        wanted = max(BEYOND * robust_scale, SMALLEST_LIMIT)
+        limit = () if low <= wanted <= high else ("--max-error", f"{wanted:.2g}")
     return Finding(
         kind="outliers",
         sentence=f"Outliers: {plural(int(far.sum()), 'observation')} "

@@ -3,15 +3,17 @@ r"""Measured positions against the model: sigmas, single wrong positions, drift 
 The residual of image i in units of its sigma has the length d_i; for right sigmas d_i^2 is chi^2
 with as many degrees of freedom as measured axes (median 2.37 for three, 1.39 for two).
 
-Wrong sigmas. The ratio sqrt(median d^2 / its expected median) is above 2, over at least 6 images,
-or above 3 if observations have outliers, which bend the model. The command gives the sigma that the
-residuals show.
+Wrong sigmas. The ratio sqrt(median d^2 / its expected median) is above 2, over at least 6 images.
+The command gives the sigma that the residuals show.
 Single positions. d_i is above 5 ratios (at least 5 sigmas) in at most a third of the images.
-Drift. With centres c and positions p, the scale of a part of the images is
+Both limits are 1.5 times as high if observations have outliers, which bend the model.
+
+Drift. Priors pull the model, so that a drift shows little in the residuals. If these show any
+tension (a ratio above 1.5, or a residual above 5 sigmas), the model is solved without positions.
+With its centres c and the positions p, the scale of a part of the images is
 s = sum |p - mean p| / sum |c - mean c|. That of the first half of the images in their order and
 that of the second differ by more than 6 % and by 5 standard errors; the error of each is
-sigma / (spread sqrt n). Priors of a solve pull the model, so that drift shows at its clearest where
-their sigmas are large.
+sigma / (spread sqrt n).
 """
 
 from __future__ import annotations
@@ -24,14 +26,15 @@ from numpy.typing import NDArray
 from bundle.base.words import number, plural
 from bundle.errors import shown
 from bundle.interface.finding import Finding
-from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.measured import Measured, median
 from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_inverse, quaternion_rotate
 
 __all__ = ["measured_positions", "scale_drift"]
 
 CHI2_MEDIANS = {1: 0.4549, 2: 1.3863, 3: 2.3660}
-RATIO, RATIO_BESIDE_OUTLIERS = 2.0, 3.0
+RATIO, OUTLIERS_FACTOR = 2.0, 1.5
+TENSION = 1.5
 OUTLIER = 5.0
 FEWEST = 6
 DRIFT, DRIFT_ERRORS = 0.06, 5.0
@@ -44,8 +47,9 @@ def measured_positions(measured: Measured, *, has_outliers: bool = False) -> Fin
     rows, priors = _used(measured)
     if len(rows) < FEWEST:
         return None
-    distance, ratio, is_wrong = _distances(measured, rows, priors)
-    wrong = np.flatnonzero(is_wrong)
+    factor = OUTLIERS_FACTOR if has_outliers else 1.0
+    distance, ratio = _distances(measured, rows, priors)
+    wrong = np.flatnonzero(distance > OUTLIER * factor * max(ratio, 1.0))
     problem = measured.whole
     sigma = _horizontal_sigma(priors)
     evidence: dict[str, Any] = {
@@ -63,11 +67,11 @@ def measured_positions(measured: Measured, *, has_outliers: bool = False) -> Fin
             sentence=f"{plural(len(wrong), 'measured position')} of {len(rows)} "
             f"{'contradicts' if len(wrong) == 1 else 'contradict'} the model: {name} is "
             f"{number(float(distance[worst]))} sigmas away, the median image "
-            f"{number(float(np.median(distance)))}.",
+            f"{number(median(distance))}.",
             command=measured.command.refine("--prior-loss", "cauchy"),
             evidence=evidence,
         )
-    if ratio > (RATIO_BESIDE_OUTLIERS if has_outliers else RATIO):
+    if ratio > RATIO * factor:
         return Finding(
             kind="positions",
             sentence=f"Measured positions and model differ by {number(ratio)} times the sigmas: "
@@ -79,18 +83,33 @@ def measured_positions(measured: Measured, *, has_outliers: bool = False) -> Fin
     return None
 
 
-def scale_drift(measured: Measured) -> Finding | None:
-    """Return the finding about a scale that changes along the images, or None."""
+def is_tense(measured: Measured) -> bool:
+    """Return True if residuals of positions are larger than their sigmas say."""
+    rows, priors = _used(measured)
+    if len(rows) < FEWEST:
+        return False
+    distance, ratio = _distances(measured, rows, priors)
+    return bool(ratio > TENSION or (distance > OUTLIER).any())
+
+
+def scale_drift(measured: Measured, free: Problem) -> Finding | None:
+    """Return the finding about a scale that changes along the images, or None.
+
+    Args:
+        measured: the model with its measured positions.
+        free: the model as the images alone determine it, in any frame.
+    """
     rows, priors = _used(measured)
     if len(rows) < 2 * FEWEST:
         return None
-    right = np.flatnonzero(~_distances(measured, rows, priors)[2]).tolist()
+    distance, ratio = _distances(measured, rows, priors)
+    right = np.flatnonzero(distance <= OUTLIER * max(ratio, 1.0)).tolist()
     rows, priors = [rows[k] for k in right], [priors[k] for k in right]
     if len(rows) < 2 * FEWEST:
         return None
     order = np.argsort(measured.whole.image_ids[rows], kind="stable")
     antennas = np.array(
-        [_antenna(measured.whole, row, prior) for row, prior in zip(rows, priors, strict=True)]
+        [_antenna(free, row, prior) for row, prior in zip(rows, priors, strict=True)]
     )[order]
     positions = np.array([np.asarray(prior.position) for prior in priors])[order]
     flat = np.isnan(positions[:, 2]).any()
@@ -122,18 +141,16 @@ def scale_drift(measured: Measured) -> Finding | None:
     )
 
 
-def _distances(
-    measured: Measured, rows: list[int], priors: list[Any]
-) -> tuple[Floats, float, NDArray[np.bool_]]:
-    """Return residuals in sigmas, their ratio to the expected ones, and the mask of wrong ones."""
+def _distances(measured: Measured, rows: list[int], priors: list[Any]) -> tuple[Floats, float]:
+    """Return residuals in sigmas, and the ratio of their median to the expected one."""
     whitened = np.array(
         [prior.whiten(_antenna(measured.whole, row, prior) - np.asarray(prior.position))
          for row, prior in zip(rows, priors, strict=True)]
     )  # fmt: skip
-    axes = int(np.clip(np.median((np.abs(whitened) > 0).sum(axis=1)), 1, 3))
+    axes = int(np.clip(median((np.abs(whitened) > 0).sum(axis=1).astype(float)), 1, 3))
     distance = np.sqrt((whitened**2).sum(axis=1))
-    ratio = float(np.median(distance) / np.sqrt(CHI2_MEDIANS[axes]))
-    return distance, ratio, distance > OUTLIER * max(ratio, 1.0)
+    ratio = float(median(distance) / np.sqrt(CHI2_MEDIANS[axes]))
+    return distance, ratio
 
 
 def _used(measured: Measured) -> tuple[list[int], list[Any]]:
@@ -164,4 +181,4 @@ def _antenna(problem: Problem, row: int, prior: Any) -> Floats:
 
 def _horizontal_sigma(priors: list[Any]) -> float:
     sigmas = [float(np.sqrt(prior.full_covariance[0, 0])) for prior in priors]
-    return float(np.median(sigmas))
+    return median(np.array(sigmas))

@@ -4,7 +4,9 @@ One fault looks like others. Outliers of a least-squares fit bend cameras, a len
 small makes focal lengths differ, wrong positions pull images away. So the tests run in stages. If a
 stage finds a fault, the model is solved again from its present values as the command of the finding
 says (a cauchy loss, a larger lens model, no positions), and the next stage looks at that model. It
-reports faults of the original only.
+reports faults of the original only. If the robust solve does not converge, the fault has destroyed
+the model, and no later stage can be trusted. That of a larger lens begins at a minimum; a few steps
+are enough.
 
 The second solve takes about as long as the first. It is made for models of at most 50,000
 observations and 100 images; of larger ones, later stages look at the model itself, without the
@@ -21,7 +23,7 @@ from bundle.judging.findings.measured import Measured
 __all__ = ["is_affordable", "repaired"]
 
 MOST_OBSERVATIONS, MOST_IMAGES = 50_000, 100
-MOST_STEPS = 30
+MOST_STEPS = 50
 
 
 def is_affordable(measured: Measured) -> bool:
@@ -31,7 +33,7 @@ def is_affordable(measured: Measured) -> bool:
 
 
 def repaired(measured: Measured, lens_model: str = "") -> Measured | None:
-    """Return the model solved again with a robust loss, without positions; None if that fails.
+    """Return the model solved again with a robust loss, without positions; None if it fails.
 
     Args:
         measured: the model.
@@ -51,9 +53,12 @@ def repaired(measured: Measured, lens_model: str = "") -> Measured | None:
     try:
         if lens_model:
             problem = change_camera_model(problem, lens_model).problem
-        problem = solve(problem, options).problem
+        result = solve(problem, options)
     except InputError:
         return None
+    if not lens_model and result.summary.termination_type != "CONVERGENCE":
+        return None
+    problem = result.problem
     return dataclasses.replace(
         measured, whole=problem, options=options, covariance=None, priors=(), is_minimum=True
     )

@@ -38,7 +38,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.measured import Measured, distinct
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
 from bundle.model.reprojection import linearize
@@ -166,7 +166,7 @@ class SystematicResiduals:
         """Model, and (n,) mask of the observations, of each camera model and image size."""
         problem = self.problem
         found: dict[tuple[str, int, int], list[int]] = {}
-        for camera in np.unique(self.camera).tolist():
+        for camera in distinct(self.camera).tolist():
             width, height = problem.camera_sizes[camera].tolist()
             found.setdefault((problem.camera_models[camera], width, height), []).append(camera)
         return [(key[0], np.isin(self.camera, cameras)) for key, cameras in found.items()]
@@ -219,11 +219,24 @@ class SystematicResiduals:
         found = linearize(self._selected, self._cheirality)
         width = self.problem.camera_params.shape[1]
         free = np.zeros((self.problem.num_cameras, width), bool)
-        for camera in np.unique(self.camera).tolist():
+        for camera in distinct(self.camera).tolist():
             kinds = param_kinds(self.problem.camera_models[camera])
             free[camera, : len(kinds)] = [kind in ("focal", "extra") for kind in kinds]
         params = found.d_params[self._order] * free[self.camera][:, None, :]
         return found.d_pose[self._order], params[:, :, free.any(axis=0)]
+
+
+def _is_first(problem: Problem) -> NDArray[np.bool_]:
+    """Return the mask of observations that repeat no other one: a feature found twice counts once.
+
+    Positions are compared to a tenth of a pixel.
+    """
+    xy = np.nan_to_num(problem.observation_xy)
+    x, y = np.clip(np.rint(xy * 10.0), -(2**20), 2**20 - 1).astype(np.int64).T
+    code = (problem.observation_image.astype(np.int64) << 42) + ((x + 2**20) << 21) + (y + 2**20)
+    first = np.zeros(len(code), bool)
+    first[np.unique(code, return_index=True)[1]] = True
+    return first
 
 
 def orthonormal(columns: Floats) -> Floats:
@@ -248,7 +261,7 @@ def remove(columns: Floats, base: Floats) -> Floats:
 def _lens_coordinates(problem: Problem, camera: Indices, xy: Floats) -> Floats:
     """Return (n, 2) positions from the principal point, in halves of the longer image side."""
     center = np.zeros((problem.num_cameras, 2))
-    for index in np.unique(camera).tolist():
+    for index in distinct(camera).tolist():
         kinds = param_kinds(problem.camera_models[index])
         places = [k for k, kind in enumerate(kinds) if kind == "principal_point"]
         if len(places) == 2:
@@ -263,7 +276,7 @@ def _lens_coordinates(problem: Problem, camera: Indices, xy: Floats) -> Floats:
 def _chosen(measured: Measured) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
     """Return the mask of the observations and the indices of the images that take part."""
     problem = measured.problem
-    usable = measured.is_clean & measured.counted
+    usable = measured.is_clean & measured.counted & _is_first(problem)
     count = np.bincount(problem.observation_image[usable], minlength=problem.num_images)
     images = np.flatnonzero(count >= FEWEST)
     if len(images) > MOST_IMAGES:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from bundle.editing.cameras.edit_record import CameraEdits
     from bundle.georeference.georeferenced import Georeference
     from bundle.graphs.loops.loop_closing import LoopClosing
+    from bundle.interface.finding import Finding
 
 __all__ = ["refinement", "worst_sections"]
 
@@ -48,6 +49,7 @@ def refinement(
     georeference: Georeference | None = None,
     edits: CameraEdits | None = None,
     closed: LoopClosing | None = None,
+    findings: Sequence[Finding] = (),
 ) -> Report:
     """Return the report on one solve.
 
@@ -62,6 +64,7 @@ def refinement(
         georeference: georeference of the result, or None.
         edits: changes of cameras before the solve, or None.
         closed: loop closing before the solve, or None.
+        findings: findings about the result.
     """
     summary, changes = solved.summary, camera_changes(solved)
     warnings = (*(edits.warnings if edits else ()), *summary.warnings)
@@ -105,6 +108,7 @@ def refinement(
         command="refine",
         input=about_problem(path, problem),
         headline=[*headline(solved), *places],
+        findings=findings,
         warnings=[*warnings, *place_warnings, *(f"lost: {what}" for what in lost)],
         sections=[
             Section(facts=[*edit_facts(solved), written(output)]),

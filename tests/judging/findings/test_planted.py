@@ -1,0 +1,121 @@
+"""Each planted fault is found, alone and beside others; sound scenes have no findings."""
+
+import shlex
+
+import numpy as np
+import pytest
+
+import bundle
+from bundle.cli.main import command_parser
+from bundle.judging.findings.find import IMPORTANCE, find, one_list
+from bundle.judging.findings.next_command import NextCommand
+from tests.campaigns.findings import KINDS, judge, make
+
+SEED = 20_000
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_planted_fault_is_found_alone(kind):
+    found = judge(make(SEED, (kind,)))
+    assert [finding.kind for finding in found] == [kind]
+    (finding,) = found
+    assert finding.sentence.endswith(".") and finding.evidence
+    if finding.command:
+        words = shlex.split(finding.command)
+        parsed = command_parser().parse_args(words[1:])
+        assert parsed.command in ("refine", "diagnose") and parsed.input == "INPUT"
+
+
+@pytest.mark.parametrize("seed", range(SEED, SEED + 6))
+def test_sound_scenes_have_no_findings(seed):
+    assert judge(make(seed, ())) == ()
+
+
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        ("outliers", "lens_model", "weak_joint"),
+        ("outliers", "shared_lens", "duplicate_points"),
+        ("positions", "focal_drift", "image_residuals"),
+        ("lens_model", "scale_drift", "image_residuals"),
+    ],
+)
+def test_faults_are_found_beside_each_other(kinds):
+    found = [finding.kind for finding in judge(make(SEED + 2, kinds))]
+    assert set(found) == set(kinds)
+    assert found == sorted(found, key=IMPORTANCE.index)
+
+
+def test_every_kind_has_a_place():
+    assert set(KINDS) == set(IMPORTANCE)
+
+
+def test_findings_do_not_depend_on_the_order_of_images_and_points():
+    scene = make(SEED, ("lens_model", "image_residuals", "weak_joint"))
+    problem = bundle.solve(scene.start).problem
+    rng = np.random.default_rng(0)
+    images, points, rows = (
+        rng.permutation(n)
+        for n in (problem.num_images, problem.num_points, problem.num_observations)
+    )
+    mixed = bundle.Problem(
+        format="colmap",
+        cam_from_world=problem.cam_from_world[images],
+        image_camera=problem.image_camera[images],
+        image_ids=problem.image_ids[images],
+        camera_models=problem.camera_models,
+        camera_params=problem.camera_params,
+        camera_sizes=problem.camera_sizes,
+        camera_ids=problem.camera_ids,
+        points=problem.points[points],
+        point_ids=problem.point_ids[points],
+        observation_image=np.argsort(images)[problem.observation_image[rows]].astype(np.int32),
+        observation_point=np.argsort(points)[problem.observation_point[rows]].astype(np.int32),
+        observation_xy=problem.observation_xy[rows],
+    )
+    one, other = find(problem), find(mixed)
+    assert [finding.kind for finding in one] == [finding.kind for finding in other]
+    for a, b in zip(one, other, strict=True):
+        if a.kind == "lens_model":
+            assert a.evidence["size"] == pytest.approx(b.evidence["size"], rel=1e-6)
+        else:
+            assert a.evidence["image_ids"] == b.evidence["image_ids"]
+
+
+def test_findings_do_not_depend_on_the_frame_of_the_world():
+    scene = make(SEED, ("motion", "shared_lens")[:1])
+    problem = bundle.solve(scene.start).problem
+    scaled = problem.cam_from_world.copy()
+    scaled[:, 4:] *= 1e3
+    moved = problem.replace(cam_from_world=scaled, points=problem.points * 1e3)
+    (one,), (other,) = find(problem), find(moved)
+    for name, ratio in one.evidence["chi2_per_dof"].items():
+        assert other.evidence["chi2_per_dof"][name] == pytest.approx(ratio, rel=1e-5)
+
+
+def test_one_list_keeps_the_first_of_a_kind_and_problems_first():
+    from bundle.interface.finding import Finding
+
+    def of(kind, **more):
+        return Finding(kind=kind, sentence=kind, **more)
+
+    given = [of("gross_errors"), of("a"), of("a"), of("c", is_problem=True)]
+    kinds = [one.kind for one in one_list(given, [of("outliers"), of("a", command="x")])]
+    assert kinds == ["c", "a", "a", "outliers"]
+
+
+def test_the_next_command_replaces_flags_with_their_values():
+    given = (
+        "--set",
+        "camera 1: f fixed",
+        "--camera-model",
+        "RADIAL",
+        "--loss=huber",
+        "--rounds",
+        "2",
+    )
+    command = NextCommand("a b", "c", given).refine("--camera-model", "OPENCV", "--loss", "cauchy")
+    assert shlex.split(command) == [
+        *("bundle", "refine", "a b", "-o", "c", "--set", "camera 1: f fixed", "--rounds", "2"),
+        *("--camera-model", "OPENCV", "--loss", "cauchy"),
+    ]

@@ -1,0 +1,94 @@
+"""Projections against one dense least-squares fit with all columns, and fields of known size."""
+
+import numpy as np
+import pytest
+
+import bundle
+from bundle.judging.findings.images import between_images
+from bundle.judging.findings.measured import Measured, median_by_group
+from bundle.judging.findings.next_command import NextCommand
+from bundle.judging.findings.systematic import SystematicResiduals
+from bundle.model.reprojection import linearize
+
+
+def measured(problem):
+    return Measured(whole=problem, command=NextCommand())
+
+
+@pytest.fixture(scope="module", params=["shared", "individual"])
+def problem(request):
+    scene = bundle.synthesize(
+        scene="orbit", num_images=6, num_points=300, cameras=request.param, seed=5
+    )
+    return bundle.solve(scene.problem).problem
+
+
+def dense_columns(problem, found):
+    """Derivatives by all poses, and by focal lengths and distortion of all cameras."""
+    rows = found.observations
+    full = linearize(problem)
+    image, camera = problem.observation_image[rows], found.camera
+    pose = np.zeros((len(rows), 2, problem.num_images, 6))
+    pose[np.arange(len(rows)), :, image] = full.d_pose[rows]
+    used = [0, 3]  # f and k of SIMPLE_RADIAL
+    lens = np.zeros((len(rows), 2, problem.num_cameras, 2))
+    lens[np.arange(len(rows)), :, camera] = full.d_params[rows][:, :, used]
+    return np.concatenate([pose.reshape(len(rows), 2, -1), lens.reshape(len(rows), 2, -1)], axis=2)
+
+
+def test_coefficients_are_those_of_a_joint_fit(problem):
+    found = SystematicResiduals(measured(problem))
+    base = dense_columns(problem, found)
+    rows = 2 * len(found.observations)
+    extra = found.lens_columns[:, :, 1:]  # r2 belongs to the model
+    joint = np.concatenate([extra, base], axis=2).reshape(rows, -1)
+    scale = np.linalg.norm(joint, axis=0)
+    target = found._residuals.reshape(rows)
+    expected = (np.linalg.lstsq(joint / scale, target, rcond=1e-13)[0] / scale)[:5]
+    fields = found.lens_fields[:, :, 1:].reshape(rows, -1)
+    size = np.linalg.norm(fields, axis=0)
+    usable = size > 1e-3 * np.linalg.norm(extra.reshape(rows, -1), axis=0)
+    fitted = np.linalg.lstsq(fields / size, found.residuals.reshape(rows), rcond=1e-13)[0] / size
+    np.testing.assert_allclose(fitted[usable], expected[usable], rtol=1e-3)
+
+
+def test_fields_of_one_image_are_those_of_a_joint_fit(problem):
+    found = SystematicResiduals(measured(problem))
+    base = dense_columns(problem, found).reshape(2 * len(found.observations), -1)
+    for one in found.images[:2]:
+        columns, normal = found.image_fields(one)
+        inside = np.zeros((len(found.observations), 2, 3))
+        x, y = found.xy[one.rows].T
+        inside[one.rows] = np.stack(
+            [np.stack(pair, axis=1) for pair in ((x, y), (x, -y), (y, x))], axis=2
+        )
+        flat = inside.reshape(len(base), 3)
+        scale = np.linalg.norm(base, axis=0)
+        scale[scale == 0] = 1
+        left = flat - base / scale @ np.linalg.lstsq(base / scale, flat, rcond=1e-12)[0]
+        np.testing.assert_allclose(normal, left.T @ left, atol=1e-6 * np.trace(flat.T @ flat))
+        assert columns.shape == (len(x), 2, 3)
+
+
+def test_random_effects_are_recovered():
+    rng = np.random.default_rng(1)
+    variances = rng.uniform(0.5, 2, 400)
+    ratio, tau, excess = between_images(rng.normal(3, np.sqrt(variances)), variances)
+    assert ratio == pytest.approx(1, abs=0.2) and tau < 0.4 and excess < 0
+    spread = rng.normal(3, np.sqrt(variances + 9))
+    ratio, tau, excess = between_images(spread, variances)
+    assert ratio > 5 and excess > 0
+    assert tau == pytest.approx(3, rel=0.1)
+    assert between_images(spread[:5], variances[:5])[0] == 0
+    assert between_images(spread, np.full(400, np.inf))[1] == 0
+
+
+def test_medians_by_group_are_those_of_each_group():
+    rng = np.random.default_rng(2)
+    values, group = rng.normal(size=501), rng.integers(0, 7, 501)
+    medians, numbers = median_by_group(values, group, 9)
+    for one in range(7):
+        inside = np.sort(values[group == one])
+        assert medians[one] == inside[(len(inside) - 1) // 2]
+        assert numbers[one] == len(inside)
+    assert np.isnan(medians[7:]).all() and not numbers[7:].any()
