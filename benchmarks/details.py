@@ -7,6 +7,7 @@ from typing import Any
 from benchmarks import (
     backend,
     flops,
+    judging,
     practitioners,
     scale,
     scaling,
@@ -45,6 +46,7 @@ def page(results: Results, heading: str, plots: dict[str, str]) -> str:
             practitioners.as_table(results.practitioners),
         ),
         ("Covariance and diagnosis", uncertainty.as_table(results.uncertainty)),
+        ("Validation of lenses, whole processes", judging.as_table(results.judging)),
         ("Pose graphs", backend.graphs_table(results.pose_graphs)),
         ("Preintegration", backend.inertial_table(results.inertial)),
         ("A batch of visual-inertial keyframes", backend.windows_table(results.windows)),

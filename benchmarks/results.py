@@ -23,6 +23,7 @@ class Results:
         whole: problem -> process -> runs.
         practitioners: title -> whose -> runs, of ``benchmarks.practitioners``.
         uncertainty: model -> whose -> runs, of ``benchmarks.uncertainty``.
+        judging: input -> runs, of ``benchmarks.judging``.
         pose_graphs: set -> solver -> runs, of ``benchmarks.pose_graphs``.
         inertial: implementation -> interval -> times, of ``benchmarks.inertial``.
         windows: size and runs, of ``benchmarks.windows``.
@@ -39,6 +40,7 @@ class Results:
     pose_graphs: dict[str, dict[str, list[dict[str, float]]]] = field(default_factory=dict)
     inertial: dict[str, dict[str, list[float]]] = field(default_factory=dict)
     windows: dict[str, Any] = field(default_factory=dict)
+    judging: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
 
     def of(self, problem: str, rule: str = "default", threads: int = 0) -> list[Run]:
         """Return the runs of a problem under a rule; threads 0 are the ones of the settings."""

@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import (
     details,
+    judging,
     machine,
     measure,
     practitioners,
@@ -146,7 +147,7 @@ def measure_all(chosen: list[BenchmarkProblem], options: argparse.Namespace) -> 
     real = [] if options.quick else [problem for problem in chosen if not problem.is_synthetic]
     with tempfile.TemporaryDirectory() as folder:
         processes = run_whole(real, options, Path(folder))
-    further, certain = {}, {}
+    further, certain, judged = {}, {}, {}
     graphs, inertia, windows = None, None, None
     if not (options.quick or options.synthetic or options.only):
         further = practitioners.measured(options.repeat, options.threads, options.timeout)
@@ -161,6 +162,7 @@ def measure_all(chosen: list[BenchmarkProblem], options: argparse.Namespace) -> 
             for module in ("benchmarks.inertial", "benchmarks.windows")
         )
         if not options.no_synthetic:
+            judged = judging.measured(options.repeat, options.threads, options.timeout)
             certain = uncertainty.measured(options.repeat, options.threads, options.timeout)
     return Results(
         machine=described,
@@ -179,6 +181,7 @@ def measure_all(chosen: list[BenchmarkProblem], options: argparse.Namespace) -> 
         whole=processes,
         practitioners=further,
         uncertainty=certain,
+        judging=judged,
         pose_graphs=graphs or {},
         inertial=inertia or {},
         windows=windows or {},

@@ -7,7 +7,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks import agreement, backend, practitioners, scaling, table, uncertainty, whole
+from benchmarks import (
+    agreement,
+    backend,
+    judging,
+    practitioners,
+    scaling,
+    table,
+    uncertainty,
+    whole,
+)
 from benchmarks.measure import Spread
 from benchmarks.results import Results
 from benchmarks.rows import Row
@@ -55,6 +64,7 @@ def of(results: Results) -> list[Target]:
         *_whole_models(results),
         *_practitioners(results),
         *_uncertainty(results),
+        *_judging(results),
         *_pose_graphs(results),
         *_inertial(results),
         *_large_synthetic(results),
@@ -184,6 +194,15 @@ def _uncertainty(results: Results) -> list[Target]:
             if who == uncertainty.INNER:
                 value = memory.median / 1e9 if memory else None
                 lines.append(Target(f"{name}, {who}, peak memory in GB", value, 3.0, False))
+    return lines
+
+
+def _judging(results: Results) -> list[Target]:
+    lines = []
+    for name, runs in results.judging.items():
+        wall = judging.spread(runs, "wall")
+        seconds = wall.median if wall else None
+        lines.append(Target(f"{name}, bundle validate, seconds", seconds, judging.LIMIT, False))
     return lines
 
 

@@ -5,8 +5,11 @@ The centre of an image is C = -R^T t. For the pose (Exp(w) R, t + dt) it changes
     dC = -R^T (dt - w x t) = -R^T (dt + [t]_x w),
 
 so that the covariance of C is A P A^T with A = R^T [[t]_x, I] and the covariance P of (w, dt). The
-sigma of a position is the root mean square over the three axes, sqrt(trace / 3). It is relative to
-the inner gauge, in the unit of the model.
+sigma of a position is the root mean square over the three axes, sqrt(trace / 3), in the unit of the
+model. It is relative to the inner gauge, the mean of cameras and points. A few points of huge
+uncertainty, far away or from wrong matches, would decide this mean. The covariance therefore leaves
+out observations beyond 8 times the median error and points with little parallax, which hardly tell
+where a camera is.
 """
 
 from __future__ import annotations
@@ -19,11 +22,20 @@ from numpy.typing import NDArray
 from bundle.analysis.uncertainty.compute_covariance import covariance
 from bundle.errors import InputError
 from bundle.model.problem import Problem
+from bundle.model.problem_keys import touched_ids
+from bundle.model.residuals import residuals
 from bundle.model.rotations import cross_matrices, rotation_matrices
 from bundle.solving.prepare import Prepared
 from bundle.solving.result import Result
+from bundle.solving.rounds.filtering import filter_observations
 
 __all__ = ["Certainty", "certainty", "position_sigmas"]
+
+LARGEST_ERROR = 8.0
+"""Largest error of an observation, in medians of the errors."""
+
+SMALLEST_ANGLES = (5.0, 1.5)
+"""Smallest parallax of a point in degrees: the first that leaves half of the observations."""
 
 
 class Certainty(NamedTuple):
@@ -43,8 +55,9 @@ class Certainty(NamedTuple):
 def certainty(prepared: Prepared, full: Result) -> Certainty:
     """Return the certainty of a fit to all observations."""
     try:
+        sound = _sound(prepared, full)
         found = covariance(
-            full.problem,
+            sound,
             full.options,
             of=("poses",),
             scale="sigma0",
@@ -53,12 +66,37 @@ def certainty(prepared: Prepared, full: Result) -> Certainty:
         )
     except InputError as error:
         return Certainty(float("nan"), 0, str(error))
-    sigmas = position_sigmas(full.problem, found.pose_covariance)
+    sigmas = position_sigmas(sound, found.pose_covariance)
     moves = sigmas[sigmas > 0]
+    removed = full.problem.num_observations - sound.num_observations
+    determined = full.summary.num_residuals - 2 * removed - found.dof
     return Certainty(
         position_sigma=float(np.median(moves)) if len(moves) else 0.0,
-        num_parameters=full.summary.num_residuals - found.dof,
+        num_parameters=determined + 3 * (full.problem.num_points - sound.num_points),
     )
+
+
+def _sound(prepared: Prepared, full: Result) -> Problem:
+    """Return the fitted problem without points that would dominate the gauge.
+
+    Factors name points that must stay, control points among them.
+    """
+    known = touched_ids(prepared.factors)["point"]
+    kept = sorted({*known, *prepared.options.fixed_point_ids})
+    lengths = np.hypot(*residuals(full.problem, full.options.cheirality).xy.T)
+    largest = max(LARGEST_ERROR * float(np.nanmedian(lengths)), 1e-6)
+    for angle in SMALLEST_ANGLES:
+        sound = filter_observations(
+            full.problem,
+            largest,
+            angle,
+            kept_point_ids=kept,
+            kept_track_ids=prepared.placed.control_point_ids,
+            num_threads=full.options.num_threads,
+        ).problem
+        if 2 * sound.num_observations >= full.problem.num_observations:
+            return sound
+    return full.problem
 
 
 def position_sigmas(problem: Problem, covariances: NDArray[np.float64]) -> NDArray[np.float64]:

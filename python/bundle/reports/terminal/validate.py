@@ -92,7 +92,7 @@ def _columns(found: Validation) -> list[Column]:
         )
     columns += [
         Column("free", "num_intrinsics"),
-        Column("fitted", "fitted_rmse", _three),
+        Column("fitted", "fitted_clipped_rmse", _three),
         Column("held out", "held_out_rmse", _three),
         Column("difference", _difference),
         Column("sigma", lambda one: _times(one.position_sigma, base)),
@@ -109,7 +109,7 @@ def _legend(found: Validation) -> list[str]:
     if any(one.vetoed or one.error for one in found.candidates):
         words[0] += "; x: vetoed or without a fit"
     words.append(
-        "free: lens parameters; fitted: RMSE of the fit to all [px]; held out: RMSE of "
+        "free: lens parameters; fitted: RMSE of the fit to all [px]; held out: of "
         f"{len(found.observations)} predictions in {found.num_folds} folds [px], errors at most "
         f"{found.clip:g}; difference: of the normalised errors to the best, with its standard "
         "error; sigma: of the positions, relative to the recommended"
