@@ -6,8 +6,8 @@
 /// each solution. Correcting G M G at the end does not work. It is larger than the result by the
 /// square of the gauge's component in G, so that no digits of the result would remain.
 ///
-/// The correction has two steps. If all points determined the gauge at once, a poorly determined
-/// point would move all of the world far. So the camera parameters determine it first. Let O be an
+/// The correction has two steps. If all points determined the gauge together, a poorly determined
+/// point would move the world far. So the camera parameters determine it first. Let O be an
 /// orthonormal basis of N_c and Q = I - O O^T. With the points eliminated, a gradient g of the
 /// points and b = G - sum Y_p g_p of the camera parameters move these by
 ///

@@ -16,7 +16,7 @@ namespace bundle {
 std::vector<std::vector<int>> FindCoupledBlocks(const AdjustmentProblem& problem,
                                                 const ParameterLayout& layout, int num_threads = 1);
 
-/// Block pairs that a residual couples independent of its point: a shared camera or sensor, and the
+/// Block pairs that a residual couples, whatever its point: a shared camera or sensor, and the
 /// poses of its images.
 std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const AdjustmentProblem& problem,
                                                         const ParameterLayout& layout);

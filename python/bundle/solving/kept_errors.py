@@ -87,8 +87,9 @@ class KeptErrors:
     Attributes:
         before: statistics at the input.
         after: statistics at the output, of the same observations.
-        num_observations: number of observations in the output. The statistics leave out those
-            without a projection before or after; they count those behind their camera.
+        num_observations: number of observations in the output. The statistics leave out
+            observations without a projection before or after, and include observations behind
+            their camera.
         inliers: statistics without outliers; None for least squares, and with sigmas of
             observations.
     """

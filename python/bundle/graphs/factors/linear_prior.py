@@ -105,7 +105,7 @@ class SquareRootPrior(AnchoredFactor):
     """Quadratic cost 1/2 ||R d - b||^2 of d = Log(X*^-1 X) over several variables.
 
     The information R^T R is positive semidefinite for any R, and has twice the digits of a
-    :class:`bundle.LinearPrior`, which explains ``spectrum``, ``cost_jump`` and ``sources``.
+    :class:`bundle.LinearPrior`. That class explains ``spectrum``, ``cost_jump`` and ``sources``.
 
     Attributes:
         root: R, (rows, n), n the sum of the tangent sizes, variables in the order of ``keys``.

@@ -6,8 +6,9 @@ less than 5 % belongs to the model already. The coefficients theta of all images
 and size come from one regression r = A theta. The covariance V of theta
 is a sandwich H^-1 W H^-1 with H = A^T A: W sums the outer products of the scores of observations,
 or of images. The Wald statistic theta^T V^-1 theta is compared with chi^2 of d = dim theta degrees
-of freedom. Poses and points absorb different parts of a field in different images, so that the
-second, which asks for agreement of the images, is smaller; without agreement it is motion.
+of freedom. In different images, poses and points absorb different parts of a field. The statistic
+by images, for which the images must agree, is therefore smaller. Without agreement, the cause is
+motion.
 
 Thresholds. A statistic by observations above d + 6 sqrt(2 d) + 20 (p below 1e-7 for d = 1 to 6,
 enough for a thousand lenses), by images (from 10 on) above d + 3.1 sqrt(2 d) + 5.5 (p = 0.001), and

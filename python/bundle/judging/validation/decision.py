@@ -17,10 +17,11 @@ as the best if its score is not significantly higher (D <= z SE), or not higher 
 the one of these with the fewest free parameters, as in the one-standard-error rule of Breiman,
 Friedman, Olshen and Stone (1984). Among equal numbers of parameters the lower score decides.
 
-A further term of a shared lens costs little certainty, and leaving it out bends the block: z = 1.5,
-t = 0.5 %. A lens per image multiplies the uncertainty of positions, and absorbs errors of other
-causes: against another sharing than that of the best, z = 2, and t = 1 % if the best has a lens per
-image. ``tests/campaigns/judge.py`` measures these numbers on scenes of known truth.
+Another term of a shared lens hardly lowers the certainty, but a missing term bends the block. So
+these limits are low: z = 1.5, t = 0.5 %. A lens per image multiplies the uncertainty of positions
+and absorbs errors of other causes. So the limits are higher against another sharing than that of
+the best: z = 2, and t = 1 % if the best has a lens per image. ``tests/campaigns/judge.py`` measures
+these numbers on scenes of known truth.
 
 Vetoed candidates take no part. Their scores and differences are still computed.
 """
