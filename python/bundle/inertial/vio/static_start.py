@@ -31,7 +31,7 @@ REST_WINDOW = 0.5  # s, for that mean
 def rest_at_start(images: SequenceImages) -> tuple[int, int]:
     """Return the last image at rest and the number of samples at rest at the start.
 
-    If the sequence begins in motion, this is the first covered image, and no samples.
+    If the sequence begins in motion, these are the first covered image and 0.
     """
     sequence = images.sequence
     first = int(np.argmax(images.covered))

@@ -113,7 +113,7 @@ def _fits(prediction: Prediction, memory_cap: int) -> bool:
 def taken_by_auto(problem: Problem, options: SolveOptions, num_threads: int) -> Method | None:
     """Return the backend and linear solver that ``auto`` chooses; None if these options fail.
 
-    A solve without steps makes the choice and evaluates the start.
+    The choice comes from a solve without steps, which also evaluates the start.
     """
     asked = options.replace(
         backend="auto",

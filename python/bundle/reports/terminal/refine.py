@@ -153,7 +153,7 @@ def _positions(georeference: Georeference | None) -> list[Section]:
 
 
 def _held_out(solved: Result) -> list[Section]:
-    """Return errors of a fit at the observations that it saw and did not see."""
+    """Return the errors of a fit at the observations that it used, and at those held out."""
     held = solved.held_out
     if held is None:
         return []
