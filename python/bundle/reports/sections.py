@@ -76,6 +76,7 @@ class Table:
         most: largest number of rows that are shown; None: all.
         others: function from the number of hidden rows to a sentence about them.
         legend: meaning of the titles, below the table.
+        best: index of a row that pages highlight; None: no row.
     """
 
     columns: Sequence[Column]
@@ -85,6 +86,7 @@ class Table:
     most: int | None = None
     others: Callable[[int], str] | None = None
     legend: str = ""
+    best: int | None = None
 
     @staticmethod
     def of(head: Iterable[str], rows: Iterable[Sequence[Any]], **more: Any) -> Table:

@@ -17,9 +17,10 @@ from bundle.reports.page.elimination_player import (
     order_name,
 )
 from bundle.reports.page.matrices import orderings
-from bundle.reports.page.page import tag, write_page
-from bundle.reports.page.svg import grid
-from bundle.reports.page.table import convention, table
+from bundle.reports.page.page import write_page
+from bundle.reports.page.section_markup import rendered
+from bundle.reports.page.table import CONVENTION
+from bundle.reports.sections import Section, Table
 
 if TYPE_CHECKING:
     from bundle.planning.inspection.graph_inspection import GraphInspection
@@ -40,36 +41,31 @@ def write_graph(graphs: Sequence[GraphInspection], path: str | os.PathLike[str])
         for graph in graphs
         if graph.num_variables <= MOST_VARIABLES and len(graph.steps) == graph.num_variables
     ]
-    sections = [
-        tag("p", size, class_="quiet"),
-        _orders(graphs, best),
-        convention(),
-        tag("h2", "Elimination step by step"),
-        elimination_section(steppable)
-        if steppable
-        else tag("p", f"Graphs are drawn step by step up to {MOST_VARIABLES} variables."),
-        tag("h2", "Orders compared"),
-        grid([
-            bar_figure("flops", "Flops, on a log scale", flops, amount),
-            column_figure(profiles),
-        ]),
-        tag("h2", "Matrix and factor"),
+    stepped = f"Graphs are drawn step by step up to {MOST_VARIABLES} variables."
+    figures = [bar_figure("flops", "Flops, on a log scale", flops, amount), column_figure(profiles)]
+    sections: list[Section | str] = [
+        Section(text=[size], tables=[_orders(graphs, best)]),
+        Section(title="Elimination step by step", text=[] if steppable else [stepped]),
+        elimination_section(steppable) if steppable else "",
+        Section(title="Orders compared", figures=figures),
+        Section(title="Matrix and factor"),
         orderings(pattern, {order_name(graph): graph.order for graph in graphs}, "matrix"),
-    ]  # fmt: skip
+    ]
     data = {"elimination": elimination_data(steppable)} if steppable else None
-    write_page(Path(path), "Elimination of a graph", sections, data)
+    write_page(Path(path), "Elimination of a graph", rendered(sections), data)
 
 
-def _orders(graphs: Sequence[GraphInspection], best: int) -> str:
+def _orders(graphs: Sequence[GraphInspection], best: int) -> Table:
     head = [
-        "order", "fill edges", "nonzeros of the matrix", "nonzeros of L", "flops",
-        "CHOLMOD's flops", "largest column count", "height of the tree", "eliminated in order",
+        "order", "eliminated in order", "fill edges", "nonzeros of the matrix", "nonzeros of L",
+        "flops", "CHOLMOD's flops", "largest column count", "height of the tree",
     ]  # fmt: skip
     rows = []
     for graph in graphs:
         shown = [graph.names[variable] for variable in graph.order[:40]]
         rows.append([
             order_name(graph),
+            ", ".join(shown) + (", ..." if len(graph.order) > len(shown) else ""),
             amount(graph.fill),
             amount(graph.nnz),
             amount(graph.nnz_factor),
@@ -77,6 +73,6 @@ def _orders(graphs: Sequence[GraphInspection], best: int) -> str:
             amount(graph.cholmod_flops),
             amount(max(graph.column_counts, default=0)),
             amount(graph.tree_height),
-            ", ".join(shown) + (", ..." if len(graph.order) > len(shown) else ""),
         ])  # fmt: skip
-    return table(head, rows, words={len(head) - 1}, best=best if len(graphs) > 1 else None)
+    best_row = best if len(graphs) > 1 else None
+    return Table.of(head, rows, left=2, best=best_row, legend=CONVENTION)

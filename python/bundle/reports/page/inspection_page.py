@@ -15,6 +15,7 @@ from bundle.base.words import amount, span
 from bundle.errors import InputError
 from bundle.figures.cost_figures import bar_figure, column_figure
 from bundle.figures.covisibility_graph import covisibility_figure, covisibility_graph
+from bundle.figures.drawing import Figure
 from bundle.figures.matplotlib.problem_patterns import (
     ORDERINGS,
     information_pattern,
@@ -36,9 +37,10 @@ from bundle.reports.page.graph_page import write_graph
 from bundle.reports.page.matrices import matrix, orderings
 from bundle.reports.page.page import tag, write_page
 from bundle.reports.page.processes_section import processes_section
+from bundle.reports.page.section_markup import rendered
 from bundle.reports.page.subgraph import image_graph
-from bundle.reports.page.svg import grid
-from bundle.reports.page.table import Notes, convention, table
+from bundle.reports.page.table import CONVENTION, Notes
+from bundle.reports.sections import Section, Table
 
 __all__ = ["write_inspection"]
 
@@ -121,18 +123,15 @@ def _write_problem(
     problem: Problem | None,
     options: SolveOptions,
     name: str,
-    processes: Sequence[str],
+    processes: Sequence[Section],
 ) -> None:
     methods = _ranked(inspection)
-    sections = [
+    sections: list[Section | str] = [
         _recommendation(inspection, options, name),
         _scope(inspection, name),
-        tag("h2", "Methods, the fastest first"),
-        _methods(inspection, methods),
-        tag("h2", "Cost of a step"),
-        _costs(methods),
+        *_methods(inspection, methods),
+        Section(title="Cost of a step", figures=_costs(methods)),
         *processes,
-        tag("h2", "Factors"),
         _factors(methods),
     ]
     graphs: list[GraphInspection] = []
@@ -143,25 +142,22 @@ def _write_problem(
             for ordering in STEPPED
             if edges
         ]
+        words = (
+            "Images where they stand; the stronger an edge, the more points its images share. "
+            "Each edge is a block of S."
+        )
+        drawn = covisibility_figure(covisibility_graph(problem, MOST_EDGES))
         sections += _matrices(problem, options)
-        sections += [
-            tag("h2", "Co-visibility"),
-            tag("p", "Images where they stand; the stronger an edge, the more points its images "
-                "share. Each edge is a block of S.", class_="quiet"),
-            grid([covisibility_figure(covisibility_graph(problem, MOST_EDGES))]),
-        ]  # fmt: skip
+        sections.append(Section(title="Co-visibility", text=[words], figures=[drawn]))
     if graphs:
         words = (
             f"{graphs[0].num_variables} images of the problem, eliminated one by one; an edge "
             "joins images that share points, and each image counts as a single unknown."
         )
-        sections += [
-            tag("h2", "Elimination step by step"),
-            tag("p", words, class_="quiet"),
-            elimination_section(graphs),
-        ]
+        sections.append(Section(title="Elimination step by step", text=[words]))
+        sections.append(elimination_section(graphs))
     data = {"elimination": elimination_data(graphs)} if graphs else None
-    write_page(path, title, sections, data, headline=_headline(inspection))
+    write_page(path, title, rendered(sections), data, headline=_headline(inspection))
 
 
 def _ranked(inspection: Inspection) -> list[MethodInspection]:
@@ -210,7 +206,7 @@ def _label(method: MethodInspection) -> str:
     return f"{method.backend.lower()} {method.name}".strip()
 
 
-def _methods(inspection: Inspection, methods: Sequence[MethodInspection]) -> str:
+def _methods(inspection: Inspection, methods: Sequence[MethodInspection]) -> list[Section | str]:
     notes = Notes()
     rows = [
         [
@@ -223,22 +219,18 @@ def _methods(inspection: Inspection, methods: Sequence[MethodInspection]) -> str
         for method in methods
     ]
     unfit = [_label(method) for method in methods if not method.fits_in_memory]
-    warning = f"Does not fit in memory: {', '.join(unfit)}."
-    return "".join(
-        [
-            table(
-                ["method", "time per step", "memory", "fits", "note"],
-                rows,
-                best=0 if inspection.recommended >= 0 else None,
-                rows_shown=ROWS_SHOWN,
-            ),
-            notes.listed(),
-            tag("p", escape(warning), class_="warn") if unfit else "",
-        ]
+    best = 0 if inspection.recommended >= 0 else None
+    head = ["method", "time per step", "memory", "fits", "note"]
+    shown = Section(
+        title="Methods, the fastest first",
+        notes=[f"Does not fit in memory: {', '.join(unfit)}."] if unfit else [],
+        is_warning=True,
+        tables=[Table.of(head, rows, most=ROWS_SHOWN, best=best)],
     )
+    return [shown, notes.listed()]
 
 
-def _factors(methods: Sequence[MethodInspection]) -> str:
+def _factors(methods: Sequence[MethodInspection]) -> Section:
     """Return one row per factor, for all backends."""
     head = [
         "factor L", "nonzeros of S", "nonzeros of L", "fill edges", "flops", "CHOLMOD's flops",
@@ -258,11 +250,12 @@ def _factors(methods: Sequence[MethodInspection]) -> str:
         if method.nnz_factor > 0
     }
     if not rows:
-        return tag("p", "No method factorises anything.", class_="quiet")
-    return table(head, list(rows.values()), rows_shown=ROWS_SHOWN) + convention()
+        return Section(title="Factors", text=["No method factorises anything."])
+    table = Table.of(head, list(rows.values()), most=ROWS_SHOWN, legend=CONVENTION)
+    return Section(title="Factors", tables=[table])
 
 
-def _costs(methods: Sequence[MethodInspection]) -> str:
+def _costs(methods: Sequence[MethodInspection]) -> list[Figure]:
     unfit = [method for method in methods if not method.fits_in_memory]
     flops = {method.name: method.flops for method in methods if method.flops > 0}
     times = {_label(method): method.time_per_step_in_seconds for method in methods}
@@ -273,7 +266,7 @@ def _costs(methods: Sequence[MethodInspection]) -> str:
         and method.ordering != "cameras_first"
         and method.column_count_profile
     }
-    figures = [
+    return [
         bar_figure(
             "time_per_step", "Time per step, on a log scale", times, span,
             [_label(method) for method in unfit], ROWS_SHOWN,
@@ -284,10 +277,9 @@ def _costs(methods: Sequence[MethodInspection]) -> str:
         ),
         *([column_figure(profiles)] if profiles else []),
     ]  # fmt: skip
-    return grid(figures)
 
 
-def _matrices(problem: Problem, options: SolveOptions) -> list[str]:
+def _matrices(problem: Problem, options: SolveOptions) -> list[Section | str]:
     """Return the sections on S and L under each order, and on the arrowhead matrix."""
     reduced = reduced_pattern(problem, options)
     arrowhead = information_pattern(problem, options)
@@ -296,14 +288,13 @@ def _matrices(problem: Problem, options: SolveOptions) -> list[str]:
         "nonzero is still visible. Fill is orange."
     )
     first = tag("div", matrix(arrowhead, "information matrix, points first"), class_="grid spies")
+    arrow = "An arrowhead: eliminating the points leaves S."
     if reduced.num_blocks == 0:
-        return [tag("h2", "The information matrix"), first]
+        return [Section(title="The information matrix"), first]
     orders = {name: order_blocks(reduced, name) for name in ORDERINGS}
     return [
-        tag("h2", "S and its factor under each order"),
-        tag("p", words, class_="quiet"),
+        Section(title="S and its factor under each order", text=[words]),
         orderings(reduced, orders),
-        tag("h2", "The information matrix"),
-        tag("p", "An arrowhead: eliminating the points leaves S.", class_="quiet"),
+        Section(title="The information matrix", text=[arrow]),
         first,
     ]

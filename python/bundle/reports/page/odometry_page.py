@@ -13,9 +13,9 @@ from bundle.inertial.vio.keyframe_record import alarms_by_kind
 from bundle.inertial.vio.odometry import OdometryResult
 from bundle.inertial.vio.trajectory_comparison import TrajectoryError
 from bundle.io.sequences.trajectory_files import Trajectory
-from bundle.reports.page.page import tag, write_page
-from bundle.reports.page.svg import grid
-from bundle.reports.page.table import table
+from bundle.reports.page.page import write_page
+from bundle.reports.page.section_markup import rendered
+from bundle.reports.sections import Section, Table
 
 __all__ = ["write_odometry"]
 
@@ -65,43 +65,42 @@ def write_odometry(
     sections = [_facts(result, error), _alarms(result)]
     for title, names in SECTIONS.items():
         drawn = [figures[key].figure() for key in names if key in figures]
-        sections += [tag("h2", title), grid(drawn)]
+        sections.append(Section(title=title, figures=drawn))
     title = f"Odometry of {name}" if name else "Odometry"
     data = {"figures": [figure.asdict() for figure in figures.values()]}
-    write_page(as_path(path), title, sections, data, script="")
+    write_page(as_path(path), title, rendered(sections), data, script="")
 
 
-def _facts(result: OdometryResult, error: TrajectoryError | None) -> str:
+def _facts(result: OdometryResult, error: TrajectoryError | None) -> Section:
     stamps = result.trajectory.timestamps_ns
     span = 1e-9 * float(stamps[-1] - stamps[0])
     reasons = Counter(record.reason for record in result.keyframes)
-    rows = [
-        ["result", result.message],
-        ["trajectory", f"{number(span)} s, {plural(result.num_images, 'image')}"],
-        ["start", result.start],
-        ["keyframes", ", ".join(f"{count} by {reason}" for reason, count in reasons.items())],
-        ["time", f"{number(result.solve_time)} s"],
+    facts = [
+        ("result", result.message),
+        ("trajectory", f"{number(span)} s, {plural(result.num_images, 'image')}"),
+        ("start", result.start),
+        ("keyframes", ", ".join(f"{count} by {reason}" for reason, count in reasons.items())),
+        ("time", f"{number(result.solve_time)} s"),
     ]
     if error is not None:
-        rows += [
-            ["ATE", f"{number(error.ate)} m rms along {number(error.path_length)} m"],
-            ["ATE, yaw and position aligned", f"{number(error.ate_yaw)} m rms"],
-            ["scale", f"{error.scale:.5f}"],
-            ["rotation", f"{number(error.rotation_rms)} degrees rms"],
+        facts += [
+            ("ATE", f"{number(error.ate)} m rms along {number(error.path_length)} m"),
+            ("ATE, yaw and position aligned", f"{number(error.ate_yaw)} m rms"),
+            ("scale", f"{error.scale:.5f}"),
+            ("rotation", f"{number(error.rotation_rms)} degrees rms"),
         ]
-    return table(["", "odometry"], rows, words={1})
+    return Section(facts=facts)
 
 
-def _alarms(result: OdometryResult) -> str:
+def _alarms(result: OdometryResult) -> Section:
     """Return each kind of alarm once, with the keyframes that raised it."""
     begin = int(result.trajectory.timestamps_ns[0])
     found = alarms_by_kind(result.keyframes)
-    heading = tag("h2", "Alarms")
     if not found:
-        return heading + tag("p", "None.")
+        return Section(title="Alarms", text=["None."])
     rows = []
     for raised in found.values():
         first, last = (f"{1e-9 * (raised[k][0] - begin):.2f}" for k in (0, -1))
         rows.append([raised[0][1], f"{len(raised)}", first, last])
     head = ["alarm", "keyframes", "first [s]", "last [s]"]
-    return heading + table(head, rows, rows_shown=ROWS)
+    return Section(title="Alarms", tables=[Table.of(head, rows, most=ROWS)])

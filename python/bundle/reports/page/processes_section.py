@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 
 import numpy as np
 
@@ -13,16 +12,14 @@ from bundle.figures.axes import logarithmic
 from bundle.figures.drawing import Figure
 from bundle.figures.marks import Line
 from bundle.planning.inspection.rank_prediction import RankPrediction, find_rank_limit
-from bundle.reports.page.page import tag
-from bundle.reports.page.svg import grid
-from bundle.reports.page.table import table
+from bundle.reports.sections import Section, Table
 
 __all__ = ["processes_section"]
 
 
 def processes_section(
     predictions: Sequence[RankPrediction], network: tuple[float, float]
-) -> list[str]:
+) -> list[Section]:
     """Return a table, and charts of step time and memory against the number of processes.
 
     Args:
@@ -38,17 +35,18 @@ def processes_section(
         f"Predicted for mpirun with {rate:g} Gbit/s and {latency:g} microseconds between "
         f"processes, {rows[0].method}, and as many threads each as the methods above."
     )
-    drawn = [_time(rows), _memory(rows)] if len(rows) > 1 else []
+    best = None if limit is None else limit.num_processes
     return [
-        tag("h2", "Several processes"),
-        *([] if limit is None else [tag("p", escape(limit.message))]),
-        tag("p", escape(words), class_="quiet"),
-        _table(rows, None if limit is None else limit.num_processes),
-        *([grid(drawn)] if drawn else []),
+        Section(
+            title="Several processes",
+            text=[*([] if limit is None else [limit.message]), words],
+            tables=[_table(rows, best)],
+            figures=[_time(rows), _memory(rows)] if len(rows) > 1 else [],
+        )
     ]
 
 
-def _table(rows: Sequence[RankPrediction], best: int | None) -> str:
+def _table(rows: Sequence[RankPrediction], best: int | None) -> Table:
     counts = [row.num_processes for row in rows]
     head = [
         "processes", "per step", "efficiency", "sent per step", "memory of the first", "of others",
@@ -64,7 +62,7 @@ def _table(rows: Sequence[RankPrediction], best: int | None) -> str:
         ]
         for row in rows
     ]
-    return table(head, cells, best=counts.index(best) if best in counts else None)
+    return Table.of(head, cells, best=counts.index(best) if best in counts else None)
 
 
 def _time(rows: Sequence[RankPrediction]) -> Figure:

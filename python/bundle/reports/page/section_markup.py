@@ -18,11 +18,14 @@ MOST_FINDINGS = 3
 MOST_DETAILS = 3
 
 
-def rendered(sections: Iterable[Section]) -> list[str]:
-    """Return the markup of sections; of many details in a row all but the first are one fold."""
+def rendered(sections: Iterable[Section | str]) -> list[str]:
+    """Return the markup of sections; of many details in a row all but the first are one fold.
+
+    Text is markup already.
+    """
     made: list[str] = []
-    for is_detail, group in groupby(sections, key=lambda section: section.is_detail):
-        drawn = [_section(section) for section in group]
+    for is_detail, group in groupby(sections, key=_is_detail):
+        drawn = [one if isinstance(one, str) else _section(one) for one in group]
         if is_detail and len(drawn) > MOST_DETAILS:
             summary = tag("summary", f"{len(drawn) - 1} more")
             drawn[1:] = [tag("details", summary, *drawn[1:])]
@@ -37,6 +40,10 @@ def findings_list(findings: Sequence[Finding]) -> str:
         return "".join(drawn)
     summary = tag("summary", f"{len(drawn) - MOST_FINDINGS} more findings")
     return "".join(drawn[:MOST_FINDINGS]) + tag("details", summary, *drawn[MOST_FINDINGS:])
+
+
+def _is_detail(section: Section | str) -> bool:
+    return isinstance(section, Section) and section.is_detail
 
 
 def _finding(found: Finding) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bundle.reports.page.page import tag
 from bundle.reports.sections import Table
 
-__all__ = ["Notes", "convention", "declared", "rounded", "table"]
+__all__ = ["CONVENTION", "Notes", "convention", "declared", "rounded", "table"]
 
 # Length in characters from which a cell counts as a sentence, which wraps.
 LONG = 20
@@ -73,12 +73,12 @@ def table(
     return tag("div", inner, class_="scroll", tabindex=0)
 
 
-def declared(made: Table, *, best: int | None = None) -> str:
+def declared(made: Table) -> str:
     """Return the markup of a :class:`Table` with its legend; rows beyond ``most`` are folded."""
     rows = [[str(column.cell(row)) for column in made.columns] for row in made.rows]
     words = range(1, made.left)
     legend = tag("p", escape(made.legend), class_="quiet") if made.legend else ""
-    return table(made.head, rows, words=words, best=best, rows_shown=made.most) + legend
+    return table(made.head, rows, words=words, best=made.best, rows_shown=made.most) + legend
 
 
 class Notes:
