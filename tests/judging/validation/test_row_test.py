@@ -167,3 +167,15 @@ def test_quantile():
     found = [module._chi2_quantile(int(d)) for d in freedom]
     assert found == pytest.approx(chi2.isf(1e-4, freedom), rel=0.08)
     assert found[2:] == pytest.approx(chi2.isf(1e-4, freedom[2:]), rel=0.04)
+
+
+def test_a_ratio_that_lens_errors_reach_does_not_fire(monkeypatch):
+    problem = scene(num_images=60, num_points=60)
+    r = noise(problem) + planted(problem, draw(problem, 0.4))
+    found = row_test(problem, r)
+    assert 59 * found.shear > module._chi2_quantile(59)
+    assert found.shear < module.SMALLEST_RATIO
+    assert found.size > module.RELEVANT
+    assert not found.fires
+    monkeypatch.setattr(module, "SMALLEST_RATIO", 1.0)
+    assert row_test(problem, r).fires
