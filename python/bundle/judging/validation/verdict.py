@@ -93,7 +93,7 @@ def _sentence(
     if word == "no difference":
         return f"No difference between the candidates. The smallest is enough: {name}."
     if word == "keep":
-        return f"Keep the lenses of the input: {name}. No candidate predicts better."
+        return f"Keep the lenses of the input: {name}."
     if word in ("unknown", "vetoed"):
         return f"Recommended: {name}."
     now = records[present]
