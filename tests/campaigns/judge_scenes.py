@@ -19,6 +19,8 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import Problem
+from bundle.judging.validation.validate_problem import FEWEST_HELD_OUT
+from bundle.model.folds import folds_of
 
 Array = NDArray[np.float64]
 
@@ -116,6 +118,8 @@ def _attempt(seed: int, rng: np.random.Generator, facts: dict) -> JudgeScene | N
         format="colmap",
     )
     true_xy = xy[of_chosen]
+    if (folds_of(truth) >= 0).sum() < FEWEST_HELD_OUT:
+        return None
     if facts["duplicated"]:
         truth, rows, twins = _duplicate(rng, truth, facts["duplicated"])
         true_xy = np.concatenate([true_xy, true_xy[rows]])

@@ -59,7 +59,7 @@ def difference_figure(found: Validation) -> Figure:
     order = [k for k in np.argsort(found.decision.scores) if not found.candidates[k].error]
     place = np.arange(1.0, len(order) + 1)
     y = found.decision.differences[order]
-    spread = found.rule.num_standard_errors * found.decision.standard_errors[order]
+    spread = 2 * found.decision.standard_errors[order]
     limit = found.rule.threshold * found.decision.scores[found.best]
     ends = np.array([0.5, len(order) + 0.5])
     return Figure(

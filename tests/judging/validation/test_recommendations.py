@@ -9,7 +9,7 @@ from bundle.judging.validation.decision import DecisionRule
 from tests.campaigns import judge, judge_scenes
 
 CLEAN = (6, 9, 16, 17, 22, 30, 36)  # one with duplicated points, four sharings
-SHIFTED = (113, 193, 203, 283)
+SHIFTED = (48, 113, 203, 283)
 
 
 @pytest.fixture(scope="module")

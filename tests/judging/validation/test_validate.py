@@ -147,7 +147,7 @@ def test_lenses_that_differ_are_not_shared():
 def test_motion_vetoes_a_lens_per_image(monkeypatch):
     fired = RowTest(
         fires=True, isotropy=9.0, anisotropy=9.0, shear=9.0, size=0.1, deviations=np.ones(3),
-        sigma=1.0, direction="rows", images=np.zeros(0, int), slopes=np.zeros((0, 3)),
+        sigma=1.0, confirmation=9.0, images=np.zeros(0, int), slopes=np.zeros((0, 3)),
         errors=np.zeros((0, 3)),
     )  # fmt: skip
     monkeypatch.setattr(judgement, "row_test", lambda *_: fired)

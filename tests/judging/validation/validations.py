@@ -21,7 +21,7 @@ def row_tested(fires):
     """Return a row test that fires or not."""
     return RowTest(
         fires=fires, isotropy=2.0, anisotropy=8.5, shear=9.25, size=0.05, deviations=np.ones(3),
-        sigma=0.5, direction="rows", images=np.arange(20), slopes=np.zeros((20, 3)),
+        sigma=0.5, confirmation=9.0, images=np.arange(20), slopes=np.zeros((20, 3)),
         errors=np.ones((20, 3)),
     )  # fmt: skip
 
@@ -31,11 +31,11 @@ def validation(lenses=LENSES, fires=True, source="garden/sparse/0"):
     rng, problem = np.random.default_rng(0), make_problem(num_images=20, num_points=30)
     image = np.repeat(np.arange(20), 40)
     noise = rng.rayleigh(1.0, len(image))
-    errors = np.array([level * noise * (1 + 0.01 * rng.random()) for *_, level, _, _ in lenses])
+    errors = np.array([level * noise * (1 + 0.004 * rng.random()) for *_, level, _, _ in lenses])
     free = [one[2] for one in lenses]
     vetoes = [one[4] if fires else "" for one in lenses]
     rule = DecisionRule()
-    decision = decide(errors, image, free, vetoes, rule)
+    decision = decide(errors, image, free, vetoes, rule, [one[1] for one in lenses])
     rmse = np.sqrt(np.mean(np.minimum(0.5 * errors, 4.0) ** 2, axis=1))
     records = tuple(
         ValidatedCandidate(

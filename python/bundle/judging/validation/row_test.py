@@ -35,11 +35,12 @@ The test fires if the shear is significant (Q beyond the quantile 1 - 1e-4) and 
 lens model that is too small (Q / d > 3; without motion, real models reach 2.6), and if the pattern
 is relevant: without noise, anisotropy and shear displace an observation by tau^2 (x^2 + y^2) each
 in the mean of squares. Relevant is what raises the RMS by 1 %, the threshold of the decision. The
-anisotropy alone proves no motion: cameras may differ in fx / fy.
+anisotropy alone proves no motion: cameras may differ in fx / fy. Last, the shear must also remain
+where each image may have its own lens: in the exact test (:mod:`.shear_score`), significant at 5 %
+or twice as large as its noise. With few images the first may be out of reach.
 
-Rows or columns: a motion along the rows' order y has a_x = 0, so that isotropic = -anisotropic; a
-shutter along x has b_y = 0 and isotropic = anisotropic. The shear is the same for both, because a
-rotation turns one into the other.
+Slopes do not tell rows from columns. A motion (a, b) y and a motion (b, -a) x differ by a rotation
+and a scale of the image, which the pose absorbs.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.judging.validation.shear_score import ShearScore, shear_score
 from bundle.model.folds import measurement_numbers
 from bundle.model.problem import Problem
 
@@ -59,11 +61,12 @@ FEWEST_OF_IMAGE = 30
 """Number of observations that an image needs to take part."""
 
 _SIGNIFICANT = 3.719  # quantile 1 - 1e-4 of the normal distribution
+_CONFIRMED = 1.645  # quantile 0.95
 SMALLEST_RATIO = 3.0
 RELEVANT = 0.01
+CONFIRMED_RATIO = 2.0
 _OUTLIER = 5.0  # sigmas
 _RAYLEIGH_MEDIAN = 1.17741
-_SURE, _CLEAR = 0.8, 0.3  # correlation and relative size of slopes that tell rows from columns
 
 _Floats = NDArray[np.float64]
 
@@ -81,7 +84,8 @@ class RowTest:
         deviations: (3,) standard deviation over the images of the three slopes beyond their noise
             [pixels at half the longer side of the image].
         sigma: noise of a coordinate [pixels].
-        direction: "rows", "columns", or "" if the residuals do not tell.
+        confirmation: ratio of the exact test for shear (:mod:`.shear_score`), 1 in the mean without
+            motion; NaN if the test above decided.
         images: (num_images,) index of each image with enough observations.
         slopes: (num_images, 3) its slopes [pixels at half the longer side].
         errors: (num_images, 3) their standard errors.
@@ -94,7 +98,7 @@ class RowTest:
     size: float
     deviations: _Floats
     sigma: float
-    direction: str
+    confirmation: float
     images: NDArray[np.int64]
     slopes: _Floats
     errors: _Floats
@@ -128,18 +132,21 @@ def row_test(problem: Problem, residuals: _Floats) -> RowTest:
     images, slopes, variances = images[shared], slopes[shared], variances[shared]
     chi2, tau2, freedom = _variation(camera[shared], slopes, variances)
     ratios = chi2 / freedom if freedom else np.full(3, np.nan)
-    is_clear = chi2 > max(_chi2_quantile(freedom), SMALLEST_RATIO * freedom)
     added = tau2[1:].sum() * float((position**2).sum(axis=1).mean()) if freedom else 0.0
     growth = math.sqrt(1 + added / (2 * sigma**2)) - 1 if added else 0.0
+    is_clear = chi2[2] > max(_chi2_quantile(freedom, _SIGNIFICANT), SMALLEST_RATIO * freedom)
+    score = ShearScore(math.nan, 0.0)
+    if is_clear and growth > RELEVANT:
+        score = shear_score(problem, rows, position, r)
     return RowTest(
-        fires=bool(is_clear[2]) and growth > RELEVANT,
+        fires=_is_confirmed(score),
         isotropy=float(ratios[0]),
         anisotropy=float(ratios[1]),
         shear=float(ratios[2]),
         size=growth,
         deviations=np.sqrt(tau2),
         sigma=sigma,
-        direction=_direction(slopes, tau2) if is_clear[1] else "",
+        confirmation=score.ratio,
         images=images,
         slopes=slopes,
         errors=np.sqrt(variances),
@@ -155,7 +162,7 @@ def _used(problem: Problem, residuals: _Floats) -> tuple[NDArray[np.int64], floa
     sigma = float(np.median(lengths)) / _RAYLEIGH_MEDIAN
     rows = rows[lengths <= _OUTLIER * sigma]
     number = measurement_numbers(problem.observation_image[rows], problem.observation_xy[rows])
-    return rows[np.unique(number, return_index=True)[1]], sigma
+    return np.sort(rows[np.unique(number, return_index=True)[1]]), sigma
 
 
 def _slopes(
@@ -214,23 +221,18 @@ def _variation(
     return chi2, tau2, freedom
 
 
-def _chi2_quantile(freedom: int) -> float:
-    """Return the quantile of the chi-square distribution, 3 % high at 2 degrees, else within 1 %.
+def _is_confirmed(score: ShearScore) -> bool:
+    quantile = _chi2_quantile(score.freedom, _CONFIRMED)
+    return score.ratio > CONFIRMED_RATIO or score.ratio * score.freedom > quantile
+
+
+def _chi2_quantile(freedom: float, normal: float) -> float:
+    """Return the quantile of the chi-square distribution for a quantile of the normal distribution.
 
     (chi2 / d)^(1/3) is about normal with mean 1 - 2 / (9 d) and variance 2 / (9 d) (Wilson and
-    Hilferty 1931).
+    Hilferty 1931). For 1 - 1e-4 this is 5 % high at 2 degrees of freedom, and 2 % at 5.
     """
     if not freedom:
         return math.inf
     spread = 2 / (9 * freedom)
-    return freedom * (1 - spread + _SIGNIFICANT * math.sqrt(spread)) ** 3
-
-
-def _direction(slopes: _Floats, tau2: _Floats) -> str:
-    """Return the order of exposure that the signs of the slopes show, if any."""
-    if tau2[0] < _CLEAR**2 * tau2[1]:
-        return ""
-    correlation = float(np.corrcoef(slopes[:, 0], slopes[:, 1])[0, 1])
-    if abs(correlation) < _SURE:
-        return ""
-    return "rows" if correlation < 0 else "columns"
+    return freedom * (1 - spread + normal * math.sqrt(spread)) ** 3
