@@ -139,6 +139,17 @@ def test_collapsed_points_are_a_problem(told, solved):
     assert found["Tracks"]["mark"] == "problem" and "collapsed" in found["Tracks"]["number"]
 
 
+def test_given_findings_hide_no_warning_and_no_suspicion(tmp_path):
+    problem = healthy(num_points=60)
+    names = ["twice.jpg", *problem.image_names[:1], *problem.image_names[1:-1]]
+    names[1] = "twice.jpg"
+    solved = bundle.solve(problem.replace(image_names=names), max_num_iterations=1)
+    write_report(solved, tmp_path / "page.html", findings=[])
+    text = Page(tmp_path / "page.html").text
+    assert "name of another image" in text
+    assert all(words in text for words in solved.summary.warnings)
+
+
 def test_findings_that_are_given_are_those_of_the_page(told, solved):
     given = [Finding(kind="weak_joint", sentence="A <joint>.", command="bundle info 'a b'")]
     found = told(solved, findings=given)

@@ -45,17 +45,17 @@ def report_findings(
         is_problem="full rank" in no_covariance,
     )
     undetermined = [singular] if no_covariance else []
-    if given is not None:
-        return one_list(undetermined, given)
     warnings = () if result is None else dict.fromkeys(result.summary.warnings)
-    found = find(
-        problem,
-        source=source,
-        options=None if result is None else result.options,
-        rounds=0 if result is None else len(result.rounds),
-        covariance=covariance if covariance is not None and covariance.scale == "sigma0" else None,
-        priors=priors,
-        is_minimum=result is not None and result.summary.termination_type == "CONVERGENCE",
-    )
     told = [Finding(kind="warning", sentence=words) for words in warnings]
-    return one_list(undetermined, told, suspicions, found)
+    usable = covariance is not None and covariance.scale == "sigma0"
+    if given is None:
+        given = find(
+            problem,
+            source=source,
+            options=None if result is None else result.options,
+            rounds=0 if result is None else len(result.rounds),
+            covariance=covariance if usable else None,
+            priors=priors,
+            is_minimum=result is not None and result.summary.termination_type == "CONVERGENCE",
+        )
+    return one_list(undetermined, told, suspicions, given)
