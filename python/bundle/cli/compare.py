@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_flags_of_graphs(arguments)
     options = options_given(arguments, SolveOptions)
     asked = options_given(arguments, CompareOptions)
-    flags = {name: f"--{listed}" for name, listed in COMPARED.items()}
+    flags = {name: f"--{listed.replace('_', '-')}" for name, listed in COMPARED.items()}
     with Progress(quiet=arguments.quiet) as progress, naming_flags(**flags):
         comparison = compare(
             arguments.inputs,
