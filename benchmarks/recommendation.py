@@ -148,13 +148,14 @@ def main() -> None:
         comparison = compare(
             problem,
             backends=("fused",) if arguments.no_ceres else ("fused", "ceres"),
+            trust_regions=("levenberg_marquardt",),  # predictions do not depend on it
             repeat=arguments.repeat,
             timeout=arguments.timeout,
         )
         if comparison.interrupted:
             break
         if comparison.recommendation is None:
-            print(f"{name}: no method has a usable solution", file=sys.stderr)
+            print(f"{name}: no method can be recommended", file=sys.stderr)
             continue
         judged.append(judge(name, problem, comparison))
         print("  ".join(judged[-1].row()), file=sys.stderr, flush=True)
