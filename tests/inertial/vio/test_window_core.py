@@ -376,5 +376,5 @@ def test_a_landmark_behind_a_camera_is_refused_at_the_start() -> None:
     window, _ = make_window(Flight(4, landmarks=8))
     points = window["points"].copy()
     points[:, 2] = 50.0  # two centimetres ahead, and passed by the next image
-    with pytest.raises(InputError, match="before the cameras"):
+    with pytest.raises(InputError, match="in front of the cameras"):
         _core.solve_window({**window, "points": points}, SOLVE, None)

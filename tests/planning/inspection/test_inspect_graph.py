@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-import bundle
 from bundle import InputError, inspect_graph
 from bundle.planning.inspection.graph_inspection import GRAPH_ORDERINGS
+from bundle.planning.inspection.schur_counts import count_schur_by_hand
 from tests.planning.inspection.graphs import (
     adjacency,
     chain,
@@ -189,7 +189,10 @@ def test_steps_are_recorded_where_that_is_quick():
         ({"edges": [], "num_variables": -1}, "num_variables: expected 0 to 2147483646, found -1"),
         ({"edges": [(0, 2**31)]}, "num_variables: expected 0 to 2147483646, found 2147483649"),
         ({"edges": [], "num_variables": 2.0}, "num_variables: expected an integer, found 2.0"),
-        ({"names": ["a"], "num_variables": 6}, "names: expected 6, one per variable, found 1"),
+        (
+            {"names": ["a"], "num_variables": 6},
+            "names: expected 6 names, one per variable, found 1",
+        ),
         ({"ordering": "camd"}, "ordering: expected one of natural, reverse, landmarks_first"),
         ({"ordering": [0, 1]}, "order: expected 6 entries, found 2"),
         (
@@ -220,4 +223,4 @@ def test_what_makes_no_sense_is_refused(arguments, message):
 @pytest.mark.parametrize(("tracks", "found"), [([4], 4), ([-1], -1)])
 def test_tracks_beyond_the_cameras_are_refused(tracks, found):
     with pytest.raises(InputError, match=f"track_lengths: expected 0 to 3, found {found}"):
-        bundle.planning.inspection.schur_counts.count_schur_by_hand(3, tracks)
+        count_schur_by_hand(3, tracks)
