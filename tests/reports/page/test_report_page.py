@@ -375,3 +375,21 @@ def test_lenses_of_one_kind_are_one_figure(tmp_path):
 
 def solved_sigma(solved, camera):
     return bundle.covariance(solved, scale="sigma0").camera(camera)[0, 0]
+
+
+def test_128_images_fit_on_six_screens(tmp_path, browser):
+    problem = make_problem(num_images=128, num_points=1500, track=6, seed=5)
+    path = tmp_path / "report.html"
+    write_report(bundle.solve(problem, max_num_iterations=10), path)
+    assert path.stat().st_size < 8e6
+    size = {"width": 1400, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.call("Emulation.setDeviceMetricsOverride", **size)
+    try:
+        browser.open(path)
+        assert browser.evaluate("document.documentElement.scrollHeight") <= 6 * 900
+        top = "document.querySelector({!r}).getBoundingClientRect()"
+        assert browser.evaluate(f"{top.format('.verdicts')}.bottom") < 900
+        assert browser.evaluate(f"{top.format('.scene')}.bottom") < 900
+    finally:
+        browser.call("Emulation.clearDeviceMetricsOverride")
+    assert browser.complaints() == []
