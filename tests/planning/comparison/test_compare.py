@@ -68,7 +68,8 @@ def test_runs_that_fail_are_rows(monkeypatch):
     for name, reason in (("fused SPARSE_SCHUR", "SIGABRT"), ("fused DENSE_QR", "dense_schur")):
         line = next(line for line in text.splitlines() if line.startswith(f"- {name}: "))
         assert reason in line
-    assert comparison.recommendation.method.name == "fused DENSE_SCHUR"
+    done = {name for name, outcome in outcomes.items() if outcome == "done"}
+    assert comparison.recommendation.method.name in done  # the fastest of them today
 
 
 def test_dense_matrix_beyond_the_cap_is_a_row():
