@@ -35,6 +35,27 @@ def contents(path):
     return {file.name if path.is_dir() else "": file.read_bytes() for file in files}
 
 
+def test_errors_on_the_same_observations_are_those_of_the_whole_file(tmp_path):
+    """Some observations are behind their camera, in one slice only; a loss has outliers."""
+    problem = scene(noise=2.0)
+    points = problem.points.copy()
+    points[0, 2] = -40.0
+    path = tmp_path / "behind.txt"
+    bundle.save(problem.replace(points=points), path)
+    options = {"loss": "cauchy", "loss_scale": 0.7, "cheirality": "zero"}
+    result, _ = refined(path, tmp_path / "sliced.txt", 2, **options)
+    with processes(2):
+        whole = bundle.solve(path, num_threads=1, **options)
+    for side in ("before", "after", "inliers"):
+        found, expected = (vars(getattr(of.kept, side)) for of in (result, whole))
+        np.testing.assert_allclose(list(found.values()), list(expected.values()), rtol=1e-12)
+    assert result.kept.num_observations == whole.kept.num_observations == 120
+    assert 0 < result.kept.before.num_behind_camera < 120
+    assert result.kept.inliers.num_outliers > 0
+    assert (result.deleted, result.edit_errors) == (whole.deleted, ())
+    assert result.movement == whole.movement
+
+
 @pytest.mark.parametrize("num_ranks", [2, 3])
 def test_it_is_what_the_whole_file_gives(path, tmp_path, num_ranks):
     options = {"refine": ("poses", "points", "focal", "principal_point", "extra")}
