@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import pytest
 from bundle.base.tables import render
 from bundle.interface.finding import Finding
 from bundle.reports.sections import Column, Report, Section, Table, dumps, plain, several
-from bundle.reports.terminal.screen import laid_out
+from bundle.reports.terminal.screen import fitted, laid_out
 
 
 @dataclass(frozen=True)
@@ -154,3 +155,14 @@ def test_a_report_without_an_input_has_none_in_its_json():
 
 def test_types_are_no_records():
     assert plain({"type": Row})["type"] is Row
+
+
+def test_a_long_report_shows_fewer_findings_but_one():
+    def shown(num_facts):
+        facts = [Section(facts=[(f"fact {i}", "x") for i in range(num_facts)])]
+        parts = fitted(dataclasses.replace(judged(3), sections=facts), 60)
+        lines = render(*parts, width=60).splitlines()
+        return len(lines), sum("Fact" in line for line in lines)
+
+    assert [shown(count)[1] for count in (1, 16, 18, 19, 40)] == [3, 3, 2, 1, 1]
+    assert all(shown(count)[0] <= 25 for count in range(1, 20))

@@ -18,7 +18,7 @@ from bundle.io.atomic import atomic_write as atomic
 from bundle.io.image_names import has_same_images
 from bundle.io.recognition import reconstruction_at, sequence_at
 from bundle.reports.sections import Report, dumps
-from bundle.reports.terminal.screen import laid_out
+from bundle.reports.terminal.screen import fitted, laid_out
 
 if TYPE_CHECKING:
     from bundle.model.problem import Problem
@@ -104,7 +104,8 @@ class Request(Protocol):
 def publish(report: Report, asked: argparse.Namespace | Request) -> None:
     """Print a report; write its JSON, always complete, to a file, or print it instead ("-")."""
     if asked.json != "-":
-        show(*laid_out(report, asked.verbose))
+        width = console(sys.stdout).width
+        show(*(laid_out(report, verbose=True) if asked.verbose else fitted(report, width)))
     if asked.json is not None:
         write_json(asked.json, report.json())
 

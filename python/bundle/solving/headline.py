@@ -120,7 +120,8 @@ def _stillness(result: Result) -> str:
     initial, final = result.summary.initial_cost, result.summary.final_cost
     share = (initial - final) / initial if initial > 0 else 0.0
     gradient = float(np.asarray(result.iterations["gradient_max_norm"])[-1])
-    return f"cost -{100 * share:.1g} %, gradient {gradient:.1g}"
+    fall = f"cost -{100 * share:.1g} %" if share > 0 else "cost unchanged"
+    return f"{fall}, gradient {gradient:.1g}"
 
 
 def _observations(result: Result, kept: KeptErrors) -> str:

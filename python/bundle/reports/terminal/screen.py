@@ -11,32 +11,48 @@ from collections.abc import Iterable, Sequence
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.text import Text
 
-from bundle.base.tables import columns, facts, notes
+from bundle.base.tables import columns, facts, notes, render
 from bundle.base.words import plural
 from bundle.interface.finding import Finding
 from bundle.reports.sections import Report, Section, Table
 
-__all__ = ["CommandLine", "laid_out"]
+__all__ = ["CommandLine", "fitted", "laid_out"]
 
 MOST_FINDINGS, MOST_WARNINGS = 3, 2
 """Numbers of findings and of warnings that are shown without --verbose."""
 
+MOST_LINES = 25
+"""Number of lines without --verbose, beyond which fewer findings are shown."""
 
-def laid_out(report: Report | Iterable[Section], verbose: bool = False) -> list[RenderableType]:
+
+def laid_out(
+    report: Report | Iterable[Section], verbose: bool = False, most_findings: int = MOST_FINDINGS
+) -> list[RenderableType]:
     """Return a report, or sections alone, with an empty line between the parts.
 
     Args:
         report: the report, or sections of a report.
         verbose: True to show details and all findings.
+        most_findings: number of findings to show otherwise.
     """
     if not isinstance(report, Report):
         return _sections(report, verbose)
     headline: list[RenderableType] = [Text(sentence, "bold") for sentence in report.headline]
     headline += _warnings(report.warnings, verbose)
-    findings = _findings(report.findings, verbose)
+    findings = _findings(report.findings, None if verbose else most_findings)
     parts: list[RenderableType] = []
     for part in (headline, _sections(report.sections, verbose), findings):
         parts += ["", *part] if parts and part else part
+    return parts
+
+
+def fitted(report: Report, width: int) -> list[RenderableType]:
+    """Return a report without details, with as few findings as its lines need, but one at least."""
+    parts: list[RenderableType] = []
+    for most in range(MOST_FINDINGS, 0, -1):
+        parts = laid_out(report, most_findings=most)
+        if render(*parts, width=width).count("\n") <= MOST_LINES:
+            break
     return parts
 
 
@@ -65,8 +81,8 @@ def _warnings(sentences: Sequence[str], verbose: bool) -> list[RenderableType]:
     return notes([*shown, *more], style="yellow")
 
 
-def _findings(findings: Sequence[Finding], verbose: bool) -> list[RenderableType]:
-    shown = findings if verbose else findings[:MOST_FINDINGS]
+def _findings(findings: Sequence[Finding], most: int | None) -> list[RenderableType]:
+    shown = findings[:most]
     parts: list[RenderableType] = []
     for finding in shown:
         parts += notes([finding.sentence], style="yellow")
