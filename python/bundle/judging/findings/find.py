@@ -103,6 +103,14 @@ def find(
     return tuple(sorted(found, key=lambda finding: IMPORTANCE.index(finding.kind)))
 
 
+def _with_right_lens(measured: Measured) -> Measured:
+    """Return the model with a larger lens if its own is too small, which bends it."""
+    lens = lens_model(measured, SystematicResiduals(measured))
+    if lens is None or not is_affordable(measured):
+        return measured
+    return repaired(measured, lens.evidence["larger_model"]) or measured
+
+
 def _findings(measured: Measured) -> Iterator[Finding | None]:
     """Yield the findings in stages; see repaired.py."""
     joint = weak_joint(measured.whole, TrackTable(measured.whole))
@@ -116,17 +124,19 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     is_bent = is_tense(measured)
     can_repair = is_affordable(measured)
     free = repaired(measured) if can_repair and (far is not None or is_bent) else None
-    drift = scale_drift(measured, (free or measured).whole) if is_bent else None
-    places = None
-    if drift is None:
-        places = measured_positions(measured, has_outliers=far is not None)
+    drift = places = None
+    if is_bent:
+        straight = _with_right_lens(free or measured)
+        drift = scale_drift(measured, straight.whole)
+        bends = far is not None or straight is not (free or measured)
+        places = None if drift is not None else measured_positions(measured, model_bends=bends)
     if far is not None and free is not None:
         far = outliers(measured, robust_scale=free.scale)
     yield from (far, drift, places)
-    if far is not None or drift is not None or places is not None:
-        if free is None:
-            return
+    if free is not None:
         measured = free
+    elif far is not None or drift is not None or places is not None:
+        return
     found = SystematicResiduals(measured)
     fits = image_fits(found, measured.scale)
     moves = motion(measured, found, fits)

@@ -6,14 +6,14 @@ with as many degrees of freedom as measured axes (median 2.37 for three, 1.39 fo
 Wrong sigmas. The ratio sqrt(median d^2 / its expected median) is above 2, over at least 6 images.
 The command gives the sigma that the residuals show.
 Single positions. d_i is above 5 ratios (at least 5 sigmas) in at most a third of the images.
-Both limits are 1.5 times as high if observations have outliers, which bend the model.
+Both limits are 1.5 times as high if outliers or a small lens bend the model.
 
 Drift. Priors pull the model, so that a drift shows little in the residuals. If these show any
-tension (a ratio above 1.5, or a residual above 5 sigmas), the model is solved without positions.
-With its centres c and the positions p, the scale of a part of the images is
-s = sum |p - mean p| / sum |c - mean c|. That of the first half of the images in their order and
-that of the second differ by more than 6 % and by 5 standard errors; the error of each is
-sigma / (spread sqrt n).
+tension (a ratio above 1.5, or a residual above 5 sigmas), the model is solved without positions,
+and with a larger lens if its own is too small. With its centres c and the positions p, the scale of
+a part of the images is s = sum |p - mean p| / sum |c - mean c|. That of the first half of the
+images in their order and that of the second differ by more than 9 % and by 5 standard errors; the
+error of each is sigma / (spread sqrt n).
 """
 
 from __future__ import annotations
@@ -33,21 +33,26 @@ from bundle.model.rotations import quaternion_inverse, quaternion_rotate
 __all__ = ["measured_positions", "scale_drift"]
 
 CHI2_MEDIANS = {1: 0.4549, 2: 1.3863, 3: 2.3660}
-RATIO, OUTLIERS_FACTOR = 2.0, 1.5
+RATIO, BENT_FACTOR = 2.0, 1.5
 TENSION = 1.5
 OUTLIER = 5.0
 FEWEST = 6
-DRIFT, DRIFT_ERRORS = 0.06, 5.0
+DRIFT, DRIFT_ERRORS = 0.09, 5.0
 
 Floats = NDArray[np.float64]
 
 
-def measured_positions(measured: Measured, *, has_outliers: bool = False) -> Finding | None:
-    """Return the finding about positions that contradict the model, or None."""
+def measured_positions(measured: Measured, *, model_bends: bool = False) -> Finding | None:
+    """Return the finding about positions that contradict the model, or None.
+
+    Args:
+        measured: the model with its measured positions.
+        model_bends: True if outliers or a small lens bend the model.
+    """
     rows, priors = _used(measured)
     if len(rows) < FEWEST:
         return None
-    factor = OUTLIERS_FACTOR if has_outliers else 1.0
+    factor = BENT_FACTOR if model_bends else 1.0
     distance, ratio = _distances(measured, rows, priors)
     wrong = np.flatnonzero(distance > OUTLIER * factor * max(ratio, 1.0))
     problem = measured.whole
