@@ -119,9 +119,9 @@ def _stillness(result: Result) -> str:
     """Return the change of the cost and the gradient of a solve that changed almost nothing."""
     initial, final = result.summary.initial_cost, result.summary.final_cost
     share = (initial - final) / initial if initial > 0 else 0.0
-    gradient = float(np.asarray(result.iterations["gradient_max_norm"])[-1])
+    gradient = rounded(float(np.asarray(result.iterations["gradient_max_norm"])[-1]))
     fall = f"cost -{100 * share:.1g} %" if share > 0 else "cost unchanged"
-    return f"{fall}, gradient {gradient:.1g}"
+    return f"{fall}, gradient {gradient}"
 
 
 def _observations(result: Result, kept: KeptErrors) -> str:
