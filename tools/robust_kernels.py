@@ -46,9 +46,10 @@ Adjustment - A Modern Synthesis*, section 4.3. For a Cauchy kernel of scale 1 an
 
 {blocks}
 
-Beyond ‖r‖ = {cauchy:.3f}, where the kernel turns over, the block is not positive: the quadratic
-model has no minimum, and no corrected Jacobian has this block as its square. Triggs' correction
-exists in the rows with a number. Towards the turning point its Jacobian vanishes and its residual
+Beyond ‖r‖ = {cauchy:.3f}, beyond the inflection point of the kernel, the block is not positive
+definite. The quadratic model then has no minimum, and no corrected Jacobian J has J^T J equal to
+this block. Triggs' correction exists in the rows with a number. Towards the inflection point its
+Jacobian vanishes and its residual
 grows without bound.
 
 Ceres omits the second-order term wherever rho'' <= 0, which holds everywhere for every loss of the
@@ -132,7 +133,7 @@ def page() -> str:
             [
                 "loss",
                 "rho(s), scale a",
-                "turns over, a = 1",
+                "inflection, a = 1",
                 *(f"rho' at {at:g} a" for at in WEIGHTS_AT),
             ],
             loss_rows(),

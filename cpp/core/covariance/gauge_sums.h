@@ -87,7 +87,7 @@ class GaugeSums {
   /// Adds the sums of a pass over many points, and the eliminated part of its images. Its rows of J
   /// N are not included; AddRow is called for these.
   void Add(const PointSurvey& survey, int thread);
-  /// Adds a row of J N, with kMoves numbers per part.
+  /// Adds a row of J N in two parts of kMoves numbers: by the images' unknowns, and by the point.
   void AddRow(const double* by_images, const double* by_point, int thread);
   /// Adds a contribution to sum Y_p N_p: kMoves numbers, for one unknown.
   void AddEliminated(int unknown, const double* row, int thread);

@@ -95,7 +95,7 @@ bool PositionFactor::Evaluate(const double* const* values, double* residual,
 
 namespace {
 
-/// out = J_r(e)^-1 Ad_X, tangent size squared, with J_r(e)^-1 = `inverse`.
+/// out = J_r(e)^-1 Ad_X, an n x n matrix with n the tangent size. `inverse` is J_r(e)^-1.
 void TimesAdjoint(const Retraction& retraction, const double* inverse, const double* x,
                   double* out) {
   const int n = retraction.tangent_size();

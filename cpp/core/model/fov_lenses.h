@@ -42,9 +42,8 @@ double OmegaOf(const ProblemView& problem, int lens);
 /// Sets omega of a lens in an array of the problem's parameters.
 void SetOmega(const ProblemView& problem, int lens, double omega, std::vector<double>* params);
 
-/// Returns the omega from which to continue for a lens that is a pinhole at the values of a
-/// problem, which are a minimum for a pinhole. It is on the side that lowers the cost, away from
-/// the discontinuity.
+/// For a lens whose omega is 0 at a minimum: returns the omega from which the solve continues. It
+/// is on the side that lowers the cost, away from the discontinuity.
 double OmegaBesidePinhole(const AdjustmentProblem& problem, int lens, const SolveOptions& options);
 
 }  // namespace bundle

@@ -35,10 +35,12 @@ using Eigen::Index;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-/// Column of each tangent coordinate of a graph within its variable; -1: it is constant.
+/// Columns of the tangent coordinates of a graph.
 struct Columns {
-  std::vector<int> variable, place, size;  ///< the last one has an entry per variable
-  std::vector<double> scale;
+  std::vector<int> variable;  ///< per coordinate: its variable
+  std::vector<int> place;     ///< per coordinate: its column within the variable; -1: constant
+  std::vector<int> size;      ///< per variable: number of its free columns
+  std::vector<double> scale;  ///< per coordinate: inverse norm of its column
 };
 
 Columns FindColumns(const std::vector<int>& kept, const std::vector<Block>& blocks,

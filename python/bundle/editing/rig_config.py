@@ -179,7 +179,7 @@ def _pose(place: str, camera: Mapping[str, Any]) -> _Pose | None:
     rotation = np.array([*xyz, w])
     norm = float(np.linalg.norm(rotation))
     if not 0 < norm < math.inf:
-        raise InputError(f"{place}: {names[0]}: expected a quaternion, found norm {norm:g}")
+        raise InputError(f"{place}: {names[0]}: expected a finite norm above 0, found {norm:g}")
     return np.array([*(rotation / norm), *_numbers(place, camera, names[1], 3)])
 
 

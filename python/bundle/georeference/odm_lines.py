@@ -1,4 +1,4 @@
-"""Lines of OpenDroneMap's text files, from any editor.
+"""Reader of OpenDroneMap's text files: the header, and the words of each line.
 
 Files contain tabs, blank lines and ``#`` comments. The first remaining line names the coordinate
 reference system. A name with blanks is in quotes, or between tabs in a line whose other fields have

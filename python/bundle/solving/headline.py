@@ -2,8 +2,8 @@
 
 The first sentence compares the RMSE and the median before and after on the same observations: those
 of the output that have a projection on both sides. "Before" is the input before all edits. Further
-sentences name all that would mislead: deleted observations, outliers that a robust loss lets go,
-observations without a projection, parts that stayed constant.
+sentences name all that would mislead: deleted observations, outliers that a robust loss
+downweights, observations without a projection, parts that stayed constant.
 
 "Already at its minimum" needs a converged solve whose steps, taken together, lowered the cost by at
 most ``SMALLEST_DECREASE`` of it, with a trust region that did not shorten them. They must also have
@@ -161,23 +161,23 @@ def _held_out(result: Result) -> list[str]:
 
 
 def _outliers(result: Result) -> list[str]:
-    """Return the outliers that a robust loss lets go, and the errors without them."""
+    """Return the outliers that a robust loss downweights, and the errors without them."""
     found, kept = result.kept.inliers, result.kept
     if found is None or not found.num_outliers:
         return []
     loss = result.options.loss.replace("_", "-")
     share = found.num_outliers / kept.after.num_observations
     many = plural(found.num_outliers, "outlier", grouped=True)
-    lets_go = f"the {loss} loss lets {many} above {found.limit:g} px go ({_percent(share)})"
+    outliers = f"the {loss} loss downweights {many} above {found.limit:g} px ({_percent(share)})"
     rest = f"RMSE of the others is {_px(found.rmse)} px"
     if not _rises(kept):
-        return [f"{lets_go[0].upper()}{lets_go[1:]}; {rest}."]
+        return [f"{outliers[0].upper()}{outliers[1:]}; {rest}."]
     if found.num_inliers:
         rest = (
             f"below {found.limit:g} px before and after: RMSE "
             f"{_change(found.rmse_before, found.rmse_after)} px"
         )
-    return [f"RMSE of all rises because {lets_go}; {rest}."]
+    return [f"RMSE of all rises because {outliers}; {rest}."]
 
 
 def _starts(result: Result) -> list[str]:

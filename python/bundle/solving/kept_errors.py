@@ -4,10 +4,10 @@ A filter that removes large errors lowers the RMSE without any adjustment, and a
 loses its projection leaves the statistics. Both statistics therefore include exactly the
 observations that are in the output and have a projection before and after the solve.
 
-A robust loss lets outliers go, so that the RMSE of all observations may rise although the solve did
-its work. An outlier is an observation whose error exceeds ``OUTLIER`` times the scale of the loss.
-The errors that remain are compared on the observations below this limit both before and after: a
-choice by one of the two errors alone would favour it.
+A robust loss downweights outliers, so that the RMSE of all observations may rise although the solve
+did its work. An outlier is an observation whose error exceeds ``OUTLIER`` times the scale of the
+loss. The errors that remain are compared on the observations below this limit both before and
+after: a choice by one of the two errors alone would favour it.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class KeptErrors:
 
 @dataclass(frozen=True, kw_only=True)
 class Deleted:
-    """Numbers of observations, points and images of the input that the output has no longer.
+    """Numbers of observations, points and images of the input that the output lacks.
 
     An image whose observations were all deleted counts, although the output keeps its pose.
     """

@@ -135,7 +135,7 @@ class Assembler {
   };
 
   void AddBlock(int image, int place, const ModelGroup& group);
-  /// `squares`: A^T A of the image, for maps.
+  /// `squares`: A^T A of the image; only blocks with a map (ImageBlock::map) use it.
   void AddVectors(const EliminationInput& input, int image, const double* vectors,
                   const double* squares, Part part, CameraSums* sums) const;
   void AddDiagonal(const EliminationInput& input, int image, const double* block, Part part,

@@ -6,9 +6,9 @@ pair of images across them has more than w points in common. Parts across which 
 are seen have an uncertain relative pose and scale: 7 degrees of freedom from 15 points of a few
 pixels' noise, of which outliers may be some. Both parts have at least two images.
 
-Cost. For any 15 disjoint sets of points, a joint of fewer than 15 points has no point in one of
-them. If the images are connected by the points of every set, there is no such joint, which takes
-linear time. Only models that fail this, or small ones, need the pairs of images.
+Cost. Divide the points into 15 disjoint sets. If the points of each set connect all images, any two
+parts share at least 15 points, one of each set, and no weak joint exists. This test takes linear
+time. Only models that fail it, or small ones, need the pairs of images.
 
 The images of a frame of a rig are one image: the rig holds them together.
 """

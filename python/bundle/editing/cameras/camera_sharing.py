@@ -54,7 +54,7 @@ def share_cameras(problem: Source, camera_ids: Iterable[int] | None = None) -> P
 
 
 def cameras_by_size(problem: Problem) -> list[list[int]]:
-    """Return the ids of the cameras of each image size that several cameras have.
+    """Return the ids of the cameras of each image size, for sizes with two or more cameras.
 
     Cameras without an image and cameras of unknown size do not count.
     """

@@ -20,9 +20,9 @@ Nodes move by X <- X (Exp(w), t, exp(l)), d = (w, t, l). To first order, r chang
     of B:   dr = (J w,  s_e R_e t,  l),
     of A:   dr = (-J R_p^T w,  R_z^T ([t_p]x w - t - l t_p),  -l),
 
-with J the inverse of the right Jacobian of SO(3) at Log R_e. For A, (Exp(w), t, exp(l))^-1 P
-rotates P by Exp(-w) on its left, scales it down and shifts it. A node moves its camera by M^-1 (w,
-t, l) M, which is linear in d: with M = (R_m, t_m, 1)
+with J the inverse of the right Jacobian of SO(3) at Log R_e. If A moves, P becomes
+(Exp(w), t, exp(l))^-1 P = (Exp(-w) R_p, exp(-l) Exp(-w) (t_p - t), exp(-l) s_p). A node moves its
+camera by M^-1 (w, t, l) M, which is linear in d: with M = (R_m, t_m, 1)
 
     w' = R_m^T w,    t' = R_m^T (t + w x t_m + l t_m),    l' = l.
 

@@ -37,7 +37,7 @@ class LoopThread:
         """Wait until all earlier work is done; return False after a time-out.
 
         Raises:
-            Exception: exception of the work.
+            Exception: the exception that the function of the thread raised.
         """
         done = threading.Event()
         self._waiting.append(done)
@@ -55,7 +55,7 @@ class LoopThread:
             timeout: seconds to wait for it; None: without limit.
 
         Raises:
-            Exception: exception of the work.
+            Exception: the exception that the function of the thread raised.
         """
         self._stopping = True
         self._news.set()

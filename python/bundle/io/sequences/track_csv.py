@@ -4,9 +4,9 @@ Every row begins with its type: ``meta`` (key and value), ``imu`` (time in secon
 forces), ``vision_feature`` (time, frame, track, normalised coordinates).
 
 The pose T_ci in the meta rows is the pose of the camera in the IMU's frame (imu_from_camera). With
-it, EuRoC's ground truth reproduces the tracks to a pixel; with its inverse it does not. The noise
-values of the file come from a tuned filter. For EuRoC (``source_mode`` asl) they are replaced by
-those in the data sheet of the ADIS16448, as in EuRoC's ``sensor.yaml``.
+T_ci, EuRoC's ground truth predicts the tracks to a pixel; with the inverse of T_ci it does not. The
+noise values of the file come from a tuned filter. For EuRoC (``source_mode`` asl) they are replaced
+by those in the data sheet of the ADIS16448, as in EuRoC's ``sensor.yaml``.
 """
 
 from __future__ import annotations

@@ -192,8 +192,8 @@ def _by_order(a: PoseTable, b: PoseTable) -> Association:
         return _made(a, b, pairs, "frame number", sentence)
     if len(a) != len(b):
         raise InputError(
-            "b: expected as many poses as A, because one of them has neither names nor time "
-            f"stamps, found {len(b)} for {len(a)}"
+            f"b: expected {len(a)} poses, as in A, because poses without names and time stamps "
+            f"correspond by order, found {len(b)}"
         )
     pairs = np.column_stack([_sorted_rows(a), _sorted_rows(b)])
     return _made(a, b, pairs, "order", "by order, since one input has neither names nor times")

@@ -57,7 +57,7 @@ def _poses(result: Mapping[str, Any]) -> str:
 def _moved(movement: SigmaMovement) -> str:
     far = int((movement.sigmas > FAR).sum())
     if not movement.is_minimum:
-        meaning = "rough, because A is not at a minimum of least squares"
+        meaning = "no measure of quality, because A is not at a minimum of least squares"
     elif movement.median <= 1:
         meaning = "within the uncertainty of A"
         meaning += f", except {plural(far, 'image')} beyond {FAR}" if far else ""

@@ -22,7 +22,7 @@ class ValidatedCandidate:
 
     Attributes:
         camera_model: COLMAP's name of the model of all cameras; "" keeps the models of the input.
-        share: "each", "focal", "size", "all" or "input" (docs/validate.md).
+        share: "each", "focal", "size", "all" or "input" (docs/which_lens.md).
         loss: robust loss of the fits.
         refine: groups of refined variables.
         num_cameras: number of lenses with an image.

@@ -2,7 +2,8 @@
 
 Stress majorisation (Gansner, Koren and North 2004) reduces the sum over pairs of
 (distance in the plane / distance in the graph - 1)^2 in every round. The graph determines the
-start, so the same graph always has the same layout. Cycles become circles, chains lines.
+start, so the same graph always has the same layout. Cycles become circles, and chains
+become lines.
 """
 
 from __future__ import annotations
