@@ -263,7 +263,7 @@ def compare_rules(entries: list[dict]) -> str:
 
 
 def main() -> int:
-    """Run or reload scenes and print the tables: 0 if the line of the issue holds."""
+    """Run or reload scenes and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("count", type=int, nargs="?", default=200)
     parser.add_argument("first", type=int, nargs="?", default=10_000)
