@@ -98,11 +98,11 @@ def verdicts(given: Judged) -> list[Verdict]:
 
 
 def summarised(found: Sequence[Verdict], findings: Sequence[Finding]) -> str:
-    """Return the number of lines that need attention, in words."""
+    """Return the number of verdicts that need attention, in words."""
     problems, attention = (sum(one.mark == mark for one in found) for mark in SEVERE)
     words = [plural(problems, "problem")] if problems else []
     if attention:
-        words.append(plural(attention, "line needs attention", "lines need attention"))
+        words.append(plural(attention, "check needs attention", "checks need attention"))
     if not words and findings:
         words.append(plural(len(findings), "finding"))
     return ", ".join(words) or "nothing needs attention"
