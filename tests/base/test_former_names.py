@@ -17,7 +17,11 @@ from tests.rig_scenes import rig_problem
 STAYED = ("checking", "errors", "georeference", "synthetic", "_core")
 """Rooms, and the core, whose modules have the names of before."""
 
-NEW = ("model.selection", "solving.request")
+NEW = (
+    *("interface.evaluate_options", "interface.finding", "judging.evaluation.check_points"),
+    *("judging.evaluation.evaluation_result", "judging.validation.validation_result"),
+    *("model.pose_table", "model.selection", "planning.comparison.environment", "solving.request"),
+)
 """Modules of classes that were not there before."""
 
 RULES = bundle.Constraints("cameras *: f prior 2 %", "image 1: rotation fixed")

@@ -28,7 +28,7 @@ def test_ratios_are_of_medians_and_a_failure_is_a_line():
     priors, filtering, rig = ([cell.strip() for cell in line.split("|")[1:-1]] for line in lines)
     assert priors[1:4] == ["0.002 s (0.001 s-0.003 s)", "7", "10.00x (8.00x-12.00x)"]
     assert priors[5] == "+2e-07"
-    assert filtering[3] == "1.50"
+    assert filtering[3] == "1.50x"
     assert rig[1] == "no result: InputError: rig 1 has 2 sensors"
     assert practitioners.as_table({}) == ""
 

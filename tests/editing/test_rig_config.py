@@ -176,7 +176,7 @@ BAD_FILES = {
     ),
     "no rotation": (
         config(2, b=ARM | {"cam_from_rig_rotation": [0, 0, 0, 0]}),
-        ": rig 1, camera 2: cam_from_rig_rotation: expected a quaternion",
+        ": rig 1, camera 2: cam_from_rig_rotation: expected a finite norm",
     ),
     "short arm": (
         config(2, b=ARM | {"cam_from_rig_translation": [0, 0]}),

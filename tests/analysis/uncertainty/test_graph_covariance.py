@@ -192,7 +192,7 @@ def test_the_command(tmp_path, capsys):
     words = ["covariance", str(tmp_path / "x.g2o"), "-o", str(tmp_path / "c.npz"), "--quiet"]
     report = ["--json", str(tmp_path / "r.json")]
     assert main([*words, *report, "--relative", "1:7", "--gauge", "inner"]) == 0
-    assert "inner constraints" in capsys.readouterr().out
+    assert "gauge inner" in capsys.readouterr().out
     expected = bundle.covariance(graph, relative=[(1, 7)], gauge="inner")
     with np.load(tmp_path / "c.npz") as file:
         arrays = dict(file)

@@ -124,10 +124,10 @@ TEST(LostObservations, ImagesWithNoneInFrontAreNamed) {
     return summary.warnings.empty() ? std::string() : summary.warnings[0].text;
   };
   EXPECT_EQ(named(0), "");
-  EXPECT_NE(named(1).find("; image 1 has none"), std::string::npos) << named(1);
-  EXPECT_NE(named(2).find("; images 1 and 3 have none"), std::string::npos) << named(2);
-  EXPECT_NE(named(6).find("; images 1, 3, 5, 7, 9 and 11 have none"), std::string::npos);
-  EXPECT_NE(named(7).find("; images 1, 3, 5, 7, 9 and 2 more have none"), std::string::npos);
+  EXPECT_NE(named(1).find("; image 1 has no observation in front"), std::string::npos) << named(1);
+  EXPECT_NE(named(2).find("; images 1 and 3 have no observation"), std::string::npos) << named(2);
+  EXPECT_NE(named(6).find("; images 1, 3, 5, 7, 9 and 11 have no observation"), std::string::npos);
+  EXPECT_NE(named(7).find("; images 1, 3, 5, 7, 9 and 2 more have no observation"), std::string::npos);
 }
 
 TEST(LostObservations, ThoseInFrontAtTheEndThatWereHeldAreCounted) {

@@ -18,7 +18,7 @@ TEST(SolverChecks, RefuseAFactorBeyondMemoryWithItsSize) {
     FAIL() << "not refused";
   } catch (const InputError& error) {
     const std::string message = error.what();
-    EXPECT_EQ(message.rfind("linear_solver_type: SPARSE_SCHUR needs 100 PB for its factor, ", 0), 0)
+    EXPECT_EQ(message.rfind("linear_solver_type: SPARSE_SCHUR needs 100 PB for its factor; ", 0), 0)
         << message;
     EXPECT_NE(message.find(" free; use iterative_schur"), std::string::npos) << message;
   }

@@ -270,7 +270,7 @@ def test_the_command_names_them(tmp_path, capsys):
     graph = with_wrong_closures(certain_loop(2, num_poses=30, num_closures=20, noise=0.005), 4)
     bundle.save(graph, tmp_path / "x.g2o")
     report = tmp_path / "r.json"
-    flags = ["--consistency", "--json", str(report), "--quiet"]
+    flags = ["--consistency", "--json", str(report), "--quiet", "--verbose"]
     assert main(["refine", str(tmp_path / "x.g2o"), "-o", str(tmp_path / "y.g2o"), *flags]) == 0
     found = json.loads(report.read_text())
     assert found["options"]["consistency"] is True and found["summary"]["num_left_out_edges"] == 4

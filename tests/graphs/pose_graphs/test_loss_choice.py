@@ -104,7 +104,7 @@ def test_the_command(tmp_path, capsys):
     graph = with_wrong_closures(certain_loop(2, num_poses=30, num_closures=20, noise=0.005), 4)
     bundle.save(graph, tmp_path / "x.g2o")
     words = ["refine", str(tmp_path / "x.g2o"), "-o", str(tmp_path / "y.g2o"), "--quiet"]
-    assert main([*words, "--loss", "auto", "--json", str(tmp_path / "r.json")]) == 0
+    assert main([*words, "--verbose", "--loss", "auto", "--json", str(tmp_path / "r.json")]) == 0
     assert "truncated cost" in capsys.readouterr().out
     found = json.loads((tmp_path / "r.json").read_text())
     assert found["options"]["loss"] == "AUTO" and len(found["rejected_edges"]) == 4

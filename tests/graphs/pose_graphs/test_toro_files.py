@@ -149,7 +149,7 @@ def test_the_commands_tell_them_by_content(tmp_path, capsys):
     path = write(
         tmp_path / "a.txt", "VERTEX2 0 0 0 0", "VERTEX2 1 1 0 0", "EDGE2 0 1 2 0 0 1 0 1 1 0 0"
     )
-    assert main(["refine", str(path), "-o", str(tmp_path / "b.g2o"), "--quiet"]) == 0
+    assert main(["refine", str(path), "-o", str(tmp_path / "b.g2o"), "--quiet", "--verbose"]) == 0
     np.testing.assert_allclose(bundle.load(tmp_path / "b.g2o").poses[1], [2, 0, 0], atol=1e-12)
     assert "2 poses, 1 edge" in capsys.readouterr().out
     for source in (path, str(path), bundle.load(path)):

@@ -166,7 +166,7 @@ def test_the_command_names_them(tmp_path, capsys):
     graph = with_wrong_closures(certain_loop(2, num_poses=30, num_closures=20, noise=0.005), 4)
     bundle.save(graph, tmp_path / "x.g2o")
     report = tmp_path / "r.json"
-    flags = ["--loss", "gnc-tls", "--json", str(report), "--quiet"]
+    flags = ["--loss", "gnc-tls", "--json", str(report), "--quiet", "--verbose"]
     assert main(["refine", str(tmp_path / "x.g2o"), "-o", str(tmp_path / "y.g2o"), *flags]) == 0
     rejected = json.loads(report.read_text())["rejected_edges"]
     assert sorted(entry["edge"] for entry in rejected) == sorted(graph.edges[49:].tolist())

@@ -280,7 +280,7 @@ def test_the_command(flight, tmp_path, capsys):
     (tmp_path / "loops.csv").write_text(f"{first},{second},{numbers}\n")
     arguments = ["vio", tmp_path / "s", "-o", tmp_path / "x.tum", "--publish", tmp_path / "p.tum"]
     arguments += ["--loops", tmp_path / "loops.csv", "--json", tmp_path / "r.json", "--quiet"]
-    assert main([*map(str, arguments), "--time-budget", "10"]) == 0
+    assert main([*map(str, arguments), "--time-budget", "10", "--verbose"]) == 0
     found = json.loads((tmp_path / "r.json").read_text())["two_loops"]
     assert (found["num_closures"], found["num_corrections"]) == (1, 1)
     assert found["correction"]["yaw"] == pytest.approx(TWIST.yaw, rel=0.15)

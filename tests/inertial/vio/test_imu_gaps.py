@@ -99,16 +99,17 @@ def test_vio_repeats_what_info_finds(tmp_path: Path, capsys: pytest.CaptureFixtu
     flight = synthesize_flight(duration=4.0, rest=1.5, num_tracks=30, seed=2).sequence
     save_sequence(holed(flight, 2.5, 75), tmp_path / "s")
     report: dict[str, Any] = {}
+    printed = ""
     for command in (["info"], ["vio", "-o", str(tmp_path / "x.tum"), "--time-budget", "100"]):
         target = tmp_path / f"{command[0]}.json"
         arguments = [command[0], str(tmp_path / "s"), *command[1:], "--json", str(target)]
         assert main([*arguments, "--quiet"]) == 0
         report[command[0]] = json.loads(target.read_text())
+        printed = capsys.readouterr().out
     found = report["info"]["findings"]
     assert [entry["kind"] for entry in found] == ["imu gap"]
     assert report["vio"]["findings"] == found
     assert report["vio"]["summary"]["warnings"][0].startswith(found[0]["sentence"])
-    printed = " ".join(capsys.readouterr().out.split("output")[-1].split())
     assert "imu.csv:" in printed
 
 

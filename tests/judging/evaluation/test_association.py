@@ -91,14 +91,14 @@ def test_frames_of_kitti():
     assert len(associate(shorter, kitti)) == 4
     letters = named(*"abcdefghij")
     assert associate(letters, kitti).by == "order"
-    with pytest.raises(bundle.InputError, match="as many poses"):
+    with pytest.raises(bundle.InputError, match="poses, as in A"):
         associate(named("a", "b", "c"), kitti)
 
 
 def test_models_without_names_are_in_order():
     one = PoseTable(path(5).poses, (), None, "bal")
     assert associate(one, one).rows_b.tolist() == [0, 1, 2, 3, 4]
-    with pytest.raises(bundle.InputError, match="as many poses"):
+    with pytest.raises(bundle.InputError, match="poses, as in A"):
         associate(one, PoseTable(path(4).poses, (), None, "bal"))
     with pytest.raises(bundle.InputError, match="at least 3"):
         associate(PoseTable(path(2).poses), PoseTable(path(2).poses))

@@ -97,7 +97,7 @@ def test_the_command(tmp_path, capsys):
     from bundle.cli.main import main
 
     bundle.save(chain(8, 2), tmp_path / "x.g2o")
-    assert main(["inspect", str(tmp_path / "x.g2o"), "--quiet"]) == 0
+    assert main(["inspect", str(tmp_path / "x.g2o"), "--quiet", "--verbose"]) == 0
     said = capsys.readouterr().out
     assert "936" in said and "amd" in said and "metis" in said
     assert main(["inspect", str(tmp_path / "x.g2o"), "--quiet", "--json", "-"]) == 0

@@ -52,7 +52,7 @@ def test_errors_are_those_of_a_fit_by_hand(backend, loss):
         assert got == pytest.approx(expected, rel=1e-6)
     assert (found.percent, found.seed, found.is_converged) == (10, 5, True)
     assert found.clipped_rmse > found.fitted.clipped_rmse
-    assert "held out" in repr(result)
+    assert "Held out 10 %" in repr(result)
 
 
 def test_the_result_is_that_without_holding_out():

@@ -32,10 +32,11 @@ def graph_headline(solved: PoseGraphResult) -> list[str]:
     done = short_outcome(summary, plural(len(solved.iterations["iteration"]) - 1, "step"))
     given, start = _given_chi2(solved), summary.chi2_initial
     before = start if given is None else given
-    edges = plural(graph.num_edges, "edge", grouped=True)
+    all_edges = plural(graph.num_edges, "edge", grouped=True)
+    all_edges = f"all {all_edges}" if graph.num_edges > 1 else "the only edge"
     chi2 = f"chi2 {number(before)} -> {number(summary.chi2_final)}"
     return [
-        f"{done}: {chi2} on all {edges}{_per_degree(solved)}.",
+        f"{done}: {chi2} on {all_edges}{_per_degree(solved)}.",
         *_start(summary.init, given, start),
         *_rejected(solved),
         *_movement(solved),

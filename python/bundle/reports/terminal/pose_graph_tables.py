@@ -69,6 +69,11 @@ class _Edge:
         self.entry = entry
 
 
+def _said(graph: PoseGraph) -> list[str]:
+    """Return the notes on the file of a graph as sentences."""
+    return [f"{note[0].upper()}{note[1:]}." for note in graph.notes]
+
+
 def refined_graph(
     path: str, solved: PoseGraphResult, wall: WallTime, output: dict[str, str] | None
 ) -> Report:
@@ -76,7 +81,6 @@ def refined_graph(
     summary, graph = solved.summary, solved.initial_problem
     facts = [
         *graph_facts(path, graph),
-        *(("", note) for note in graph.notes),
         ("error", _error(solved.options)),
         *((("loss", summary.loss_choice),) if summary.loss_choice else ()),
         ("gauge", _gauge(solved)),
@@ -105,7 +109,7 @@ def refined_graph(
         command="refine",
         input=about_graph(path, graph),
         headline=graph_headline(solved),
-        warnings=summary.warnings,
+        warnings=(*_said(graph), *summary.warnings),
         sections=[
             Section(facts=[written(output)]),
             *(replace(section, is_detail=True) for section in details),
@@ -186,7 +190,6 @@ def described_graph(path: str, graph: PoseGraph) -> Report:
     ]
     facts = [
         *graph_facts(path, graph),
-        *(("", note) for note in graph.notes),
         ("dimension", str(graph.dimension)),
         ("components", str(graph.num_components)),
         (
@@ -208,7 +211,7 @@ def described_graph(path: str, graph: PoseGraph) -> Report:
         command="info",
         input=about_graph(path, graph),
         headline=[_contents(graph, chi2, degrees), _suspicion(len(bad), bool(wrong))],
-        warnings=wrong,
+        warnings=[*_said(graph), *wrong],
         sections=[Section(facts=facts, is_detail=True)],
         data={
             "num_components": graph.num_components,

@@ -50,6 +50,7 @@ def odometry_report(
         warnings=said,
         sections=[
             *([] if written is None else [Section(facts=[("output", f"{shown(written)} (TUM)")])]),
+            *([Section(facts=asked)] if (asked := _certainty(result.keyframes)) else []),
             Section(facts=_facts(source, result, error), is_detail=True),
             Section(tables=[_times(result)], is_detail=True),
         ],
@@ -117,7 +118,6 @@ def _facts(
         ),
         ("visual cost", f"{number(float(np.mean(chi2)) if chi2 else 0.0)} per residual (mean)"),
     ]
-    rows += _certainty(records)
     if error is not None:
         rows += [
             (
