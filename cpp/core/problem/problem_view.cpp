@@ -48,7 +48,8 @@ void CheckIdsUnique(const char* what, const int64_t* ids, int count) {
   std::vector<int64_t> sorted(ids, ids + count);
   std::sort(sorted.begin(), sorted.end());
   const auto repeated = std::adjacent_find(sorted.begin(), sorted.end());
-  if (repeated != sorted.end()) Fail(what, " ", *repeated, ": expected unique ids, found this id twice");
+  if (repeated != sorted.end())
+    Fail(what, " ", *repeated, ": expected unique ids, found this id twice");
 }
 
 template <typename... Name>

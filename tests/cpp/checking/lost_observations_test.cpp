@@ -127,7 +127,8 @@ TEST(LostObservations, ImagesWithNoneInFrontAreNamed) {
   EXPECT_NE(named(1).find("; image 1 has no observation in front"), std::string::npos) << named(1);
   EXPECT_NE(named(2).find("; images 1 and 3 have no observation"), std::string::npos) << named(2);
   EXPECT_NE(named(6).find("; images 1, 3, 5, 7, 9 and 11 have no observation"), std::string::npos);
-  EXPECT_NE(named(7).find("; images 1, 3, 5, 7, 9 and 2 more have no observation"), std::string::npos);
+  EXPECT_NE(named(7).find("; images 1, 3, 5, 7, 9 and 2 more have no observation"),
+            std::string::npos);
 }
 
 TEST(LostObservations, ThoseInFrontAtTheEndThatWereHeldAreCounted) {

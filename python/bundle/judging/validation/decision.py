@@ -178,7 +178,10 @@ def student(z: _Floats, freedom: int) -> _Floats:
         (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
         (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
     )
-    return z + sum(term / n**k for k, term in enumerate(terms, 1))
+    quantiles = z.copy()
+    for k, term in enumerate(terms, 1):
+        quantiles += term / n**k
+    return quantiles
 
 
 def _sums_by_image(
