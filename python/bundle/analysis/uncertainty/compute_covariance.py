@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 import bundle._core as _core
 from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.analysis.uncertainty.value_checks import (
+    check_same_factors,
     note_on_far_points,
     refuse_huge,
     refuse_rounding,
@@ -178,7 +179,7 @@ def covariance(
             **changes,
         )
     if isinstance(problem, Result):
-        _check_same_factors(problem, factors, priors, constraints)
+        check_same_factors(problem, factors, priors, constraints)
         options = problem.options if options is None else options
         problem = problem.problem
     problem = as_problem(problem)  # type: ignore[arg-type]
@@ -214,27 +215,8 @@ def intrinsics_covariance(problem: Problem, options: SolveOptions) -> Covariance
         InputError: as :func:`covariance`.
     """
     gauge = "two_cameras"  # intrinsics do not depend on it
-    recipe = _Recipe(
-        request=SolveRequest(problem=problem, options=options.replace(gauge=gauge)),
-        of=("intrinsics",),
-        gauge=gauge,
-        scale="sigma0",
-        robust="weights",
-    )
-    return recipe.compute([])
-
-
-def _check_same_factors(result: Result, *given: Iterable[Any]) -> None:
-    """Refuse a result without the factors of its solve: it is a minimum with them only."""
-    if len(result.factor_costs_after) and not any(_is_given(one) for one in given):
-        raise InputError(
-            "problem: expected the factors, priors or constraints of the solve "
-            f"({len(result.factor_costs_after)}) together with its result"
-        )
-
-
-def _is_given(values: Iterable[Any]) -> bool:
-    return not (isinstance(values, tuple | list) and not values)
+    request = SolveRequest(problem=problem, options=options.replace(gauge=gauge))
+    return _Recipe(request, ("intrinsics",), gauge, "sigma0", "weights").compute([])
 
 
 @dataclass(frozen=True)
@@ -358,10 +340,7 @@ class _Recipe:
 
 
 def _scaled(problem: Problem, options: SolveOptions, sigma0: float) -> tuple[Problem, SolveOptions]:
-    """Return the problem with the sigmas of observations multiplied by sigma0.
-
-    The weights of a loss are unchanged: the loss uses the original sigmas.
-    """
+    """Return a problem with sigmas multiplied by sigma0; a loss keeps its weights."""
     old = problem.observation_sigma
     sigmas = np.full(problem.num_observations, sigma0) if old is None else sigma0 * old
     if options.loss != "trivial":

@@ -1,4 +1,4 @@
-"""Checks of a covariance: pairs of images, huge coordinates, rounding errors, distant points.
+"""Checks of a covariance: factors, pairs of images, huge coordinates, rounding, distant points.
 
 Distant points dominate the gauge under inner constraints. The constraints require N^T x = 0 over
 all unknowns x, with N the changes by moving, rotating and scaling the world
@@ -11,6 +11,7 @@ it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,9 @@ from numpy.typing import NDArray
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
 from bundle.model.problem import Problem
+from bundle.solving.result import Result
 
-__all__ = ["note_on_far_points", "refuse_huge", "refuse_rounding", "rows_of"]
+__all__ = ["check_same_factors", "note_on_far_points", "refuse_huge", "refuse_rounding", "rows_of"]
 
 LARGEST = 1e50
 """Limit of coordinates; gauges need fourth powers, which would exceed the range of doubles."""
@@ -108,3 +110,16 @@ def rows_of(problem: Problem, pairs: list[Any]) -> list[tuple[int, int]]:
                 )
         rows.append((place[int(a)], place[int(b)]))
     return rows
+
+
+def check_same_factors(result: Result, *given: Iterable[Any]) -> None:
+    """Refuse a result without the factors of its solve: it is a minimum with them only."""
+    if len(result.factor_costs_after) and not any(_is_given(one) for one in given):
+        raise InputError(
+            "problem: expected the factors, priors or constraints of the solve "
+            f"({len(result.factor_costs_after)}) together with its result"
+        )
+
+
+def _is_given(values: Iterable[Any]) -> bool:
+    return not (isinstance(values, tuple | list) and not values)
