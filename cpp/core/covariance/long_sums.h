@@ -28,8 +28,9 @@ LongMatrix SumSystemOfRows(const ReducedSystem& system);
 /// B, with both triangles.
 LongMatrix SumMeatOfRows(const ReducedSystem& system);
 
-/// The contribution psi_i to the gradient of each observation of a point, a row each. The rows of
-/// its own factors are those of their Jacobian. G_i is reduced to t_i.
+/// One row per observation i of a point: its contribution psi_i to the gradient. Then one row per
+/// residual of the factors on this point alone: its row of the Jacobian. In all rows, the part of
+/// the other unknowns is reduced, as from G_i to t_i.
 struct ReducedShares {
   Eigen::MatrixXd of_unknowns;  ///< t, by the unknowns of UnknownsOf
   Eigen::MatrixXd of_point;     ///< g, three columns

@@ -22,7 +22,7 @@ struct Restrictions {
   /// parameter without bound. A parameter with equal bounds is constant.
   const double* camera_lower = nullptr;
   const double* camera_upper = nullptr;
-  /// num_cameras: bit j of a camera is set if its parameter j is constant.
+  /// One mask per camera (num_cameras): bit j is set if the camera's parameter j is constant.
   const uint32_t* held_camera_params = nullptr;
   /// num_images: kHeldRotation, kHeldPosition (the position of the camera's centre) or both.
   const uint8_t* held_pose_parts = nullptr;

@@ -16,8 +16,8 @@ std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, i
                                               bool same_bits = false);
 
 /// Supernodal Cholesky factorisation, analysed once. `structure` is sparse, with blocks in the
-/// order of the elimination, as in `ordering`. On return it has the places of the values in the
-/// factor.
+/// order of the elimination, as in `ordering`. On return `structure` has the places of its
+/// values in the factor.
 std::unique_ptr<LinearSolver> MakeSparseSolver(const FillOrdering& ordering, int num_threads,
                                                BlockStructure* structure);
 

@@ -77,7 +77,7 @@ RigPose FreeMotions::OnRig(int image, const PoseState& own, PoseState* on_rig) c
   return {&own, on_rig};
 }
 
-/// [delta_i, -M_s] of images that move by one pose.
+/// [delta_i, -M_s] of the images that share one pose: those of a frame, or a single image.
 FreeMotions::Equations FreeMotions::EquationsOf(int pose, const std::vector<int>& images) const {
   const PoseState own = Centered(pose);
   Equations equations;

@@ -5,7 +5,8 @@
 /// A factor (factors/factor.h) is differentiated by the tangent coordinates of its variables. An
 /// image is the variable cam_from_world on SE(3), T = (R, t), which moves to T Exp(phi, rho): to
 /// first order R to R Exp(phi) and t to t + R rho. A solver's unknowns are the chart (w, t) of
-/// factors/reprojection.h, R = Exp(v) R_a. A step (dw, dt) of these makes
+/// factors/reprojection.h: R = Exp(v) R_a with v = w - w_a and the anchor (w_a, R_a). A step
+/// (dw, dt) of these makes
 ///
 ///   R Exp(phi) = Exp(J_l(v) dw) R        =>   phi = R^T J_l(v) dw,
 ///   t + R rho  = t + dt                  =>   rho = R^T dt.

@@ -84,7 +84,6 @@ class SeveralSolves {
 
   /// Continues from the last state with other omegas for the lenses near the discontinuity. True if
   /// another solve may follow.
-  /// solve may follow.
   bool SolveWith(const std::vector<double>& omegas) {
     from_ = std::move(last_);
     for (size_t i = 0; i < omegas.size(); ++i) {

@@ -31,7 +31,7 @@ void RowsOfPrior(const WindowView& view, const WindowPrior& prior, const WindowS
 /// store: PriorBlockSize numbers.
 void BlockFromPoint(int block, int num_states, const double* point, const WindowState& at,
                     double* d);
-/// Numbers of a block as a prior stores it: 16.
+/// Writes a block of `at` to `point` in the form that priors store: 16 numbers, unused ones zero.
 void PointOfBlock(int block, int num_states, const WindowState& at, double* point);
 /// True for blocks that begin with a rotation.
 inline bool HasRotation(int block, int num_states) {

@@ -303,7 +303,7 @@ class _Assembly:
             if other is not None:
                 raise InputError(
                     f"rig {rig_id}: expected a camera for each sensor, found camera {ids[camera]} "
-                    f"of prefixes {rig.sensors[other].image_prefix!r} and "
+                    f"for the prefixes {rig.sensors[other].image_prefix!r} and "
                     f"{rig.sensors[index].image_prefix!r}"
                 )
             sensor = rig.sensors[index]

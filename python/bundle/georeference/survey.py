@@ -116,8 +116,8 @@ class Survey:
         """Return the leave-one-out residuals of targets; see :func:`leave_one_out`.
 
         Returns:
-            (n, 3) residuals of a model that all other points align, nan for unused targets; and
-            (n,) mask of suspects.
+            (n, 3) residual of each target in a model that is aligned without this target, nan for
+            unused targets; and (n,) mask of suspects.
         """
         others = leave_one_out(self.measured, self.decisive, self.tested)
         left_out = self._of_targets(others.residual, np.nan)

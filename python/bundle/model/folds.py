@@ -114,8 +114,8 @@ def _by_point(point: NDArray[np.int32], pair: _Numbers, num_points: int) -> NDAr
 def are_repeated(problem: Problem, folds: NDArray[np.int16]) -> NDArray[np.bool_]:
     """Return a mask of observations whose measurement occurs in another fold, too.
 
-    Points that a reconstruction made twice have the same measurements. A fit without the fold of
-    one has seen the noise of the other, and predicts it.
+    Duplicate points (one feature, triangulated as two points) have the same measurements. A fit
+    without the fold of one duplicate has seen the same noise at the other, and predicts it.
     """
     number = measurement_numbers(problem.observation_image, problem.observation_xy)
     count = int(number.max(initial=-1)) + 1

@@ -103,7 +103,7 @@ def named_images(argument: str, problem: Problem, pattern: str) -> list[int]:
     if len(found) > 1:
         raise InputError(
             f"{argument}: expected one image named {pattern!r}, found {len(found)} "
-            f"(ids {', '.join(map(str, found))}); its id names one of them"
+            f"(ids {', '.join(map(str, found))}); give the id of an image instead"
         )
     if not found:
         matching = set(fnmatch.filter(set(names), pattern))

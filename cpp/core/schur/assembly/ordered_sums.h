@@ -84,7 +84,8 @@ class OrderedSums {
     }
   };
 
-  /// Begins of a chunk's blocks, and their total number of doubles, for mixed widths.
+  /// For blocks of mixed widths: writes the offset of each block of a chunk to `block_begin`, and
+  /// returns the total number of doubles of the blocks.
   int64_t PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block_begin) const;
 
   /// The pairs of a chunk by their second image. Those of image i are seconds[second_begin[i]] to

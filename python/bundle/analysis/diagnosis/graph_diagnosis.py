@@ -35,7 +35,10 @@ class GraphWeakMode:
     """Direction that the edges determine weakly or not at all.
 
     Attributes:
-        kind: "component", "open_joint", "weak_joint" or "open_together".
+        kind: "component": no edge joins a component with the largest one; "open_joint": the edges
+            between a group of poses and the others leave directions free; "weak_joint": they
+            determine directions weakly; "open_together": further free directions, in which several
+            groups move together.
         sentence: moving poses, their motion, the responsible edges, and the remedy.
         pose_ids: poses that move.
         edges: pairs of pose ids: the edges that connect them with the others.

@@ -44,7 +44,10 @@ class ScaleDrift:
 
 
 def scale_drift(result: Result) -> ScaleDrift | None:
-    """Return the scale change by a solve; None if aligned or without extent."""
+    """Return the scale change by a solve.
+
+    Return None if the result was aligned, or if all camera centres were the same at the start.
+    """
     before, after = (
         float(np.linalg.norm(centers - centers.mean(axis=0)))
         for centers in (

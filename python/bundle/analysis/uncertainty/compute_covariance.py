@@ -104,7 +104,8 @@ def covariance(
     selects how this is resolved. "inner" gives the pseudo-inverse of H, the covariance of least
     trace (S-transformation of Baarda; Triggs et al. 2000, section 9); fixed parameters, priors and
     metric rigs reduce the gauge automatically. "two_cameras" and "three_points" hold the same
-    parameters constant as these gauges of a solve, so these images or points have no covariance.
+    parameters constant as a solve with that gauge. Poses and points that are then constant have
+    covariance 0.
     "none": priors and fixed parameters determine the gauge. Angles, ratios of lengths and relative
     poses, apart from their scale, do not depend on the gauge, with one exception: "three_points"
     also fixes the shape of a triangle, two numbers too many. All covariances are then too small,

@@ -159,7 +159,7 @@ _ALL = (-1, -1)
 
 
 class _Line:
-    """Factor at given values, along its columns."""
+    """Factor at given values; compares its Jacobian's columns with differences of its residual."""
 
     def __init__(
         self,

@@ -100,7 +100,8 @@ class WindowDriver:
     def _between_keyframes(self, closure: Closure) -> Closure | None:
         """Return the closure between its nearest keyframes.
 
-        Return None if an end is outside, or if both ends have the same keyframe.
+        Return None if an end is before the first keyframe, or if both ends have the same nearest
+        keyframe.
         """
         ends = np.array(self._ends(closure), np.int64)
         if ends.min() < self.run.stamps[0]:

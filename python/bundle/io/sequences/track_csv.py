@@ -36,8 +36,8 @@ def read_track_csv(path: str | os.PathLike[str]) -> Sequence:
     """Read the file as a sequence.
 
     Raises:
-        InputError: a column or a calibration value is missing or is not a number; one line with
-            file and line.
+        InputError: a column or a calibration value is missing or is not a number. The message is
+            one line that begins with the path.
         OSError: the file cannot be read.
     """
     name = shown(path)

@@ -12,9 +12,10 @@ weighted mean f has the expectation d = m - 1 or less. It is not chi^2: neighbou
 points, and their errors are alike; a sum of few independent modes scatters more. The group is equal
 if Q / d is below 4, the 99 % quantile of 3 degrees of freedom, if the focal lengths are determined,
 and if they do not drift by
-half of the limit below. Distortion does not decide: where the lens model is too small, each camera
-fits its own (two real models with one lens: Q / d of k is 5 and 11, of f 0.9 and 0.5). Beyond 25,
-the lenses are different.
+half of the limit below. For distortion parameters, the limit of Q / d is 25: beyond it, the lenses
+are different. Below it, Q / d can exceed 4 with a single lens, because a lens model with too few
+parameters fits another distortion in each camera. In two real models with one lens, Q / d is 5 and
+11 for k, but 0.9 and 0.5 for f.
 
 Drift. In the weighted regression f_i = a + b t_i on the order t of the images, from -1 to 1, the
 gain b^2 / var b must exceed 30, and 30 times the Q / d that is left, and the change 2 b must be 2 %

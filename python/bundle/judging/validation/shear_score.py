@@ -15,7 +15,8 @@ P = I - J (J^T J)^-1 J^T, the scores
 
     g = A^T P r    have the covariance    sigma^2 F,    F = A^T P A,
 
-if no image has a shear; P also removes the last step of the fit. The locally most powerful test for
+if no image has a shear. P also removes the effect of any small step of these parameters, so the
+fit need not have converged fully. The locally most powerful test for
 independent shears of equal variance takes |g|^2 (Rao 1973, "Linear statistical inference and its
 applications", chapter 6e), whose mean is then sigma^2 tr F, with sigma^2 = |P r|^2 / (rows - rank).
 R = |g|^2 / (sigma^2 tr F) times d = (tr F)^2 / tr F^2 has about a chi-square distribution with d

@@ -29,8 +29,8 @@ class PerformanceProfile:
     A problem is solved when the cost is within ``gap`` of the best; the measure is the time to it.
 
     Attributes:
-        ratios: times relative to the fastest method, of the problems that this one solved,
-            ascending.
+        ratios: time of ``method`` divided by that of the fastest method, for each problem that
+            ``method`` solved; ascending.
         num_problems: problems that at least one method solved.
     """
 

@@ -8,8 +8,8 @@ intrinsics, or a shared camera's intrinsics (``cpp/core/model/parameter_layout.h
     S   = H_cc - H_cp H_pp^-1 H_pc, the reduced camera system: two blocks are coupled if they are
         the pose and the intrinsics of one image, or if both observe a common free point.
 
-Nonzeros of H and S count both triangles and the diagonal; those of L, its lower triangle with the
-diagonal. Blocks count as dense.
+The number of nonzeros of H and of S includes both triangles and the diagonal. The number of
+nonzeros of L includes its lower triangle and its diagonal. Blocks count as dense.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ def tag(name: str, /, *children: str, **attributes: Any) -> str:
 
 
 def heading(title: str, name: str = "") -> str:
-    """Return the heading of a section, which the contents of the page list."""
+    """Return the heading of a section; the table of contents of the page links to it."""
     anchor = name or re.sub(r"\W+", "-", title.lower()).strip("-")
     return tag("h2", escape(title), id=anchor)
 
