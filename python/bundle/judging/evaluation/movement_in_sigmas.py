@@ -121,7 +121,11 @@ def movement_in_sigmas(a: Problem, b: Problem, rows_a: Indices, rows_b: Indices)
         warnings.simplefilter("ignore", RuntimeWarning)  # images without a covariance have NaN only
         sigmas = np.nanmedian(table, axis=1)
     is_minimum = not any(note.startswith(NOT_CONVERGED) for note in found.notes)
-    notes = [f"Covariance of A: {note[0].lower()}{note[1:]}" for note in found.notes]
+    notes = [
+        f"Covariance of A: {note[0].lower()}{note[1:]}"
+        for note in found.notes
+        if not note.startswith(NOT_CONVERGED)  # its advice names flags of other commands
+    ]
     return SigmaMovement(sigmas, found.sigma0, is_minimum, tuple(notes))
 
 
