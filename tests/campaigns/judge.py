@@ -138,7 +138,6 @@ def decided(entry: dict, rule: DecisionRule, *, veto: bool = True) -> int:
         [one["num_intrinsics"] for one in entry["candidates"]],
         [one["vetoed"] if veto else "" for one in entry["candidates"]],
         rule,
-        [one["share"] for one in entry["candidates"]],
     ).recommended
 
 
@@ -231,21 +230,13 @@ def line_of(entry: dict) -> str:
 def compare_rules(entries: list[dict]) -> str:
     """Return one row per rule: the decision's numbers and what they recommend."""
     base = DecisionRule()
-    one = replace(
-        base,
-        num_standard_errors_of_sharing=base.num_standard_errors,
-        threshold_of_lens_per_image=base.threshold,
-    )
-    study = replace(base, num_standard_errors=2.0, threshold=0.01, threshold_of_lens_per_image=0.01)
     rules = {
         "default": (base, True),
         "no veto": (base, False),
-        "2 SE, 1 %": (study, True),
+        "1.5 SE, 0.5 %": (replace(base, num_standard_errors=1.5, threshold=0.005), True),
         "1 SE": (replace(base, num_standard_errors=1.0), True),
-        "sharing alike": (one, True),
-        "threshold 0": (replace(base, threshold=0.0, threshold_of_lens_per_image=0.0), True),
-        "threshold 0.3 %": (replace(base, threshold=0.003), True),
-        "threshold 1 %": (replace(base, threshold=0.01), True),
+        "threshold 0": (replace(base, threshold=0.0), True),
+        "threshold 0.5 %": (replace(base, threshold=0.005), True),
         "clip 2": (replace(base, clip=2.0), True),
         "clip 10": (replace(base, clip=10.0), True),
     }

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.stats import norm, t
 
 from bundle.errors import InputError
-from bundle.judging.validation.decision import DecisionRule, decide, jackknife, student
+from bundle.judging.validation.decision import DecisionRule, decide, jackknife
 
 
 def planted(levels, num_images=20, per_image=50, seed=0, spread=0.02):
@@ -93,57 +92,15 @@ def test_candidates_without_a_fit():
         decide(errors, image, [1, 2], ["", "rows"])
 
 
-@pytest.mark.parametrize(
-    ("shares", "level", "recommended"),
-    [
-        (["size", "size"], 1.007, 1),  # relevant: a term of a lens
-        (["size", "focal"], 1.007, 1),
-        (["size", "each"], 1.007, 0),  # not relevant enough for a lens per image
-        (["all", "size"], 1.007, 1),
-        (["size", "each"], 1.02, 1),
-        (["each", "each"], 1.007, 1),
-    ],
-)
-def test_a_lens_per_image_must_be_better_by_more(shares, level, recommended):
-    errors, image = planted([level, 1.0], spread=0.0)
-    assert decide(errors, image, [10, 20], shares=shares).recommended == recommended
-
-
-def test_another_sharing_must_be_better_by_more_standard_errors():
+def test_both_limits_of_the_rule_count():
     errors, image = planted([1.05, 1.0], spread=0.0)
-    image_of = image % 20
-    errors[0, image_of < 10] /= 1.0 + 0.09
+    errors[0, image % 20 < 10] /= 1.09
     decision = decide(errors, image, [10, 20])
-    grid = np.linspace(0, 20, 20001)
     ratio = decision.differences[0] / decision.standard_errors[0]
-    ratio = np.interp(ratio, student(grid, 19), grid)
-    for number, shares in ((1.5, None), (2.0, ["size", "focal"])):
-        rules = [
-            DecisionRule(
-                threshold=0.0,
-                num_standard_errors=1.5 if shares else ratio * factor,
-                num_standard_errors_of_sharing=ratio * factor if shares else 2.0,
-            )
-            for factor in (0.99, 1.01)
-        ]
-        found = [decide(errors, image, [10, 20], rule=rule, shares=shares) for rule in rules]
-        assert [one.recommended for one in found] == [1, 0], number
-
-
-@pytest.mark.parametrize(("freedom", "error"), [(1, 0.13), (2, 0.04), (3, 0.02), (30, 1e-4)])
-def test_students_quantiles_are_those_of_scipy(freedom, error):
-    z = np.array([0.5, 1.0, 1.5, 2.0])
-    assert student(z, freedom) == pytest.approx(t.ppf(norm.cdf(z), freedom), rel=error)
-    assert student(z, 10**9) == pytest.approx(z, rel=1e-8)
-
-
-def test_a_difference_from_few_images_needs_more_standard_errors():
-    shares = []
-    for num_images in (3, 30):
-        found = [
-            decide(*planted([1.0, 1.0], num_images, seed=seed, spread=0.2), [20, 10])
-            for seed in range(200)
-        ]
-        shares.append(np.mean([one.recommended == 0 for one in found]))
-    # Of equal candidates, the larger one is recommended at most at the level of z = 1.5.
-    assert max(shares) <= 1 - norm.cdf(1.5) + 0.04
+    share = decision.differences[0] / decision.scores[1]
+    for factor, recommended in ((0.99, 1), (1.01, 0)):
+        rule = DecisionRule(threshold=0.0, num_standard_errors=ratio * factor)
+        assert decide(errors, image, [10, 20], rule=rule).recommended == recommended
+        rule = DecisionRule(threshold=share * factor, num_standard_errors=0.0)
+        assert decide(errors, image, [10, 20], rule=rule).recommended == recommended
+    assert (DecisionRule().num_standard_errors, DecisionRule().threshold) == (2.0, 0.01)

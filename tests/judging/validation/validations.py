@@ -35,7 +35,7 @@ def validation(lenses=LENSES, fires=True, source="garden/sparse/0"):
     free = [one[2] for one in lenses]
     vetoes = [one[4] if fires else "" for one in lenses]
     rule = DecisionRule()
-    decision = decide(errors, image, free, vetoes, rule, [one[1] for one in lenses])
+    decision = decide(errors, image, free, vetoes, rule)
     rmse = np.sqrt(np.mean(np.minimum(0.5 * errors, 4.0) ** 2, axis=1))
     records = tuple(
         ValidatedCandidate(

@@ -72,7 +72,6 @@ def judged(
         num_intrinsics,
         vetoes,
         rule,
-        [fit.candidate.share for fit in fits],
     )
     criteria = _criteria(fits, certainties, fitting)
     records = tuple(

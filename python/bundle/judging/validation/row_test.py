@@ -34,11 +34,10 @@ absorb part of the noise, so Q tends to be smaller. The variance that motion add
 The test fires if the shear is significant (Q beyond the quantile 1 - 1e-4) and not explained by a
 lens model that is too small (Q / d > 3; without motion, real models reach 2.6), and if the pattern
 is relevant: without noise, anisotropy and shear displace an observation by tau^2 (x^2 + y^2) each
-in the mean of squares. Relevant is what raises the RMS by 1 %, the decision's threshold against a
-lens per image. The anisotropy alone proves no motion: cameras may differ in fx / fy. Last, the
-shear must also remain where each image may have its own lens: in the exact test
-(:mod:`.shear_score`), significant at 5 % or twice as large as its noise. With few images the first
-may be out of reach.
+in the mean of squares. Relevant is what raises the RMS by 1 %, the decision's threshold. The
+anisotropy alone proves no motion: cameras may differ in fx / fy. Last, the shear must also remain
+where each image may have its own lens: in the exact test (:mod:`.shear_score`), significant at 5 %
+or twice as large as its noise. With few images the first may be out of reach.
 
 Slopes do not tell rows from columns. A motion (a, b) y and a motion (b, -a) x differ by a rotation
 and a scale of the image, which the pose absorbs.
