@@ -9,7 +9,6 @@ Run: python -m benchmarks.judging [--repeat N] [--threads N] [--timeout SECONDS]
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
@@ -87,12 +86,7 @@ def as_table(found: Runs) -> str:
 
 def main() -> None:
     """Measure, print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeat", type=int, default=3)
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--timeout", type=float, default=150.0)
-    options = parser.parse_args()
-    print(as_table(measured(options.repeat, options.threads, options.timeout)))
+    table.main(__doc__, measured, as_table, repeat=3, timeout=150.0)
 
 
 if __name__ == "__main__":

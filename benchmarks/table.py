@@ -2,10 +2,39 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 from benchmarks.measure import Spread
 from benchmarks.rows import GAPS, Row
+
+Runs = TypeVar("Runs")
+
+
+def main(
+    description: str | None,
+    measured: Callable[[int, int, float], Runs],
+    as_table: Callable[[Runs], str],
+    *,
+    repeat: int,
+    timeout: float,
+) -> None:
+    """Measure as the command line says, and print the table.
+
+    Args:
+        description: docstring of the benchmark.
+        measured: function of the number of repeats, of threads, and of the seconds of a run.
+        as_table: function that formats the measured runs.
+        repeat: default number of repeats.
+        timeout: default of the longest time of a run, in seconds.
+    """
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--repeat", type=int, default=repeat)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--timeout", type=float, default=timeout)
+    options = parser.parse_args()
+    print(as_table(measured(options.repeat, options.threads, options.timeout)))
 
 
 def seconds(value: float) -> str:

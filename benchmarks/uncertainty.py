@@ -14,7 +14,6 @@ Run: python -m benchmarks.uncertainty [--repeat N] [--threads N] [--timeout SECO
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import tempfile
@@ -149,12 +148,7 @@ def as_table(found: Mapping[str, Runs]) -> str:
 
 def main() -> None:
     """Measure, print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeat", type=int, default=5)
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--timeout", type=float, default=300.0)
-    options = parser.parse_args()
-    print(as_table(measured(options.repeat, options.threads, options.timeout)))
+    table.main(__doc__, measured, as_table, repeat=5, timeout=300.0)
 
 
 if __name__ == "__main__":
