@@ -177,6 +177,7 @@ def test_a_model_that_is_no_minimum_says_so(solved):
     start = models[0].replace(points=models[0].points * 1.01)
     found = bundle.evaluate(start, truth)
     assert not found.movement.is_minimum and "not at a minimum" in " ".join(found.headline)
+    assert not any("converged" in note for note in found.movement.notes)
 
 
 def test_a_large_move_has_many_sigmas(solved):

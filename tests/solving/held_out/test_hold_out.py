@@ -39,6 +39,17 @@ def test_each_image_loses_its_share_and_each_point_keeps_two_images(percent):
     assert images_left(problem, held)[touched].min() >= 2
 
 
+def test_an_image_of_few_observations_keeps_six():
+    problem = photographs()
+    few = np.flatnonzero(problem.observation_image == 3)[7:]
+    problem = problem.select(
+        observations=np.delete(np.arange(problem.num_observations), few)
+    ).problem
+    held = choose(problem, 45)
+    assert (problem.observation_image[held] == 3).sum() <= 1
+    assert FEWEST_OF_IMAGE == 6
+
+
 def test_chances_do_not_depend_on_the_length_of_the_track():
     problem = photographs()
     length = np.bincount(problem.observation_point)[problem.observation_point]
