@@ -1,0 +1,48 @@
+"""Finding about points that exist twice, at the limits of its test."""
+
+import numpy as np
+import pytest
+
+from bundle.judging.findings.duplicates import FEWEST_PAIRS, SHARE, duplicate_points
+from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.next_command import NextCommand
+from tests.scenes import make_problem
+
+
+def found(num_points, num_twins):
+    """Return the finding for a scene in which the first points exist twice."""
+    problem = make_problem(num_images=6, num_points=num_points)
+    twins = np.flatnonzero(problem.observation_point < num_twins)
+
+    def doubled(name, shift=0):
+        values = getattr(problem, name)
+        return np.concatenate([values, values[twins] + shift])
+
+    problem = problem.replace(
+        points=np.concatenate([problem.points, problem.points[:num_twins]]),
+        point_ids=np.arange(1, num_points + num_twins + 1),
+        observation_image=doubled("observation_image"),
+        observation_point=doubled("observation_point", num_points),
+        observation_xy=doubled("observation_xy"),
+        observation_keypoint=np.full(problem.num_observations + len(twins), -1, np.int32),
+        source=None,
+    )
+    return duplicate_points(Measured(whole=problem, command=NextCommand("INPUT", "OUTPUT", ())))
+
+
+@pytest.mark.parametrize(
+    ("num_points", "num_twins", "is_found"),
+    [
+        (30, FEWEST_PAIRS - 1, False),  # 8 of 34 points: too few to matter
+        (30, FEWEST_PAIRS, True),
+        (400, 18, False),  # 8.6 %
+        (400, 30, True),
+    ],
+)
+def test_pairs_must_be_several_and_a_share_of_the_points(num_points, num_twins, is_found):
+    finding = found(num_points, num_twins)
+    assert (finding is not None) == is_found
+    if finding is not None:
+        assert finding.evidence["num_pairs"] == num_twins
+        share = 2 * num_twins / (num_points + num_twins)
+        assert finding.evidence["share"] == pytest.approx(share) and share >= SHARE
