@@ -22,7 +22,9 @@ NOT_FOR_REFINE = (
     | COMMANDS
     | {
         *{"bundle.analysis.statistics", "bundle.editing", "bundle.planning", "bundle.inertial"},
-        *{"bundle.graphs", "rich.live", "numpy.ma"},
+        *{"bundle.graphs", "bundle.solving.constraints", "bundle.solving.ranks.mpi_crew"},
+        *{"bundle.solving.rounds.checkpoint", "bundle.solving.held_out", "bundle.io.g2o_files"},
+        *{"rich", "numpy.ma", "hashlib", "zipfile", "shutil", "bz2", "lzma", "gzip"},
     }
 )
 RUN = """

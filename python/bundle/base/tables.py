@@ -1,71 +1,172 @@
-"""Layout of tables, facts and notes, with the same text on a terminal and in a pipe."""
+"""Layout of tables, facts and notes, with the same text on a terminal and in a pipe.
+
+A :class:`Block` returns lines for a width, made of pieces of text with a style. rich prints them on
+a terminal, in colours that the terminal has; a pipe gets the text and needs no import of rich.
+"""
 
 from __future__ import annotations
 
-import io
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TextIO, TypeAlias
 
-from rich.console import Console, ConsoleOptions, JustifyMethod, RenderableType, RenderResult
-from rich.measure import Measurement
-from rich.table import Table
-from rich.text import Text
+from bundle.base.wrapped_text import clean, longest_line, longest_word, padded, wrap
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 __all__ = [
     "WIDEST",
     "Bar",
+    "Block",
     "Columns",
+    "Line",
+    "Paragraph",
+    "Piece",
     "columns",
-    "console",
     "facts",
+    "is_terminal",
     "notes",
+    "print_styled",
     "render",
+    "screen_width",
+    "terminal",
 ]
 
 NARROWEST, WIDEST = 60, 100
 LABEL_WIDTH = 16
 GUTTER = 2
 NARROWEST_BAR, BAR_WIDTH = 8, 40
+DECIDED_BY_RICH = ("COLUMNS", "FORCE_COLOR", "TTY_COMPATIBLE")
+"""Variables by which rich takes a pipe for a terminal, or another width."""
 
 
-def console(file: TextIO) -> Console:
-    """Return a console that uses colours only on a terminal and prints text without markup."""
-    probe = Console(file=file, force_jupyter=False)
-    width = probe.width if probe.is_terminal or "COLUMNS" in os.environ else WIDEST
-    return _literal_console(file, min(max(width, NARROWEST), WIDEST))
+class Piece(NamedTuple):
+    """Text in a style of rich, such as "bold"."""
+
+    text: str
+    style: str = ""
 
 
-def render(*renderables: RenderableType, width: int = WIDEST) -> str:
-    """Return renderables as plain lines, without colours or trailing spaces."""
-    file = io.StringIO()
-    plain = _literal_console(file, width, color_system=None)
-    for renderable in renderables:
-        plain.print(renderable, crop=False)
-    return "".join(f"{line.rstrip()}\n" for line in file.getvalue().splitlines())
+Line: TypeAlias = "Sequence[Piece]"
 
 
-def _literal_console(file: TextIO, width: int, **settings: Any) -> Console:
+class Block(Protocol):
+    """A part of a report."""
+
+    def lines(self, width: int) -> Iterable[Line]:
+        """Return the lines for a width in cells; a line without blanks may be wider."""
+
+
+class Paragraph(NamedTuple):
+    """Text in a style, with line breaks between words."""
+
+    text: str
+    style: str = ""
+
+    def lines(self, width: int) -> Iterable[Line]:
+        """See :meth:`Block.lines`."""
+        return [[Piece(line, self.style)] for line in wrap(self.text, width)]
+
+
+def terminal(file: TextIO) -> Console:
+    """Return rich's console, which uses colours only on a terminal and prints without markup."""
+    from rich.console import Console
+
     return Console(
         file=file,
-        width=width,
         markup=False,
         emoji=False,
         highlight=False,
         force_jupyter=False,  # in a notebook rich would display it instead
-        **settings,
     )
 
 
-def facts(rows: Iterable[tuple[str, str]]) -> Table:
+def is_terminal(file: TextIO) -> bool:
+    """Return True if colours and updating lines are possible."""
+    return _rich_decides(file) and terminal(file).is_terminal
+
+
+def screen_width(file: TextIO) -> int:
+    """Return the width of reports on a terminal or in a pipe."""
+    width = WIDEST
+    if _rich_decides(file):
+        found = terminal(file)
+        width = found.width if found.is_terminal or "COLUMNS" in os.environ else WIDEST
+    return min(max(width, NARROWEST), WIDEST)
+
+
+def _rich_decides(file: TextIO) -> bool:
+    try:
+        return file.isatty() or any(name in os.environ for name in DECIDED_BY_RICH)
+    except ValueError:  # closed
+        return False
+
+
+def print_styled(blocks: Iterable[Block | str], file: TextIO) -> None:
+    """Print blocks on a terminal, in its colours."""
+    from rich.text import Text
+
+    screen, width = terminal(file), screen_width(file)
+    for line in _lines(blocks, width):
+        text = Text.assemble(*((piece.text, piece.style) for piece in line))
+        # Do not cut long words of a command.
+        screen.print(text, no_wrap=True, overflow="ignore", crop=False)
+
+
+def render(*blocks: Block | str, width: int = WIDEST) -> str:
+    """Return blocks as plain lines, without colours or trailing spaces."""
+    return "".join(
+        f"{''.join(piece.text for piece in line).rstrip()}\n" for line in _lines(blocks, width)
+    )
+
+
+def _lines(blocks: Iterable[Block | str], width: int) -> Iterable[Line]:
+    for block in blocks:
+        yield from (Paragraph(block) if isinstance(block, str) else block).lines(width)
+
+
+class _Pairs(NamedTuple):
+    """Labels at the left and texts at the right, which wrap."""
+
+    rows: Sequence[tuple[str, str]]
+    gutter: int
+    narrowest: int = 0
+    label_style: str = ""
+    style: str = ""
+
+    def lines(self, width: int) -> Iterable[Line]:
+        """See :meth:`Block.lines`."""
+        widest = max((longest_line(label) for label, _ in self.rows), default=0)
+        left = max(widest, self.narrowest)
+        for label, text in self.rows:
+            given = clean(label)
+            for line in wrap(text, max(width - left - self.gutter, 1)):
+                yield [
+                    Piece(padded(given, left), self.label_style),
+                    Piece(" " * self.gutter),
+                    Piece(line, self.style),
+                ]
+                given = ""
+
+
+def facts(rows: Iterable[tuple[str, str]]) -> Block:
     """Return a table with labels at the left and facts at the right; long facts are wrapped."""
-    table = Table.grid(padding=(0, 2, 0, 0))
-    table.add_column(style="bold", no_wrap=True, min_width=LABEL_WIDTH)
-    table.add_column(overflow="fold")
-    for label, fact in rows:
-        table.add_row(Text(label), Text(fact))
-    return table
+    return _Pairs([*rows], GUTTER, LABEL_WIDTH, label_style="bold")
+
+
+def notes(sentences: Iterable[str], *, style: str = "") -> list[Block | str]:
+    """Return sentences as dashed paragraphs."""
+    rows = [("-", sentence) for sentence in sentences]
+    return [_Pairs(rows, 1, label_style=style, style=style)] if rows else []
+
+
+class _Size(NamedTuple):
+    """Widths with all line breaks and without any."""
+
+    least: int
+    most: int
 
 
 class Columns:
@@ -77,54 +178,70 @@ class Columns:
     """
 
     def __init__(
-        self, head: Sequence[str], rows: Iterable[Sequence[RenderableType]], left: int, keys: int
+        self, head: Sequence[str], rows: Iterable[Sequence[str | Bar]], left: int, keys: int
     ) -> None:
-        self.head = tuple(map(Text, head))
-        self.rows = [
-            tuple(Text(cell) if isinstance(cell, str) else cell for cell in row) for row in rows
-        ]
+        self.head = tuple(head)
+        self.rows = [tuple(row) for row in rows]
         self._left = left
         self._keys = keys
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+    def lines(self, width: int) -> Iterable[Line]:
         """Yield the table, divided if it is wider than the terminal."""
-        limit = options.max_width
-        sizes = self._sizes(console, options)
-        narrowest = [min(size.minimum, limit) for size in sizes]
-        narrowest[0] = min(narrowest[0], limit // 2)
-        for position, group in enumerate(_groups(narrowest, limit, self._keys)):
+        sizes = self._sizes()
+        narrowest = [min(size.least, width) for size in sizes]
+        narrowest[0] = min(narrowest[0], width // 2)
+        for position, group in enumerate(_groups(narrowest, width, self._keys)):
             if position:
-                yield Text("")
-            spare = limit - sum(narrowest[index] + GUTTER for index in group) + GUTTER
+                yield []
+            spare = width - sum(narrowest[index] + GUTTER for index in group) + GUTTER
             widths = {}
             for index in group:
-                taken = min(sizes[index].maximum - narrowest[index], max(spare, 0))
+                taken = min(sizes[index].most - narrowest[index], max(spare, 0))
                 widths[index] = narrowest[index] + taken
                 spare -= taken
-            yield self._table(widths)
+            yield from self._table(_shrunk(widths, width))
 
-    def _sizes(self, console: Console, options: ConsoleOptions) -> list[Measurement]:
+    def _sizes(self) -> list[_Size]:
         """Return, for each column, its width with all line breaks and its width without any."""
-        unlimited = options.update_width(10_000)
         sizes = []
         for index, cells in enumerate(zip(self.head, *self.rows, strict=True)):
-            found = [Measurement.get(console, unlimited, cell) for cell in cells]
-            widest = max(size.maximum for size in found)
+            found = [_size(cell) for cell in cells]
+            widest = max(size.most for size in found)
             wraps = index < self._left
-            narrowest = max(size.minimum for size in found) if wraps else widest
+            narrowest = max(size.least for size in found) if wraps else widest
             least = LABEL_WIDTH if index == 0 else 0
-            sizes.append(Measurement(max(narrowest, least), max(widest, least)))
+            sizes.append(_Size(max(narrowest, least), max(widest, least)))
         return sizes
 
-    def _table(self, widths: Mapping[int, int]) -> Table:
-        table = Table(box=None, pad_edge=False, padding=(0, GUTTER, 0, 0), header_style="bold")
-        for index, width in widths.items():
-            justify: JustifyMethod = "left" if index < self._left else "right"
-            table.add_column(self.head[index], justify=justify, width=width, overflow="fold")
+    def _table(self, widths: Mapping[int, int]) -> Iterable[Line]:
+        yield from self._row(self.head, widths, "bold", top=False)
         for row in self.rows:
-            style = "bold" if str(row[0]).startswith("total") else None
-            table.add_row(*(row[index] for index in widths), style=style)
-        return table
+            is_total = isinstance(row[0], str) and row[0].startswith("total")
+            yield from self._row(row, widths, "bold" if is_total else "")
+
+    def _row(
+        self, cells: Sequence[str | Bar], widths: Mapping[int, int], style: str, top: bool = True
+    ) -> Iterable[Line]:
+        parts = {index: _cell_lines(cells[index], width) for index, width in widths.items()}
+        height = max(map(len, parts.values()))
+        filled = []
+        for index, part in parts.items():
+            empty = [""] * (height - len(part))
+            lines = [*part, *empty] if top else [*empty, *part]
+            filled.append([padded(line, widths[index], index >= self._left) for line in lines])
+        for line in zip(*filled, strict=True):
+            yield [Piece((" " * GUTTER).join(line), style)]
+
+
+def _shrunk(widths: Mapping[int, int], limit: int) -> Mapping[int, int]:
+    """Return widths that fit: a long key and a long column together can exceed the limit."""
+    excess = sum(widths.values()) + GUTTER * (len(widths) - 1) - limit
+    shrunk = dict(widths)
+    while excess > 0:
+        widest = max(shrunk, key=lambda index: shrunk[index])
+        shrunk[widest] -= 1
+        excess -= 1
+    return shrunk
 
 
 def _groups(widths: Sequence[int], limit: int, keys: int) -> list[list[int]]:
@@ -142,7 +259,7 @@ def _groups(widths: Sequence[int], limit: int, keys: int) -> list[list[int]]:
 
 
 def columns(
-    head: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, left: int = 1, keys: int = 1
+    head: Sequence[str], rows: Iterable[Sequence[str | Bar]], *, left: int = 1, keys: int = 1
 ) -> Columns:
     """Return a table of `left` columns of text, then numbers; see :class:`Columns`.
 
@@ -152,26 +269,23 @@ def columns(
     return Columns(head, rows, left, keys)
 
 
-class Bar:
-    """A bar of at most `BAR_WIDTH` characters; shorter on a narrow terminal."""
+class Bar(NamedTuple):
+    """A bar of at most `BAR_WIDTH` characters; shorter on a narrow terminal.
 
-    def __init__(self, share: float) -> None:
-        self._share = share
+    Attributes:
+        share: length, 0 to 1; a positive share has at least one character.
+    """
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield the bar; a positive share has at least one character."""
-        yield Text("#" * math.ceil(self._share * min(options.max_width, BAR_WIDTH)))
-
-    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
-        """Return the smallest and the largest width of a bar."""
-        return Measurement(NARROWEST_BAR, BAR_WIDTH)
+    share: float
 
 
-def notes(sentences: Iterable[str], *, style: str = "") -> list[RenderableType]:
-    """Return sentences as dashed paragraphs."""
-    table = Table.grid(padding=(0, 1, 0, 0))
-    table.add_column(style=style, no_wrap=True)
-    table.add_column(style=style, overflow="fold")
-    for sentence in sentences:
-        table.add_row(Text("-"), Text(sentence))
-    return [table] if table.row_count else []
+def _size(cell: str | Bar) -> _Size:
+    if isinstance(cell, Bar):
+        return _Size(NARROWEST_BAR, BAR_WIDTH)
+    return _Size(longest_word(cell), longest_line(cell))
+
+
+def _cell_lines(cell: str | Bar, width: int) -> list[str]:
+    if isinstance(cell, Bar):
+        return ["#" * math.ceil(cell.share * min(width, BAR_WIDTH))]
+    return wrap(cell, width)

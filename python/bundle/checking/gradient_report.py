@@ -8,10 +8,8 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Any
 
-from rich.console import RenderableType
-
 from bundle.base.display import Display
-from bundle.base.tables import Bar, Columns, columns, facts, notes, render
+from bundle.base.tables import Bar, Block, Columns, columns, facts, notes, render
 from bundle.base.words import plural
 from bundle.checking.evidence import Finding
 
@@ -212,20 +210,20 @@ def outcome(report: GradientReport) -> str:
     return f"WRONG: {plural(len(report.findings), 'finding')}, the worst first."
 
 
-def explanation(report: GradientReport) -> list[RenderableType]:
+def explanation(report: GradientReport) -> list[Block | str]:
     """Return the verdict, the findings, and tables of errors."""
     verdict = facts([("verdict", outcome(report))])
     return [*subject(report), verdict, *mistakes(report), *measurements(report)]
 
 
-def subject(report: GradientReport) -> list[RenderableType]:
+def subject(report: GradientReport) -> list[Block | str]:
     """Return the function that was checked, and at how many points."""
     skipped = f", {report.num_skipped} skipped" if report.num_skipped else ""
     count = plural(report.num_checked, report.noun)
     return [facts([("checked", f"{report.subject}, {count}{skipped}")])]
 
 
-def mistakes(report: GradientReport) -> list[RenderableType]:
+def mistakes(report: GradientReport) -> list[Block | str]:
     """Return the findings, and the points without a verdict."""
     return [
         *notes((finding.sentence for finding in report.findings), style=STYLES[report.verdict]),
@@ -233,11 +231,11 @@ def mistakes(report: GradientReport) -> list[RenderableType]:
     ]
 
 
-def measurements(report: GradientReport) -> list[RenderableType]:
+def measurements(report: GradientReport) -> list[Block | str]:
     """Return tables of errors."""
     if not report.num_checked:
         return []
-    parts: list[RenderableType] = []
+    parts: list[Block | str] = []
     parts += ["", _verdicts(report.groups)]
     if not report.ok:
         wrong = [verdict for verdict in report.parameters if verdict.verdict != "correct"]

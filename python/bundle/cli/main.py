@@ -103,7 +103,12 @@ def command_parser() -> Parser:
         action=PrintCompletion,
         help="print a script that completes commands, flags and values in a shell (needs shtab)",
     )
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    commands = parser.add_subparsers(
+        title="commands",
+        metavar="COMMAND",
+        required=True,
+        prog="bundle",  # otherwise argparse formats a usage, which takes milliseconds
+    )
     for name, help in COMMANDS.items():
         commands.add_parser(
             name,

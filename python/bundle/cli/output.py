@@ -9,9 +9,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from rich.console import RenderableType
-
-from bundle.base.tables import console, render
+from bundle.base.tables import Block, is_terminal, print_styled, render, screen_width
 from bundle.cli.standard_streams import print_out
 from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
@@ -104,7 +102,7 @@ class Request(Protocol):
 def publish(report: Report, asked: argparse.Namespace | Request) -> None:
     """Print a report; write its JSON, always complete, to a file, or print it instead ("-")."""
     if asked.json != "-":
-        width = console(sys.stdout).width
+        width = screen_width(sys.stdout)
         show(*(laid_out(report, verbose=True) if asked.verbose else fitted(report, width)))
     if asked.json is not None:
         write_json(asked.json, report.json())
@@ -120,10 +118,9 @@ def write_json(path: str | None, report: dict[str, Any]) -> None:
         atomic.write_text(Path(path), dumps(report))
 
 
-def show(*renderables: RenderableType) -> None:
+def show(*blocks: Block | str) -> None:
     """Print to standard output, in colour if it is a terminal."""
-    screen = console(sys.stdout)
-    if screen.is_terminal:
-        screen.print(*renderables, sep="\n", crop=False)  # do not cut long words of a command
+    if is_terminal(sys.stdout):
+        print_styled(blocks, sys.stdout)
     else:
-        print_out(render(*renderables, width=screen.width))
+        print_out(render(*blocks, width=screen_width(sys.stdout)))

@@ -14,15 +14,22 @@ from bundle.errors import InputError, shown
 
 __all__ = ["Parser"]
 
+HELP_COLUMN, WIDEST = 28, 100
+
 
 class _Formatter(argparse.HelpFormatter):
     """Help formatter that breaks lines only at blanks: "principal-point" stays one word."""
 
     def __init__(self, prog: str) -> None:
-        import shutil  # only for help: it loads three compressors
+        super().__init__(prog, max_help_position=HELP_COLUMN, width=WIDEST)
 
-        width = min(shutil.get_terminal_size().columns, 100)
-        super().__init__(prog, max_help_position=28, width=width)
+    def format_help(self) -> str:
+        """Return the help in the width of the terminal; each flag makes a formatter, too."""
+        import shutil  # late: it loads three compressors
+
+        self._width = min(shutil.get_terminal_size().columns, WIDEST)
+        self._max_help_position = min(HELP_COLUMN, max(self._width - 20, 4))
+        return super().format_help()
 
     def _split_lines(self, text: str, width: int) -> list[str]:
         words = " ".join(text.split())

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from bundle.base.tables import console
+from bundle.base.tables import is_terminal, terminal
 
 if TYPE_CHECKING:
     from rich.live import Live
@@ -37,9 +37,11 @@ class Progress:
         self._said = self._started
         self._latest: Mapping[str, Any] | None = None
         self._quiet = quiet
-        screen = console(sys.stderr)
         self._live: Live | None = None
-        if screen.is_terminal and not screen.is_dumb_terminal and not quiet:
+        if quiet or not is_terminal(sys.stderr):
+            return
+        screen = terminal(sys.stderr)
+        if not screen.is_dumb_terminal:
             from rich.live import Live
 
             self._live = Live(

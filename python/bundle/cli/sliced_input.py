@@ -9,8 +9,6 @@ from bundle.interface.options import SolveOptions
 from bundle.io.atomic.model_files import is_text_model, missing_model_files
 from bundle.io.open import output_format, recover
 from bundle.solving.ranks.launch import current
-from bundle.solving.ranks.mpi_crew import MpiCrew
-from bundle.solving.ranks.one_process import reason_in_options
 
 if TYPE_CHECKING:
     from bundle.solving.slices.sliced_refinement import SlicedRefinement
@@ -34,6 +32,11 @@ def sliced_input(
         OSError: a file cannot be read.
     """
     crew = current()
+    if crew is None:
+        return None
+    from bundle.solving.ranks.mpi_crew import MpiCrew  # only under mpirun
+    from bundle.solving.ranks.one_process import reason_in_options
+
     if not isinstance(crew, MpiCrew):
         return None
     if reason_in_options(options.asdict()):
@@ -47,7 +50,7 @@ def sliced_input(
     is_compressed = target_format == "bal" and Path(target).suffix.lower() in COMPRESSED
     if target_format != source_format or is_compressed:
         return None
-    from bundle.solving.slices.sliced_refinement import SlicedRefinement  # only under mpirun
+    from bundle.solving.slices.sliced_refinement import SlicedRefinement
 
     return SlicedRefinement(crew, path)
 

@@ -1,6 +1,6 @@
 """Summary of a solve, as data and as text.
 
-``bundle.base.tables``, and with it rich, is imported only when something is printed.
+``bundle.base.tables`` is imported only when something is printed.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 from bundle.base.display import Display, Displayed
 from bundle.base.words import change, number, plural, seconds
-from bundle.interface.process_record import ProcessRecord
 
 if TYPE_CHECKING:
     from bundle.base.tables import Columns
+    from bundle.interface.process_record import ProcessRecord
 
 __all__ = ["Summary", "held_facts", "share", "sizes", "solver_phases", "solver_table"]
 
@@ -244,7 +244,7 @@ def _full_report(summary: Summary) -> str:
         ("Jacobian evaluations", str(summary.num_jacobian_evaluations)),
         ("linear solves", str(summary.num_linear_solves)),
     ]
-    warnings = ["", *notes(summary.warnings)] if summary.warnings else []
+    warnings = notes(summary.warnings)
     return render(
         columns(("size", "original", "reduced"), _problem_size(summary)),
         "",
@@ -265,6 +265,7 @@ def _full_report(summary: Summary) -> str:
         solver_table(summary),
         "",
         facts([("termination", f"{summary.termination_type}: {summary.message}")]),
+        *([""] if warnings else []),
         *warnings,
     )
 

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from bundle.base.paths import is_path
 from bundle.errors import InputError, brief
 from bundle.io import open as io
-from bundle.io.g2o_files import load_g2o, save_g2o
 from bundle.io.recognition import is_pose_graph_file
 from bundle.model import reprojection
-from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 
 if TYPE_CHECKING:
     import pycolmap
+
+    from bundle.model.pose_graph_arrays import PoseGraph
 
 __all__ = ["Source", "as_problem", "load", "reprojection_errors", "save"]
 
@@ -42,7 +42,13 @@ def load(path: str | os.PathLike[str]) -> Any:
             value.
         OSError: the path does not exist or cannot be read.
     """
-    return load_g2o(path) if is_pose_graph_file(path) else io.load(path)
+    if not is_pose_graph_file(path):
+        return io.load(path)
+    from bundle.io.g2o_files import (
+        load_g2o,  # late, as in save: refinements of models do not use it
+    )
+
+    return load_g2o(path)
 
 
 def save(
@@ -66,11 +72,15 @@ def save(
         InputError: the format cannot hold the problem, or the path cannot be replaced.
         OSError: a system call fails, for example without permission or on a full disk.
     """
-    if not isinstance(problem, PoseGraph):
-        return io.save(problem, path, format)
-    if format is not None:
-        raise InputError(f"format: expected none for a pose graph, found {format}")
-    return save_g2o(problem, path)
+    if not isinstance(problem, Problem):
+        from bundle.io.g2o_files import save_g2o
+        from bundle.model.pose_graph_arrays import PoseGraph
+
+        if isinstance(problem, PoseGraph):
+            if format is not None:
+                raise InputError(f"format: expected none for a pose graph, found {format}")
+            return save_g2o(problem, path)
+    return io.save(problem, path, format)
 
 
 def as_problem(source: Source, name: str = "problem") -> Problem:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import bz2
-import gzip
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -67,8 +65,12 @@ def _bal_images(path: Path) -> int:
         start = file.read(64)
         file.seek(0)
         if start.startswith(b"\x1f\x8b"):
+            import gzip  # late: models need no compressors
+
             start = gzip.GzipFile(fileobj=file).read(64)
         elif start.startswith(b"BZh"):
+            import bz2
+
             start = bz2.BZ2File(file).read(64)
     try:
         return int(start.split()[0])

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.base.arrays import immutable
+from bundle.base.arrays import distinct, immutable
 from bundle.base.display import Display, Displayed
 from bundle.base.words import FORMATS, contents, format_name, plural
 from bundle.errors import InputError
@@ -178,7 +178,7 @@ class Problem(Displayed):
     @property
     def num_rigs(self) -> int:
         """Number of rigs with several sensors and at least one frame."""
-        return len(np.unique(self.frame_rig_ids))
+        return len(distinct(self.frame_rig_ids))
 
     @property
     def num_frames(self) -> int:

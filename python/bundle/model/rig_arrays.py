@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import filled, freeze
+from bundle.base.arrays import distinct, filled, freeze
 from bundle.errors import InputError
 from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
@@ -252,7 +252,7 @@ def _rigs_of_frames(problem: ProblemArrays) -> NDArray[np.int64]:
     open_ = np.flatnonzero(rig < 0)
     if not len(open_):
         return rig
-    rigs = np.unique(problem.sensor_rig_ids)
+    rigs = distinct(problem.sensor_rig_ids)
     if len(rigs) <= 1:
         rig[open_] = rigs[0] if len(rigs) else 1
         return rig

@@ -17,7 +17,7 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arrays import filled, freeze
+from bundle.base.arrays import distinct, filled, freeze
 from bundle.errors import InputError, brief
 from bundle.model.problem_arrays import ProblemArrays
 
@@ -229,6 +229,6 @@ def _rows(mask: _Mask | None, count: int) -> _Indices:
 def _rigs_of(whole: P, images: _Indices) -> tuple[_Indices, _Indices]:
     """Return the frames of images, and all sensors of the rigs of these frames."""
     frames = whole.image_frame[images]
-    of_images = np.unique(frames[frames >= 0]).astype(np.int64)
+    of_images = distinct(frames[frames >= 0]).astype(np.int64)
     rigs = whole.frame_rig_ids[of_images]
     return of_images, np.flatnonzero(np.isin(whole.sensor_rig_ids, rigs))

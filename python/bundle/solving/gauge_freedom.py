@@ -34,24 +34,27 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import distinct
 from bundle.base.components import component_roots
 from bundle.base.display import Display, Displayed
 from bundle.base.words import plural
 from bundle.interface.option_class import takes_options
-from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 from bundle.model.rotations import cross_matrices, rotation_matrices
 
 if TYPE_CHECKING:
+    from typing import Unpack
+
     from bundle.georeference.position_prior import PositionPrior
     from bundle.graphs.factors.factors import Factor
+    from bundle.interface.option_keywords import SolveKeywords
 
 __all__ = ["GaugeFreedom", "gauge_freedom"]
 
@@ -190,7 +193,7 @@ class _Count:
             return
         references = observed & (frame >= 0) & (problem.image_sensor < 0)
         with_reference = problem.frame_rig_ids[frame[references]]
-        seen = np.unique(problem.image_sensor[observed & (problem.image_sensor >= 0)])
+        seen = distinct(problem.image_sensor[observed & (problem.image_sensor >= 0)])
         self._sensor_is_free[seen] = True
         self._sensor_is_free &= np.isin(problem.sensor_rig_ids, with_reference)
         for rig, camera in options.fixed_sensors:

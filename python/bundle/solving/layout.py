@@ -9,13 +9,13 @@ import bundle._core as _core
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.model.reprojection import resolve_cheirality
-from bundle.solving.constraints.restrictions import Restrictions
 from bundle.solving.ranks.launch import threads_of_one_process
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
     from bundle.graphs.factors.problem_factors import ProblemFactors
     from bundle.solving.constraints.applied import Applied
+    from bundle.solving.constraints.restrictions import Restrictions
     from bundle.solving.request import Bounds
 
 __all__ = ["Layout", "lay_out", "resolve_defaults"]
@@ -57,8 +57,18 @@ def lay_out(
     locate = (known is not None and known.locate) or (applied is not None and applied.locate)
     if locate and options.gauge == "auto":
         options = options.replace(gauge="none")
-    limits = Restrictions.make(problem, bounds, applied)
+    limits = _restrictions(problem, bounds, applied)
     return Layout(resolve_defaults(problem, options), known, limits)
+
+
+def _restrictions(
+    problem: Problem, bounds: Bounds | None, applied: Applied | None
+) -> Restrictions | None:
+    if bounds is None and applied is None:
+        return None
+    from bundle.solving.constraints.restrictions import Restrictions  # slow to import
+
+    return Restrictions.make(problem, bounds, applied)
 
 
 def _problem_factors(problem: Problem, factors: Iterable[Factor]) -> ProblemFactors | None:

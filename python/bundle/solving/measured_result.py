@@ -10,12 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.interface.solve_record import SolveRecord
-from bundle.model.clipped_errors import HeldOut
 from bundle.model.problem import Problem
 from bundle.model.reprojection import ReprojectionError, reprojection_error
 from bundle.model.worst_images import ImageError, worst_images, worst_of_errors
-from bundle.solving.constraints.camera_bounds import ActiveBound
-from bundle.solving.constraints.constraint_record import RuleEnd
 from bundle.solving.gauge_freedom import GaugeFreedom, gauge_freedom
 from bundle.solving.kept_errors import (
     Deleted,
@@ -27,11 +24,14 @@ from bundle.solving.kept_errors import (
     outlier_limit,
 )
 from bundle.solving.movement import Movement, movement
-from bundle.solving.round_record import PartRecord, Round
 
 if TYPE_CHECKING:
     from bundle.georeference.alignment_result import ControlPointError
     from bundle.georeference.similarity import Similarity
+    from bundle.model.clipped_errors import HeldOut
+    from bundle.solving.constraints.camera_bounds import ActiveBound
+    from bundle.solving.constraints.constraint_record import RuleEnd
+    from bundle.solving.round_record import PartRecord, Round
 
 __all__ = ["MeasuredResult"]
 

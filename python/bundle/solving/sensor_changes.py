@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bundle.base.arrays import distinct
 from bundle.interface.options import SolveOptions
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
@@ -83,7 +84,7 @@ def weak_baseline(
         return ""
     framed = last.image_frame >= 0 if last.num_frames else np.zeros(last.num_images, bool)
     focal = (0.0, "")
-    for camera in np.unique(last.image_camera[framed]).tolist():
+    for camera in distinct(last.image_camera[framed]).tolist():
         for column, kind in enumerate(param_kinds(last.camera_models[camera])):
             if kind == "focal":
                 before, after = (p.camera_params[camera, column] for p in (first, last))

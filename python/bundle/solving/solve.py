@@ -12,7 +12,6 @@ from bundle.errors import InputError, brief
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
 from bundle.interface.option_class import takes_options
-from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.solve_record import Progress
@@ -29,6 +28,7 @@ from bundle.solving.result import Result
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
+    from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
     from bundle.solving.constraints.applied import Applied
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule

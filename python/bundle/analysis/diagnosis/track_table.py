@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import distinct
 from bundle.base.components import component_roots
 from bundle.model.problem import Problem
 
@@ -59,7 +60,7 @@ class TrackTable:
         first, second, count = self.pair_counts
         ends = np.stack([first, second], axis=1)[count >= FEW_SHARED]
         # Each pair of images is treated as one point; single images as points of one image.
-        alone = np.unique(self.images)
+        alone = distinct(self.images)
         images = np.concatenate([ends.ravel(), alone])
         points = np.concatenate(
             [np.repeat(np.arange(len(ends)), 2), len(ends) + np.arange(len(alone))]
@@ -70,7 +71,7 @@ class TrackTable:
     def rigid_pieces(self) -> NDArray[np.int32]:
         """Components as in ``pieces``, connected only by points that three images see."""
         chosen = self.lengths[self.points] > 2
-        alone = np.unique(self.images)
+        alone = distinct(self.images)
         last = self._problem.num_points
         return self._pieces(
             np.concatenate([self.images[chosen], alone]),

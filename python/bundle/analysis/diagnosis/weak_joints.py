@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.diagnosis.track_table import TrackTable
+from bundle.base.arrays import distinct
 from bundle.base.components import component_roots
 from bundle.base.words import named, plural
 from bundle.interface.finding import Finding
@@ -59,7 +60,7 @@ def _is_firm(problem: Problem, tracks: TrackTable) -> bool:
         own = points % FEW == rest
         starts = np.flatnonzero(np.diff(points[own], prepend=-1))
         roots = component_roots(images[own], starts, problem.num_images)
-        if len(np.unique(roots[many])) > 1:
+        if len(distinct(roots[many])) > 1:
             return False
     return True
 

@@ -23,7 +23,6 @@ from bundle.base.words import not_converged
 from bundle.errors import InputError
 from bundle.interface.covariance_options import GAUGES, PARTS, ROBUST, SCALES, one_of, parts_of
 from bundle.interface.option_class import takes_options
-from bundle.interface.option_keywords import PoseGraphKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.files import Source, as_problem
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
     from bundle.analysis.uncertainty.graph_covariance import GraphCovariance
     from bundle.graphs.factors.factors import Factor
     from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+    from bundle.interface.option_keywords import PoseGraphKeywords
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
     from bundle.solving.placed_problem import Prior

@@ -16,8 +16,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import distinct
 from bundle.interface.finding import Finding
-from bundle.judging.findings.measured import Measured, distinct
+from bundle.judging.findings.measured import Measured
 from bundle.model.problem import Problem
 
 __all__ = ["duplicate_points"]
@@ -70,8 +71,13 @@ def _pairs(problem: Problem) -> NDArray[np.int64]:
             break
         low = np.minimum(point[twins], point[twins + step])
         high = np.maximum(point[twins], point[twins + step])
+        code, seen_by = low * size + high, image[twins]
+        order = np.lexsort((seen_by, code))
+        code, seen_by = code[order], seen_by[order]
         # Repeats in one image are one coincidence.
-        codes.append(np.unique(np.stack([low * size + high, image[twins]]), axis=1)[0])
+        is_new = np.ones(len(code), np.bool_)
+        is_new[1:] = (code[1:] != code[:-1]) | (seen_by[1:] != seen_by[:-1])
+        codes.append(code[is_new])
     if not codes:
         return np.zeros((0, 2), np.int64)
     code, count = np.unique(np.concatenate(codes), return_counts=True)

@@ -31,9 +31,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import distinct
 from bundle.base.words import named, number, plural
 from bundle.interface.finding import Finding
-from bundle.judging.findings.measured import Measured, distinct, median
+from bundle.judging.findings.measured import Measured, median
 from bundle.model.cameras import param_kinds
 
 __all__ = ["focal_drift", "focal_lengths", "shared_lens", "undetermined_intrinsics"]

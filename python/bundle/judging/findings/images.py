@@ -36,11 +36,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import distinct
 from bundle.base.words import noun, number
 from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.judging.findings.lens_terms import lens_size
-from bundle.judging.findings.measured import Measured, distinct, median
+from bundle.judging.findings.measured import Measured, median
 from bundle.judging.findings.systematic import SystematicResiduals
 from bundle.model.problem import Problem
 
@@ -233,7 +234,7 @@ def _shared(measured: Measured) -> str:
     """Return the command that shares the cameras of one size; "" if they are shared already."""
     problem = measured.whole
     used = distinct(problem.image_camera)
-    if len(used) < 2 or len(np.unique(problem.camera_sizes[used], axis=0)) > 1:
+    if len(used) < 2 or np.ptp(problem.camera_sizes[used], axis=0).any():
         return ""
     if len({problem.camera_models[camera] for camera in used.tolist()}) > 1:
         return ""

@@ -27,9 +27,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import distinct
 from bundle.base.words import named
 from bundle.interface.finding import Finding
-from bundle.judging.findings.measured import Measured, distinct
+from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.systematic import LEFT, LENS_TERMS, SystematicResiduals
 
 __all__ = ["lens_model", "lens_size"]

@@ -25,7 +25,7 @@ from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals, residuals
 from bundle.model.rotations import quaternion_rotate
 
-__all__ = ["SMALLEST_SCALE", "Measured", "distinct", "median", "median_by_group"]
+__all__ = ["SMALLEST_SCALE", "Measured", "median", "median_by_group"]
 
 RAYLEIGH_MEDIAN = 1.1774100225154747
 SMALLEST_SCALE = 0.01
@@ -187,11 +187,6 @@ class Measured:
         scales = np.maximum(medians / RAYLEIGH_MEDIAN, SMALLEST_SCALE)
         scales[numbers < FEWEST] = np.nan
         return scales
-
-
-def distinct(values: NDArray[Any]) -> NDArray[Any]:
-    """Return the distinct values, sorted. NumPy imports masked arrays, unless counts are asked."""
-    return np.unique(values, return_counts=True)[0]
 
 
 def median(values: Floats) -> float:

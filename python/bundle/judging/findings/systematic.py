@@ -38,7 +38,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.judging.findings.measured import Measured, distinct
+from bundle.base.arrays import distinct
+from bundle.judging.findings.measured import Measured
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
 from bundle.model.reprojection import linearize

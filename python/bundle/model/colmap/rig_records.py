@@ -17,6 +17,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import distinct
 from bundle.errors import InputError
 from bundle.model import rig_arrays
 from bundle.model.colmap.source_records import (
@@ -60,7 +61,7 @@ def check_rigs(problem: ProblemArrays, source: SourceRecords) -> None:
         )
     references = rig_arrays.reference_cameras(problem)
     for name in ("frame_rig_ids", "sensor_rig_ids"):
-        for rig_id in np.unique(getattr(problem, name)).tolist():
+        for rig_id in distinct(getattr(problem, name)).tolist():
             if rig_id not in references and not _fits(problem, source):
                 raise InputError(
                     f"{name}: rig {rig_id}: expected an image of its reference sensor, which "

@@ -27,10 +27,8 @@ MESSAGES = (
 )
 
 
-def process_sections(record: ProcessRecord | None) -> list[Section]:
-    """Return balance, times and messages of several processes; empty for one process."""
-    if record is None:
-        return []
+def process_sections(record: ProcessRecord) -> list[Section]:
+    """Return balance, times and messages of several processes."""
     parts = record.parts
     observations = [part.num_observations for part in parts]
     memory = [part.peak_memory_in_bytes for part in parts]

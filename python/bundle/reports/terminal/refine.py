@@ -16,14 +16,12 @@ from bundle.model.worst_images import ImageError
 from bundle.reports.sections import Column, Report, Section, Table
 from bundle.reports.terminal.camera_edit_rows import edit_data, edit_rows
 from bundle.reports.terminal.inputs import about_problem, problem_facts, rig_fact, written
-from bundle.reports.terminal.process_tables import process_sections
 from bundle.reports.terminal.rig_tables import sensor_sections
 from bundle.reports.terminal.solve_data import ERRORS, ROUNDS, factor_fact, result_data
 from bundle.reports.terminal.timing import WallTime, wall_section
 from bundle.solving.camera_changes import CameraChange, camera_changes
 from bundle.solving.headline import edit_facts, headline
 from bundle.solving.result import Result
-from bundle.solving.round_record import RestRecord
 from bundle.solving.sensor_changes import sensor_changes
 
 if TYPE_CHECKING:
@@ -31,6 +29,8 @@ if TYPE_CHECKING:
     from bundle.georeference.georeferenced import Georeference
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.interface.finding import Finding
+    from bundle.interface.process_record import ProcessRecord
+    from bundle.solving.round_record import RestRecord
 
 __all__ = ["refinement", "worst_sections"]
 
@@ -81,7 +81,7 @@ def refinement(
         *sensor_sections(sensor_changes(solved)),
         *worst_sections(solved.worst_images, "worst images, after"),
         wall_section(summary, wall),
-        *process_sections(summary.processes),
+        *_processes(summary.processes),
     ]
     about = result_data(solved)
     about["options"] |= more_options or {}
@@ -217,6 +217,14 @@ def _part(solved: Result) -> list[tuple[str, str]]:
         ("", adjusted),
         ("", f"{cameras} also have constant images, whose errors change (--fix-cameras)"),
     ]
+
+
+def _processes(record: ProcessRecord | None) -> list[Section]:
+    if record is None:
+        return []
+    from bundle.reports.terminal.process_tables import process_sections  # only under mpirun
+
+    return process_sections(record)
 
 
 def _rest(rest: RestRecord) -> list[tuple[str, str]]:

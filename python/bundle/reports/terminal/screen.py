@@ -8,10 +8,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterable, Sequence
 
-from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
-from rich.text import Text
-
-from bundle.base.tables import columns, facts, notes, render
+from bundle.base.tables import Block, Line, Paragraph, Piece, columns, facts, notes, render
 from bundle.base.words import plural
 from bundle.interface.finding import Finding
 from bundle.reports.sections import Report, Section, Table
@@ -27,7 +24,7 @@ MOST_LINES = 25
 
 def laid_out(
     report: Report | Iterable[Section], verbose: bool = False, most_findings: int = MOST_FINDINGS
-) -> list[RenderableType]:
+) -> list[Block | str]:
     """Return a report, or sections alone, with an empty line between the parts.
 
     Args:
@@ -37,18 +34,18 @@ def laid_out(
     """
     if not isinstance(report, Report):
         return _sections(report, verbose)
-    headline: list[RenderableType] = [Text(sentence, "bold") for sentence in report.headline]
+    headline: list[Block | str] = [Paragraph(sentence, "bold") for sentence in report.headline]
     headline += _warnings(report.warnings, verbose)
     findings = _findings(report.findings, None if verbose else most_findings)
-    parts: list[RenderableType] = []
+    parts: list[Block | str] = []
     for part in (headline, _sections(report.sections, verbose), findings):
         parts += ["", *part] if parts and part else part
     return parts
 
 
-def fitted(report: Report, width: int) -> list[RenderableType]:
+def fitted(report: Report, width: int) -> list[Block | str]:
     """Return a report without details, with as few findings as its lines need, but one at least."""
-    parts: list[RenderableType] = []
+    parts: list[Block | str] = []
     for most in range(MOST_FINDINGS, 0, -1):
         parts = laid_out(report, most_findings=most)
         if render(*parts, width=width).count("\n") <= MOST_LINES:
@@ -56,8 +53,8 @@ def fitted(report: Report, width: int) -> list[RenderableType]:
     return parts
 
 
-def _sections(sections: Iterable[Section], verbose: bool) -> list[RenderableType]:
-    parts: list[RenderableType] = []
+def _sections(sections: Iterable[Section], verbose: bool) -> list[Block | str]:
+    parts: list[Block | str] = []
     for section in sections:
         if section.is_detail and not verbose:
             continue
@@ -74,16 +71,16 @@ def _sections(sections: Iterable[Section], verbose: bool) -> list[RenderableType
     return parts
 
 
-def _warnings(sentences: Sequence[str], verbose: bool) -> list[RenderableType]:
+def _warnings(sentences: Sequence[str], verbose: bool) -> list[Block | str]:
     shown = sentences if verbose else sentences[:MOST_WARNINGS]
     hidden = len(sentences) - len(shown)
     more = [f"{plural(hidden, 'more warning')} (--verbose)"] if hidden else []
     return notes([*shown, *more], style="yellow")
 
 
-def _findings(findings: Sequence[Finding], most: int | None) -> list[RenderableType]:
+def _findings(findings: Sequence[Finding], most: int | None) -> list[Block | str]:
     shown = findings[:most]
-    parts: list[RenderableType] = []
+    parts: list[Block | str] = []
     for finding in shown:
         parts += notes([finding.sentence], style="yellow")
         parts += [CommandLine(finding.command, indent=2)] if finding.command else []
@@ -92,9 +89,9 @@ def _findings(findings: Sequence[Finding], most: int | None) -> list[RenderableT
     return [*parts, *notes(more)]
 
 
-def _table(table: Table) -> list[RenderableType]:
+def _table(table: Table) -> list[Block | str]:
     made = columns(table.head, table.cells(), left=table.left, keys=table.keys)
-    legend = [Text(table.legend, "dim")] if table.legend else []
+    legend = [Paragraph(table.legend, "dim")] if table.legend else []
     return [made, *legend, *notes(table.rest())]
 
 
@@ -104,12 +101,12 @@ class CommandLine:
     def __init__(self, command: str, indent: int = 0) -> None:
         self.command, self.indent = command, indent
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield the indented lines."""
+    def lines(self, width: int) -> Iterable[Line]:
+        """Return the indented lines; a long word is not divided."""
         lines: list[str] = []
         for word in map(shlex.quote, shlex.split(self.command)):
-            if lines and len(lines[-1]) + len(word) + 3 <= options.max_width:
+            if lines and len(lines[-1]) + len(word) + 3 <= width:
                 lines[-1] += f" {word}"
             else:
                 lines.append(" " * (self.indent + 4 * bool(lines)) + word)
-        yield Text(" \\\n".join(lines), no_wrap=True, overflow="ignore")
+        return [[Piece(line)] for line in " \\\n".join(lines).split("\n")]

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.model.problem import Problem
 from bundle.solving.result import Result
-from bundle.solving.round_record import Round
-from bundle.solving.rounds.filtering import Filtered
+
+if TYPE_CHECKING:
+    from bundle.solving.round_record import Round
+    from bundle.solving.rounds.filtering import Filtered
 
 __all__ = ["State"]
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING
 
 from bundle.errors import InputError
 from bundle.interface.option_class import takes_options
-from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CHECKPOINT_INTERVAL, RoundOptions
 from bundle.interface.solve_record import Progress
@@ -18,22 +17,24 @@ from bundle.io.files import Source, as_problem
 from bundle.model.image_selection import ImageSelection
 from bundle.model.problem_keys import touched_ids
 from bundle.solving.executors import solve_prepared
-from bundle.solving.held_out.measurement import held_out_fit
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.request import Bounds, PartRequest, RunPlan, SolveRequest
 from bundle.solving.result import Result
-from bundle.solving.round_record import Round
-from bundle.solving.rounds.checkpoint import Checkpoint
-from bundle.solving.rounds.filtering import Filtered, filter_observations
 from bundle.solving.rounds.run_state import State
-from bundle.solving.rounds.segments import num_steps, solve_in_segments
 
 if TYPE_CHECKING:
+    from typing import Unpack
+
     from bundle.graphs.factors.factors import Factor
+    from bundle.interface.option_keywords import SolveKeywords
     from bundle.model.problem import Problem
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
+    from bundle.solving.held_out.measurement import HeldOutFit
     from bundle.solving.placed_problem import Prior
+    from bundle.solving.round_record import Round
+    from bundle.solving.rounds.checkpoint import Checkpoint
+    from bundle.solving.rounds.filtering import Filtered
 
 __all__ = ["run", "solve_rounds"]
 
@@ -173,8 +174,8 @@ def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) 
     the last filter, unless this filter removed nothing. The run then ends at a minimum.
     """
     prepared = prepare(request)
-    held_out = held_out_fit(prepared, plan.held_out)
-    checkpoint = None if plan.file is None else Checkpoint.of(plan.file, prepared, plan)
+    held_out = _held_out_fit(prepared, plan)
+    checkpoint = _checkpoint(prepared, plan)
     state = State.first(prepared.start)
     if checkpoint is not None and plan.resume is not None and plan.resume.exists():
         state = checkpoint.read(plan.resume, prepared)
@@ -186,6 +187,25 @@ def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) 
     last, state = _run(prepared, state, plan.rounds, checkpoint, progress)
     finished = prepared.finished(last, state)
     return finished if held_out is None else held_out.measured(finished, last, state, fit)
+
+
+# Most runs need no held-out fit, no checkpoint and no filter, whose imports would delay them.
+
+
+def _held_out_fit(prepared: Prepared, plan: RunPlan) -> HeldOutFit | None:
+    if not plan.held_out.hold_out:
+        return None
+    from bundle.solving.held_out.measurement import held_out_fit
+
+    return held_out_fit(prepared, plan.held_out)
+
+
+def _checkpoint(prepared: Prepared, plan: RunPlan) -> Checkpoint | None:
+    if plan.file is None:
+        return None
+    from bundle.solving.rounds.checkpoint import Checkpoint
+
+    return Checkpoint.of(plan.file, prepared, plan)
 
 
 def _run(
@@ -216,6 +236,8 @@ def _adjust(
 
     if checkpoint is None:
         return solve(state.problem, prepared.options, progress)
+    from bundle.solving.rounds.segments import solve_in_segments
+
     return solve_in_segments(
         solve,
         state.problem,
@@ -256,6 +278,8 @@ def _filter(prepared: Prepared, problem: Problem, limits: RoundOptions) -> Filte
 
     Points that are fixed or named by a factor stay. Control points stay with all observations.
     """
+    from bundle.solving.rounds.filtering import filter_observations
+
     rules = prepared.applied
     known = touched_ids((*prepared.factors, *(() if rules is None else rules.factors)))["point"]
     return filter_observations(
@@ -271,6 +295,9 @@ def _filter(prepared: Prepared, problem: Problem, limits: RoundOptions) -> Filte
 
 def _round_of(number: int, result: Result, filtered: Filtered) -> Round:
     """Return the record of a round."""
+    from bundle.solving.round_record import Round
+    from bundle.solving.rounds.segments import num_steps
+
     summary, adjusted = result.summary, result.problem
     return Round(
         round=number,
