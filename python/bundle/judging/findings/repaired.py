@@ -39,8 +39,9 @@ def repaired(measured: Measured, lens_model: str = "") -> Measured | None:
         measured: the model.
         lens_model: larger lens model for all cameras; "": the present one.
     """
-    from bundle.editing.cameras.model_change import change_camera_model
-    from bundle.solving.solve import solve
+    from bundle.solving.executors import solve_prepared
+    from bundle.solving.prepare import prepare
+    from bundle.solving.request import SolveRequest
 
     problem = measured.whole
     options = measured.options.replace(
@@ -52,8 +53,11 @@ def repaired(measured: Measured, lens_model: str = "") -> Measured | None:
     )
     try:
         if lens_model:
+            from bundle.editing.cameras.model_change import change_camera_model
+
             problem = change_camera_model(problem, lens_model).problem
-        result = solve(problem, options)
+        prepared = prepare(SolveRequest(problem=problem, options=options))
+        result = prepared.finished(solve_prepared(prepared, None))
     except InputError:
         return None
     if not lens_model and result.summary.termination_type != "CONVERGENCE":
