@@ -128,12 +128,15 @@ std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, i
 }
 
 /// S = L L^T, supernodal: columns of L with the same rows below form one dense panel, so that
-/// nearly all flops are BLAS 3 (supernodal_cholesky.cpp).
+/// nearly all flops are products of matrices (supernodal_cholesky.cpp).
 ///
 /// S is assembled in the panels of L, in the order of its elimination (supernodes.cpp). So no value
 /// is copied, and the memory is 8 bytes per entry of L.
 
 namespace {
+
+/// A factorisation of fewer flops, about a millisecond, does not start threads.
+constexpr double kFlopsWorthThreads = 5e7;
 
 /// OpenBLAS' threads are faster if the panels are wide; the average number of entries per column
 /// decides.
@@ -142,15 +145,21 @@ int BlasThreadsFor(const FillOrdering& ordering, int num_threads) {
   return wide ? EffectiveNumThreads(num_threads) : 1;
 }
 
+/// OpenBLAS is called for the inverse and for several right-hand sides.
 class SparseSolver final : public LinearSolver {
  public:
-  SparseSolver(const FillOrdering& ordering, std::vector<int> offset, Supernodes supernodes,
-               int num_threads)
+  SparseSolver(const FillOrdering& ordering, const BlockStructure& structure, Supernodes supernodes,
+               int num_threads, ThreadPool* pool)
       : statistics_{ordering.name, supernodes.entries, ordering.elimination_flops, ordering.entries,
                     supernodes.entries + supernodes.zeros},
-        num_columns_(offset.back()),
+        num_columns_(structure.num_columns()),
         blas_threads_(BlasThreadsFor(ordering, num_threads)),
-        cholesky_(std::move(offset), std::move(supernodes)) {}
+        pool_(pool),
+        cholesky_(structure.offset, std::move(supernodes)) {
+    if (pool_ != nullptr || ordering.flops < kFlopsWorthThreads) return;
+    own_pool_ = std::make_unique<ThreadPool>(EffectiveNumThreads(num_threads));
+    pool_ = own_pool_.get();
+  }
 
   FactorStatistics factor_statistics() const override { return statistics_; }
 
@@ -158,8 +167,7 @@ class SparseSolver final : public LinearSolver {
   LinearSolution DoFactorize(BlockSystem* system, const std::vector<double>& /*scale*/) override {
     values_ = system->values.data();
     if (num_columns_ == 0) return {};
-    const ScopedBlasThreads blas_threads(blas_threads_);
-    const int minor = cholesky_.Factorize(values_);
+    const int minor = cholesky_.Factorize(values_, pool_);
     if (minor == 0) return {};
     return NotPositiveDefinite(minor, " in the order of " + statistics_.ordering);
   }
@@ -182,6 +190,8 @@ class SparseSolver final : public LinearSolver {
   const FactorStatistics statistics_;
   const int num_columns_;
   const int blas_threads_;
+  std::unique_ptr<ThreadPool> own_pool_;
+  ThreadPool* pool_;  ///< nullptr: the caller's thread alone
   SupernodalCholesky cholesky_;
   double* values_ = nullptr;  ///< S, then L
 };
@@ -189,11 +199,11 @@ class SparseSolver final : public LinearSolver {
 }  // namespace
 
 std::unique_ptr<LinearSolver> MakeSparseSolver(const FillOrdering& ordering, int num_threads,
-                                               BlockStructure* structure) {
+                                               BlockStructure* structure, ThreadPool* pool) {
   Supernodes supernodes = FindSupernodes(*structure);
   *structure = PlaceInFactor(*structure, supernodes);
-  return std::make_unique<SparseSolver>(ordering, structure->offset, std::move(supernodes),
-                                        num_threads);
+  return std::make_unique<SparseSolver>(ordering, *structure, std::move(supernodes), num_threads,
+                                        pool);
 }
 
 }  // namespace bundle

@@ -7,6 +7,7 @@
 #include "core/linear/block_structure.h"
 #include "core/linear/fill_ordering.h"
 #include "core/linear/linear_solver.h"
+#include "core/parallel/thread_pool.h"
 
 namespace bundle {
 
@@ -17,9 +18,12 @@ std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, i
 
 /// Supernodal Cholesky factorisation, analysed once. `structure` is sparse, with blocks in the
 /// order of the elimination, as in `ordering`. On return `structure` has the places of its
-/// values in the factor.
+/// values in the factor. `pool`: threads that the caller has, which must outlive the solver;
+/// nullptr: the solver starts its own if the factorisation takes long. No bit of a factor depends
+/// on the number of threads.
 std::unique_ptr<LinearSolver> MakeSparseSolver(const FillOrdering& ordering, int num_threads,
-                                               BlockStructure* structure);
+                                               BlockStructure* structure,
+                                               ThreadPool* pool = nullptr);
 
 /// Placeholder on all ranks but rank 0. They receive the steps of rank 0 (schur/schur_problem.cpp),
 /// and this class solves no system. The arguments are properties of the solver of rank 0.

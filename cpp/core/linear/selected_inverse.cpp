@@ -94,7 +94,8 @@ void SupernodalCholesky::InvertPanel(int panel, double* values) {
 /// panel `by`: rows x columns, column-major.
 void SupernodalCholesky::CopyStrip(const double* values, int by, int64_t first, int64_t last,
                                    int64_t end, int rows, std::vector<double>* strip) {
-  LocateRows(by);
+  std::vector<int>& position = scratch_.front().position;
+  LocateRows(by, &position);
   const int height = supernodes_.height[by];
   const double* const from = values + supernodes_.values_begin[by];
   int columns = 0;
@@ -102,11 +103,10 @@ void SupernodalCholesky::CopyStrip(const double* values, int by, int64_t first, 
   strip->resize(static_cast<size_t>(rows) * columns);
   double* to = strip->data();
   for (int64_t e = first; e < last; ++e) {
-    const double* column =
-        from + static_cast<int64_t>(position_[supernodes_.row_block[e]]) * height;
+    const double* column = from + static_cast<int64_t>(position[supernodes_.row_block[e]]) * height;
     for (int c = 0; c < BlockSize(e); ++c, column += height) {
       for (int64_t f = first; f < end; ++f) {
-        to = std::copy_n(column + position_[supernodes_.row_block[f]], BlockSize(f), to);
+        to = std::copy_n(column + position[supernodes_.row_block[f]], BlockSize(f), to);
       }
     }
   }

@@ -10,20 +10,28 @@
 /// This code differs from CHOLMOD, and does not use it, because S is assembled directly in the
 /// memory of L. CHOLMOD reads S from another array, with a row index for each value, and copies it.
 /// Here, rows are given as blocks and as ranges of rows, which are added contiguously. If all rows
-/// of a product are one range, BLAS itself adds it at its place.
+/// of a product are one range, it is subtracted at its place.
 ///
-/// A product takes some columns at a time, so that it is still in the cache when it is added.
+/// Threads first factorise subtrees (panel_subtrees.cpp). A panel whose next update is above its
+/// subtree leaves its queue. These panels are then queued in the order of the subtrees, and the
+/// panels of the top follow in order, each by all threads: its updates in slices of its columns,
+/// its rows below in slices of rows. An entry of a panel takes the same sums in the same order in
+/// any slice (kernels/panel_kernels.h). So no bit depends on the number of threads.
+///
+/// A slice of columns is narrow, so that a product is still in the cache when it is scattered.
 
 #include <algorithm>
 #include <utility>
 
-#include "core/parallel/blas.h"
-#include "core/parallel/thread_pool.h"
-
 namespace bundle {
 namespace {
 
-constexpr int kProductColumns = 96;
+constexpr int kColumnsOfSlice = 48;
+constexpr int kRowsOfSlice = 192;
+/// Products of numbers between two looks for an interruption, less than a millisecond.
+constexpr int64_t kWorkBetweenLooks = 1 << 22;
+
+int64_t Slices(int size, int of_slice) { return (size + of_slice - 1) / of_slice; }
 
 }  // namespace
 
@@ -31,13 +39,22 @@ SupernodalCholesky::SupernodalCholesky(std::vector<int> offset, Supernodes super
     : offset_(std::move(offset)),
       supernodes_(std::move(supernodes)),
       panel_of_(offset_.size() - 1),
-      position_(offset_.size() - 1),
       next_update_(supernodes_.num_panels()),
-      next_row_(supernodes_.num_panels()) {
-  for (int s = 0; s < supernodes_.num_panels(); ++s) {
+      next_row_(supernodes_.num_panels()),
+      scratch_(1) {
+  const int num_panels = supernodes_.num_panels();
+  std::vector<int> parent(num_panels, -1), width(num_panels);
+  for (int s = 0; s < num_panels; ++s) {
     std::fill(panel_of_.begin() + supernodes_.first_block[s],
               panel_of_.begin() + supernodes_.first_block[s + 1], s);
+    width[s] = Width(s);
   }
+  for (int s = 0; s < num_panels; ++s) {
+    const int64_t row = supernodes_.rows_begin[s];
+    if (row < supernodes_.rows_begin[s + 1]) parent[s] = panel_of_[supernodes_.row_block[row]];
+  }
+  subtrees_ = FindSubtrees(supernodes_, parent, width);
+  leaving_.resize(subtrees_.subtrees.size());
 }
 
 int SupernodalCholesky::BlockSize(int64_t row) const {
@@ -45,201 +62,171 @@ int SupernodalCholesky::BlockSize(int64_t row) const {
   return offset_[block + 1] - offset_[block];
 }
 
-int SupernodalCholesky::Factorize(double* values) {
-  constexpr char kRight = 'R', kLower = 'L', kTransposed = 'T', kNonUnit = 'N';
-  constexpr double kOne = 1;
+int SupernodalCholesky::Factorize(double* values, ThreadPool* pool) {
+  const size_t num_threads = pool == nullptr ? 1 : pool->num_threads();
+  if (scratch_.size() < num_threads) scratch_.resize(num_threads);
   first_update_.assign(supernodes_.num_panels(), -1);
-  for (int s = 0; s < supernodes_.num_panels(); ++s) {
-    LocateRows(s);
-    for (int by = first_update_[s]; by >= 0;) {
-      const int next = next_update_[by];
-      Update(s, by, values);
-      by = next;
-    }
-    double* const panel = values + supernodes_.values_begin[s];
-    const int width = Width(s), height = supernodes_.height[s], below = height - width;
-    int info = 0;
-    dpotrf_(&kLower, &width, panel, &height, &info);
-    if (info != 0) return FirstColumn(s) + info;
-    if (below == 0) continue;
-    dtrsm_(&kRight, &kLower, &kTransposed, &kNonUnit, &below, &width, &kOne, panel, &height,
-           panel + width, &height);
-    QueueUpdate(s, supernodes_.rows_begin[s]);
+  std::vector<int> failed(subtrees_.subtrees.size(), 0);
+  ForEach(pool, static_cast<int64_t>(failed.size()), [&](int64_t k, int thread) {
+    const int subtree = subtrees_.order[k];
+    failed[subtree] = FactorizeSubtree(subtree, values, &scratch_[thread]);
+  });
+  // The first subtree that fails has the smallest of these minors: subtrees are in the order of S.
+  for (const int minor : failed) {
+    if (minor != 0) return minor;
+  }
+  for (const std::vector<int>& panels : leaving_) {
+    for (const int panel : panels) QueueUpdate(panel, next_row_[panel]);
+  }
+  for (const int panel : subtrees_.top) {
+    const int minor = FactorizePanel(panel, values, pool, scratch_.data());
+    if (minor != 0) return minor;
+    PassOn(panel, [&](int by) { QueueUpdate(by, next_row_[by]); });
   }
   return 0;
 }
 
-/// position_ of all rows of the panel.
-void SupernodalCholesky::LocateRows(int panel) {
-  for (int j = supernodes_.first_block[panel]; j < supernodes_.first_block[panel + 1]; ++j) {
-    position_[j] = offset_[j] - FirstColumn(panel);
+int SupernodalCholesky::FactorizeSubtree(int subtree, double* values, Scratch* scratch) {
+  const PanelRange range = subtrees_.subtrees[subtree];
+  leaving_[subtree].clear();
+  for (int s = range.first; s < range.last; ++s) {
+    const int minor = FactorizePanel(s, values, nullptr, scratch);
+    if (minor != 0) return minor;
+    PassOn(s, [&](int by) {
+      const bool leaves = next_row_[by] < supernodes_.rows_begin[by + 1] &&
+                          panel_of_[supernodes_.row_block[next_row_[by]]] >= range.last;
+      if (leaves) {
+        leaving_[subtree].push_back(by);
+      } else {
+        QueueUpdate(by, next_row_[by]);
+      }
+    });
   }
-  for (int64_t e = supernodes_.rows_begin[panel]; e < supernodes_.rows_begin[panel + 1]; ++e) {
-    position_[supernodes_.row_block[e]] = supernodes_.row_in_panel[e];
+  return 0;
+}
+
+/// Calls queue(by) for the panels that have updated this one, and for the panel itself, with
+/// next_row_ after the columns of the panel.
+template <typename Queue>
+void SupernodalCholesky::PassOn(int panel, const Queue& queue) {
+  for (int by = first_update_[panel]; by >= 0;) {
+    const int next = next_update_[by];
+    next_row_[by] = RowFrom(by, next_row_[by], supernodes_.first_block[panel + 1]);
+    queue(by);
+    by = next;
   }
+  next_row_[panel] = supernodes_.rows_begin[panel];
+  queue(panel);
 }
 
 /// Adds the panel to the queue of the panel that has `first_row` among its columns.
 void SupernodalCholesky::QueueUpdate(int panel, int64_t first_row) {
-  next_row_[panel] = first_row;
   if (first_row == supernodes_.rows_begin[panel + 1]) return;
   int& first = first_update_[panel_of_[supernodes_.row_block[first_row]]];
   next_update_[panel] = first;
   first = panel;
 }
 
-void SupernodalCholesky::Update(int panel, int by, double* values) {
-  const int end_block = supernodes_.first_block[panel + 1];
-  const int64_t last_row = supernodes_.rows_begin[by + 1];
-  int64_t row = next_row_[by];
-  while (row < last_row && supernodes_.row_block[row] < end_block) {
-    const int64_t first_row = row;
-    int columns = 0;
-    for (; row < last_row && supernodes_.row_block[row] < end_block; ++row) {
-      columns += BlockSize(row);
-      if (columns >= kProductColumns) {
-        ++row;
-        break;
-      }
-    }
-    UpdateColumns(panel, by, first_row, row, values);
+/// The first row of the panel, from `row` on, that is not before `block`.
+int64_t SupernodalCholesky::RowFrom(int panel, int64_t row, int block) const {
+  const int64_t end = supernodes_.rows_begin[panel + 1];
+  while (row < end && supernodes_.row_block[row] < block) ++row;
+  return row;
+}
+
+/// Updates and factorises a panel whose updates are all in its queue. nullptr: on this thread.
+int SupernodalCholesky::FactorizePanel(int panel, double* values, ThreadPool* pool,
+                                       Scratch* scratch) {
+  const int first_column = FirstColumn(panel), width = Width(panel);
+  const int height = supernodes_.height[panel];
+  LocateRows(panel, &scratch->position);
+  if (first_update_[panel] >= 0) {
+    const auto first_block = offset_.begin() + supernodes_.first_block[panel];
+    const auto end_block = offset_.begin() + supernodes_.first_block[panel + 1];
+    const auto block_at = [&](int column) {
+      return static_cast<int>(std::lower_bound(first_block, end_block, first_column + column) -
+                              offset_.begin());
+    };
+    ForEach(pool, Slices(width, kColumnsOfSlice), [&](int64_t k, int thread) {
+      const int column = static_cast<int>(k) * kColumnsOfSlice;
+      UpdateColumns(panel, block_at(column), block_at(column + kColumnsOfSlice), values,
+                    scratch->position, pool == nullptr ? scratch : &scratch_[thread]);
+    });
   }
-  QueueUpdate(by, row);
+  double* const own = values + supernodes_.values_begin[panel];
+  const int rows = std::min(height, width + kRowsOfSlice);
+  const int failed = kernels_.factorize(own, height, rows, width);
+  if (failed != 0) return first_column + failed;
+  ForEach(pool, Slices(height - rows, kRowsOfSlice), [&](int64_t k, int /*thread*/) {
+    const int row = rows + static_cast<int>(k) * kRowsOfSlice;
+    kernels_.solve_rows(own, height, width, own + row, std::min(kRowsOfSlice, height - row));
+  });
+  return 0;
+}
+
+/// Positions of all rows of the panel.
+void SupernodalCholesky::LocateRows(int panel, std::vector<int>* position) const {
+  position->resize(panel_of_.size());
+  for (int j = supernodes_.first_block[panel]; j < supernodes_.first_block[panel + 1]; ++j) {
+    (*position)[j] = offset_[j] - FirstColumn(panel);
+  }
+  for (int64_t e = supernodes_.rows_begin[panel]; e < supernodes_.rows_begin[panel + 1]; ++e) {
+    (*position)[supernodes_.row_block[e]] = supernodes_.row_in_panel[e];
+  }
+}
+
+/// Applies the updates in the queue of a panel to its block columns [first_block, last_block).
+void SupernodalCholesky::UpdateColumns(int panel, int first_block, int last_block, double* values,
+                                       const std::vector<int>& position, Scratch* scratch) const {
+  for (int by = first_update_[panel]; by >= 0; by = next_update_[by]) {
+    const int64_t first_row = RowFrom(by, next_row_[by], first_block);
+    const int64_t last_row = RowFrom(by, first_row, last_block);
+    if (first_row < last_row) {
+      Update(panel, by, first_row, last_row, values, position, scratch);
+    }
+  }
 }
 
 /// Updates the columns of `panel` that are rows [first_row, last_row) of `by`.
-void SupernodalCholesky::UpdateColumns(int panel, int by, int64_t first_row, int64_t last_row,
-                                       double* values) {
-  constexpr char kPlain = 'N', kTransposed = 'T';
-  constexpr double kMinusOne = -1, kZero = 0, kOne = 1;
-  ThrowIfInterrupted();
-  FindRowRanges(by, first_row);
+void SupernodalCholesky::Update(int panel, int by, int64_t first_row, int64_t last_row,
+                                double* values, const std::vector<int>& position,
+                                Scratch* scratch) const {
   const int top = supernodes_.row_in_panel[first_row];
   const int width = Width(by), stride = supernodes_.height[by], rows = stride - top;
   const int columns = supernodes_.row_in_panel[last_row - 1] + BlockSize(last_row - 1) - top;
+  scratch->work += static_cast<int64_t>(rows) * columns * width;
+  if (scratch->work > kWorkBetweenLooks) {
+    scratch->work = 0;
+    ThrowIfInterrupted();
+  }
+  FindRowRanges(by, first_row, position, &scratch->ranges);
   const double* const from = values + supernodes_.values_begin[by] + top;
   const int target_stride = supernodes_.height[panel];
   double* const to = values + supernodes_.values_begin[panel];
-  if (row_ranges_.size() == 1) {
-    const int position = row_ranges_.front().target;
-    dgemm_(&kPlain, &kTransposed, &rows, &columns, &width, &kMinusOne, from, &stride, from, &stride,
-           &kOne, to + position + static_cast<int64_t>(position) * target_stride, &target_stride);
-    return;
+  if (scratch->ranges.size() == 1) {
+    const int64_t target = scratch->ranges.front().target;
+    return kernels_.subtract_product(from, stride, rows, columns, width,
+                                     to + target + target * target_stride, target_stride);
   }
-  product_.resize(std::max(product_.size(), static_cast<size_t>(rows) * columns));
-  dgemm_(&kPlain, &kTransposed, &rows, &columns, &width, &kMinusOne, from, &stride, from, &stride,
-         &kZero, product_.data(), &rows);
-  const double* product = product_.data();
-  for (int64_t e = first_row; e < last_row; ++e) {
-    double* column = to + static_cast<int64_t>(position_[supernodes_.row_block[e]]) * target_stride;
-    for (int c = 0; c < BlockSize(e); ++c, column += target_stride, product += rows) {
-      for (const RowRange& range : row_ranges_) {
-        double* const target = column + range.target;
-        const double* const source = product + range.source;
-        for (int i = 0; i < range.length; ++i) target[i] += source[i];
-      }
-    }
-  }
+  std::vector<double>& product = scratch->product;
+  product.resize(std::max(product.size(), static_cast<size_t>(rows) * columns));
+  kernels_.product(from, stride, rows, columns, width, product.data(), rows);
+  kernels_.scatter(product.data(), rows, columns, scratch->ranges.data(),
+                   static_cast<int>(scratch->ranges.size()), to, target_stride);
 }
 
 /// Finds the ranges of the rows of panel `by` from `first_row` on.
-void SupernodalCholesky::FindRowRanges(int by, int64_t first_row) {
-  row_ranges_.clear();
+void SupernodalCholesky::FindRowRanges(int by, int64_t first_row, const std::vector<int>& position,
+                                       std::vector<RowRange>* ranges) const {
+  ranges->clear();
   const int top = supernodes_.row_in_panel[first_row];
   for (int64_t e = first_row; e < supernodes_.rows_begin[by + 1]; ++e) {
     const int source = supernodes_.row_in_panel[e] - top;
-    const int target = position_[supernodes_.row_block[e]];
-    if (row_ranges_.empty() || row_ranges_.back().target + row_ranges_.back().length != target) {
-      row_ranges_.push_back({source, target, 0});
+    const int target = position[supernodes_.row_block[e]];
+    if (ranges->empty() || ranges->back().target + ranges->back().length != target) {
+      ranges->push_back({source, target, 0});
     }
-    row_ranges_.back().length += BlockSize(e);
-  }
-}
-
-void SupernodalCholesky::Solve(const double* values, double* x, int num_rhs) {
-  if (num_rhs == 1) return SolveOne(values, x);
-  SolveMany(values, x, num_rhs);
-}
-
-void SupernodalCholesky::SolveOne(const double* values, double* x) {
-  constexpr char kLower = 'L', kPlain = 'N', kTransposed = 'T', kNonUnit = 'N';
-  constexpr double kMinusOne = -1, kZero = 0, kOne = 1;
-  constexpr int kNext = 1;
-  product_.resize(std::max(product_.size(), static_cast<size_t>(offset_.back())));
-  double* const below = product_.data();
-  const auto for_rows = [&](int s, const auto& visit) {
-    for (int64_t e = supernodes_.rows_begin[s]; e < supernodes_.rows_begin[s + 1]; ++e) {
-      double* const at = below + supernodes_.row_in_panel[e] - Width(s);
-      visit(at, x + offset_[supernodes_.row_block[e]], BlockSize(e));
-    }
-  };
-  for (int s = 0; s < supernodes_.num_panels(); ++s) {
-    const double* const panel = values + supernodes_.values_begin[s];
-    const int width = Width(s), height = supernodes_.height[s], rows = height - width;
-    double* const own = x + FirstColumn(s);
-    dtrsv_(&kLower, &kPlain, &kNonUnit, &width, panel, &height, own, &kNext);
-    if (rows == 0) continue;
-    dgemv_(&kPlain, &rows, &width, &kOne, panel + width, &height, own, &kNext, &kZero, below,
-           &kNext);
-    for_rows(s, [](const double* from, double* to, int size) {
-      for (int i = 0; i < size; ++i) to[i] -= from[i];
-    });
-  }
-  for (int s = supernodes_.num_panels() - 1; s >= 0; --s) {
-    const double* const panel = values + supernodes_.values_begin[s];
-    const int width = Width(s), height = supernodes_.height[s], rows = height - width;
-    double* const own = x + FirstColumn(s);
-    if (rows > 0) {
-      for_rows(s, [](double* to, const double* from, int size) { std::copy_n(from, size, to); });
-      dgemv_(&kTransposed, &rows, &width, &kMinusOne, panel + width, &height, below, &kNext, &kOne,
-             own, &kNext);
-    }
-    dtrsv_(&kLower, &kTransposed, &kNonUnit, &width, panel, &height, own, &kNext);
-  }
-}
-
-void SupernodalCholesky::SolveMany(const double* values, double* x, int num_rhs) {
-  constexpr char kLeft = 'L', kLower = 'L', kPlain = 'N', kTransposed = 'T', kNonUnit = 'N';
-  constexpr double kMinusOne = -1, kZero = 0, kOne = 1;
-  const int n = offset_.back();
-  product_.resize(std::max(product_.size(), static_cast<size_t>(n) * num_rhs));
-  double* const below = product_.data();
-  // Gathers the rows of X that panel s has below its own columns.
-  const auto for_rows = [&](int s, int rows, const auto& visit) {
-    for (int k = 0; k < num_rhs; ++k) {
-      double* at = below + static_cast<int64_t>(k) * rows;
-      double* const column = x + static_cast<int64_t>(k) * n;
-      for (int64_t e = supernodes_.rows_begin[s]; e < supernodes_.rows_begin[s + 1]; ++e) {
-        const int size = BlockSize(e);
-        visit(at, column + offset_[supernodes_.row_block[e]], size);
-        at += size;
-      }
-    }
-  };
-  for (int s = 0; s < supernodes_.num_panels(); ++s) {
-    const double* const panel = values + supernodes_.values_begin[s];
-    const int width = Width(s), height = supernodes_.height[s], rows = height - width;
-    double* const own = x + FirstColumn(s);
-    dtrsm_(&kLeft, &kLower, &kPlain, &kNonUnit, &width, &num_rhs, &kOne, panel, &height, own, &n);
-    if (rows == 0) continue;
-    dgemm_(&kPlain, &kPlain, &rows, &num_rhs, &width, &kOne, panel + width, &height, own, &n,
-           &kZero, below, &rows);
-    for_rows(s, rows, [](const double* from, double* to, int size) {
-      for (int i = 0; i < size; ++i) to[i] -= from[i];
-    });
-  }
-  for (int s = supernodes_.num_panels() - 1; s >= 0; --s) {
-    const double* const panel = values + supernodes_.values_begin[s];
-    const int width = Width(s), height = supernodes_.height[s], rows = height - width;
-    double* const own = x + FirstColumn(s);
-    if (rows > 0) {
-      for_rows(s, rows,
-               [](double* to, const double* from, int size) { std::copy_n(from, size, to); });
-      dgemm_(&kTransposed, &kPlain, &width, &num_rhs, &rows, &kMinusOne, panel + width, &height,
-             below, &rows, &kOne, own, &n);
-    }
-    dtrsm_(&kLeft, &kLower, &kTransposed, &kNonUnit, &width, &num_rhs, &kOne, panel, &height, own,
-           &n);
+    ranges->back().length += BlockSize(e);
   }
 }
 

@@ -92,6 +92,20 @@ class ThreadPool {
   FirstException first_exception_;
 };
 
+/// Calls visit(number, thread) for the numbers 0 to count - 1, which the threads of the pool take
+/// one after the other. nullptr: on this thread, as thread 0.
+template <typename Visit>
+void ForEach(ThreadPool* pool, int64_t count, const Visit& visit) {
+  if (pool == nullptr || pool->num_threads() == 1 || count < 2) {
+    for (int64_t number = 0; number < count; ++number) visit(number, 0);
+    return;
+  }
+  std::atomic<int64_t> next{0};
+  pool->Run([&](int thread) {
+    for (int64_t k = next.fetch_add(1); k < count; k = next.fetch_add(1)) visit(k, thread);
+  });
+}
+
 /// Tells the processor that the caller waits in a loop and, after a while, yields to the system.
 class SpinWait {
  public:

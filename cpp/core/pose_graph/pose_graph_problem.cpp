@@ -55,7 +55,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
     const Stopwatch symbolic;
     EdgePattern pattern = PatternOfEdges(graph, kSize, ordering);
     structure_ = std::move(pattern.structure);
-    solver_ = MakeSparseSolver(pattern.ordering, num_threads, &structure_);
+    solver_ = MakeSparseSolver(pattern.ordering, num_threads, &structure_, &pool_);
     symbolic_time_ = symbolic.seconds();
     pose_of_ = std::move(pattern.pose_of);
     PlaceEdges(pattern.block_of);

@@ -1,0 +1,376 @@
+/// The kernels of panel_kernels.h for one instruction set. This file is compiled once for each of
+/// them, with BUNDLE_ISA, the name of the namespace, and BUNDLE_LANES, the doubles of a register.
+///
+/// A tile of C has some registers of rows times kLanes columns. It stays in registers while the sum
+/// over the columns of A runs. Each step loads a column of the tile's rows, and multiplies it by
+/// one number per column of the tile:
+///
+///   C_ij = sum_k A_ik A_jk,     i: lanes and registers,   j: registers,   k: loop.
+///
+/// With 24 accumulators of 8 doubles, 3 loads and 8 broadcasts feed 24 fused multiply-adds.
+/// Operands are read where they are: no row is copied. Rows that do not fill a register are read
+/// and written under a mask.
+///
+/// The factorisation goes through kLanes columns at a time, left-looking. With L the columns before
+/// and D the diagonal block, which is one register high,
+///
+///   D - L_D L_D^T = M M^T,      then for tiles of the rows below    (B - L_B L_D^T) M^-T,
+///
+/// with the triangular solve in registers. All of it is in columns of lanes: column c of the result
+/// is v_c / M_cc, after which later columns subtract its multiples.
+
+#include "core/linear/kernels/panel_kernels.h"
+
+#if defined(__AVX2__)
+#include <immintrin.h>
+#endif
+
+namespace bundle::BUNDLE_ISA {
+
+// As in pack.h of schur/kernels, no inline function of the standard library is used: two copies of
+// one, compiled for different instruction sets, must never share a name.
+namespace {
+
+constexpr int kLanes = BUNDLE_LANES;
+/// Registers of rows in a tile. The accumulators and a column of rows fit into the registers.
+#if defined(__AVX2__)
+constexpr int kTileVectors = 3;
+#else
+constexpr int kTileVectors = 1;
+#endif
+
+using Vector = double __attribute__((vector_size(8 * kLanes)));
+
+inline int Least(int a, int b) { return a < b ? a : b; }
+
+inline Vector Load(const double* from) {
+  Vector v;
+  __builtin_memcpy(&v, from, sizeof v);
+  return v;
+}
+
+inline void Store(const Vector& v, double* to) { __builtin_memcpy(to, &v, sizeof v); }
+
+/// The first `count` lanes, below kLanes; the others are 0.
+inline Vector LoadFirst(const double* from, int count) {
+#if defined(__AVX512F__)
+  return _mm512_maskz_loadu_pd(static_cast<__mmask8>((1U << count) - 1), from);
+#elif defined(__AVX2__)
+  const __m256i mask =
+      _mm256_cmpgt_epi64(_mm256_set1_epi64x(count), _mm256_setr_epi64x(0, 1, 2, 3));
+  return _mm256_maskload_pd(from, mask);
+#else
+  Vector v = {};
+  for (int i = 0; i < count; ++i) v[i] = from[i];
+  return v;
+#endif
+}
+
+inline void StoreFirst(const Vector& v, int count, double* to) {
+#if defined(__AVX512F__)
+  _mm512_mask_storeu_pd(to, static_cast<__mmask8>((1U << count) - 1), v);
+#elif defined(__AVX2__)
+  const __m256i mask =
+      _mm256_cmpgt_epi64(_mm256_set1_epi64x(count), _mm256_setr_epi64x(0, 1, 2, 3));
+  _mm256_maskstore_pd(to, mask, v);
+#else
+  for (int i = 0; i < count; ++i) to[i] = v[i];
+#endif
+}
+
+inline Vector Broadcast(double x) { return x - Vector{}; }
+
+inline double SumOfLanes(const Vector& v) {
+  double half[kLanes / 2];
+  for (int i = 0; i < kLanes / 2; ++i) half[i] = v[i] + v[i + kLanes / 2];
+  for (int size = kLanes / 4; size > 0; size /= 2) {
+    for (int i = 0; i < size; ++i) half[i] += half[i + size];
+  }
+  return half[0];
+}
+
+/// kVectors registers of rows times kColumns columns. The last register has `last` rows if
+/// kPartial.
+template <int kVectors, int kColumns, bool kPartial>
+struct Tile {
+  Vector v[kColumns][kVectors];
+  int last;
+
+  static Vector LoadRows(const double* from, int i, int last) {
+    return kPartial && i == kVectors - 1 ? LoadFirst(from + i * kLanes, last)
+                                         : Load(from + i * kLanes);
+  }
+  void Read(const double* from, int64_t stride) {
+    for (int c = 0; c < kColumns; ++c) {
+      for (int i = 0; i < kVectors; ++i) v[c][i] = LoadRows(from + c * stride, i, last);
+    }
+  }
+  void Write(double* to, int64_t stride) const {
+    for (int c = 0; c < kColumns; ++c) {
+      for (int i = 0; i < kVectors; ++i) {
+        double* const at = to + c * stride + i * kLanes;
+        if (kPartial && i == kVectors - 1) {
+          StoreFirst(v[c][i], last, at);
+        } else {
+          Store(v[c][i], at);
+        }
+      }
+    }
+  }
+  /// Adds or subtracts a times the transpose of b, `width` columns each.
+  template <bool kSubtract>
+  void Accumulate(const double* a, const double* b, int64_t stride, int width) {
+    for (int k = 0; k < width; ++k, a += stride, b += stride) {
+      Vector rows[kVectors];
+      for (int i = 0; i < kVectors; ++i) rows[i] = LoadRows(a, i, last);
+      for (int c = 0; c < kColumns; ++c) {
+        const Vector factor = Broadcast(b[c]);
+        for (int i = 0; i < kVectors; ++i) {
+          if (kSubtract) {
+            v[c][i] -= rows[i] * factor;
+          } else {
+            v[c][i] += rows[i] * factor;
+          }
+        }
+      }
+    }
+  }
+};
+
+/// Calls visit(tile, first row) for tiles that cover `rows` rows.
+template <int kColumns, typename Visit>
+inline void ForTiles(int rows, const Visit& visit) {
+  constexpr int kTall = kTileVectors * kLanes;
+  int row = 0;
+  for (; row + kTall <= rows; row += kTall) visit(Tile<kTileVectors, kColumns, false>{}, row);
+  const int rest = rows - row;
+  if (rest == 0) return;
+  const int last = rest % kLanes;
+  const auto run = [&](auto tile) {
+    tile.last = last;
+    visit(tile, row);
+  };
+  if constexpr (kTileVectors == 3) {
+    if (rest > 2 * kLanes) return run(Tile<3, kColumns, true>{});
+    if (rest == 2 * kLanes) return run(Tile<2, kColumns, false>{});
+    if (rest > kLanes) return run(Tile<2, kColumns, true>{});
+  }
+  if (rest == kLanes) return run(Tile<1, kColumns, false>{});
+  run(Tile<1, kColumns, true>{});
+}
+
+/// Calls visit(integral constant) with the number of columns.
+template <int kColumns>
+struct Columns {
+  static constexpr int kCount = kColumns;
+};
+
+template <typename Visit>
+inline void WithColumns(int columns, const Visit& visit) {
+  if constexpr (kLanes == 8) {
+    switch (columns) {
+      case 8:
+        return visit(Columns<8>{});
+      case 7:
+        return visit(Columns<7>{});
+      case 6:
+        return visit(Columns<6>{});
+      case 5:
+        return visit(Columns<5>{});
+    }
+  }
+  switch (columns) {
+    case 4:
+      return visit(Columns<4>{});
+    case 3:
+      return visit(Columns<3>{});
+    case 2:
+      return visit(Columns<2>{});
+    default:
+      return visit(Columns<1>{});
+  }
+}
+
+/// Rows of A that stay in the cache while all columns of C take their sums from them.
+constexpr int kRowsAtATime = 24 * kLanes;
+
+template <bool kSubtract>
+void MultiplyLower(const double* a, int64_t stride, int rows, int columns, int width, double* c,
+                   int64_t c_stride) {
+  for (int top = 0; top < rows; top += kRowsAtATime) {
+    const int end = Least(rows, top + kRowsAtATime);
+    for (int column = 0; column < Least(columns, end); column += kLanes) {
+      const int first = column > top ? column : top;
+      WithColumns(Least(kLanes, columns - column), [&](auto count) {
+        ForTiles<count.kCount>(end - first, [&](auto tile, int row) {
+          double* const at = c + first + row + column * c_stride;
+          if (kSubtract) tile.Read(at, c_stride);
+          tile.template Accumulate<kSubtract>(a + first + row, a + column, stride, width);
+          tile.Write(at, c_stride);
+        });
+      });
+    }
+  }
+}
+
+void Scatter(const double* product, int64_t stride, int columns, const RowRange* ranges,
+             int num_ranges, double* to, int64_t to_stride) {
+  const auto subtract = [](const double* from, int count, double* at) {
+    int i = 0;
+    for (; i + kLanes <= count; i += kLanes) Store(Load(at + i) - Load(from + i), at + i);
+    const int rest = count - i;
+    if (rest > 0) StoreFirst(LoadFirst(at + i, rest) - LoadFirst(from + i, rest), rest, at + i);
+  };
+  for (int own = 0; own < num_ranges && ranges[own].source < columns; ++own) {
+    const int count = Least(ranges[own].length, columns - ranges[own].source);
+    for (int j = 0; j < count; ++j) {
+      const double* const from = product + (ranges[own].source + j) * stride;
+      double* const column = to + (ranges[own].target + j) * to_stride;
+      subtract(from + ranges[own].source + j, ranges[own].length - j,
+               column + ranges[own].target + j);
+      for (int r = own + 1; r < num_ranges; ++r) {
+        subtract(from + ranges[r].source, ranges[r].length, column + ranges[r].target);
+      }
+    }
+  }
+}
+
+/// L of a diagonal block, without its diagonal, and the reciprocals of that.
+template <int kColumns>
+struct Triangle {
+  double factor[kColumns][kColumns];  ///< [c][k]: entry (k, c)
+  double reciprocal[kColumns];
+};
+
+/// B = (B - A L_D^T) M^-T for columns [first, first + kColumns) of `rows` rows, where A is the
+/// columns before and `l` is M.
+template <int kColumns>
+inline void SolveColumns(const Triangle<kColumns>& l, const double* panel, int64_t stride,
+                         int first, double* b, int rows) {
+  ForTiles<kColumns>(rows, [&](auto tile, int row) {
+    constexpr int kVectors = sizeof tile.v[0] / sizeof(Vector);
+    double* const to = b + row + first * stride;
+    tile.Read(to, stride);
+    tile.template Accumulate<true>(b + row, panel + first, stride, first);
+    for (int c = 0; c < kColumns; ++c) {
+      for (int i = 0; i < kVectors; ++i) tile.v[c][i] *= Broadcast(l.reciprocal[c]);
+      for (int k = c + 1; k < kColumns; ++k) {
+        const Vector factor = Broadcast(l.factor[c][k]);
+        for (int i = 0; i < kVectors; ++i) tile.v[k][i] -= tile.v[c][i] * factor;
+      }
+    }
+    tile.Write(to, stride);
+  });
+}
+
+/// Returns 0, or the number of the first column that fails.
+template <int kColumns>
+inline int FactorizeColumns(double* panel, int64_t stride, int height, int first) {
+  Tile<1, kColumns, kColumns != kLanes> diagonal{};
+  diagonal.last = kColumns;
+  Triangle<kColumns> l;
+  double* const at = panel + first + first * stride;
+  diagonal.Read(at, stride);
+  diagonal.template Accumulate<true>(panel + first, panel + first, stride, first);
+  for (int c = 0; c < kColumns; ++c) {
+    Vector& column = diagonal.v[c][0];
+    if (!(column[c] > 0)) return c + 1;
+    const double root = __builtin_sqrt(column[c]);
+    l.reciprocal[c] = 1 / root;
+    column *= Broadcast(l.reciprocal[c]);
+    column[c] = root;
+    for (int k = c + 1; k < kColumns; ++k) {
+      l.factor[c][k] = column[k];
+      diagonal.v[k][0] -= column * Broadcast(l.factor[c][k]);
+    }
+  }
+  diagonal.Write(at, stride);
+  const int below = first + kColumns;
+  SolveColumns(l, panel, stride, first, panel + below, height - below);
+  return 0;
+}
+
+int Factorize(double* panel, int64_t stride, int height, int width) {
+  for (int first = 0; first < width; first += kLanes) {
+    int failed = 0;
+    WithColumns(Least(kLanes, width - first), [&](auto count) {
+      failed = FactorizeColumns<count.kCount>(panel, stride, height, first);
+    });
+    if (failed != 0) return first + failed;
+  }
+  return 0;
+}
+
+void SolveRows(const double* panel, int64_t stride, int width, double* b, int rows) {
+  for (int first = 0; first < width; first += kLanes) {
+    WithColumns(Least(kLanes, width - first), [&](auto count) {
+      constexpr int kColumns = count.kCount;
+      Triangle<kColumns> l;
+      const double* column = panel + first + first * stride;
+      for (int c = 0; c < kColumns; ++c, column += stride) {
+        l.reciprocal[c] = 1 / column[c];
+        for (int k = c + 1; k < kColumns; ++k) l.factor[c][k] = column[k];
+      }
+      SolveColumns(l, panel, stride, first, b, rows);
+    });
+  }
+}
+
+void Forward(const double* panel, int64_t stride, int height, int width, double* y, double* below) {
+  for (int j = 0; j < width; ++j) {
+    const double* const column = panel + j * stride;
+    y[j] /= column[j];
+    for (int i = j + 1; i < width; ++i) y[i] -= column[i] * y[j];
+  }
+  ForTiles<1>(height - width, [&](auto tile, int row) {
+    const double* column = panel + width + row;
+    constexpr int kVectors = sizeof tile.v[0] / sizeof(Vector);
+    for (int j = 0; j < width; ++j, column += stride) {
+      const Vector factor = Broadcast(y[j]);
+      for (int i = 0; i < kVectors; ++i) {
+        tile.v[0][i] += tile.LoadRows(column, i, tile.last) * factor;
+      }
+    }
+    tile.Write(below + row, 0);
+  });
+}
+
+void Backward(const double* panel, int64_t stride, int height, int width, double* y,
+              const double* below) {
+  constexpr int kAtATime = 4;
+  const int rows = height - width, whole = rows / kLanes * kLanes, rest = rows - whole;
+  for (int first = 0; first < width; first += kAtATime) {
+    WithColumns(Least(kAtATime, width - first), [&](auto count) {
+      Vector sum[count.kCount] = {};
+      const double* const b = panel + width + first * stride;
+      for (int i = 0; i < whole; i += kLanes) {
+        const Vector x = Load(below + i);
+        for (int c = 0; c < count.kCount; ++c) sum[c] += Load(b + c * stride + i) * x;
+      }
+      if (rest > 0) {
+        const Vector x = LoadFirst(below + whole, rest);
+        for (int c = 0; c < count.kCount; ++c)
+          sum[c] += LoadFirst(b + c * stride + whole, rest) * x;
+      }
+      for (int c = 0; c < count.kCount; ++c) y[first + c] -= SumOfLanes(sum[c]);
+    });
+  }
+  for (int j = width - 1; j >= 0; --j) {
+    const double* const column = panel + j * stride;
+    double sum = y[j];
+    for (int i = j + 1; i < width; ++i) sum -= column[i] * y[i];
+    y[j] = sum / column[j];
+  }
+}
+
+}  // namespace
+
+extern constexpr PanelKernels kPanelKernels = {&MultiplyLower<true>,
+                                               &MultiplyLower<false>,
+                                               &Scatter,
+                                               &Factorize,
+                                               &SolveRows,
+                                               &Forward,
+                                               &Backward};
+
+}  // namespace bundle::BUNDLE_ISA
