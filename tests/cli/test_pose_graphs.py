@@ -25,7 +25,7 @@ def test_refine_writes_the_graph_and_reports(run, source, tmp_path):
     expected = bundle.solve(bundle.load(source))
     assert found["command"] == "refine" and found["schema"] == 1
     assert found["input"]["format"] == "g2o" and found["input"]["num_edges"] == 17
-    assert found["options"]["error"] == "LOG" and found["options"]["init"] == "FILE"
+    assert found["options"]["error"] == "LOG" and found["options"]["init"] == "LOWER"
     summary = found["summary"]
     for name in ("chi2_initial", "chi2_final", "initial_cost", "final_cost"):
         np.testing.assert_allclose(summary[name], getattr(expected.summary, name), rtol=1e-12)

@@ -42,6 +42,10 @@ SymmetricEigen DecomposeSymmetric(const MatrixXd& matrix) {
   return {solver.eigenvalues(), solver.eigenvectors()};
 }
 
+Eigen::Vector4d LargestEigenvector(const Eigen::Matrix4d& matrix) {
+  return Eigen::SelfAdjointEigenSolver<Eigen::Matrix4d>(matrix).eigenvectors().col(3);
+}
+
 VectorXd EigenvaluesOfSymmetric(const MatrixXd& matrix) {
   return Eigen::SelfAdjointEigenSolver<MatrixXd>(matrix, Eigen::EigenvaluesOnly).eigenvalues();
 }

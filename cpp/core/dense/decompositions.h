@@ -14,6 +14,9 @@ struct SymmetricEigen {
 };
 SymmetricEigen DecomposeSymmetric(const Eigen::MatrixXd& matrix);
 
+/// The unit eigenvector of the largest eigenvalue of a symmetric matrix.
+Eigen::Vector4d LargestEigenvector(const Eigen::Matrix4d& matrix);
+
 /// The eigenvalues alone, ascending, which takes a fraction of the time.
 Eigen::VectorXd EigenvaluesOfSymmetric(const Eigen::MatrixXd& matrix);
 

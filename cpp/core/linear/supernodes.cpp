@@ -25,22 +25,38 @@ namespace {
 constexpr double kWidestPanel = 256;
 
 /// Rows of each block column of L below its diagonal block, ascending.
-std::vector<std::vector<int>> RowsOfFactor(const BlockStructure& structure) {
+struct FactorRows {
+  std::vector<int64_t> begin = {0};
+  std::vector<int> row;
+
+  bool empty(int column) const { return begin[column] == begin[column + 1]; }
+  int front(int column) const { return row[begin[column]]; }
+};
+
+FactorRows RowsOfFactor(const BlockStructure& structure) {
   const int num_blocks = structure.num_blocks();
-  std::vector<std::vector<int>> rows(num_blocks), children(num_blocks);
-  std::vector<int> seen(num_blocks, -1);
+  FactorRows rows;
+  rows.row.reserve(2 * structure.row_block.size());
+  // Lists of the children of a column that is not processed yet.
+  std::vector<int> first_child(num_blocks, -1), next_child(num_blocks, -1), seen(num_blocks, -1);
   for (int j = 0; j < num_blocks; ++j) {
+    const int64_t begin = rows.begin.back();
     const auto add = [&](int row) {
       if (row <= j || seen[row] == j) return;
       seen[row] = j;
-      rows[j].push_back(row);
+      rows.row.push_back(row);
     };
     for (int64_t e = structure.column_begin[j]; e < structure.column_begin[j + 1]; ++e) {
       add(structure.row_block[e]);
     }
-    for (const int child : children[j]) std::for_each(rows[child].begin(), rows[child].end(), add);
-    std::sort(rows[j].begin(), rows[j].end());
-    if (!rows[j].empty()) children[rows[j].front()].push_back(j);
+    for (int child = first_child[j]; child >= 0; child = next_child[child]) {
+      for (int64_t e = rows.begin[child]; e < rows.begin[child + 1]; ++e) add(rows.row[e]);
+    }
+    std::sort(rows.row.begin() + begin, rows.row.end());
+    rows.begin.push_back(static_cast<int64_t>(rows.row.size()));
+    if (rows.empty(j)) continue;
+    next_child[j] = first_child[rows.front(j)];
+    first_child[rows.front(j)] = j;
   }
   return rows;
 }
@@ -73,13 +89,14 @@ bool IsWorthIt(const Panel& panel) {
 
 /// Processes columns from the last to the first. Joins a column to the following panel if the zeros
 /// are few enough and its parent is in this panel.
-std::vector<Panel> FindPanels(const BlockStructure& structure,
-                              const std::vector<std::vector<int>>& rows) {
+std::vector<Panel> FindPanels(const BlockStructure& structure, const FactorRows& rows) {
   std::vector<Panel> reversed;
   for (int j = structure.num_blocks() - 1; j >= 0; --j) {
     Panel panel{j, j + 1, static_cast<double>(structure.block_size(j)), 0, 0};
-    for (const int row : rows[j]) panel.below += structure.block_size(row);
-    if (!reversed.empty() && !rows[j].empty() && rows[j].front() < reversed.back().last_block) {
+    for (int64_t e = rows.begin[j]; e < rows.begin[j + 1]; ++e) {
+      panel.below += structure.block_size(rows.row[e]);
+    }
+    if (!reversed.empty() && !rows.empty(j) && rows.front(j) < reversed.back().last_block) {
       const Panel merged = Merged(panel, reversed.back());
       if (IsWorthIt(merged)) {
         reversed.back() = merged;
@@ -94,7 +111,7 @@ std::vector<Panel> FindPanels(const BlockStructure& structure,
 }  // namespace
 
 Supernodes FindSupernodes(const BlockStructure& structure) {
-  const std::vector<std::vector<int>> rows = RowsOfFactor(structure);
+  const FactorRows rows = RowsOfFactor(structure);
   Supernodes result;
   result.first_block.push_back(0);
   result.rows_begin.push_back(0);
@@ -102,7 +119,9 @@ Supernodes FindSupernodes(const BlockStructure& structure) {
   for (const Panel& panel : FindPanels(structure, rows)) {
     const int width = structure.offset[panel.last_block] - structure.offset[panel.first_block];
     int height = width;
-    for (const int row : rows[panel.last_block - 1]) {
+    const int last = panel.last_block - 1;
+    for (int64_t e = rows.begin[last]; e < rows.begin[last + 1]; ++e) {
+      const int row = rows.row[e];
       result.row_block.push_back(row);
       result.row_in_panel.push_back(height);
       height += structure.block_size(row);

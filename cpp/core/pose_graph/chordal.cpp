@@ -62,7 +62,7 @@ void SetNearestRotation(int dimension, const double* m, double* pose) {
     if (sine != 0 || cosine != 0) pose[2] = std::atan2(sine, cosine);
     return;
   }
-  Eigen::MatrixXd k(4, 4);
+  Eigen::Matrix4d k;
   const double trace = m[0] + m[4] + m[8];
   const double a[3] = {m[7] - m[5], m[2] - m[6], m[3] - m[1]};
   for (int r = 0; r < 3; ++r) {
@@ -71,20 +71,24 @@ void SetNearestRotation(int dimension, const double* m, double* pose) {
   }
   k(3, 3) = trace;
   if (!(k.norm() > 0)) return;
-  const SymmetricEigen eigen = DecomposeSymmetric(k);
-  for (int i = 0; i < 4; ++i) pose[i] = eigen.vectors(i, 3);
+  const Eigen::Vector4d q = LargestEigenvector(k);
+  for (int i = 0; i < 4; ++i) pose[i] = q[i];
 }
 
-/// The linear least-squares problem of one stage: a block of d unknowns per free pose, and several
+/// The linear least-squares problem of a stage: a block of d unknowns per free pose, and several
 /// right-hand sides.
 class ChordalStage {
  public:
-  ChordalStage(const EdgePattern& pattern, int dimension, int num_rhs, int num_threads)
+  ChordalStage(const EdgePattern& pattern, int dimension, int num_threads)
       : pattern_(pattern), d_(dimension), structure_(pattern.structure) {
     solver_ = MakeSparseSolver(pattern.ordering, num_threads, &structure_);
+  }
+
+  /// Begins a stage.
+  void Clear(int num_rhs) {
+    num_rhs_ = num_rhs;
     system_.values.assign(structure_.num_values, 0.0);
     rhs_.assign(int64_t{structure_.num_columns()} * num_rhs, 0.0);
-    num_rhs_ = num_rhs;
   }
 
   int BlockOf(int32_t pose) const { return pattern_.block_of[pose]; }
@@ -117,8 +121,10 @@ class ChordalStage {
     structure_.ForDiagonal([&](int, int64_t at) { system_.values[at] += little; });
     solution_.resize(rhs_.size());
     LinearSolution found = solver_->Factorize(&system_, {});
-    if (found.status == LinearStatus::kSuccess) {
-      found = solver_->Solve(rhs_.data(), num_rhs_, 0, solution_.data());
+    // One by one, which is faster for so few.
+    for (int k = 0; k < num_rhs_ && found.status == LinearStatus::kSuccess; ++k) {
+      const int64_t begin = int64_t{k} * structure_.num_columns();
+      found = solver_->Solve(rhs_.data() + begin, 1, 0, solution_.data() + begin);
     }
     if (found.status != LinearStatus::kSuccess) {
       throw InputError("init: the linear system of the chordal relaxation has no solution (" +
@@ -159,11 +165,11 @@ class Chordal {
   Chordal(const PoseGraph& graph, const double* information, int num_threads)
       : graph_(graph),
         information_(information),
-        num_threads_(num_threads),
         d_(graph.dimension),
         tangent_(graph.dimension == 2 ? 3 : 6),
         ambient_(graph.dimension == 2 ? 3 : 7),
         pattern_(PatternOfEdges(graph, graph.dimension, "auto")),
+        stage_(pattern_, graph.dimension, num_threads),
         poses_(graph.poses) {}
 
   std::vector<double> Poses() {
@@ -192,25 +198,25 @@ class Chordal {
   }
 
   void FindRotations() {
-    ChordalStage stage(pattern_, d_, d_, num_threads_);
+    stage_.Clear(d_);
     for (int64_t e = 0; e < graph_.num_edges(); ++e) {
       const ChordalEdge edge = EdgeAt(e);
       const double weight = RotationWeight(edge.information);
-      const int i = stage.BlockOf(edge.i), j = stage.BlockOf(edge.j);
+      const int i = stage_.BlockOf(edge.i), j = stage_.BlockOf(edge.j);
       double identity[9] = {}, coupling[9];
       for (int k = 0; k < d_; ++k) identity[k * d_ + k] = weight;
       for (int k = 0; k < d_ * d_; ++k) coupling[k] = -weight * edge.rotation[k];
-      if (i >= 0) stage.AddDiagonal(i, identity);
-      if (j >= 0) stage.AddDiagonal(j, identity);
-      if (i >= 0 && j >= 0) stage.AddPair(i, j, coupling);
-      if ((i >= 0) != (j >= 0)) AddKnownRotation(edge, weight, &stage);
+      if (i >= 0) stage_.AddDiagonal(i, identity);
+      if (j >= 0) stage_.AddDiagonal(j, identity);
+      if (i >= 0 && j >= 0) stage_.AddPair(i, j, coupling);
+      if ((i >= 0) != (j >= 0)) AddKnownRotation(edge, weight);
     }
-    stage.Solve();
+    stage_.Solve();
     for (size_t b = 0; b < pattern_.pose_of.size(); ++b) {
       double matrix[9];
       for (int row = 0; row < d_; ++row) {
         for (int k = 0; k < d_; ++k) {
-          matrix[row * d_ + k] = stage.Solution(static_cast<int>(b), row, k);
+          matrix[row * d_ + k] = stage_.Solution(static_cast<int>(b), row, k);
         }
       }
       SetNearestRotation(d_, matrix, poses_.data() + int64_t{pattern_.pose_of[b]} * ambient_);
@@ -218,8 +224,8 @@ class Chordal {
   }
 
   /// x_j = Z^T x_i if one of the two is constant.
-  void AddKnownRotation(const ChordalEdge& edge, double weight, ChordalStage* stage) const {
-    const int i = stage->BlockOf(edge.i), j = stage->BlockOf(edge.j);
+  void AddKnownRotation(const ChordalEdge& edge, double weight) {
+    const int i = stage_.BlockOf(edge.i), j = stage_.BlockOf(edge.j);
     double known[9];
     RotationOf(d_, poses_.data() + int64_t{i >= 0 ? edge.j : edge.i} * ambient_, known);
     for (int row = 0; row < d_; ++row) {
@@ -229,27 +235,27 @@ class Chordal {
           const double z = i >= 0 ? edge.rotation[k * d_ + l] : edge.rotation[l * d_ + k];
           sum += z * known[row * d_ + l];
         }
-        stage->AddRhs(std::max(i, j), row, k, weight * sum);
+        stage_.AddRhs(std::max(i, j), row, k, weight * sum);
       }
     }
   }
 
   void FindTranslations() {
-    ChordalStage stage(pattern_, d_, 1, num_threads_);
-    for (int64_t e = 0; e < graph_.num_edges(); ++e) AddTranslation(EdgeAt(e), &stage);
-    stage.Solve();
+    stage_.Clear(1);
+    for (int64_t e = 0; e < graph_.num_edges(); ++e) AddTranslation(EdgeAt(e));
+    stage_.Solve();
     for (size_t b = 0; b < pattern_.pose_of.size(); ++b) {
       double* const pose = poses_.data() + int64_t{pattern_.pose_of[b]} * ambient_;
       for (int k = 0; k < d_; ++k) {
-        pose[(d_ == 3 ? 4 : 0) + k] = stage.Solution(static_cast<int>(b), 0, k);
+        pose[(d_ == 3 ? 4 : 0) + k] = stage_.Solution(static_cast<int>(b), 0, k);
       }
     }
   }
 
   /// With T = R_i Z_R and W = T Omega_tt T^T: H_ii, H_jj += W, H_ij -= W, and W R_i z_t to the
   /// right-hand side of j, its negative to that of i.
-  void AddTranslation(const ChordalEdge& edge, ChordalStage* stage) const {
-    const int i = stage->BlockOf(edge.i), j = stage->BlockOf(edge.j);
+  void AddTranslation(const ChordalEdge& edge) {
+    const int i = stage_.BlockOf(edge.i), j = stage_.BlockOf(edge.j);
     if (i < 0 && j < 0) return;
     const int first = d_ == 3 ? 3 : 0;
     double frame[9], turned[9], half[9] = {}, weight[9] = {}, negative[9], measured[3] = {};
@@ -277,25 +283,25 @@ class Chordal {
         negative[r * d_ + c] = -weight[r * d_ + c];
       }
     }
-    if (i >= 0) stage->AddDiagonal(i, weight);
-    if (j >= 0) stage->AddDiagonal(j, weight);
-    if (i >= 0 && j >= 0) stage->AddPair(i, j, negative);
+    if (i >= 0) stage_.AddDiagonal(i, weight);
+    if (j >= 0) stage_.AddDiagonal(j, weight);
+    if (i >= 0 && j >= 0) stage_.AddPair(i, j, negative);
     const double* const t_i = TranslationOf(d_, poses_.data() + int64_t{edge.i} * ambient_);
     const double* const t_j = TranslationOf(d_, poses_.data() + int64_t{edge.j} * ambient_);
     for (int r = 0; r < d_; ++r) {
       for (int c = 0; c < d_; ++c) {
         const double w = weight[r * d_ + c];
-        if (i >= 0) stage->AddRhs(i, 0, r, w * ((j < 0 ? t_j[c] : 0) - measured[c]));
-        if (j >= 0) stage->AddRhs(j, 0, r, w * ((i < 0 ? t_i[c] : 0) + measured[c]));
+        if (i >= 0) stage_.AddRhs(i, 0, r, w * ((j < 0 ? t_j[c] : 0) - measured[c]));
+        if (j >= 0) stage_.AddRhs(j, 0, r, w * ((i < 0 ? t_i[c] : 0) + measured[c]));
       }
     }
   }
 
   const PoseGraph& graph_;
   const double* information_;
-  const int num_threads_;
   const int d_, tangent_, ambient_;
   const EdgePattern pattern_;
+  ChordalStage stage_;
   std::vector<double> poses_;
 };
 

@@ -50,7 +50,7 @@ class PoseGraphKeywords(TypedDict, total=False):
 
     backend: str  # 'auto'
     error: str  # 'log'
-    init: str  # 'file'
+    init: str  # 'lower'
     information: str  # 'file'
     loss: str  # 'trivial'
     loss_scale: float  # 1.0

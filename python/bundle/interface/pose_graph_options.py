@@ -39,12 +39,13 @@ class PoseGraphOptions(Options):
         choices=POSE_ERRORS,
     )
     init: str = option(
-        "file",
+        "lower",
         "--init",
         "start of the solve: the poses of the file, a chain of edges, a tree of edges, or the "
-        "chordal relaxation (two linear solves). auto: the start that reaches the lowest cost in a "
-        "few steps",
-        choices=("file", "odometry", "spanning_tree", "chordal", "auto"),
+        "chordal relaxation (two linear solves). lower: the chordal relaxation if it costs less "
+        "than the file's poses and there is no loss, otherwise these. auto: the start that reaches "
+        "the lowest cost in a few steps",
+        choices=("lower", "file", "odometry", "spanning_tree", "chordal", "auto"),
     )
     information: str = option(
         "file",

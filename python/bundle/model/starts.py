@@ -15,7 +15,10 @@ from bundle.errors import InputError
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["NAMES", "Start", "choose_start", "lower_start", "start_without_poses", "started"]
+__all__ = [
+    "NAMES", "Start", "choose_lower", "choose_start", "lower_start", "start_without_poses",
+    "started",
+]  # fmt: skip
 
 FEW, MORE = 5, 30
 """Numbers of solver steps after which the costs of starts are compared."""
@@ -51,7 +54,7 @@ class Start:
         poses: initial poses, in the layout of ``PoseGraph.poses``.
         init: "file", "odometry", "spanning_tree" or "chordal".
         reason: reason of the choice; "" if the user chose.
-        starts: poses of all starts by name, if several starts were compared.
+        starts: poses of the starts that were compared, by name.
     """
 
     poses: Floats
@@ -84,6 +87,32 @@ def started(graph: PoseGraph, held: NDArray[np.bool_], init: str, num_threads: i
                 f"between {graph.ids[first]} and {graph.ids[second]}; use spanning_tree"
             )
     return Start(poses=_core.initial_poses(graph, held, init, num_threads), init=init)
+
+
+def choose_lower(
+    graph: PoseGraph, held: Flags, num_threads: int, cost: Callable[[Floats], float]
+) -> Start:
+    """Return the chordal start if its cost is lower than that of the file's poses, or these.
+
+    Args:
+        graph: the graph, with the information matrices of the solve.
+        held: (n,) mask of constant poses.
+        num_threads: number of threads of the relaxation.
+        cost: function that returns the cost at poses.
+    """
+    try:
+        chordal = started(graph, held, "chordal", num_threads).poses
+    except InputError:  # its system is singular
+        return Start(poses=graph.poses, init="file")
+    starts = {"file": graph.poses, "chordal": chordal}
+    file_cost, chordal_cost = cost(graph.poses), cost(chordal)
+    if not chordal_cost < file_cost:
+        return Start(poses=graph.poses, init="file", starts=starts)
+    reason = (
+        f"The chordal start: twice its cost is {number(2 * chordal_cost)}, that of the given poses "
+        f"{number(2 * file_cost)}."
+    )
+    return Start(poses=chordal, init="chordal", reason=reason, starts=starts)
 
 
 def choose_start(graph: PoseGraph, held: Flags, doubted: Flags, options: PoseGraphOptions) -> Start:
@@ -142,7 +171,7 @@ def lower_start(
         cost: function that returns the cost for chi2 (m,).
     """
     end = float(solved["summary"]["final_cost"])
-    starts = start.starts or _starts(graph, held, options.num_threads)
+    starts = _starts(graph, held, options.num_threads, start.starts)
     others = {
         init: graph.replace(poses=poses) for init, poses in starts.items() if init != start.init
     }
@@ -182,10 +211,15 @@ def _reached(
     return cost if np.isfinite(cost) else np.inf
 
 
-def _starts(graph: PoseGraph, held: Flags, num_threads: int) -> dict[str, Floats]:
+def _starts(
+    graph: PoseGraph, held: Flags, num_threads: int, known: dict[str, Floats] | None = None
+) -> dict[str, Floats]:
     """Return the poses of every available start; the file's poses come first."""
     found = {"file": graph.poses} if graph.has_poses else {}
     for init in ("chordal", "odometry", "spanning_tree"):
+        if known is not None and init in known:
+            found[init] = known[init]
+            continue
         try:
             found[init] = started(graph, held, init, num_threads).poses
         except InputError:  # its system is singular, or the chain of odometry has a gap

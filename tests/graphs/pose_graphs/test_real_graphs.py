@@ -25,9 +25,13 @@ def load(bundle_data, name):
 def test_starts_and_optima(bundle_data, name):
     graph = load(bundle_data, name)
     start, log, g2o, ceres = TARGETS[name]
-    result = bundle.solve(graph)
+    result = bundle.solve(graph, init="file")
     np.testing.assert_allclose(result.summary.chi2_initial, start, rtol=1e-9)
     np.testing.assert_allclose(result.summary.chi2_final, log, rtol=1e-9)
+    lower = bundle.solve(graph).summary
+    assert lower.init == "chordal" and lower.chi2_initial < start
+    assert lower.chi2_final <= (1 + 1e-9) * result.summary.chi2_final
+    assert lower.num_linear_solves <= result.summary.num_linear_solves
     found = bundle.solve(graph, error="g2o").summary
     np.testing.assert_allclose(found.chi2_final, g2o, rtol=1e-9)
     found = bundle.solve(graph, error="ceres").summary
@@ -38,7 +42,7 @@ def test_starts_and_optima(bundle_data, name):
             np.testing.assert_allclose(found.chi2_final, expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("init", ["chordal", "auto"])
+@pytest.mark.parametrize("init", ["lower", "chordal", "auto"])
 def test_mit_needs_a_chordal_start(bundle_data, init):
     graph = load(bundle_data, "MIT")
     result = bundle.solve(graph, init=init)

@@ -53,6 +53,48 @@ def test_chordal_is_near_the_optimum_where_the_file_is_far(dimension):
     assert results["chordal"].summary.chi2_initial < spread.chi2_initial
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_the_default_start_is_the_lower_of_chordal_and_file(dimension):
+    graph = graphs.loop(dimension, num_poses=30, num_closures=30, noise=0.01, start_noise=2, seed=7)
+    far = bundle.solve(graph).summary
+    chordal = bundle.pose_graph_chi2(graph.replace(poses=bundle.initial_poses(graph, "chordal")))
+    assert far.init == "chordal" and far.init_choice
+    np.testing.assert_allclose(far.chi2_initial, chordal.sum(), rtol=1e-12)
+    near = bundle.solve(bundle.solve(graph).problem).summary
+    assert near.init == "file" and not near.init_choice
+    assert bundle.solve(graph, init="file").summary.init == "file"
+    for loss in ("cauchy", "gnc_tls", "auto"):  # wrong closures deform the chordal start
+        assert bundle.solve(graph, loss=loss).summary.init == "file"
+
+
+def test_the_file_is_the_start_if_the_chordal_one_is_worse_or_does_not_exist(monkeypatch):
+    graph = graphs.loop(2)
+    real = _core.initial_poses
+    moved = graph.poses + 1e3 * (np.arange(12) % 5)[:, None]
+    monkeypatch.setattr(_core, "initial_poses", lambda *_given: moved)
+    assert bundle.solve(graph).summary.init == "file"
+
+    def singular(*_given):
+        raise bundle.InputError("init: no solution")
+
+    monkeypatch.setattr(_core, "initial_poses", singular)
+    assert bundle.solve(graph).summary.init == "file"
+    calls = []
+    monkeypatch.setattr(_core, "initial_poses", lambda *g: calls.append(g[2]) or real(*g))
+    bundle.solve(graph)
+    assert sorted(calls) == ["chordal", "odometry", "spanning_tree"]  # each once
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_the_lower_start_ends_no_higher_than_the_file(dimension):
+    for seed in range(12):
+        graph = graphs.loop(
+            dimension, num_poses=25, num_closures=8, noise=0.05, start_noise=0.4, seed=seed
+        )
+        ends = [bundle.solve(graph, init=init).summary.chi2_final for init in ("lower", "file")]
+        assert ends[0] <= (1 + 1e-9) * ends[1], seed
+
+
 def test_auto_keeps_poses_that_are_good():
     graph = bundle.solve(graphs.loop(2)).problem
     summary = bundle.solve(graph, init="auto").summary
@@ -104,19 +146,19 @@ def twisted():
 
 
 def test_an_end_that_has_not_converged_is_held_against_other_starts():
-    stopped = bundle.solve(twisted(), max_num_iterations=2).summary
+    stopped = bundle.solve(twisted(), init="file", max_num_iterations=2).summary
     assert stopped.termination_type == "NO_CONVERGENCE"
     assert stopped.warning_kinds == ("better_start",)
     assert "init auto" not in bundle.solve(twisted(), init="auto").summary.warnings
     robust = bundle.solve(twisted(), max_num_iterations=2, loss="cauchy").summary
     assert robust.warning_kinds == ("better_start",)
-    assert bundle.solve(twisted(), max_num_iterations=0).summary.warning_kinds == ()
+    assert bundle.solve(twisted(), init="file", max_num_iterations=0).summary.warning_kinds == ()
 
 
 def test_after_a_slow_solve_other_starts_take_some_steps(monkeypatch):
     """Starts that are above the end themselves, and below it after few steps."""
     graph = twisted()
-    end = bundle.solve(graph).summary.chi2_final
+    end = bundle.solve(graph, init="file").summary.chi2_final
     far = {
         init: graph.poses + 1e3 * (np.arange(30) % 7)[:, None] * np.array([1, -1, 0])
         for init in ("odometry", "spanning_tree")
@@ -131,9 +173,9 @@ def test_after_a_slow_solve_other_starts_take_some_steps(monkeypatch):
     )
     for poses in far.values():
         assert bundle.pose_graph_chi2(graph.replace(poses=poses)).sum() > end
-    assert bundle.solve(graph).summary.warning_kinds == ()
+    assert bundle.solve(graph, init="file").summary.warning_kinds == ()
     monkeypatch.setattr(starts, "SLOW", 2)
-    slow = bundle.solve(graph).summary
+    slow = bundle.solve(graph, init="file").summary
     assert slow.warning_kinds == ("local_minimum",) and "from the chordal start" in slow.warnings[0]
 
 

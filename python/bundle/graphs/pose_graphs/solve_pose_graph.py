@@ -26,7 +26,7 @@ from bundle.interface.option_fields import choice
 from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
 from bundle.interface.solve_record import Progress, record_fields, with_warnings
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.model.starts import choose_start, lower_start, started
+from bundle.model.starts import Start, choose_lower, choose_start, lower_start, started
 
 __all__ = ["initial_poses", "pose_graph_chi2", "solve_consistent", "solve_pose_graph"]
 
@@ -161,6 +161,8 @@ def _refined(
     doubted = _robust_edges(graph, options)
     if options.init == "auto":
         start = choose_start(weighed, held, doubted, options)
+    elif options.init == "lower":
+        start = _lower(weighed, held, options)
     else:
         start = started(weighed, held, options.init, options.num_threads)
     started_graph = weighed.replace(poses=start.poses)
@@ -229,6 +231,21 @@ def _refined(
         **record | {"summary": summary},
     )
     return result, start.poses
+
+
+def _lower(graph: PoseGraph, held: NDArray[np.bool_], options: PoseGraphOptions) -> Start:
+    """Return the start of ``init`` "lower".
+
+    Wrong closures deform the chordal start, which has no loss, and can take it to a wrong minimum.
+    """
+    if options.loss != "trivial":
+        return started(graph, held, "file", options.num_threads)
+    return choose_lower(
+        graph,
+        held,
+        options.num_threads,
+        lambda poses: 0.5 * float(_core.edge_chi2(graph.replace(poses=poses), options.error).sum()),
+    )
 
 
 def initial_poses(graph: PoseGraph, init: str = "chordal") -> NDArray[np.float64]:
