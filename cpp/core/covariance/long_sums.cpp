@@ -12,13 +12,39 @@ namespace {
 
 using Eigen::MatrixXd;
 
+/// Products of a column of a matrix with `kColumns` following ones, in long doubles. The processor
+/// loads doubles faster than long doubles, and several sums hide the time of an addition.
+template <int kColumns>
+void MultiplyColumns(const double* x, const double* columns, Eigen::Index num_rows,
+                     long double* products) {
+  long double sums[kColumns] = {};
+  for (Eigen::Index row = 0; row < num_rows; ++row) {
+    const long double factor = x[row];
+    for (int k = 0; k < kColumns; ++k) sums[k] += factor * columns[k * num_rows + row];
+  }
+  std::copy_n(sums, kColumns, products);
+}
+
 /// Adds rows^T rows of these unknowns to the lower triangle.
 void AddSquares(const std::vector<int>& unknowns, const MatrixXd& rows, LongMatrix* sum) {
-  const LongMatrix exact = rows.cast<long double>();
-  for (Eigen::Index a = 0; a < exact.cols(); ++a) {
-    for (Eigen::Index b = 0; b <= a; ++b) {
-      const int i = unknowns[a], j = unknowns[b];
-      (*sum)(std::max(i, j), std::min(i, j)) += exact.col(a).dot(exact.col(b));
+  constexpr int kAtOnce = 4;
+  for (Eigen::Index a = 0; a < rows.cols(); ++a) {
+    const double* const x = rows.col(a).data();
+    for (Eigen::Index first = 0; first <= a; first += kAtOnce) {
+      const auto count = static_cast<int>(std::min<Eigen::Index>(kAtOnce, a + 1 - first));
+      const double* const columns = rows.col(first).data();
+      long double products[kAtOnce];
+      if (count == kAtOnce) {
+        MultiplyColumns<kAtOnce>(x, columns, rows.rows(), products);
+      } else {
+        for (int k = 0; k < count; ++k) {
+          MultiplyColumns<1>(x, columns + k * rows.rows(), rows.rows(), products + k);
+        }
+      }
+      for (int k = 0; k < count; ++k) {
+        const int i = unknowns[a], j = unknowns[first + k];
+        (*sum)(std::max(i, j), std::min(i, j)) += products[k];
+      }
     }
   }
 }
