@@ -32,17 +32,19 @@ class Child:
     peak_memory: int
 
 
-def environment(root: Path, threads: int) -> dict[str, str]:
+def environment(root: Path, threads: int | None) -> dict[str, str]:
     """Return the environment of every child: same threads, ``benchmarks`` importable.
 
+    Without a number of threads, no variable names one, as in the shell of most users.
     Modules keep their bytecode, as those of an installed package do: pip compiles pycolmap's, and
     would compile ours.
     """
     paths = [str(root), os.environ.get("PYTHONPATH", "")]
-    inherited = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    without = ("PYTHONDONTWRITEBYTECODE", *_THREAD_VARIABLES)
+    inherited = {k: v for k, v in os.environ.items() if k not in without}
     return {
         **inherited,
-        **{name: str(threads) for name in _THREAD_VARIABLES},
+        **({} if threads is None else {name: str(threads) for name in _THREAD_VARIABLES}),
         "PYTHONPATH": os.pathsep.join(path for path in paths if path),
     }
 

@@ -104,12 +104,13 @@ def run_whole(
     chosen: list[BenchmarkProblem], options: argparse.Namespace, folder: Path
 ) -> dict[str, dict[str, list[dict[str, Any]]]]:
     """Run the whole processes, interleaved; the last run of each also has its output's cost."""
-    env = measure.environment(problems.ROOT, options.threads)
+    env = measure.environment(problems.ROOT, None)  # each command is told its threads
     results: dict[str, dict[str, list[dict[str, Any]]]] = {}
     outputs: list[tuple[dict[str, Any], Path, str]] = []
     for problem in chosen:
         results[problem.name] = {whole.OURS: [], whole.THEIRS: []}
-        for repeat in range(options.repeat):
+        repeats = options.repeat if problem.kind == "bal" else max(options.repeat, whole.REPEATS)
+        for repeat in range(repeats):
             target = folder / f"{problem.name}-{repeat}"
             target.mkdir()
             for name, job in whole.jobs(problem, series.STOPPING, options.threads, target).items():
@@ -117,7 +118,7 @@ def run_whole(
                 results[problem.name][name].append(run)
                 said = run["failure"] or f"{run['wall']:.2f} s"
                 print(f"{problem.name}: {name}, run {repeat + 1}: {said}", file=sys.stderr)
-                if repeat == options.repeat - 1 and not run["failure"]:
+                if repeat == repeats - 1 and not run["failure"]:
                     outputs.append((run, job.output, problem.kind))
     for run, output, kind in outputs:
         run["final_cost"] = whole.final_cost(output, kind)

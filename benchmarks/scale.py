@@ -134,7 +134,7 @@ def measure(num_observations: int, max_steps: int, folder: Path, *, keep: bool) 
 
 def _run(arguments: Sequence[str]) -> Child:
     command = [sys.executable, "-c", COMMAND, *arguments]
-    child = run_child(command, environment(ROOT, 0), _TIMEOUT)
+    child = run_child(command, environment(ROOT, None), _TIMEOUT)
     if child.failure:
         raise RuntimeError(f"bundle {arguments[0]}: {child.failure}")
     return child

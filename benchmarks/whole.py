@@ -12,6 +12,8 @@ from benchmarks.measure import Spread, run_child
 from benchmarks.problems import ROOT, BenchmarkProblem
 
 OURS, THEIRS = "bundle refine", "pycolmap script"
+REPEATS = 11
+"""Runs of a COLMAP model, at least: a few tenths of a second, which scatter more than a solve."""
 # What the installed command runs, without asking where it is installed.
 COMMAND = "import sys; from bundle.__main__ import run; sys.exit(run())"
 

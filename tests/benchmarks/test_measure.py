@@ -84,3 +84,8 @@ def test_every_library_gets_the_same_threads(tmp_path):
     env = environment(tmp_path, 3)
     assert {env[f"{name}_NUM_THREADS"] for name in ("OMP", "OPENBLAS", "MKL")} == {"3"}
     assert env["PYTHONPATH"].split(os.pathsep)[0] == str(tmp_path)
+
+
+def test_a_whole_process_chooses_its_own_threads(tmp_path, monkeypatch):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
+    assert not [name for name in environment(tmp_path, None) if name.endswith("_NUM_THREADS")]

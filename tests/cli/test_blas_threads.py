@@ -73,10 +73,11 @@ def test_a_time_of_the_user_stays(name):
     assert seen["numpy"] == {name: "24", "OPENBLAS_NUM_THREADS": "1"}
 
 
-def test_an_empty_variable_of_the_user_is_restored():
-    seen, _ = loaded(OPENBLAS_NUM_THREADS="")
+@pytest.mark.parametrize("value", ["", "0"])
+def test_a_variable_without_a_number_is_restored(value):
+    seen, _ = loaded(OPENBLAS_NUM_THREADS=value)
     assert seen["numpy"]["OPENBLAS_NUM_THREADS"] == "1"
-    assert seen["child"] == {"OPENBLAS_NUM_THREADS": ""}
+    assert seen["child"] == {"OPENBLAS_NUM_THREADS": value}
 
 
 def test_another_program_keeps_its_own_threads():

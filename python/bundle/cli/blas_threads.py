@@ -51,7 +51,9 @@ def load_numpy() -> None:
 
 
 def _unless_set(variables: Mapping[str, str], by_user: tuple[str, ...]) -> Mapping[str, str]:
-    return {} if any(os.environ.get(name) for name in by_user) else variables
+    # OpenBLAS takes 0 for unset.
+    is_set = any(os.environ.get(name, "").strip() not in ("", "0") for name in by_user)
+    return {} if is_set else variables
 
 
 def _load(module: str, variables: Mapping[str, str]) -> None:

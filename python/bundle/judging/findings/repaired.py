@@ -5,8 +5,8 @@ small makes focal lengths differ, wrong positions pull images away. So the tests
 stage finds a fault, the model is solved again from its present values as the command of the finding
 says (a cauchy loss, a larger lens model, no positions), and the next stage looks at that model. It
 reports faults of the original only. If the robust solve does not converge, the fault has destroyed
-the model, and no later stage can be trusted. That of a larger lens begins at a minimum and looks for
-large changes only: it may end at a cost that is 1e-4 too high, in a third of the steps.
+the model, and no later stage can be trusted. That of a larger lens begins at a minimum and serves
+tests for large changes: it may end at a cost that is 1e-4 too high, in a third of the steps.
 
 The second solve takes about as long as the first. It is made for models of at most 50,000
 observations and 100 images; of larger ones, later stages look at the model itself, without the
