@@ -47,7 +47,7 @@ void SpinWait::Once() {
   }
 }
 
-ThreadPool::ThreadPool(int num_threads) {
+ThreadPool::ThreadPool(int num_threads) : claimed_(std::max(1, num_threads)) {
   try {
     workers_.reserve(std::max(0, num_threads - 1));
     for (int thread = 1; thread < num_threads; ++thread) {
@@ -78,8 +78,19 @@ void ThreadPool::Run(const std::function<void(int thread)>& work) {
     wake_.notify_all();
   }
   Work(work, 0);
+  const int64_t generation = generation_.load(std::memory_order_relaxed);
+  for (int thread = 1; thread < num_threads(); ++thread) {
+    if (!Claim(thread, generation)) continue;
+    Work(work, thread);
+    unfinished_.fetch_sub(1, std::memory_order_relaxed);
+  }
   for (SpinWait wait; unfinished_.load(std::memory_order_acquire) > 0;) wait.Once();
   first_exception_.Rethrow();
+}
+
+bool ThreadPool::Claim(int thread, int64_t generation) {
+  int64_t previous = generation - 1;  // each run's work of each thread is claimed
+  return claimed_[thread].compare_exchange_strong(previous, generation, std::memory_order_acq_rel);
 }
 
 void ThreadPool::Work(const std::function<void(int thread)>& work, int thread) {
@@ -105,6 +116,7 @@ void ThreadPool::WorkerLoop(int thread) {
     }
     if (generation < 0) return;
     seen = generation;
+    if (!Claim(thread, generation)) continue;
     Work(*work_, thread);
     unfinished_.fetch_sub(1, std::memory_order_release);
   }

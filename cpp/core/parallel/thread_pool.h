@@ -65,6 +65,9 @@ void ParallelFor(int64_t count, int num_threads, const Function& function,
 
 /// Threads with the lifetime of a solve. A pass of a small problem takes less time than starting a
 /// thread, so they wait actively for the next pass for a while.
+///
+/// The caller waits only for threads that have started: it does the work of the others itself. On a
+/// loaded machine a thread may get a core milliseconds later, when its share has long been done.
 class ThreadPool {
  public:
   /// Has fewer threads if the system cannot start as many.
@@ -75,14 +78,19 @@ class ThreadPool {
 
   int num_threads() const { return static_cast<int>(workers_.size()) + 1; }
 
-  /// Calls work(thread) once on each thread, where the caller's is thread 0, and waits for all.
-  /// If any call threw, then throws the earliest exception. The pool can run again afterwards.
+  /// Calls work(thread) once for each thread, where the caller's is thread 0, and waits for all.
+  /// The caller's thread also makes the calls that no other thread has started when its own has
+  /// ended, so a call must not wait for another one to start. If any call threw, then throws the
+  /// earliest exception. The pool can run again afterwards.
   void Run(const std::function<void(int thread)>& work);
 
  private:
   void WorkerLoop(int thread);
+  /// True for the first caller in a run: only that one may do the work of the thread.
+  bool Claim(int thread, int64_t generation);
   void Work(const std::function<void(int thread)>& work, int thread);
 
+  std::vector<std::atomic<int64_t>> claimed_;  ///< by thread: latest run whose work was started
   std::vector<std::thread> workers_;
   const std::function<void(int)>* work_ = nullptr;
   std::atomic<int64_t> generation_{0};  ///< number of runs; -1 ends the threads

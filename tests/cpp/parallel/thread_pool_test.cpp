@@ -3,9 +3,11 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
+#include <chrono>
 #include <new>
 #include <stdexcept>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "support/no_threads.h"
@@ -33,6 +35,34 @@ TEST(ThreadPool, ThrowsWhatAThreadThrewAndRunsAgain) {
     EXPECT_EQ(ran, 4);
   }
   EXPECT_THROW(pool.Run([](int) { throw std::bad_alloc(); }), std::bad_alloc);
+}
+
+TEST(ThreadPool, CallsTheWorkOfEachThreadOnce) {
+  for (const int num_threads : {1, 2, 3, 8}) {
+    ThreadPool pool(num_threads);
+    std::vector<int> calls(num_threads, 0);
+    for (int run = 0; run < 5000; ++run) {
+      pool.Run([&](int thread) {
+        EXPECT_EQ(calls[thread], run);
+        ++calls[thread];
+      });
+    }
+    EXPECT_EQ(calls, std::vector<int>(num_threads, 5000));
+  }
+}
+
+TEST(ThreadPool, DoesNotWaitForAThreadThatHasNotStarted) {
+  ThreadPool pool(2);
+  bool is_by_caller = false;
+  for (int run = 0; run < 1000 && !is_by_caller; ++run) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));  // then the other thread sleeps
+    std::thread::id by;
+    pool.Run([&](int thread) {
+      if (thread == 1) by = std::this_thread::get_id();
+    });
+    is_by_caller = by == std::this_thread::get_id();
+  }
+  EXPECT_TRUE(is_by_caller);
 }
 
 TEST(ThreadPool, MakesDoWithTheThreadsThereAre) {
