@@ -120,6 +120,7 @@ OPTIONS = {
     **dict.fromkeys(("max_num_iterations", "num_threads"), OF_A_COUNT),
     "function_tolerance": tuple(value for value in OF_A_NUMBER if value != "2**70"),
     "loss_scale": OF_A_NUMBER,
+    "initial_trust_region_radius": OF_A_NUMBER,
     **dict.fromkeys(("gradient_tolerance", "parameter_tolerance"), ("nan", "word", "-1")),
     **dict.fromkeys(("backend", "loss", "gauge"), OF_A_WORD),
     **dict.fromkeys(

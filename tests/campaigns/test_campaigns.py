@@ -16,6 +16,8 @@ from tests.campaigns import (
     jobs,
     kills,
     mutants,
+    step_problems,
+    steps,
     two_loops,
 )
 
@@ -91,3 +93,26 @@ def test_two_loops(monkeypatch):
         late = two_loops.lateness(1.1, solver) if solver else two_loops.lateness(0.05, None)
         assert np.isfinite(late).all()
         assert len(late) == (220 if solver else 10)
+
+
+def test_rules_of_the_radius():
+    """Ceres' rule takes Ceres' steps; good steps let others grow, bad steps lead back to it."""
+    cases = [step_problems.draw(seed) for seed in (12, 24, 31, 58)]
+    found = steps.campaign(cases, ("1e4", "threefold", "trusting"))
+    for by in found.values():
+        one, other = by["1e4"], by["threefold"]
+        assert one.converged
+        assert abs(one.num_steps - other.num_steps) <= 1
+        np.testing.assert_allclose(other.costs[-1], one.costs[-1], rtol=1e-5)
+        assert by["trusting"].costs[-1] <= one.costs[-1] * (1 + 1e-5)
+    row = steps.comparison(found, "1e4")
+    assert row[2:] == ["1.00", "1.00", "0", "0", "0.0e+00", "0"]
+    rule = steps.Trusting()
+    rule.accepted(0.99)
+    assert rule.radius == 30 * 3e4
+    rule.rejected()
+    assert rule.radius == 3e4
+    rule.accepted(0.99)
+    assert rule.radius == 9e4
+    rule.rejected()
+    assert rule.radius == 4.5e4

@@ -181,6 +181,7 @@ def test_every_flag_reaches_the_solve(run, model, tmp_path, monkeypatch):
         linear_solver_ordering="automatic",
         preconditioner_type="schur_jacobi",
         trust_region_strategy_type="subspace_dogleg",
+        initial_trust_region_radius=1e3,
         loss="soft_l1",
         loss_scale=2.5,
         max_num_iterations=7,
@@ -217,6 +218,7 @@ def test_every_flag_reaches_the_solve(run, model, tmp_path, monkeypatch):
         "points,focal", "--fix-cameras", "2,0", "--fix-images", 1, "--fix-points", "3-5, 9,4",
         "--gauge", "three-points", "--cheirality", "zero", "--no-check-solution",
         "--refine-sensor-from-rig", "--fix-sensors", "1:2,1:3",
+        "--initial-trust-region-radius", "1e3",
     )  # fmt: skip
     assert code == 0, err
     assert seen == [wanted]
@@ -245,6 +247,24 @@ def test_exit_codes_and_what_is_saved(run, model, tmp_path, monkeypatch, changes
     told = run("refine", model, "-o", output, "--json", "-", "--quiet")
     assert (told.err == "") == (code == 0)
     assert json.loads(told.out)["summary"]["message"] == fakes.summary(**changes).message
+
+
+def test_the_initial_radius_is_used_and_reported(run, model, tmp_path, backend):
+    report = tmp_path / "report.json"
+    radius = ("--initial-trust-region-radius", "1e6")
+    code, _, _ = run(
+        *("refine", model, "-o", tmp_path / "out.txt", "--json", report, "--backend", backend),
+        *radius,
+    )
+    assert code == 0
+    written = json.loads(report.read_text())
+    assert written["options"]["initial_trust_region_radius"] == 1e6
+    assert written["iterations"][0]["trust_region_radius"] == 1e6
+    for wrong in ("0", "nan", "2e16"):
+        code, _, err = run("refine", model, "-o", tmp_path / "no.txt", radius[0], wrong)
+        assert (code, err.count("\n")) == (2, 1)
+        assert radius[0] in err
+    assert not (tmp_path / "no.txt").exists()
 
 
 def test_hopeless_problem_ends_with_a_sentence(run, tmp_path):

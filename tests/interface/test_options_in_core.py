@@ -22,7 +22,6 @@ STRUCT = {
         HEADER[HEADER.index("struct SolveOptions") :].partition("};")[0],
         re.MULTILINE,
     )
-    if name not in {"initial_trust_region_radius"}  # of pose graphs alone, by their strategy
 }
 # Enumeration -> {value as Python names it: enumerator}.
 ENUMERATIONS = {

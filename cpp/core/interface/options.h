@@ -93,7 +93,7 @@ struct SolveOptions {
   EliminationOrdering linear_solver_ordering = EliminationOrdering::kPointsFirst;
   PreconditionerType preconditioner_type = PreconditionerType::kAuto;
   TrustRegionStrategy trust_region_strategy_type = TrustRegionStrategy::kLevenbergMarquardt;
-  double initial_trust_region_radius = 1e4;  ///< not a user option; 1e16 is Gauss-Newton
+  double initial_trust_region_radius = 1e4;
   LossType loss = LossType::kTrivial;
   double loss_scale = 1.0;  ///< pixels
   int max_num_iterations = 100;
@@ -133,6 +133,7 @@ void VisitOptions(const Visitor& visit) {
   visit(kNever, "preconditioner_type", &Options::preconditioner_type, kPreconditionerTypes);
   visit(kNever, "trust_region_strategy_type", &Options::trust_region_strategy_type,
         kTrustRegionStrategies);
+  visit(kBetweenSolves, "initial_trust_region_radius", &Options::initial_trust_region_radius);
   visit(kBetweenSolves, "loss", &Options::loss, kLossTypes);
   visit(kBetweenSolves, "loss_scale", &Options::loss_scale);
   visit(kBetweenSolves, "max_num_iterations", &Options::max_num_iterations);
@@ -161,8 +162,8 @@ void VisitRefine(const Visitor& visit) {
   visit("extra", &SolveOptions::refine_extra);
 }
 
-/// Copies the options that may differ from one solve of a Solver to the next: the loss, the
-/// stopping rules, and the checks after the solve.
+/// Copies the options that may differ from one solve of a Solver to the next: the radius at the
+/// start, the loss, the stopping rules, and the checks after the solve.
 inline void CopyChangeable(const SolveOptions& from, SolveOptions* to) {
   VisitOptions([&](Change change, const char* /*name*/, auto member, const auto&... /*choices*/) {
     if (change == Change::kBetweenSolves) to->*member = from.*member;

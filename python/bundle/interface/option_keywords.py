@@ -26,6 +26,7 @@ class SolveKeywords(TypedDict, total=False):
     linear_solver_ordering: str  # 'points_first'
     preconditioner_type: str  # 'auto'
     trust_region_strategy_type: str  # 'levenberg_marquardt'
+    initial_trust_region_radius: float  # 10000.0
     loss: str  # 'trivial'
     loss_scale: float  # 1.0
     max_num_iterations: int  # 100

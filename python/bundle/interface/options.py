@@ -46,6 +46,8 @@ AUTO_PRECONDITIONER = {
     ("ceres", "cgnr"): "jacobi",
 }
 TRUST_REGION_STRATEGIES = ("levenberg_marquardt", "dogleg", "subspace_dogleg")
+LARGEST_RADIUS = 1e16
+"""Largest trust region radius of both backends, with negligible damping."""
 LOSSES = ("trivial", "huber", "soft_l1", "cauchy", "arctan", "tukey")
 SENSORS = "sensor_from_rig"
 """Additional name in ``refine``, for ``refine_sensor_from_rig``."""
@@ -120,6 +122,17 @@ class SolveOptions(Options):
         "--trust-region",
         "trust region strategy",
         choices=TRUST_REGION_STRATEGIES,
+    )
+    initial_trust_region_radius: float = option(
+        1e4,
+        "--initial-trust-region-radius",
+        "trust region radius of the first step: the reciprocal of Levenberg-Marquardt's damping, "
+        "or the length of a dogleg's step, both relative to the columns of the Jacobian. A good "
+        "start needs fewer steps with 1e6, a bad start may need more or end at a higher cost",
+        above=0.0,
+        maximum=LARGEST_RADIUS,
+        metavar="X",
+        only_with=("trust_region_strategy_type", TRUST_REGION_STRATEGIES),
     )
     loss: str = option("trivial", "--loss", "robust loss of a reprojection error", choices=LOSSES)
     loss_scale: float = option(

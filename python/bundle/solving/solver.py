@@ -144,9 +144,9 @@ class Solver(Displayed):
                 the constructor. Its poses, camera parameters, points and observed pixels may
                 differ; all other inputs of a solve must be the same.
             progress: as in :func:`bundle.solve`.
-            **changes: options for this solve only: ``loss``, ``loss_scale``,
-                ``max_num_iterations``, ``function_tolerance``, ``gradient_tolerance``,
-                ``parameter_tolerance``, ``check_solution``.
+            **changes: options for this solve only: ``initial_trust_region_radius``, ``loss``,
+                ``loss_scale``, ``max_num_iterations``, ``function_tolerance``,
+                ``gradient_tolerance``, ``parameter_tolerance``, ``check_solution``.
 
         Raises:
             InputError: the problem has another structure, a camera parameter is not within its

@@ -254,6 +254,25 @@ def test_another_input_is_refused(scene, stopped, change):
         bundle.solve_rounds(change(scene), OPTIONS, resume=stopped, checkpoint_interval=2, **ROUNDS)
 
 
+def test_a_file_without_an_option_was_written_with_its_default(scene, stopped, tmp_path):
+    """As a version wrote it that did not have the option."""
+    with np.load(stopped) as archive:
+        arrays = dict(archive)
+    meta = json.loads(arrays["meta"].tobytes())
+    del meta["fingerprint"]["initial_trust_region_radius"]
+    arrays["meta"] = np.frombuffer(json.dumps(meta).encode(), np.uint8)
+    older = tmp_path / "older.npz"
+    np.savez(older, **arrays)
+    settings = {**ROUNDS, "checkpoint_interval": 2}
+    expected = bundle.solve_rounds(scene, OPTIONS, resume=stopped, **settings)
+    assert equal(
+        bundle.solve_rounds(scene, OPTIONS, resume=older, **settings).problem, expected.problem
+    )
+    changed = OPTIONS.replace(initial_trust_region_radius=1e6)
+    with pytest.raises(bundle.InputError, match=r"^initial_trust_region_radius: "):
+        bundle.solve_rounds(scene, changed, resume=older, **settings)
+
+
 def test_points_have_their_places_and_observations_none(scene):
     """Coordinates in a checkpoint go by index; a solve needs no order of what it sees."""
     assert digest(renumbered(scene)) != digest(scene)

@@ -28,12 +28,12 @@ def source(request, tmp_path_factory):
 
 
 def refined(source, output, num_ranks, keep=None, **given):
-    """Refine; `keep` = (checkpoint, copy) copies the checkpoint as it is at iteration 4."""
+    """Refine; `keep` = (checkpoint, copy) copies the checkpoint as it is at iteration 3."""
     crew = ThreadCrew(num_ranks)
     sliced = SlicedRefinement(crew, source)
 
     def progress(record):
-        if record["iteration"] == 4 and keep is not None:
+        if record["iteration"] == 3 and keep is not None:
             shutil.copy(*keep)
 
     flags = {name: given.pop(name) for name in ("checkpoint", "resume") if name in given}
@@ -61,7 +61,7 @@ def test_a_killed_run_ends_where_the_others_do(source, tmp_path):
     (whole := tmp_path / "whole").mkdir()
     file, copy = tmp_path / "run.npz", tmp_path / "copy.npz"
     first = refined(source, out / name, 3, checkpoint=file, keep=(file, copy))
-    assert len(first.iterations["cost"]) > 5
+    assert len(first.iterations["cost"]) > 4
     second = refined(source, again / name, 3, resume=copy)
     begun = second.initial_problem.cam_from_world
     np.testing.assert_array_equal(begun, bundle.load(source).cam_from_world)
@@ -89,7 +89,7 @@ def test_an_interrupted_run_goes_on(source, tmp_path):
     expected = refined(source, tmp_path / "whole" / name, 2, checkpoint=tmp_path / "whole.npz")
 
     def stop(record):
-        if record["iteration"] == 4:
+        if record["iteration"] == 3:
             raise KeyboardInterrupt
 
     crew = ThreadCrew(2)

@@ -15,7 +15,7 @@ from bundle import Problem
 from bundle.model.losses import evaluate_loss
 from bundle.model.reprojection import Linearization, linearize
 
-RADIUS, SMALLEST_RADIUS, LARGEST_RADIUS = 1e4, 1e-32, 1e16
+SMALLEST_RADIUS, LARGEST_RADIUS = 1e-32, 1e16
 SMALLEST_DIAGONAL, LARGEST_DIAGONAL = 1e-6, 1e32
 SMALLEST_RELATIVE_DECREASE = 1e-3
 
@@ -93,6 +93,7 @@ def solve(
     function_tolerance=1e-6,
     gradient_tolerance=1e-10,
     parameter_tolerance=1e-8,
+    initial_trust_region_radius=1e4,
 ):
     """Refine everything but principal points with the Jacobians that `lie` makes of the true ones.
 
@@ -112,7 +113,7 @@ def solve(
     x = chart.start()
     cost, residual, jacobian = evaluate(x, True)
     scale = 1 / (1 + np.sqrt((jacobian**2).sum(axis=0)))
-    radius, shrink = RADIUS, 2.0
+    radius, shrink = initial_trust_region_radius, 2.0
 
     def record(iteration, **changes):
         return {

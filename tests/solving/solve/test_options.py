@@ -52,6 +52,8 @@ def test_ids_are_sorted_and_unique():
         ("loss_scale", 0, "loss_scale: expected more than 0, found 0"),
         ("loss_scale", float("nan"), "loss_scale: expected a finite number, found nan"),
         ("loss_scale", "wide", "loss_scale: expected a finite number, found 'wide'"),
+        ("initial_trust_region_radius", 0, "initial_trust_region_radius: expected more than 0"),
+        ("initial_trust_region_radius", 2e16, "initial_trust_region_radius: expected at most 1e"),
         ("max_num_iterations", -1, "max_num_iterations: expected at least 0, found -1"),
         ("max_num_iterations", 2.5, "max_num_iterations: expected a whole number, found 2.5"),
         ("max_num_iterations", 2**31, "max_num_iterations: expected at most 2147483647"),

@@ -201,6 +201,7 @@ def test_options_that_may_change_do():
     solver = bundle.Solver(problem, backend="fused")
     for changes in (
         {"loss": "huber", "loss_scale": 0.3},
+        {"initial_trust_region_radius": 1.0},
         {"max_num_iterations": 2},
         {"function_tolerance": 1e-2},
         {"gradient_tolerance": 1e3},
@@ -222,7 +223,9 @@ def test_options_that_lay_out_the_solver_do_not(name, value):
     solver = bundle.Solver(scenes.make_problem(), num_threads=0, backend="fused")
     if getattr(solver.options, name) == value:
         pytest.skip("already so")
-    with pytest.raises(bundle.InputError, match=f"^{name}: expected one of loss, "):
+    with pytest.raises(
+        bundle.InputError, match=f"^{name}: expected one of initial_trust_region_radius, "
+    ):
         solver.solve(**{name: value})
     with pytest.raises(bundle.InputError, match="max_num_iteration"):
         solver.solve(max_num_iteration=3)

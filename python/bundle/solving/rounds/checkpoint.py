@@ -32,7 +32,11 @@ from bundle.model.problem import Problem
 from bundle.solving.prepare import STATE, Prepared
 from bundle.solving.result import Result
 from bundle.solving.round_record import Round
-from bundle.solving.rounds.input_digest import digest_of_fields, fingerprint_of_run
+from bundle.solving.rounds.input_digest import (
+    digest_of_fields,
+    fingerprint_of_options,
+    fingerprint_of_run,
+)
 from bundle.solving.rounds.run_state import State
 
 if TYPE_CHECKING:
@@ -158,7 +162,8 @@ def read_by(
         InputError, OSError: for the reasons of :func:`read`.
     """
     meta, arrays = _open(path)
-    saved = meta["fingerprint"]
+    # Options that are newer than the file have their defaults.
+    saved = {**fingerprint_of_options(SolveOptions()), **meta["fingerprint"]}
     if meta["schema"] == SCHEMA_OF_PICKLES:
         saved |= _redigested(path, saved)
     _compare(path, saved, fingerprint)

@@ -3,13 +3,14 @@
 The state of a solver contains more than the values of its problem: the trust region radius, the
 chart of each rotation, and the scaling of the columns. A solve that restarts from saved values
 therefore takes different steps. For this reason a run that can be resumed always solves in
-segments: after every ``interval`` iterations the solver restarts from the values alone, which the
-checkpoint holds. A killed and resumed run then does the same solves from the same values as an
-uninterrupted run.
+segments: after every ``interval`` iterations the solver restarts from the values and the radius,
+which the checkpoint holds. A killed and resumed run then does the same solves from the same values
+as an uninterrupted run.
 
-Up to the tolerances, both runs end at the same minimum as a single solve. A restart costs the
-set-up and a few steps, because the radius restarts at Ceres' default. With cheirality "zero" every
-segment, like every round, determines again which observations are behind their camera.
+Up to the tolerances, both runs end at the same minimum as a single solve, after about as many
+steps: a restart costs the set-up. With cheirality "zero" every segment, like every round,
+determines again which observations are behind their camera. A round starts at the initial radius
+of its options, because the filter changed the cost.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle.interface.options import SolveOptions
+from bundle.interface.options import LARGEST_RADIUS, SolveOptions
 from bundle.interface.solve_record import Progress
 from bundle.interface.summary import Summary
 from bundle.model.problem import Problem
@@ -29,6 +30,8 @@ from bundle.solving.result import Result
 
 __all__ = ["join", "num_steps", "solve_in_segments"]
 
+OF_A_SEGMENT = ("max_num_iterations", "initial_trust_region_radius")
+"""Options that differ from segment to segment."""
 COUNTS = ("num_residual_evaluations", "num_jacobian_evaluations", "num_linear_solves")
 
 
@@ -56,9 +59,12 @@ def solve_in_segments(
     while True:
         done = 0 if so_far is None else num_steps(so_far)
         length = min(interval, options.max_num_iterations - done)
+        changes: dict[str, Any] = {"max_num_iterations": length}
+        if so_far is not None:
+            changes["initial_trust_region_radius"] = _last_radius(so_far)
         segment = solve(
             problem,
-            options.replace(max_num_iterations=length),
+            options.replace(**changes),
             progress if so_far is None else _counting_on(progress, so_far),
         )
         problem = segment.problem
@@ -71,11 +77,14 @@ def solve_in_segments(
             and num_steps(so_far) < options.max_num_iterations
         )
         if not goes_on:
-            limit = options.max_num_iterations
-            return dataclasses.replace(
-                so_far, options=so_far.options.replace(max_num_iterations=limit)
-            )
+            given = {name: getattr(options, name) for name in OF_A_SEGMENT}
+            return dataclasses.replace(so_far, options=so_far.options.replace(**given))
         save(so_far)
+
+
+def _last_radius(result: Result) -> float:
+    """Return the radius with which the solver would have continued."""
+    return min(float(result.iterations["trust_region_radius"][-1]), LARGEST_RADIUS)
 
 
 def num_steps(result: Result) -> int:
