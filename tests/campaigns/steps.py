@@ -1,6 +1,6 @@
 """Steps to the minimum, for several rules of the trust region radius.
 
-BUNDLE_DATA=... python -m tests.campaigns.steps COUNT OUTPUT.jsonl
+BUNDLE_DATA=... python -m tests.campaigns.steps COUNT OUTPUT.jsonl [FIRST_SEED]
 
 COUNT seeded problems (step_problems.py) and, with BUNDLE_DATA, every real one are solved at the
 default tolerances: by Ceres' rule, from other initial radii, and by rules that trust good steps
@@ -10,16 +10,19 @@ command. The table compares each rule with Ceres'.
 A step costs a linear solve; the step that meets a tolerance counts, although it is not taken. The
 time of a step does not depend on its damping, so that ratios of steps are ratios of time. Rules
 other than an initial radius are solves of one iteration each by a :class:`bundle.Solver`, whose
-initial radius the rule chooses. The rules are
+initial radius the rule chooses. Each restart decides again which observations count, so that these
+rules are compared with "threefold", Ceres' rule by restarts. With t, the quality of a step (actual
+over predicted decrease):
 
 - threefold: Ceres' rule (cpp/core/minimize/levenberg_marquardt.cpp).
-- hundredfold: R becomes 100 R after a step with |1 - t| < 0.1, where t is the quality of the step
-  (actual over predicted decrease); otherwise as threefold.
+- hundredfold: R becomes 100 R after a step with |1 - t| < 0.1; otherwise as threefold.
 - trusting: R = b R_c, where R_c follows Ceres' rule and the boost b starts at 1. A step with
   |1 - t| < 0.03 multiplies b by 30. After a step with |1 - t| > 1/4, b does not grow any more. A
   rejected step ends the trust, too: b = 1 again, so that the next step is that of R_c.
-- damped end: trusting with b R_c <= 1e7, and a boosted step that meets the tolerance after the
-  trust has ended is not the end: the solve continues with R_c.
+- last step: trusting; and a step that changes the cost by 1e-7 to 1e-6 of it, which meets the
+  tolerance, is taken before the solve ends. It ends there only if |1 - t| < 1/4.
+- gradual: last step, but a rejected step divides b by 30.
+- cautious: gradual, if the first step has |1 - t| < 0.03; otherwise b stays 1.
 
 All depend on t alone, so that neither units, nor the scale of the scene, nor the order of images
 and points matters.
@@ -45,12 +48,15 @@ MAX_STEPS = 100
 LARGEST_RADIUS = 1e16
 CLOSE = 1e-5  # relative distance from the best known cost
 WORSE = 1e-7
+TOLERANCE = 1e-6
+POOR = 0.25
+GROWTH = 30
 
 
 class Threefold:
     """Ceres' rule."""
 
-    boost = 1.0
+    boost, takes_last = 1.0, False
 
     def __init__(self) -> None:
         self.calm, self._shrink = 1e4, 2.0
@@ -70,10 +76,6 @@ class Threefold:
         self.calm /= self._shrink
         self._shrink *= 2
 
-    def goes_on(self) -> bool:
-        """Return whether to continue although a tolerance is met."""
-        return False
-
 
 class Hundredfold(Threefold):
     """A hundredfold radius after good steps."""
@@ -89,8 +91,6 @@ class Hundredfold(Threefold):
 class Trusting(Threefold):
     """A boost of Ceres' radius, until a step disappoints."""
 
-    limit, ends_calmly = LARGEST_RADIUS, False
-
     def __init__(self) -> None:
         super().__init__()
         self._trusts = True
@@ -99,10 +99,9 @@ class Trusting(Threefold):
         """Boost more, or no more."""
         super().accepted(quality)
         error = abs(1 - quality)
-        self._trusts = self._trusts and error <= 0.25
+        self._trusts = self._trusts and error < POOR
         if self._trusts and error < 0.03:
-            self.boost *= 30
-        self.boost = max(1.0, min(self.boost, self.limit / self.calm))
+            self.boost *= GROWTH
 
     def rejected(self) -> None:
         """Return to Ceres' radius."""
@@ -111,18 +110,30 @@ class Trusting(Threefold):
             super().rejected()
         self.boost = 1.0
 
-    def goes_on(self) -> bool:
-        """Continue with Ceres' radius after a loss of trust."""
-        if not self.ends_calmly or self._trusts or self.boost == 1:
-            return False
-        self.boost = 1.0
-        return True
+
+class LastStep(Trusting):
+    """As Trusting, with the step that meets the tolerance."""
+
+    takes_last = True
 
 
-class DampedEnd(Trusting):
-    """As Trusting, with a limit, and a calm end."""
+class Gradual(LastStep):
+    """As LastStep, but trust ends gradually."""
 
-    limit, ends_calmly = 1e7, True
+    def rejected(self) -> None:
+        """Return to the boost before the last step that was taken."""
+        boost = max(1.0, self.boost / GROWTH)
+        super().rejected()
+        self.boost = boost
+
+
+class Cautious(Gradual):
+    """As Gradual, if the first step is good."""
+
+    def accepted(self, quality: float) -> None:
+        """Boost only after a good start."""
+        super().accepted(quality)
+        self._trusts = self._trusts and self.boost > 1
 
 
 RULES: dict[str, Callable[[], Threefold] | float] = {
@@ -132,10 +143,16 @@ RULES: dict[str, Callable[[], Threefold] | float] = {
     "threefold": Threefold,
     "hundredfold": Hundredfold,
     "trusting": Trusting,
-    "damped end": DampedEnd,
+    "last step": LastStep,
+    "gradual": Gradual,
+    "cautious": Cautious,
 }
 """An initial radius under Ceres' rule, or a rule."""
-REFERENCE = "1e4"
+
+
+def reference_of(rule: str) -> str:
+    """Return the name of Ceres' rule, executed like a rule."""
+    return "threefold" if callable(RULES[rule]) else "1e4"
 
 
 class Trace(NamedTuple):
@@ -177,25 +194,33 @@ def solve(case: Case, rule: Callable[[], Threefold] | float) -> Trace:
 def _by_rule(case: Case, rule: Threefold, settings: dict[str, Any]) -> Trace:
     solver = bundle.Solver(case.problem, **settings)
     problem, costs, converged = case.problem, [], False
+    tolerance = TOLERANCE / 10 if rule.takes_last else TOLERANCE
     while len(costs) <= MAX_STEPS and not converged:
         result = solver.solve(
-            problem, max_num_iterations=1, initial_trust_region_radius=rule.radius
+            problem,
+            max_num_iterations=1,
+            initial_trust_region_radius=rule.radius,
+            function_tolerance=tolerance,
         )
         iterations, message = result.iterations, result.summary.message
         costs = costs or [float(iterations["cost"][0])]
         if len(iterations["cost"]) == 2:
             is_taken = bool(iterations["step_is_successful"][1])
             costs.append(float(iterations["cost"][1]) if is_taken else costs[-1])
+            converged = message.startswith("Gradient")
             if is_taken:
-                rule.accepted(float(iterations["relative_decrease"][1]))
+                quality = float(iterations["relative_decrease"][1])
+                rule.accepted(quality)
                 problem = result.problem
+                # Other observations may count than in the solve before.
+                is_small = bool(np.ptp(iterations["cost"]) <= TOLERANCE * iterations["cost"][0])
+                converged = converged or (is_small and abs(1 - quality) < POOR)
             else:
                 rule.rejected()
-            converged = message.startswith("Gradient")
         elif result.summary.termination_type == "CONVERGENCE":
             if not message.startswith("Gradient"):
                 costs.append(costs[-1])
-            converged = not rule.goes_on()
+            converged = True
         else:
             break
     return Trace(costs, converged)
@@ -209,8 +234,9 @@ def campaign(cases: Iterable[Case], rules: Rules = tuple(RULES)) -> dict[str, di
     return {case.name: {rule: solve(case, RULES[rule]) for rule in rules} for case in cases}
 
 
-def comparison(found: dict[str, dict[str, Trace]], rule: str, reference: str = REFERENCE):
-    """Return the row of a rule, over the problems that the reference solves to convergence."""
+def comparison(found: dict[str, dict[str, Trace]], rule: str):
+    """Return the row of a rule, over the problems that its reference solves to convergence."""
+    reference = reference_of(rule)
     pairs = [(by[reference], by[rule], by) for by in found.values() if by[reference].converged]
     counts = np.array([(one.num_steps, other.num_steps) for one, other, _ in pairs], float)
     close = np.array(
@@ -239,8 +265,8 @@ def comparison(found: dict[str, dict[str, Trace]], rule: str, reference: str = R
 COLUMNS = (
     "rule",
     "median steps",
-    "steps / 1e4's",
-    "to 1e-5 / 1e4's",
+    "steps / Ceres'",
+    "to 1e-5 / Ceres'",
     "more steps",
     "cost worse",
     "worst",
@@ -254,29 +280,32 @@ def recorded(path: Path) -> dict[str, dict[str, dict[str, Trace]]]:
     for line in path.read_text().splitlines() if path.exists() else ():
         record = json.loads(line)
         traces = {rule: Trace(**trace) for rule, trace in record["traces"].items()}
-        found.setdefault(record["group"], {})[record["name"]] = traces
+        found.setdefault(record["group"], {}).setdefault(record["name"], {}).update(traces)
     return found
 
 
 def main() -> int:
     """Solve what OUTPUT does not hold yet, and print a table of seeded and of real problems."""
     count, output = int(sys.argv[1]), Path(sys.argv[2])
+    first = int(sys.argv[3]) if len(sys.argv) > 3 else 0
     data = os.environ.get("BUNDLE_DATA")
     groups = {"real": step_problems.real(Path(data))} if data else {}
     known = recorded(output)
     with output.open("a") as file:
-        for group, cases in {**groups, "seeded": step_problems.seeded(count)}.items():
+        for group, cases in {**groups, "seeded": step_problems.seeded(count, first)}.items():
             for case in cases:
-                if case.name in known.get(group, {}):
+                missing = [
+                    rule for rule in RULES if rule not in known.get(group, {}).get(case.name, {})
+                ]
+                if not missing:
                     continue
-                traces = {
-                    rule: trace._asdict() for rule, trace in campaign([case])[case.name].items()
-                }
+                found = campaign([case], missing)[case.name]
+                traces = {rule: trace._asdict() for rule, trace in found.items()}
                 record = {"group": group, "name": case.name, "traces": traces}
                 print(json.dumps(record), file=file, flush=True)
     for group, traces in recorded(output).items():
-        converged = sum(by[REFERENCE].converged for by in traces.values())
-        print(f"{group}: {len(traces)} problems, {converged} of which {REFERENCE} solves")
+        converged = sum(by["1e4"].converged for by in traces.values())
+        print(f"{group}: {len(traces)} problems, {converged} of which converge from 1e4")
         print(*COLUMNS, sep=" | ")
         for rule in RULES:
             print(*comparison(traces, rule), sep=" | ")
