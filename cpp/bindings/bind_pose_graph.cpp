@@ -18,6 +18,8 @@
 #include "core/error.h"
 #include "core/io/g2o.h"
 #include "core/linear/edge_system.h"
+#include "core/linear/fill_ordering.h"
+#include "core/pose_graph/block_pattern_of_edges.h"
 #include "core/pose_graph/chordal.h"
 #include "core/pose_graph/edge_kernel.h"
 #include "core/pose_graph/initialise.h"
@@ -99,7 +101,7 @@ PoseErrorOptions ErrorsFromPython(const py::dict& options) {
 
 py::dict SolvePoseGraphFromPython(const py::object& graph, const Array<bool>& held,
                                   const Array<bool>& robust, const py::dict& options,
-                                  const py::object& progress) {
+                                  const py::object& progress, const FillOrdering* order) {
   const GraphArrays arrays(graph);
   PoseGraphView view = ViewGraph(arrays, held);
   if (robust.size() != view.num_edges) throw InputError("robust: expected a flag for each edge");
@@ -110,7 +112,7 @@ py::dict SolvePoseGraphFromPython(const py::object& graph, const Array<bool>& he
   const auto ordering = py::cast<std::string>(options["ordering"]);
   PythonProgress report(progress);
   PoseGraphOutput output = RunWatched(&report, [&] {
-    return SolvePoseGraph(view, errors, solve_options, ordering, std::ref(report));
+    return SolvePoseGraph(view, errors, solve_options, ordering, std::ref(report), order);
   });
   report.Rethrow();
   const py::ssize_t n = arrays.poses.shape(0), m = arrays.edges.shape(0);
@@ -159,8 +161,19 @@ py::array EdgeChi2FromPython(const py::object& graph, const std::string& error) 
   return ToImmutableNumpy(std::move(chi2), {static_cast<py::ssize_t>(view.num_edges)});
 }
 
+/// The order of elimination, which the chordal start and the solves of one request share.
+FillOrdering OrderPoses(const py::object& graph, const Array<bool>& held,
+                        const std::string& ordering) {
+  const GraphArrays arrays(graph);
+  PoseGraphView view = ViewGraph(arrays, held);
+  view.information = nullptr;
+  const py::gil_scoped_release release;
+  const PoseGraph made = MakePoseGraph(view, {});
+  return PatternOfEdges(made, view.tangent(), ordering).ordering;
+}
+
 py::array InitialPoses(const py::object& graph, const Array<bool>& held, const std::string& init,
-                       int num_threads) {
+                       int num_threads, const FillOrdering* order) {
   const GraphArrays arrays(graph);
   PoseGraphView view = ViewGraph(arrays, held);
   // Only a chordal start uses information matrices; other starts work with invalid ones.
@@ -170,7 +183,7 @@ py::array InitialPoses(const py::object& graph, const Array<bool>& held, const s
     const PoseGraph made = MakePoseGraph(view, {});
     if (init == "odometry") return OdometryPoses(made, arrays.ids.data());
     if (init == "spanning_tree") return SpanningTreePoses(made);
-    if (init == "chordal") return ChordalPoses(made, information, num_threads);
+    if (init == "chordal") return ChordalPoses(made, information, num_threads, order);
     throw InputError("init: expected odometry, spanning_tree or chordal, found " + init);
   });
   const int n = view.ambient();
@@ -252,17 +265,19 @@ py::object SolveEdgeSystemFromPython(const Array<int32_t>& edges, const Array<do
 }  // namespace bundle
 
 void BindPoseGraph(py::module_& m) {
+  py::class_<bundle::FillOrdering>(m, "PoseOrder");
   m.def("read_g2o", &bundle::ReadG2oFile, py::arg("path"));
   m.def("write_g2o", &bundle::WriteG2oFile, py::arg("path"), py::arg("graph"),
         py::arg("compression"));
   m.def("solve_pose_graph", &bundle::SolvePoseGraphFromPython, py::arg("graph"), py::arg("held"),
-        py::arg("robust"), py::arg("options"), py::arg("progress"));
+        py::arg("robust"), py::arg("options"), py::arg("progress"), py::arg("order") = nullptr);
+  m.def("order_poses", &bundle::OrderPoses, py::arg("graph"), py::arg("held"), py::arg("ordering"));
   m.def("pose_components", &bundle::PoseComponents, py::arg("num_poses"), py::arg("edges"));
   m.def("hold_poses", &bundle::HoldPosesFromPython, py::arg("graph"));
   m.def("find_bad_information", &bundle::FindBadInformationFromPython, py::arg("information"));
   m.def("edge_chi2", &bundle::EdgeChi2FromPython, py::arg("graph"), py::arg("error"));
   m.def("initial_poses", &bundle::InitialPoses, py::arg("graph"), py::arg("held"), py::arg("init"),
-        py::arg("num_threads"));
+        py::arg("num_threads"), py::arg("order") = nullptr);
   m.def("odometry_gap", &bundle::OdometryGap, py::arg("graph"));
   m.def("solve_edge_system", &bundle::SolveEdgeSystemFromPython, py::arg("edges"),
         py::arg("diagonal"), py::arg("between"), py::arg("rhs"));

@@ -1,5 +1,6 @@
 #include "core/pose_graph/block_pattern_of_edges.h"
 
+#include <stdexcept>
 #include <utility>
 
 namespace bundle {
@@ -19,7 +20,8 @@ FillOrdering FindOrdering(const BlockStructure& structure, const std::string& or
 
 }  // namespace
 
-EdgePattern PatternOfEdges(const PoseGraph& graph, int block_size, const std::string& ordering) {
+EdgePattern PatternOfEdges(const PoseGraph& graph, int block_size, const std::string& ordering,
+                           const FillOrdering* known) {
   EdgePattern pattern;
   pattern.block_of.assign(graph.num_poses(), -1);
   std::vector<int> free;
@@ -36,7 +38,10 @@ EdgePattern PatternOfEdges(const PoseGraph& graph, int block_size, const std::st
   }
   const BlockStructure structure =
       StructureOfPairs(static_cast<int>(free.size()), block_size, pairs);
-  pattern.ordering = FindOrdering(structure, ordering);
+  if (known != nullptr && known->order.size() != free.size()) {
+    throw std::logic_error("PatternOfEdges: expected an ordering of the same free poses");
+  }
+  pattern.ordering = known != nullptr ? *known : FindOrdering(structure, ordering);
   pattern.structure = Reorder(structure, pattern.ordering.order);
   for (size_t k = 0; k < free.size(); ++k) {
     const int pose = free[pattern.ordering.order[k]];

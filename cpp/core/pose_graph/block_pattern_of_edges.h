@@ -19,7 +19,9 @@ struct EdgePattern {
 };
 
 /// `ordering`: "natural", "amd", "metis", or "auto". "auto" is AMD or, if a factorisation takes
-/// long, the cheapest ordering.
-EdgePattern PatternOfEdges(const PoseGraph& graph, int block_size, const std::string& ordering);
+/// long, the cheapest ordering. `known`: the ordering of an earlier pattern with the same edges and
+/// constant poses, whose blocks may have another size; nullptr: it is computed.
+EdgePattern PatternOfEdges(const PoseGraph& graph, int block_size, const std::string& ordering,
+                           const FillOrdering* known = nullptr);
 
 }  // namespace bundle

@@ -162,13 +162,14 @@ struct ChordalEdge {
 
 class Chordal {
  public:
-  Chordal(const PoseGraph& graph, const double* information, int num_threads)
+  Chordal(const PoseGraph& graph, const double* information, int num_threads,
+          const FillOrdering* known)
       : graph_(graph),
         information_(information),
         d_(graph.dimension),
         tangent_(graph.dimension == 2 ? 3 : 6),
         ambient_(graph.dimension == 2 ? 3 : 7),
-        pattern_(PatternOfEdges(graph, graph.dimension, "auto")),
+        pattern_(PatternOfEdges(graph, graph.dimension, "auto", known)),
         stage_(pattern_, graph.dimension, num_threads),
         poses_(graph.poses) {}
 
@@ -307,9 +308,9 @@ class Chordal {
 
 }  // namespace
 
-std::vector<double> ChordalPoses(const PoseGraph& graph, const double* information,
-                                 int num_threads) {
-  return Chordal(graph, information, num_threads).Poses();
+std::vector<double> ChordalPoses(const PoseGraph& graph, const double* information, int num_threads,
+                                 const FillOrdering* known) {
+  return Chordal(graph, information, num_threads, known).Poses();
 }
 
 }  // namespace bundle

@@ -4,12 +4,13 @@
 
 #include <vector>
 
+#include "core/linear/fill_ordering.h"
 #include "core/pose_graph/pose_graph.h"
 
 namespace bundle {
 
-/// Poses by chordal relaxation.
-std::vector<double> ChordalPoses(const PoseGraph& graph, const double* information,
-                                 int num_threads);
+/// Poses by chordal relaxation. `known` as in PatternOfEdges.
+std::vector<double> ChordalPoses(const PoseGraph& graph, const double* information, int num_threads,
+                                 const FillOrdering* known = nullptr);
 
 }  // namespace bundle

@@ -46,14 +46,15 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   using Terms = EdgeTerms<Group>;
 
  public:
-  PoseGraphProblemOf(const PoseGraph& graph, const std::string& ordering, int num_threads)
+  PoseGraphProblemOf(const PoseGraph& graph, const std::string& ordering, int num_threads,
+                     const FillOrdering* known)
       : graph_(graph),
         retraction_(Group::kManifold, kAmbient),
         x_(graph.poses),
         candidate_(graph.poses),
         pool_(CountThreads(graph.num_edges(), kSize, num_threads)) {
     const Stopwatch symbolic;
-    EdgePattern pattern = PatternOfEdges(graph, kSize, ordering);
+    EdgePattern pattern = PatternOfEdges(graph, kSize, ordering, known);
     structure_ = std::move(pattern.structure);
     solver_ = MakeSparseSolver(pattern.ordering, num_threads, &structure_, &pool_);
     symbolic_time_ = symbolic.seconds();
@@ -330,12 +331,12 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
 }  // namespace
 
 std::unique_ptr<PoseGraphProblem> MakePoseGraphProblem(const PoseGraph& graph,
-                                                       const std::string& ordering,
-                                                       int num_threads) {
+                                                       const std::string& ordering, int num_threads,
+                                                       const FillOrdering* known) {
   if (graph.dimension == 2) {
-    return std::make_unique<PoseGraphProblemOf<Se2>>(graph, ordering, num_threads);
+    return std::make_unique<PoseGraphProblemOf<Se2>>(graph, ordering, num_threads, known);
   }
-  return std::make_unique<PoseGraphProblemOf<Se3>>(graph, ordering, num_threads);
+  return std::make_unique<PoseGraphProblemOf<Se3>>(graph, ordering, num_threads, known);
 }
 
 }  // namespace bundle

@@ -22,6 +22,7 @@
 #include <string>
 #include <vector>
 
+#include "core/linear/fill_ordering.h"
 #include "core/linear/linear_solver.h"
 #include "core/minimize/least_squares.h"
 #include "core/pose_graph/pose_graph.h"
@@ -48,9 +49,9 @@ class PoseGraphProblem : public LeastSquares {
 };
 
 /// Keeps a reference to the graph, which must have a free pose. `ordering`: "auto" for the
-/// cheapest, "natural", "amd" or "metis".
+/// cheapest, "natural", "amd" or "metis". `known` as in PatternOfEdges.
 std::unique_ptr<PoseGraphProblem> MakePoseGraphProblem(const PoseGraph& graph,
-                                                       const std::string& ordering,
-                                                       int num_threads);
+                                                       const std::string& ordering, int num_threads,
+                                                       const FillOrdering* known = nullptr);
 
 }  // namespace bundle

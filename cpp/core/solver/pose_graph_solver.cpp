@@ -38,11 +38,11 @@ SolveSummary SummarizePoseGraph(const PoseGraph& graph, const PoseGraphProblem& 
 }
 
 void SolveByNormalEquations(const PoseGraph& graph, const SolveOptions& options,
-                            const std::string& ordering, const ProgressCallback& progress,
-                            PoseGraphOutput* output) {
+                            const std::string& ordering, const FillOrdering* known,
+                            const ProgressCallback& progress, PoseGraphOutput* output) {
   const Stopwatch setup;
   const std::unique_ptr<PoseGraphProblem> problem =
-      MakePoseGraphProblem(graph, ordering, options.num_threads);
+      MakePoseGraphProblem(graph, ordering, options.num_threads, known);
   const double fixed_cost = problem->fixed_cost();
   ProgressCallback report;
   if (progress) {
@@ -120,7 +120,7 @@ void ReportNothingToRefine(const SolveOptions& options, double cost, PoseGraphOu
 
 PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors,
                                const SolveOptions& given, const std::string& ordering,
-                               const ProgressCallback& progress) {
+                               const ProgressCallback& progress, const FillOrdering* known) {
   const Stopwatch time;
   SolveOptions options = given;
   options.num_threads = EffectiveNumThreads(options.num_threads);
@@ -138,7 +138,7 @@ PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions
     output.poses = graph.poses;
     ReportNothingToRefine(options, cost, &output);
   } else if (options.backend != Backend::kCeres) {
-    SolveByNormalEquations(graph, options, ordering, progress, &output);
+    SolveByNormalEquations(graph, options, ordering, known, progress, &output);
   } else if (graph.dimension == 2) {
     SolveByCeres<Se2>(graph, options, progress, &output);
   } else {

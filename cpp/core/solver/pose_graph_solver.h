@@ -5,6 +5,7 @@
 
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
+#include "core/linear/fill_ordering.h"
 #include "core/pose_graph/pose_graph.h"
 
 namespace bundle {
@@ -18,13 +19,14 @@ struct PoseGraphOutput : SolveRecord {
 
 /// Minimises 1/2 sum rho(||r||^2) over the edges of a pose graph. Uses these options: backend,
 /// trust region, stopping rules, and threads. `ordering` is that of the fused backend: "auto",
-/// "natural", "amd" or "metis". All poses that are not held are free. In a component without a held
-/// pose, only the damping makes the normal equations regular.
+/// "natural", "amd" or "metis"; `known` as in PatternOfEdges. All poses that are not held are free.
+/// In a component without a held pose, only the damping makes the normal equations regular.
 ///
 /// Throws InputError if the graph's arrays contradict each other (MakePoseGraph), or if the Ceres
 /// backend is used with a loss that factors do not have.
 PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors,
                                const SolveOptions& options, const std::string& ordering,
-                               const ProgressCallback& progress);
+                               const ProgressCallback& progress,
+                               const FillOrdering* known = nullptr);
 
 }  // namespace bundle

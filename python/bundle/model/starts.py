@@ -90,7 +90,11 @@ def started(graph: PoseGraph, held: NDArray[np.bool_], init: str, num_threads: i
 
 
 def choose_lower(
-    graph: PoseGraph, held: Flags, num_threads: int, cost: Callable[[Floats], float]
+    graph: PoseGraph,
+    held: Flags,
+    num_threads: int,
+    order: _core.PoseOrder,
+    cost: Callable[[PoseGraph], float],
 ) -> Start:
     """Return the chordal start if its cost is lower than that of the file's poses, or these.
 
@@ -98,14 +102,15 @@ def choose_lower(
         graph: the graph, with the information matrices of the solve.
         held: (n,) mask of constant poses.
         num_threads: number of threads of the relaxation.
-        cost: function that returns the cost at poses.
+        order: order of elimination of the relaxation.
+        cost: function that returns the cost at the poses of a graph.
     """
     try:
-        chordal = started(graph, held, "chordal", num_threads).poses
+        chordal = _core.initial_poses(graph, held, "chordal", num_threads, order)
     except InputError:  # its system is singular
         return Start(poses=graph.poses, init="file")
     starts = {"file": graph.poses, "chordal": chordal}
-    file_cost, chordal_cost = cost(graph.poses), cost(chordal)
+    file_cost, chordal_cost = cost(graph), cost(graph.replace(poses=chordal))
     if not chordal_cost < file_cost:
         return Start(poses=graph.poses, init="file", starts=starts)
     reason = (

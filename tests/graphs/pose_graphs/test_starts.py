@@ -231,3 +231,21 @@ def test_what_counts_is_where_more_steps_lead(monkeypatch):
     assert found.init == "chordal" and "8 from the chordal start" in found.reason
     few["spanning_tree"] = 4.0
     assert chosen().init == "spanning_tree"
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_known_order_changes_no_bit(dimension):
+    graph = graphs.loop(dimension, num_poses=40, num_closures=20, seed=3)
+    held, _, _ = _core.hold_poses(graph)
+    options = bundle.PoseGraphOptions(num_threads=1).asdict()
+    none = np.zeros(graph.num_edges, bool)
+    order = _core.order_poses(graph, held, "auto")
+    solved = [
+        _core.solve_pose_graph(graph, held, none, options, None, *given)["poses"]
+        for given in ((), (order,))
+    ]
+    np.testing.assert_array_equal(*solved)
+    poses = [_core.initial_poses(graph, held, "chordal", 1, *given) for given in ((), (order,))]
+    np.testing.assert_allclose(*poses, atol=1e-9)
+    with pytest.raises(RuntimeError, match="same free poses"):
+        _core.solve_pose_graph(graph, ~held, none, options, None, order)

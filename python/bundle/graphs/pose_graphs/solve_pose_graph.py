@@ -26,7 +26,7 @@ from bundle.interface.option_fields import choice
 from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
 from bundle.interface.solve_record import Progress, record_fields, with_warnings
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.model.starts import Start, choose_lower, choose_start, lower_start, started
+from bundle.model.starts import choose_lower, choose_start, lower_start, started
 
 __all__ = ["initial_poses", "pose_graph_chi2", "solve_consistent", "solve_pose_graph"]
 
@@ -159,10 +159,22 @@ def _refined(
     weighed = checked_information(graph, options.information)
     held, num_components, for_gauge = _core.hold_poses(weighed)
     doubted = _robust_edges(graph, options)
+    order: _core.PoseOrder | None = None
     if options.init == "auto":
         start = choose_start(weighed, held, doubted, options)
+    elif options.init == "lower" and options.loss == "trivial":
+        # Wrong closures deform the chordal start, which has no loss, and can take a solve with a
+        # loss to a wrong minimum.
+        order = _core.order_poses(weighed, held, options.ordering)
+        start = choose_lower(
+            weighed,
+            held,
+            options.num_threads,
+            order,
+            lambda there: 0.5 * float(_core.edge_chi2(there, options.error).sum()),
+        )
     elif options.init == "lower":
-        start = _lower(weighed, held, options)
+        start = started(weighed, held, "file", options.num_threads)
     else:
         start = started(weighed, held, options.init, options.num_threads)
     started_graph = weighed.replace(poses=start.poses)
@@ -172,7 +184,7 @@ def _refined(
     def solve(how: PoseGraphOptions) -> dict[str, Any]:
         if how.loss == "gnc_tls":
             return solve_gnc(started_graph, held, doubted, how, progress, proposals)
-        found = _core.solve_pose_graph(started_graph, held, doubted, how.asdict(), progress)
+        found = _core.solve_pose_graph(started_graph, held, doubted, how.asdict(), progress, order)
         if options.loss == "auto" and how.loss != "trivial":
             proposals.append((found["chi2_after"] <= c_squared, found["poses"]))
             agreed = _consistent_set(weighed, options.num_threads)
@@ -231,21 +243,6 @@ def _refined(
         **record | {"summary": summary},
     )
     return result, start.poses
-
-
-def _lower(graph: PoseGraph, held: NDArray[np.bool_], options: PoseGraphOptions) -> Start:
-    """Return the start of ``init`` "lower".
-
-    Wrong closures deform the chordal start, which has no loss, and can take it to a wrong minimum.
-    """
-    if options.loss != "trivial":
-        return started(graph, held, "file", options.num_threads)
-    return choose_lower(
-        graph,
-        held,
-        options.num_threads,
-        lambda poses: 0.5 * float(_core.edge_chi2(graph.replace(poses=poses), options.error).sum()),
-    )
 
 
 def initial_poses(graph: PoseGraph, init: str = "chordal") -> NDArray[np.float64]:
