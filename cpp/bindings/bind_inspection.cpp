@@ -63,8 +63,10 @@ py::dict EliminationPlan(const py::object& problem, const py::dict& options) {
   BUNDLE_FIELD(num_free_points);
   BUNDLE_FIELD(num_observations);
   BUNDLE_FIELD(num_pairs);
+  BUNDLE_FIELD(num_kinds);
+  BUNDLE_FIELD(num_tile_blocks);
   BUNDLE_FIELD(num_chunk_pairs);
-  BUNDLE_FIELD(num_chunk_images);
+  BUNDLE_FIELD(num_chunk_parts);
   BUNDLE_FIELD(largest_chunk_blocks);
   BUNDLE_FIELD(block_doubles);
 #undef BUNDLE_FIELD

@@ -43,54 +43,64 @@ double* Aligned(int64_t count, std::vector<double>* room) {
 PointPasses::PointPasses(const SchurProblem& schur, int num_threads)
     : schur_(schur), num_threads_(num_threads) {
   const SchurSetup& setup = schur_.setup();
-  blocks_.resize(setup.problem.num_images);
-  for (int i = 0; i < setup.problem.num_images; ++i) {
-    for (int b = 0; b < setup.assembler.num_blocks(i); ++b) {
-      const ImageBlock& of = setup.assembler.blocks_of(i)[b];
-      RecordBlock block{of.block, of.size, {}, -1, {}};
+  blocks_.resize(setup.parts.num_parts());
+  for (int p = 0; p < setup.parts.num_parts(); ++p) {
+    for (int b = 0; b < setup.assembler.num_blocks(p); ++b) {
+      const PartBlock& of = setup.assembler.blocks_of(p)[b];
+      ColumnBlock block{of.block, of.size, {}, -1, {}};
       if (of.map == nullptr) {
         block.column.assign(of.local, of.local + of.size);
         if (of.is_contiguous) block.first = of.local[0];
       } else {
-        block.map.assign(size_t(NumColumns(i)) * of.size, 0.0);
+        block.map.assign(size_t(NumColumns(p)) * of.size, 0.0);
         for (int k = 0; k < of.num_local; ++k) {
           std::copy_n(of.map + k * of.size, of.size, &block.map[size_t(of.local[k]) * of.size]);
         }
       }
-      blocks_[i].push_back(std::move(block));
+      blocks_[p].push_back(std::move(block));
     }
   }
 }
 
-int PointPasses::Width(int image) const {
-  const EliminationInput& input = schur_.input();
-  return input.mixed ? 4 * input.image_quads[image] : input.num_columns;
+template <typename Visit>
+void PointPasses::ForBlocksOf(int image, const Visit& visit) const {
+  const SchurSetup& setup = schur_.setup();
+  const ModelGroup& group = setup.parts.groups()[setup.parts.image_group()[image]];
+  for (int kind = 0; kind < kMaxParts; ++kind) {
+    const int part = setup.parts.part_of(image, kind);
+    if (part < 0) continue;
+    for (const ColumnBlock& block : blocks_[part]) visit(block, 4 * group.parts[kind].first_quad);
+  }
 }
 
 /// N by the columns of the records, and the images that move along completely.
 void PointPasses::FillMoves(const GaugeSums& gauge, std::vector<double>* images,
                             std::vector<uint8_t>* moves_along) const {
   const SchurSetup& setup = schur_.setup();
-  const size_t stride = static_cast<size_t>(schur_.input().num_columns) * kMoves;
-  images->assign(blocks_.size() * stride, 0.0);
-  moves_along->assign(blocks_.size(), 0);
-  for (size_t i = 0; i < blocks_.size(); ++i) {
-    const ModelGroup& group = setup.groups.groups[setup.groups.image_group[i]];
+  const auto num_images = static_cast<size_t>(setup.problem.num_images);
+  const size_t stride = static_cast<size_t>(schur_.input().record_columns) * kMoves;
+  images->assign(num_images * stride, 0.0);
+  moves_along->assign(num_images, 0);
+  for (size_t i = 0; i < num_images; ++i) {
+    const auto image = static_cast<int>(i);
+    const ModelGroup& group = setup.parts.groups()[setup.parts.image_group()[i]];
     double* const rows = images->data() + i * stride;
-    for (const RecordBlock& block : blocks_[i]) {
+    ForBlocksOf(image, [&](const ColumnBlock& block, int first_column) {
       const int offset = setup.layout.blocks()[block.block].offset;
+      const auto num_columns =
+          block.map.empty() ? 0 : static_cast<int>(block.map.size()) / block.size;
       for (int k = 0; k < block.size; ++k) {
         const SimilarityRow of = gauge.moves().OfUnknown(offset + k);
-        for (int c = 0; c < group.num_columns; ++c) {
-          const double factor = block.map.empty() ? (block.column[k] == c ? 1 : 0)
-                                                  : block.map[size_t(c) * block.size + k];
-          if (factor == 0) continue;
-          for (int m = 0; m < kSimilarities; ++m) rows[c * kMoves + m] += factor * of[m];
-        }
+        const auto add = [&](int column, double factor) {
+          double* const row = rows + size_t(first_column + column) * kMoves;
+          for (int m = 0; m < kSimilarities; ++m) row[m] += factor * of[m];
+        };
+        if (block.map.empty()) add(block.column[k], 1);
+        for (int c = 0; c < num_columns; ++c) add(c, block.map[size_t(c) * block.size + k]);
       }
-    }
-    const auto whole = gauge.moves().OfPose(schur_.cameras().pose(static_cast<int>(i)));
-    bool is_whole = group.num_columns >= kPoseSize;
+    });
+    const auto whole = gauge.moves().OfPose(schur_.cameras().pose(image));
+    bool is_whole = setup.parts.part_of(image, kOwnPart) >= 0;
     for (int c = 0; c < kPoseSize && is_whole; ++c) {
       is_whole = group.columns[c] == c;
       for (int m = 0; m < kSimilarities; ++m) is_whole &= rows[c * kMoves + m] == whole(c, m);
@@ -171,29 +181,31 @@ PointPasses::Found PointPasses::Survey(GaugeSums* gauge) const {
 
 void PointPasses::AddEliminated(const std::vector<double>& of_images, GaugeSums* gauge,
                                 int thread) const {
-  const size_t stride = static_cast<size_t>(schur_.input().num_columns) * kMoves;
-  for (size_t i = 0; i < blocks_.size(); ++i) {
-    const double* const rows = of_images.data() + i * stride;
-    for (const RecordBlock& block : blocks_[i]) {
-      const int offset = schur_.setup().layout.blocks()[block.block].offset;
+  const SchurSetup& setup = schur_.setup();
+  const size_t stride = static_cast<size_t>(schur_.input().record_columns) * kMoves;
+  for (int i = 0; i < setup.problem.num_images; ++i) {
+    ForBlocksOf(i, [&](const ColumnBlock& block, int first_column) {
+      const double* const rows =
+          of_images.data() + size_t(i) * stride + size_t(first_column) * kMoves;
+      const int offset = setup.layout.blocks()[block.block].offset;
       for (int k = 0; k < block.size; ++k) {
         if (block.map.empty()) {
           gauge->AddEliminated(offset + k, rows + block.column[k] * kMoves, thread);
           continue;
         }
         double sum[kMoves] = {};
-        for (int c = 0; c < NumColumns(static_cast<int>(i)); ++c) {
-          const double factor = block.map[size_t(c) * block.size + k];
+        for (size_t c = 0; c < block.map.size() / block.size; ++c) {
+          const double factor = block.map[c * block.size + k];
           for (int m = 0; m < kMoves; ++m) sum[m] += factor * rows[c * kMoves + m];
         }
         gauge->AddEliminated(offset + k, sum, thread);
       }
-    }
+    });
   }
 }
 
 void PointPasses::AddPlain(const BlockStructure& structure, const std::vector<double>& values,
-                           const RecordBlock& rows, const RecordBlock& columns, int width,
+                           const ColumnBlock& rows, const ColumnBlock& columns, int width,
                            double* to) {
   if (rows.block >= columns.block || columns.first < 0) {
     double own[BlockSystem::kMaxBlockSize * BlockSystem::kMaxBlockSize];
@@ -217,8 +229,8 @@ void PointPasses::FillPair(const BlockStructure& structure, const std::vector<do
                            int a, int b, double* to) const {
   constexpr int kMax = BlockSystem::kMaxBlockSize;
   const int width = Width(b);
-  for (const RecordBlock& rows : blocks_[a]) {
-    for (const RecordBlock& columns : blocks_[b]) {
+  for (const ColumnBlock& rows : blocks_[a]) {
+    for (const ColumnBlock& columns : blocks_[b]) {
       if (rows.map.empty() && columns.map.empty()) {
         AddPlain(structure, values, rows, columns, width, to);
         continue;
@@ -274,21 +286,20 @@ void PointPasses::FindCovariances(const BlockStructure& structure,
         const Chunk& chunk = setup.plan.chunks[c];
         const int last_point = std::min(chunk.last_point, setup.plan.num_free_points);
         if (chunk.last_row > 0 || chunk.first_point >= last_point) continue;
-        const size_t num_images = chunk.images.size();
+        const size_t num_parts = chunk.parts.size();
         begin.assign(1, 0);
-        const auto images_of = [&](size_t b) {
-          if (b < num_images) return std::pair(chunk.images[b], chunk.images[b]);
-          const Chunk::Pair& pair = chunk.pairs[b - num_images];
-          return std::pair(chunk.images[pair.first], chunk.images[pair.second]);
+        const auto parts_of = [&](size_t b) {
+          if (b < num_parts) return std::pair(chunk.parts[b], chunk.parts[b]);
+          const Chunk::Pair& pair = chunk.pairs[b - num_parts];
+          return std::pair(chunk.parts[pair.first], chunk.parts[pair.second]);
         };
         for (size_t b = 0; b < static_cast<size_t>(chunk.num_blocks()); ++b) {
-          const auto [first, second] = images_of(b);
-          const int rows = input.mixed ? NumColumns(first) : input.num_rows;
-          begin.push_back(begin.back() + int64_t{rows} * Width(second));
+          const auto [first, second] = parts_of(b);
+          begin.push_back(begin.back() + int64_t{NumColumns(first)} * Width(second));
         }
         double* const blocks = Aligned(begin.back(), &blocks_room);
         for (size_t b = 0; b < static_cast<size_t>(chunk.num_blocks()); ++b) {
-          const auto [first, second] = images_of(b);
+          const auto [first, second] = parts_of(b);
           std::fill(blocks + begin[b], blocks + begin[b + 1], 0.0);
           FillPair(structure, values, first, second, blocks + begin[b]);
         }

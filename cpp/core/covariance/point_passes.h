@@ -38,29 +38,32 @@ class PointPasses {
                        const FreeGauge* gauge, double* to) const;
 
  private:
-  /// A block of an image in the columns of its record.
-  struct RecordBlock {
+  /// A block of the layout in the columns of a part.
+  struct ColumnBlock {
     int block = -1;
     int size = 0;
     std::vector<int> column;  ///< column per unknown; empty: use `map`
     int first = -1;           ///< column of the first unknown if the columns are consecutive
-    std::vector<double> map;  ///< columns of the record x size, row-major
+    std::vector<double> map;  ///< columns of the part x size, row-major
   };
 
-  int NumColumns(int image) const { return schur_.input().image_columns[image]; }
-  int Width(int image) const;
+  int NumColumns(int part) const { return schur_.input().part_rows[part]; }
+  int Width(int part) const { return 4 * schur_.input().part_quads[part]; }
+  /// Calls visit(block, number of the first column of its part in the record) for an image.
+  template <typename Visit>
+  void ForBlocksOf(int image, const Visit& visit) const;
   void FillMoves(const GaugeSums& gauge, std::vector<double>* images,
                  std::vector<uint8_t>* moves_along) const;
   void AddEliminated(const std::vector<double>& of_images, GaugeSums* gauge, int thread) const;
   static void AddPlain(const BlockStructure& structure, const std::vector<double>& values,
-                       const RecordBlock& rows, const RecordBlock& columns, int width, double* to);
-  /// Adds the covariance of two images' columns, NumColumns(a) rows of Width(b).
+                       const ColumnBlock& rows, const ColumnBlock& columns, int width, double* to);
+  /// Adds the covariance of two parts' columns, NumColumns(a) rows of Width(b).
   void FillPair(const BlockStructure& structure, const std::vector<double>& values, int a, int b,
                 double* to) const;
 
   const SchurProblem& schur_;
   const int num_threads_;
-  std::vector<std::vector<RecordBlock>> blocks_;  ///< per image
+  std::vector<std::vector<ColumnBlock>> blocks_;  ///< per part
 };
 
 }  // namespace bundle

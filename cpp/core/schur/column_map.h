@@ -1,23 +1,23 @@
 #pragma once
 
-/// Maps from the unknowns of a block to the columns of an image.
+/// Maps from the unknowns of a block to the columns of a part.
 ///
-/// The passes sum by image: blocks S_ab, and vectors g, by the columns of its observations'
-/// Jacobians A_a, its *local columns*. Most unknowns are such columns, and their sums only have to
-/// be selected. If a step u of some unknowns moves the local columns by M_a u, their Jacobian is
-/// A_a M_a. So
+/// The passes sum by parts (image_parts.h): blocks S_ab, and vectors g, by the columns of their
+/// Jacobians A_a, the *local columns* of a part. Most unknowns are such columns, and their sums
+/// only have to be selected. If a step u of some unknowns moves the local columns by M_a u, their
+/// Jacobian is A_a M_a. So
 ///
 ///   S_ab goes to M_a^T S_ab M_b,    g_a to M_a^T g_a,    ||J e_j||^2 is (M_a^T A_a^T A_a M_a)_jj,
 ///
-/// where the last needs all entries of the image's A^T A. This is computed once per block of a
-/// chunk, not once per pair of observations.
+/// where the last needs all entries of A_a^T A_a. This is computed once per block of a chunk, not
+/// once per pair of observations.
 ///
-/// A step of a sensor moves its image like K times this step as a step of the frame
-/// (factors/rig_pose.h). K is 6 x 6 and different at every state. Constant maps are, for instance,
-/// from one focal length to fx and fy, or from a rotation about a fixed centre to a pose. To add
-/// such a map, fill in an ImageBlock (assembler.cpp, AddBlock) and lay out its block. Implement the
-/// same map for steps (state_records.cpp, CameraStep), for factors (model/problem_factors.h) and
-/// for Ceres (ceres/reprojection_cost.h).
+/// Maps are, for instance, from one focal length to fx and fy, or from a rotation about a fixed
+/// centre to a pose. A map that differs between the images of a part, such as that of a sensor, is
+/// applied to the Jacobian of each observation instead (kernels/eliminate_chunk.h). To add a map,
+/// fill in a PartBlock (assembler.cpp, AddBlock) and lay out its block. Implement the same map for
+/// steps (state_records.cpp, CameraStep), for factors (model/problem_factors.h) and for Ceres
+/// (ceres/reprojection_cost.h).
 
 #include <cstdint>
 
@@ -25,11 +25,11 @@
 
 namespace bundle {
 
-/// Local columns of an image that one block of the layout moves, and their map.
-struct ImageBlock {
+/// Local columns of a part that one block of the layout moves, and their map.
+struct PartBlock {
   int block = -1;
   int size = 0;               ///< number of unknowns of the block
-  bool is_shared = false;     ///< images of other poses share the block
+  bool is_shared = false;     ///< other own parts may depend on the block
   bool is_contiguous = true;  ///< local[k] = local[0] + k
   int num_local = 0;          ///< number of local columns; equals `size` without a map
   int8_t local[kPoseSize + kMaxCameraParams] = {};
@@ -37,8 +37,8 @@ struct ImageBlock {
   const double* map = nullptr;
 
   /// Map of a block whose unknowns equal its local columns.
-  ImageBlock WithoutMap() const {
-    ImageBlock plain = *this;
+  PartBlock WithoutMap() const {
+    PartBlock plain = *this;
     plain.map = nullptr;
     plain.num_local = size;
     for (int k = 0; k < size; ++k) plain.local[k] = static_cast<int8_t>(k);
@@ -47,7 +47,7 @@ struct ImageBlock {
   }
 };
 
-/// Maximum columns of two images in whole quads, and therefore of two blocks' unknowns.
+/// Maximum columns of two parts in whole quads, and therefore of two blocks' unknowns.
 inline constexpr int kMaxMapped =
     (kPoseSize + kMaxCameraParams + 3) / 4 * 4 * (kPoseSize + kMaxCameraParams);
 
@@ -77,7 +77,7 @@ inline void CombineRows(const double* factor, const int8_t* index, int stride, i
 
 /// out = M_a^T B M_b, a.size x b.size, of a block B whose rows are a's local columns, each `width`
 /// long.
-inline void MapBlock(const ImageBlock& a, const ImageBlock& b, const double* block, int width,
+inline void MapBlock(const PartBlock& a, const PartBlock& b, const double* block, int width,
                      double* out) {
   double right[kMaxMapped];  // B M_b
   double* const by_rows = a.map == nullptr ? out : right;

@@ -39,12 +39,12 @@ SchurProblem::SchurProblem(const AdjustmentProblem& problem, const ParameterLayo
       factors_(problem, layout, structure_, plan_),
       input_(WithPriors(setup_.input)),
       pool_(EffectiveNumThreads(options.num_threads)),
-      memory_(pool_.num_threads(), std::vector<double>(kernels_.memory_doubles(input_))),
+      memory_(pool_.num_threads(), std::vector<double>(kernels_.memory_doubles(input_) + 8)),
       states_{State(problem, layout, plan_), State(problem, layout, plan_)},
       step_(problem, layout),
       other_step_(problem, layout),
       squared_scale_(x_->points.size()),
-      sums_(input_, structure_, assembler_, problem.num_images, pool_.num_threads(),
+      sums_(input_, structure_, assembler_, setup_.parts.num_own_parts(), pool_.num_threads(),
             solver->NeedsCameraDiagonal(),
             /*keeps_error_terms=*/setup_.sums == SumOrder::kSections),
       bounds_(layout.Bounds(problem)) {
@@ -53,7 +53,7 @@ SchurProblem::SchurProblem(const AdjustmentProblem& problem, const ParameterLayo
   d_squared_.resize(n);
   newton_.resize(n);
   if (setup_.sums == SumOrder::kGrid) {
-    grid_ = std::make_unique<SumGrid>(input_, assembler_, structure_, problem.num_images);
+    grid_ = std::make_unique<SumGrid>(input_, assembler_, structure_, setup_.parts.num_parts());
     sums_.UseGrid(grid_.get());
   }
   has_camera_factors_ = BroadcastFirst(communicator_, factors_.has_camera_factors() ? 1 : 0) > 0;
@@ -180,7 +180,6 @@ bool SchurProblem::ReleaseHeld() {
 EliminationInput SchurProblem::WithPriors(EliminationInput input) const {
   input.point_prior = factors_.point_prior();
   input.prior_sums = factors_.prior_sums();
-  if (!solver_->NeedsCameraDiagonal()) input.image_is_mapped = assembler_.image_is_mapped();
   return input;
 }
 

@@ -42,13 +42,13 @@ SchurSetup::SchurSetup(const AdjustmentProblem& of_problem, const ParameterLayou
       layout(of_layout),
       structure(std::move(of_structure)),
       kernels(SelectKernels()),
-      groups(GroupImages(problem, layout)),
-      assembler(problem, layout, groups.groups, groups.image_group, structure),
+      parts(problem, layout),
+      assembler(problem, layout, parts, kernels, structure),
       sums(ChooseSumOrder(options.linear_solver_type, structure.num_columns(),
                           structure.num_blocks(), static_cast<int64_t>(structure.row_block.size()),
                           assembler.has_maps())),
-      plan(PlanPoints(problem, layout, groups.block_size() * static_cast<int>(sizeof(double)),
-                      options.num_threads, is_reused, sums == SumOrder::kSections)),
+      plan(PlanPoints(problem, layout, parts, options.num_threads, is_reused,
+                      sums == SumOrder::kSections)),
       input(MakeInput(options, plan)),
       is_reused_(is_reused) {
   if (sums == SumOrder::kSections) assembler.PlaceErrorTerms();
@@ -58,15 +58,16 @@ EliminationInput SchurSetup::MakeInput(const SolveOptions& options,
                                        const EliminationPlan& points) const {
   EliminationInput result;
   result.plan = &points;
-  result.groups = groups.groups.data();
-  result.num_groups = static_cast<int>(groups.groups.size());
-  result.image_group = groups.image_group.data();
-  result.image_columns = groups.image_columns.data();
-  result.image_quads = groups.image_quads.data();
-  result.image_refined = groups.image_refined.data();
-  result.num_columns = groups.num_columns();
-  result.num_rows = groups.num_rows;
-  result.mixed = groups.mixed();
+  result.groups = parts.groups().data();
+  result.num_groups = static_cast<int>(parts.groups().size());
+  result.image_group = parts.image_group().data();
+  result.image_refined = parts.image_refined().data();
+  result.part_rows = parts.part_rows().data();
+  result.part_quads = parts.part_quads().data();
+  result.own_quads = parts.own_quads();
+  result.camera_quads = parts.camera_quads();
+  result.record_columns = parts.record_columns();
+  result.part_columns = parts.part_columns();
   result.cheirality = options.cheirality;
   result.loss = options.loss;
   result.loss_scale = options.loss_scale;
@@ -93,7 +94,8 @@ void SchurSetup::Reset(const SolveOptions& options) {
 DoubleDouble SchurSetup::FixedCost(const SolveOptions& options) {
   if (plan.num_observations() == problem.num_observations) return {};
   if (fixed_ == nullptr) {
-    EliminationPlan fixed = PlanFixedPoints(problem, layout, options.num_threads, is_reused_);
+    EliminationPlan fixed =
+        PlanFixedPoints(problem, layout, parts, options.num_threads, is_reused_);
     State state(problem, layout, fixed);
     fixed_ = std::make_unique<FixedObservations>(
         FixedObservations{std::move(fixed), {}, std::move(state)});

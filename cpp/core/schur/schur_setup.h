@@ -11,6 +11,7 @@
 #include "core/model/parameter_layout.h"
 #include "core/schur/assembly/assembler.h"
 #include "core/schur/elimination_plan.h"
+#include "core/schur/image_parts.h"
 #include "core/schur/kernels/kernels.h"
 #include "core/schur/state_records.h"
 #include "core/sums/double_double.h"
@@ -49,7 +50,7 @@ struct SchurSetup {
   const ParameterLayout& layout;
   const BlockStructure structure;
   const Kernels& kernels;
-  const ModelGroups groups;
+  const ImageParts parts;
   Assembler assembler;
   const SumOrder sums;
   EliminationPlan plan;

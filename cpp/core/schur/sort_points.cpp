@@ -253,19 +253,11 @@ class PointSorter {
 ImageOrder OrderImages(const AdjustmentProblem& problem, const ParameterLayout& layout) {
   ImageOrder order;
   std::vector<int> block(problem.num_images);
-  std::vector<int> first_of_block(layout.blocks().size(),
-                                  -1);  // first image whose pose is in each block
   for (int i = 0; i < problem.num_images; ++i) {
     const ParameterLayout::ImageBlocks& blocks = layout.blocks_of(i);
     const auto first = std::find_if(blocks.begin(), blocks.end(), [](int b) { return b >= 0; });
     order.refined.push_back(first != blocks.end() ? 1 : 0);
     block[i] = first != blocks.end() ? *first : std::numeric_limits<int>::max();
-    int owner = i;
-    if (const int own = blocks[ParameterLayout::kPoseBlock]; own >= 0) {
-      if (first_of_block[own] < 0) first_of_block[own] = i;
-      owner = first_of_block[own];
-    }
-    order.owner.push_back(owner);
   }
   std::vector<int> images(problem.num_images);
   std::iota(images.begin(), images.end(), 0);

@@ -16,9 +16,6 @@ struct ImageOrder {
   /// Place of each image: refined images in the order of their blocks, the best order for access to
   /// S, then all other images.
   std::vector<int> rank;
-  /// Per image: the first image whose pose is in the same block; such images are neighbours in the
-  /// order. For images without a rig, this is the image itself.
-  std::vector<int> owner;
 };
 
 ImageOrder OrderImages(const AdjustmentProblem& problem, const ParameterLayout& layout);

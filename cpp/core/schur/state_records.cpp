@@ -7,67 +7,6 @@
 
 namespace bundle {
 
-bool ModelGroups::mixed() const {
-  for (const ModelGroup& group : groups) {
-    if (4 * group.num_quads != num_columns()) return true;
-  }
-  return false;
-}
-
-int ModelGroups::block_size() const {
-  if (!mixed()) return num_rows * num_columns();
-  int64_t rows = 0, columns = 0;
-  for (size_t i = 0; i < image_group.size(); ++i) {
-    rows += image_columns[i];
-    columns += 4 * image_quads[i];
-  }
-  const auto images = static_cast<int64_t>(image_group.size());
-  return static_cast<int>(std::max<int64_t>(1, rows * columns / (images * images)));
-}
-
-ModelGroups GroupImages(const AdjustmentProblem& problem, const ParameterLayout& layout) {
-  ModelGroups result;
-  std::vector<int> group_of_model(kNumCameraModels, -1);
-  std::vector<uint32_t> bits;
-  for (int i = 0; i < problem.num_images; ++i) {
-    const int camera = problem.image_camera[i];
-    const CameraModel* const model = problem.camera_models[camera];
-    uint32_t columns = layout.RefinedColumns(problem, i);
-    // An image's record needs the steps of its frame and of its sensor (column_map.h).
-    if (layout.blocks_of(i)[ParameterLayout::kSensorBlock] >= 0)
-      columns |= FreeParameters::kWholePose;
-    result.image_refined.push_back(columns != 0 ? 1 : 0);
-    if (model == nullptr) {
-      result.image_group.push_back(0);
-      continue;
-    }
-    int& group = group_of_model[model - AllCameraModels()];
-    if (group < 0) {
-      group = static_cast<int>(result.groups.size());
-      ModelGroup fresh;
-      fresh.model = static_cast<int>(model - AllCameraModels());
-      fresh.num_params = model->num_params;
-      result.groups.push_back(fresh);
-      bits.push_back(0);
-    }
-    bits[group] |= columns;
-    result.image_group.push_back(static_cast<uint8_t>(group));
-  }
-  for (size_t g = 0; g < bits.size(); ++g) {
-    ModelGroup& group = result.groups[g];
-    for (int8_t j = 0; j < kPoseSize + kMaxCameraParams; ++j) {
-      if (bits[g] >> j & 1u) group.columns[group.num_columns++] = j;
-    }
-    group.num_quads = std::max(1, (group.num_columns + 3) / 4);
-    result.num_rows = std::max(result.num_rows, group.num_columns);
-  }
-  for (const uint8_t g : result.image_group) {
-    result.image_columns.push_back(static_cast<uint8_t>(result.groups[g].num_columns));
-    result.image_quads.push_back(static_cast<uint8_t>(result.groups[g].num_quads));
-  }
-  return result;
-}
-
 namespace {
 
 /// Space for the parameters of every model, in whole quads.
@@ -75,11 +14,19 @@ int RoundedParams(const AdjustmentProblem& problem) {
   return std::max(4, (std::min(problem.camera_params_stride, kMaxCameraParams) + 3) / 4 * 4);
 }
 
-constexpr int kTranslationJacobian = 12;  // its size in a record, in whole quads
+// Sizes in a record, in whole quads.
+constexpr int kTranslationJacobian = 12, kSensorMap = kPoseSize * kPoseSize;
 
-int RecordStride(const AdjustmentProblem& problem) {
+bool RefinesSensors(const AdjustmentProblem& problem, const ParameterLayout& layout) {
+  for (int i = 0; i < problem.num_images; ++i) {
+    if (layout.blocks_of(i)[ParameterLayout::kSensorBlock] >= 0) return true;
+  }
+  return false;
+}
+
+int RecordStride(const AdjustmentProblem& problem, bool has_sensor_maps) {
   return StateRecords::kParams + RoundedParams(problem) +
-         (problem.num_frames > 0 ? kTranslationJacobian : 0);
+         (problem.num_frames > 0 ? kTranslationJacobian : 0) + (has_sensor_maps ? kSensorMap : 0);
 }
 
 }  // namespace
@@ -89,9 +36,10 @@ State::State(const AdjustmentProblem& problem, const ParameterLayout& layout,
     : points(3 * plan.point.size()),
       held(plan.chunks.size()),
       problem_(problem),
+      has_sensor_maps_(RefinesSensors(problem, layout)),
       cameras_(problem, layout),
-      images_(static_cast<int64_t>(problem.num_images) * RecordStride(problem)),
-      stride_(RecordStride(problem)) {
+      stride_(RecordStride(problem, has_sensor_maps_)) {
+  images_.resize(static_cast<int64_t>(problem.num_images) * stride_);
   Reset(layout, plan);
 }
 
@@ -109,7 +57,11 @@ StateRecords State::records() const {
   StateRecords records;
   records.images = images_.data();
   records.stride = stride_;
-  if (problem_.num_frames > 0) records.translation_jacobian = stride_ - kTranslationJacobian;
+  if (has_sensor_maps_) records.sensor_map = stride_ - kSensorMap;
+  if (problem_.num_frames > 0) {
+    records.translation_jacobian =
+        stride_ - kTranslationJacobian - (has_sensor_maps_ ? kSensorMap : 0);
+  }
   records.points = points.data();
   records.held = held.all().data();
   records.num_held = static_cast<int64_t>(held.all().size());
@@ -142,9 +94,14 @@ void State::Update() {
 }
 
 /// Derivatives by the chart of the frame: R_s J_f and R_s. Without a rig, the translation is a
-/// coordinate itself.
+/// coordinate itself. Also K of the sensor.
 void State::PutFrameChart(const RigPose& rig, double* record) const {
-  double* const translation = record + stride_ - kTranslationJacobian;
+  double* translation = record + stride_ - kTranslationJacobian;
+  if (has_sensor_maps_) {
+    double* const map = record + stride_ - kSensorMap;
+    translation -= kSensorMap;
+    if (rig.sensor != nullptr) SensorByFrameMap(rig, map);
+  }
   const bool turned = rig.frame != nullptr && rig.sensor != nullptr;
   std::copy_n(turned ? rig.sensor->rotation : kIdentity3, 9, translation);
   if (rig.frame == nullptr) return;

@@ -13,26 +13,6 @@
 
 namespace bundle {
 
-/// The images of a problem by camera model, and the layout of each model's Jacobian records.
-struct ModelGroups {
-  std::vector<ModelGroup> groups;
-  std::vector<uint8_t> image_group;    ///< group per image
-  std::vector<uint8_t> image_columns;  ///< per image: num_columns of its group
-  std::vector<uint8_t> image_quads;    ///< per image: num_quads of its group
-  std::vector<uint8_t> image_refined;  ///< per image: 1 if it has a free column
-  int num_rows = 1;                    ///< the largest group's columns
-
-  /// Columns of a record.
-  int num_columns() const { return (num_rows + 3) / 4 * 4; }
-  bool mixed() const;
-  /// Average doubles of the block of two images.
-  int block_size() const;
-};
-
-/// Makes a group for each camera model in use. Images of unknown models are in the first group; no
-/// observation is in them.
-ModelGroups GroupImages(const AdjustmentProblem& problem, const ParameterLayout& layout);
-
 /// The states and steps of a solve in the form that the passes read (kernels.h).
 
 /// One state: the camera parameters as a vector of the layout, their expanded form, and the points
@@ -68,6 +48,7 @@ class State {
   void PutFrameChart(const RigPose& rig, double* record) const;
 
   const AdjustmentProblem& problem_;
+  const bool has_sensor_maps_;  ///< a sensor is refined
   CameraStates cameras_;
   std::vector<double> images_;
   int stride_;

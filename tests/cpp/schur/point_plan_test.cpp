@@ -10,13 +10,12 @@
 
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
+#include "core/schur/image_parts.h"
 #include "core/sums/point_sections.h"
 #include "support/scene.h"
 
 namespace bundle {
 namespace {
-
-constexpr int kBlockBytes = 512;
 
 /// Observations in no order, some of them twice, and every fifth point fixed.
 class PointPlanTest : public ::testing::Test {
@@ -47,12 +46,29 @@ class PointPlanTest : public ::testing::Test {
   std::unique_ptr<ParameterLayout> layout_;
 };
 
+/// Block and entries of each pair of a chunk, with the end of its tile.
+std::vector<std::array<int, 4>> Listed(const Chunk& chunk) {
+  std::vector<std::array<int, 4>> listed;
+  size_t pair = 0;
+  int block = 0;
+  for (const Tile& tile : chunk.tiles) {
+    for (; block < tile.last_block; ++block) {
+      for (int k = 0; k < chunk.tile_blocks[block].num_pairs; ++k, ++pair) {
+        const EntryPair& of = chunk.entry_pairs[pair];
+        listed.push_back({tile.last_point, chunk.tile_blocks[block].block, of.first, of.second});
+      }
+    }
+  }
+  EXPECT_EQ(pair, chunk.entry_pairs.size());
+  return listed;
+}
+
 void ExpectSame(const Chunk& a, const Chunk& b) {
   EXPECT_EQ(a.first_point, b.first_point);
   EXPECT_EQ(a.last_point, b.last_point);
-  EXPECT_EQ(a.first_pair, b.first_pair);
-  EXPECT_EQ(a.images, b.images);
+  EXPECT_EQ(a.parts, b.parts);
   EXPECT_EQ(a.previous_chunk, b.previous_chunk);
+  EXPECT_EQ(Listed(a), Listed(b));
   ASSERT_EQ(a.pairs.size(), b.pairs.size());
   for (size_t k = 0; k < a.pairs.size(); ++k) {
     EXPECT_EQ(a.pairs[k].first, b.pairs[k].first);
@@ -65,17 +81,17 @@ TEST_F(PointPlanTest, IsTheSameForAnyNumberOfThreads) {
 }
 
 void PointPlanTest::ExpectSamePlans(bool in_sections) const {
-  const EliminationPlan one =
-      PlanPoints(problem_, *layout_, kBlockBytes, 1, /*keep_order=*/false, in_sections);
-  const EliminationPlan four =
-      PlanPoints(problem_, *layout_, kBlockBytes, 4, /*keep_order=*/false, in_sections);
+  const EliminationPlan one = PlanPoints(problem_, *layout_, ImageParts(problem_, *layout_), 1,
+                                         /*keep_order=*/false, in_sections);
+  const EliminationPlan four = PlanPoints(problem_, *layout_, ImageParts(problem_, *layout_), 4,
+                                          /*keep_order=*/false, in_sections);
   EXPECT_EQ(one.point, four.point);
   EXPECT_EQ(one.num_free_points, four.num_free_points);
   EXPECT_EQ(one.first, four.first);
   EXPECT_EQ(one.image, four.image);
   EXPECT_EQ(one.xy, four.xy);
   EXPECT_EQ(one.image_in_chunk, four.image_in_chunk);
-  EXPECT_EQ(one.pair_block, four.pair_block);
+  EXPECT_EQ(one.entry, four.entry);
   ASSERT_EQ(one.chunks.size(), four.chunks.size());
   ASSERT_GT(one.chunks.size(), 32u);
   for (size_t c = 0; c < one.chunks.size(); ++c) ExpectSame(one.chunks[c], four.chunks[c]);
@@ -91,7 +107,7 @@ TEST_F(PointPlanTest, HasEveryObservationThatSomethingRefines) {
       expected[point].push_back({static_cast<double>(image), xy[0], xy[1]});
     }
   }
-  const EliminationPlan plan = PlanPoints(problem_, *layout_, kBlockBytes, 4);
+  const EliminationPlan plan = PlanPoints(problem_, *layout_, ImageParts(problem_, *layout_), 4);
   ASSERT_EQ(plan.point.size(), expected.size());
   for (int p = 0; p < plan.num_points(); ++p) {
     EXPECT_EQ(layout_->point_is_free(plan.point[p]), p < plan.num_free_points);
@@ -119,8 +135,8 @@ void PointPlanTest::ExpectSorted(bool in_sections) const {
     const int block = layout_->image_block(image);
     return block >= 0 ? block : problem_.num_images;
   };
-  const EliminationPlan plan =
-      PlanPoints(problem_, *layout_, kBlockBytes, 4, /*keep_order=*/false, in_sections);
+  const EliminationPlan plan = PlanPoints(problem_, *layout_, ImageParts(problem_, *layout_), 4,
+                                          /*keep_order=*/false, in_sections);
   for (const Chunk& chunk : plan.chunks) {
     EXPECT_EQ(section_of(plan, chunk.first_point), section_of(plan, chunk.last_point - 1));
   }
@@ -144,60 +160,105 @@ void PointPlanTest::ExpectSorted(bool in_sections) const {
   }
 }
 
-/// The blocks of pairs of observations [first_row, last_row) of a point that are not those of their
-/// images.
-int64_t CountWrongPairs(const EliminationPlan& plan, const Chunk& chunk, int point, int first_row,
-                        int last_row, int refined, int64_t next_pair) {
-  int64_t wrong = 0;
-  const int64_t first = plan.first[point];
-  const auto num_images = static_cast<int>(chunk.images.size());
-  for (int i = first_row; i < last_row; ++i) {
-    for (int j = i + 1; j < refined; ++j) {
-      const int block = plan.pair_block[next_pair++];
-      const int a = plan.image_in_chunk[first + i], b = plan.image_in_chunk[first + j];
-      if (a == b) {
-        wrong += block != a;
-      } else {
-        wrong += block < num_images || block >= chunk.num_blocks() ||
-                 chunk.pairs[block - num_images].first != a ||
-                 chunk.pairs[block - num_images].second != b;
+/// A pair of parts of one point.
+using PartPair = std::array<int, 3>;
+
+/// The pairs of parts that each point of a plan must contribute: all pairs of its parts, and the
+/// squares of those that several of its observations share or that are not own parts.
+std::vector<PartPair> ExpectedPairs(const EliminationPlan& plan, const ImageParts& parts) {
+  std::vector<PartPair> expected;
+  for (int p = 0; p < plan.num_free_points; ++p) {
+    std::map<int, int> count;
+    for (int64_t i = plan.first[p]; i < plan.first[p + 1]; ++i) {
+      for (int kind = 0; kind < kMaxParts; ++kind) {
+        const int part = parts.part_of(plan.image[i], kind);
+        if (part >= 0) ++count[part];
+      }
+    }
+    for (auto a = count.begin(); a != count.end(); ++a) {
+      if (a->second > 1 || a->first >= parts.num_own_parts()) {
+        expected.push_back({p, a->first, a->first});
+      }
+      for (auto b = std::next(a); b != count.end(); ++b) {
+        expected.push_back({p, a->first, b->first});
       }
     }
   }
-  return wrong;
+  return expected;
 }
 
-/// Every pair of observations of a free point is in one chunk, with the block of its images.
-void ExpectNumbered(const EliminationPlan& plan, const ParameterLayout& layout) {
-  int next_point = 0, next_row = 0;
-  int64_t next_pair = 0;
+/// The pairs of parts in the lists of a plan's tiles. The parts of an entry follow from the block
+/// of the pair, and its point from the observations that name the entry.
+std::vector<PartPair> ListedPairs(const EliminationPlan& plan, const ImageParts& parts) {
+  std::vector<PartPair> found;
   for (const Chunk& chunk : plan.chunks) {
-    ASSERT_EQ(chunk.first_point, next_point);
-    ASSERT_EQ(chunk.first_row, next_row);
-    ASSERT_EQ(chunk.first_pair, next_pair);
-    next_point = chunk.last_point;
-    next_row = 0;
-    for (int p = chunk.first_point; p < chunk.last_point; ++p) {
-      int refined = 0;
-      for (int64_t i = plan.first[p]; i < plan.first[p + 1]; ++i) {
-        ASSERT_EQ(chunk.images[plan.image_in_chunk[i]], plan.image[i]);
-        refined += p < plan.num_free_points && layout.image_block(plan.image[i]) >= 0;
+    int first_point = chunk.first_point, block = 0;
+    size_t pair = 0;
+    for (const Tile& tile : chunk.tiles) {
+      std::map<int, std::pair<int, int>> entry;  // point and part
+      for (int p = first_point; p < std::min(tile.last_point, plan.num_free_points); ++p) {
+        for (int64_t i = plan.first[p]; i < plan.first[p + 1]; ++i) {
+          for (int kind = 0; kind < plan.num_kinds; ++kind) {
+            const int part = parts.part_of(plan.image[i], kind);
+            if (part < 0) continue;
+            const uint16_t of = plan.entry[i * plan.num_kinds + kind];
+            const bool is_first = (of & EliminationPlan::kFirstOfEntry) != 0;
+            const int number = of & (EliminationPlan::kFirstOfEntry - 1);
+            EXPECT_LT(number, plan.largest_tile_entries);
+            EXPECT_EQ(entry.try_emplace(number, p, part).second, is_first);
+            EXPECT_EQ(entry[number], std::pair(p, part));
+          }
+        }
       }
-      const int last_row = chunk.last_row > 0 ? chunk.last_row : refined;
-      ASSERT_LE(last_row, refined);
-      EXPECT_EQ(CountWrongPairs(plan, chunk, p, chunk.first_row, last_row, refined, next_pair), 0);
-      for (int i = chunk.first_row; i < last_row; ++i) next_pair += refined - 1 - i;
-      if (last_row == refined) continue;
-      next_point = p;
-      next_row = last_row;
+      for (; block < tile.last_block; ++block) {
+        const Tile::Block& of = chunk.tile_blocks[block];
+        const auto num_parts = static_cast<int>(chunk.parts.size());
+        const Chunk::Pair slots = of.block < num_parts ? Chunk::Pair{of.block, of.block}
+                                                       : chunk.pairs[of.block - num_parts];
+        for (int k = 0; k < of.num_pairs; ++k, ++pair) {
+          const auto a = entry.at(chunk.entry_pairs[pair].first);
+          const auto b = entry.at(chunk.entry_pairs[pair].second);
+          EXPECT_EQ(a.first, b.first);
+          EXPECT_EQ(a.second, chunk.parts[slots.first]);
+          EXPECT_EQ(b.second, chunk.parts[slots.second]);
+          found.push_back({a.first, a.second, b.second});
+        }
+      }
+      EXPECT_LE(tile.last_point - first_point, plan.largest_tile_points);
+      first_point = tile.last_point;
     }
+    EXPECT_EQ(first_point, chunk.last_point);
+  }
+  return found;
+}
+
+/// Every pair of parts of a free point is in one chunk, with the block of its parts.
+void ExpectNumbered(const EliminationPlan& plan, const ImageParts& parts) {
+  int next_point = 0;
+  for (size_t c = 0; c < plan.chunks.size(); ++c) {
+    const Chunk& chunk = plan.chunks[c];
+    ASSERT_EQ(chunk.first_point, next_point);
+    const bool is_spread = chunk.last_row > 0;
+    if (is_spread) {
+      ASSERT_EQ(chunk.last_point, chunk.first_point + 1);
+    }
+    ASSERT_EQ(chunk.first_row, c > 0 && plan.chunks[c - 1].last_point != next_point
+                                   ? plan.chunks[c - 1].last_row
+                                   : 0);
+    const bool goes_on =
+        is_spread && c + 1 < plan.chunks.size() && plan.chunks[c + 1].first_row == chunk.last_row;
+    next_point = goes_on ? chunk.first_point : chunk.last_point;
   }
   EXPECT_EQ(next_point, plan.num_points());
-  EXPECT_EQ(next_pair, static_cast<int64_t>(plan.pair_block.size()));
+  std::vector<PartPair> expected = ExpectedPairs(plan, parts), found = ListedPairs(plan, parts);
+  std::sort(expected.begin(), expected.end());
+  std::sort(found.begin(), found.end());
+  EXPECT_EQ(expected, found);
 }
 
 TEST_F(PointPlanTest, NumbersTheBlocksOfItsChunks) {
-  ExpectNumbered(PlanPoints(problem_, *layout_, kBlockBytes, 4), *layout_);
+  const ImageParts parts(problem_, *layout_);
+  ExpectNumbered(PlanPoints(problem_, *layout_, parts, 4), parts);
 }
 
 /// `length` images that all see the first two points; three of them see another hundred. `repeat`:
@@ -224,7 +285,8 @@ testing::Scene LongTracks(int length, int repeat) {
 }
 
 struct LongTrack {
-  int unknowns, length, repeat;
+  bool poses_only;
+  int length, repeat;
 };
 
 /// About the lengths at which as many rows as fit the buffer have more blocks than 16 bits number.
@@ -233,22 +295,22 @@ class LongTrackTest : public ::testing::TestWithParam<LongTrack> {};
 TEST_P(LongTrackTest, HasNumbersForAllBlocksOfEachChunk) {
   const testing::Scene scene = LongTracks(GetParam().length, GetParam().repeat);
   const AdjustmentProblem problem = scene.View();
-  const ParameterLayout layout = PrepareSolve(problem, SolveOptions{}).layout;
-  const int width = (GetParam().unknowns + 3) / 4 * 4;
-  const int block_bytes = GetParam().unknowns * width * static_cast<int>(sizeof(double));
-  const EliminationPlan plan = PlanPoints(problem, layout, block_bytes, 2);
+  SolveOptions options;
+  options.refine_focal = options.refine_extra = !GetParam().poses_only;
+  const ParameterLayout layout = PrepareSolve(problem, options).layout;
+  const ImageParts parts(problem, layout);
+  const EliminationPlan plan = PlanPoints(problem, layout, parts, 2);
   for (const Chunk& chunk : plan.chunks) EXPECT_LT(chunk.num_blocks(), 1 << 16);
-  ExpectNumbered(plan, layout);
+  ExpectNumbered(plan, parts);
 }
 
 INSTANTIATE_TEST_SUITE_P(Lengths, LongTrackTest,
-                         ::testing::Values(LongTrack{2, 255, 0}, LongTrack{2, 256, 0},
-                                           LongTrack{2, 361, 0}, LongTrack{2, 362, 0},
-                                           LongTrack{5, 373, 0}, LongTrack{6, 415, 0},
-                                           LongTrack{6, 416, 0}, LongTrack{6, 416, 3},
-                                           LongTrack{7, 537, 0}, LongTrack{7, 538, 0},
-                                           LongTrack{7, 538, 7}, LongTrack{8, 1335, 0},
-                                           LongTrack{8, 1336, 0}, LongTrack{24, 1400, 0}));
+                         ::testing::Values(LongTrack{true, 255, 0}, LongTrack{true, 256, 0},
+                                           LongTrack{true, 361, 0}, LongTrack{true, 362, 0},
+                                           LongTrack{true, 415, 0}, LongTrack{true, 416, 0},
+                                           LongTrack{true, 416, 3}, LongTrack{false, 373, 0},
+                                           LongTrack{false, 537, 0}, LongTrack{false, 538, 7},
+                                           LongTrack{false, 1335, 0}, LongTrack{false, 1336, 0}));
 
 }  // namespace
 }  // namespace bundle

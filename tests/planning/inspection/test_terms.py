@@ -16,8 +16,10 @@ PLAN = PlanSize(
     num_points=100,
     num_observations=1000,
     num_pairs=5000,
+    num_kinds=2,
+    num_tile_blocks=300,
     num_chunk_pairs=40,
-    num_chunk_images=10,
+    num_chunk_parts=10,
     largest_chunk_blocks=7,
     block_doubles=108,
 )
@@ -43,7 +45,7 @@ COUNTED = FactorizedSystem(60, 3000, FACTOR, values=3600.0, panel_values=7000.0)
 
 def test_memory_of_the_fused_backend():
     expected = {
-        "plan of the points": 22 * 1000 + 2 * 5000 + 12 * 100 + 4 * (40 + 2 * 10),
+        "plan of the points": 26 * 1000 + 4 * (5000 + 300) + 12 * 100 + 4 * (40 + 2 * 10),
         "points": 4 * 3 * 8 * 100,  # four arrays of three doubles
         "sorting": 2 * 1000,
         "buffers of chunks": 2.5 * 3 * (7 * 108 * 8),

@@ -48,6 +48,16 @@ def test_by_each_preconditioner(num_ranks, preconditioner):
         assert max(alone.iterations["linear_solver_iterations"]) > 100
 
 
+def test_with_refined_sensors():
+    """The Jacobian by a sensor is multiplied by a map for each observation."""
+    alone, divided = solves(
+        rig_problem(num_frames=18, num_points=120),
+        3,
+        refine=("poses", "points", "focal", "extra", "sensor_from_rig"),
+    )
+    assert_same_bits(alone, divided)
+
+
 def positions(problem):
     """Half a unit beside where the images are."""
     places = zip(problem.image_ids, problem.projection_centers, strict=True)

@@ -2,21 +2,17 @@
 
 /// Assembly of S: adds a chunk's blocks of image pairs to blocks of the parameter layout.
 ///
-/// The passes work by image, with the columns that any image of its camera model refines: its pose,
-/// then its intrinsics. In the layout, the columns of an image are one block. They are two blocks
-/// if it shares intrinsics with other images. Some columns may be constant. A block of images (a,
-/// b) is thus added to up to four blocks of S. If both have the same intrinsics block, it and its
-/// transpose are added to the diagonal block.
-///
-/// An image of a rig has the columns of its frame's pose and shares this block with the other
-/// images of the frame. A refined sensor is a third block, through a map (column_map.h).
+/// The passes sum by parts of the camera parameters, with the columns that any image of the part
+/// refines (schur/image_parts.h). In the layout, the unknowns of a part are one block or two: its
+/// own block and one that several cameras share. Some columns may be constant. A block of parts (a,
+/// b) is thus added to up to four blocks of S. If both have the same block of the layout, it and
+/// its transpose are added to the diagonal block.
 ///
 /// Several threads add chunks at the same time, but no bit may depend on their speed. So each block
-/// of S belongs to one queue, and chunks are added to a queue in their order. The blocks of a pose
-/// belong to the queue of its image or frame (ImageOrder::owner). The block of two poses belongs to
-/// the queue of the first. All blocks between shared cameras or sensors belong to one queue. Only
-/// this queue is serial. It is short: 9 of the 81 products of a pair if a camera has three
-/// parameters.
+/// of S belongs to one queue, and chunks are added to a queue in their order. The blocks of an own
+/// part belong to its queue. The block of two own parts belongs to the queue of the first. All
+/// blocks between shared cameras or sensors belong to one queue. Only this queue is serial, and it
+/// is short.
 
 #include <cstddef>
 #include <cstdint>
@@ -29,6 +25,7 @@
 #include "core/parallel/thread_pool.h"
 #include "core/schur/column_map.h"
 #include "core/schur/elimination_plan.h"
+#include "core/schur/image_parts.h"
 #include "core/schur/kernels/kernels.h"
 
 namespace bundle {
@@ -54,10 +51,9 @@ struct CameraSums {
 
 class Assembler {
  public:
-  /// `groups` and `image_group` as in EliminationInput.
+  /// Keeps references to all arguments.
   Assembler(const AdjustmentProblem& problem, const ParameterLayout& layout,
-            const std::vector<ModelGroup>& groups, const std::vector<uint8_t>& image_group,
-            const BlockStructure& structure);
+            const ImageParts& parts, const Kernels& kernels, const BlockStructure& structure);
   Assembler(const Assembler&) = delete;
   Assembler& operator=(const Assembler&) = delete;
 
@@ -66,27 +62,22 @@ class Assembler {
 
   /// Sets the maps at a state, before its chunks are added.
   void SetMaps(const CameraStates& cameras);
-  /// True if there are maps. Chunks then need the camera_diagonal of the images that have maps.
+  /// True if there are maps. Chunks then need the camera_diagonal.
   bool has_maps() const { return !maps_.empty(); }
-  /// Per image: 1 if it has a map, if only poses have maps. nullptr: other blocks also have maps,
-  /// which need all of the camera_diagonal.
-  const uint8_t* image_is_mapped() const {
-    return image_is_mapped_.empty() ? nullptr : image_is_mapped_.data();
-  }
 
-  /// The pairs of a chunk that contain one of its images, ascending.
-  struct PairsOfImage {
-    size_t first = 0, last = 0;  ///< [first, last): pairs with this image as first image
+  /// The pairs of a chunk that contain one of its own parts, ascending.
+  struct PairsOfPart {
+    size_t first = 0, last = 0;  ///< [first, last): pairs with this part as first part
     const int* as_second = nullptr;
     size_t num_as_second = 0;
   };
 
-  /// Adds the sums of a chunk for its image i: its vectors, its diagonal block and its pairs. Rows
-  /// and columns between shared blocks are left out.
-  void AddImage(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum, size_t i,
-                const PairsOfImage& pairs, CameraSums* sums) const;
+  /// Adds the sums of a chunk for its own part i: its vectors, its diagonal block and its pairs.
+  /// Rows and columns between shared blocks are left out.
+  void AddPart(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum, size_t i,
+               const PairsOfPart& pairs, CameraSums* sums) const;
 
-  /// Adds the sums of a chunk between shared blocks, after AddImage. Does nothing without shared
+  /// Adds the sums of a chunk between shared blocks, after AddPart. Does nothing without shared
   /// blocks.
   void AddSharedBlocks(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum,
                        CameraSums* sums) const;
@@ -104,28 +95,28 @@ class Assembler {
   int64_t error_terms_begin(int block_column) const { return compact_.panel_begin[block_column]; }
   int64_t num_error_terms() const { return compact_.num_values; }
 
-  /// True if the layout has blocks that images of several poses share.
-  bool has_shared_blocks() const { return has_shared_blocks_; }
+  /// True if several own parts depend on a block of the layout.
+  bool own_parts_have_shared_blocks() const { return own_parts_have_shared_blocks_; }
 
-  /// The blocks that an image's columns are added to: their number, at most four, and the first.
-  int num_blocks(int image) const { return images_[image].count; }
-  const ImageBlock* blocks_of(int image) const { return images_[image].of; }
+  /// The blocks that a part's columns are added to: their number and the first.
+  int num_blocks(int part) const { return parts_[part].count; }
+  const PartBlock* blocks_of(int part) const { return parts_[part].of; }
 
   /// Begin of block j of the layout in BlockSystem::camera_diagonal.
   const std::vector<int64_t>& diagonal_begin() const { return diagonal_begin_; }
 
  private:
-  struct ImageBlocks {
-    ImageBlock of[4];
+  struct PartBlocks {
+    PartBlock of[2];
     int count = 0;
     int num_columns = 0;  ///< number of local columns
   };
 
-  /// Segments of an image's columns to which a sum is added.
-  enum class Part { kOwn, kShared };
-  /// Blocks of a pair to which a sum is added: those of the first image's pose; those of the second
-  /// image's pose with shared blocks of the first; or those between shared blocks of both.
-  enum class PairPart { kFirst, kSecond, kShared };
+  /// Segments of a part's columns to which a sum is added.
+  enum class Segment { kOwn, kShared };
+  /// Blocks of a pair to which a sum is added: those of the first part's own block; those of the
+  /// second part's own block with shared blocks of the first; or those between shared blocks.
+  enum class PairSegment { kFirst, kSecond, kShared };
 
   /// Consecutive sums and their error terms; nullptr: without error terms.
   struct Target {
@@ -134,19 +125,17 @@ class Assembler {
     void Add(int64_t i, double value) const;
   };
 
-  void AddBlock(int image, int place, const ModelGroup& group);
-  /// `squares`: A^T A of the image; only blocks with a map (ImageBlock::map) use it.
-  void AddVectors(const EliminationInput& input, int image, const double* vectors,
-                  const double* squares, Part part, CameraSums* sums) const;
-  void AddDiagonal(const EliminationInput& input, int image, const double* block, Part part,
-                   CameraSums* sums) const;
-  void AddCameraDiagonal(const EliminationInput& input, int image, const double* block, Part part,
-                         CameraSums* sums) const;
-  void AddPair(const EliminationInput& input, int first, int second, const double* block,
-               PairPart part, CameraSums* sums) const;
-  void AddPairOf(const ImageBlock& a, const ImageBlock& b, const double* block, int width,
+  void AddBlock(int part, int place);
+  /// `squares`: A^T A of the part; only blocks with a map (PartBlock::map) use it.
+  void AddVectors(int part, const double* vectors, const double* squares, Segment segment,
+                  CameraSums* sums) const;
+  void AddDiagonal(int part, const double* block, Segment segment, CameraSums* sums) const;
+  void AddCameraDiagonal(int part, const double* block, Segment segment, CameraSums* sums) const;
+  void AddPair(int first, int second, const double* block, PairSegment segment,
+               CameraSums* sums) const;
+  void AddPairOf(const PartBlock& a, const PartBlock& b, const double* block, int width,
                  CameraSums* sums) const;
-  static void AddColumn(const ImageBlock& rows, const double* from, const Target& column);
+  int WidthOf(int part) const { return 4 * image_parts_.part(part).num_quads; }
   void RoundColumn(int j, CameraSums* sums) const;
   /// Address of entry (r, c) of a block; the following rows of the column are contiguous.
   Target Block(CameraSums* sums, int column, int64_t entry, int r, int c) const;
@@ -155,20 +144,21 @@ class Assembler {
 
   const AdjustmentProblem& problem_;
   const ParameterLayout& layout_;
+  const ImageParts& image_parts_;
+  const Kernels& kernels_;
   const BlockStructure& structure_;
   BlockStructure compact_;  ///< CompactStructure; used with error terms
-  std::vector<ImageBlocks> images_;
+  std::vector<PartBlocks> parts_;
   std::vector<int64_t> diagonal_begin_;
-  bool has_shared_blocks_ = false;
+  bool own_parts_have_shared_blocks_ = false;
 
-  /// The map of an image's block, by its index in ParameterLayout::ImageBlocks and in ImageBlocks.
+  /// The map of a part's block, by its index in ParameterLayout::ImageBlocks and in PartBlocks.
   struct MapOf {
-    int image, place, k;
+    int part, place, k;
     size_t first;  ///< index of the first value of the map
   };
   std::vector<MapOf> maps_;
   std::vector<double> map_values_;
-  std::vector<uint8_t> image_is_mapped_;  ///< per image; empty unless all maps are of sensors
 };
 
 }  // namespace bundle

@@ -13,7 +13,7 @@
 namespace bundle {
 
 OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& structure,
-                         const Assembler& assembler, int num_images, int num_threads,
+                         const Assembler& assembler, int num_own_parts, int num_threads,
                          bool wants_camera_diagonal, bool keeps_error_terms)
     : input_(input),
       structure_(structure),
@@ -21,30 +21,28 @@ OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& st
       wants_camera_diagonal_(wants_camera_diagonal),
       chunks_have_camera_diagonal_(wants_camera_diagonal || assembler.has_maps()),
       waiting_(num_threads),
-      last_added_(num_images) {
+      last_added_(num_own_parts) {
   sums_.has_error_terms = keeps_error_terms;
   // Allocates all memory here, so that no pass can fail half way.
-  size_t images = 0, pairs = 0, blocks = 0, mixed_doubles = 0;
+  size_t parts = 0, pairs = 0, blocks = 0, doubles = 0, diagonal = 0;
   std::vector<int64_t> block_begin;
   for (const Chunk& chunk : input.plan->chunks) {
-    images = std::max(images, chunk.images.size());
+    parts = std::max(parts, chunk.parts.size());
     pairs = std::max(pairs, chunk.pairs.size());
     blocks = std::max<size_t>(blocks, chunk.num_blocks());
-    if (input.mixed) {
-      mixed_doubles = std::max<size_t>(mixed_doubles, PlaceBlocks(chunk, &block_begin));
-    }
+    doubles = std::max<size_t>(doubles, PlaceBlocks(chunk, &block_begin));
+    diagonal = std::max<size_t>(diagonal, block_begin[chunk.parts.size()]);
   }
-  const size_t block_size = static_cast<size_t>(input.num_rows) * input.num_columns;
   for (Waiting& waiting : waiting_) {
-    if (assembler.has_shared_blocks()) {
-      waiting.second_begin.reserve(images + 2);
+    if (assembler.own_parts_have_shared_blocks()) {
+      waiting.second_begin.reserve(parts + 2);
       waiting.seconds.reserve(pairs);
     }
     for (Buffer& buffer : waiting.buffers) {
-      buffer.blocks.reserve(input.mixed ? mixed_doubles : blocks * block_size);
-      if (input.mixed) buffer.block_begin.reserve(blocks);
-      buffer.vectors.reserve(images * ChunkSum::kVectors * input.num_columns);
-      if (chunks_have_camera_diagonal_) buffer.camera_diagonal.reserve(images * block_size);
+      buffer.blocks.reserve(doubles);
+      buffer.block_begin.reserve(blocks + 1);
+      buffer.vectors.reserve(parts * ChunkSum::kVectors * input.part_columns);
+      if (chunks_have_camera_diagonal_) buffer.camera_diagonal.reserve(diagonal);
     }
   }
   MakeSystem();
@@ -55,11 +53,12 @@ int64_t OrderedSums::PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block
   block_begin->clear();
   const auto place = [&](size_t first, size_t second) {
     block_begin->push_back(end);
-    end += int64_t{4} * input_.image_columns[chunk.images[first]] *
-           input_.image_quads[chunk.images[second]];
+    end +=
+        int64_t{4} * input_.part_rows[chunk.parts[first]] * input_.part_quads[chunk.parts[second]];
   };
-  for (size_t i = 0; i < chunk.images.size(); ++i) place(i, i);
+  for (size_t i = 0; i < chunk.parts.size(); ++i) place(i, i);
   for (const Chunk::Pair& pair : chunk.pairs) place(pair.first, pair.second);
+  block_begin->push_back(end);
   return end;
 }
 
@@ -116,20 +115,14 @@ ChunkSum& OrderedSums::Begin(int chunk, int thread) {
   Buffer& buffer = waiting.Push();
   buffer.chunk = chunk;
   const Chunk& what = input_.plan->chunks[chunk];
-  const size_t images = what.images.size();
-  const size_t block_size = static_cast<size_t>(input_.num_rows) * input_.num_columns;
-  if (input_.mixed) {
-    buffer.blocks.assign(PlaceBlocks(what, &buffer.block_begin), 0.0);
-  } else {
-    buffer.blocks.assign(what.num_blocks() * block_size, 0.0);
-  }
-  buffer.vectors.assign(images * ChunkSum::kVectors * input_.num_columns, 0.0);
+  buffer.blocks.assign(PlaceBlocks(what, &buffer.block_begin), 0.0);
+  buffer.vectors.assign(what.parts.size() * ChunkSum::kVectors * input_.part_columns, 0.0);
   buffer.sum = {};
   buffer.sum.blocks = buffer.blocks.data();
   buffer.sum.block_begin = buffer.block_begin.data();
   buffer.sum.vectors = buffer.vectors.data();
   if (chunks_have_camera_diagonal_) {
-    buffer.camera_diagonal.assign(images * block_size, 0.0);
+    buffer.camera_diagonal.assign(buffer.block_begin[what.parts.size()], 0.0);
     buffer.sum.camera_diagonal = buffer.camera_diagonal.data();
   }
   if (HasGrid()) grid_->Start(what, &buffer.sum);
@@ -158,7 +151,7 @@ void OrderedSums::WaitFor(const std::atomic<int>& value, int wanted) const {
 
 void OrderedSums::GroupBySecond(const Chunk& chunk, Waiting* waiting) {
   std::vector<int>& begin = waiting->second_begin;
-  begin.assign(chunk.images.size() + 2, 0);
+  begin.assign(chunk.parts.size() + 2, 0);
   for (const Chunk::Pair& pair : chunk.pairs) ++begin[pair.second + 2];
   std::partial_sum(begin.begin(), begin.end(), begin.begin());
   waiting->seconds.resize(chunk.pairs.size());
@@ -173,10 +166,10 @@ void OrderedSums::AddOldest(Waiting* waiting) {
   const int c = buffer.chunk;
   const Chunk& chunk = input_.plan->chunks[c];
   if (HasGrid()) grid_->Finish(chunk, &buffer.sum);
-  const bool has_shared_blocks = assembler_.has_shared_blocks();
+  const bool has_shared_blocks = assembler_.own_parts_have_shared_blocks();
   if (has_shared_blocks) GroupBySecond(chunk, waiting);
-  Assembler::PairsOfImage pairs;
-  for (size_t i = 0; i < chunk.images.size(); ++i) {
+  Assembler::PairsOfPart pairs;
+  for (int i = 0; i < chunk.num_own_parts; ++i) {
     pairs.first = pairs.last;
     while (pairs.last < chunk.pairs.size() && chunk.pairs[pairs.last].first == i) ++pairs.last;
     if (has_shared_blocks) {
@@ -184,16 +177,13 @@ void OrderedSums::AddOldest(Waiting* waiting) {
       pairs.as_second = waiting->seconds.data() + begin;
       pairs.num_as_second = end - begin;
     }
-    const std::vector<int>& owner_of = input_.plan->image_owner;
-    const int owner = owner_of[chunk.images[i]];
-    WaitFor(last_added_[owner], chunk.previous_chunk[i]);
-    assembler_.AddImage(input_, chunk, buffer.sum, i, pairs, &sums_);
-    // Images of one owner are consecutive and are added in the same turn.
-    const bool is_last = i + 1 == chunk.images.size() || owner_of[chunk.images[i + 1]] != owner;
-    if (is_last) last_added_[owner].store(c, std::memory_order_release);
+    std::atomic<int>& last_added = last_added_[chunk.parts[i]];
+    WaitFor(last_added, chunk.previous_chunk[i]);
+    assembler_.AddPart(input_, chunk, buffer.sum, i, pairs, &sums_);
+    last_added.store(c, std::memory_order_release);
   }
   WaitFor(num_added_, c);
-  if (has_shared_blocks) assembler_.AddSharedBlocks(input_, chunk, buffer.sum, &sums_);
+  assembler_.AddSharedBlocks(input_, chunk, buffer.sum, &sums_);
   num_added_.store(c + 1, std::memory_order_release);
   waiting->Pop();
 }

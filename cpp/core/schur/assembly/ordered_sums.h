@@ -27,7 +27,7 @@ class OrderedSums {
   /// Keeps references to all arguments but the last. `keeps_error_terms`: the sums are
   /// double-doubles until Round.
   OrderedSums(const EliminationInput& input, const BlockStructure& structure,
-              const Assembler& assembler, int num_images, int num_threads,
+              const Assembler& assembler, int num_own_parts, int num_threads,
               bool wants_camera_diagonal, bool keeps_error_terms);
 
   /// Makes sums on a grid, if one is chosen, from the next Clear on. nullptr: without a grid.
@@ -84,11 +84,11 @@ class OrderedSums {
     }
   };
 
-  /// For blocks of mixed widths: writes the offset of each block of a chunk to `block_begin`, and
-  /// returns the total number of doubles of the blocks.
+  /// Writes the offset of each block of a chunk to `block_begin`, and returns the total number of
+  /// doubles of the blocks.
   int64_t PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block_begin) const;
 
-  /// The pairs of a chunk by their second image. Those of image i are seconds[second_begin[i]] to
+  /// The pairs of a chunk by their second part. Those of part i are seconds[second_begin[i]] to
   /// seconds[second_begin[i + 1]], ascending.
   static void GroupBySecond(const Chunk& chunk, Waiting* waiting);
 
@@ -106,7 +106,7 @@ class OrderedSums {
   CameraSums sums_;
   bool is_new_ = false;                       ///< S was just allocated and is already zero
   std::vector<Waiting> waiting_;              ///< per thread
-  std::vector<std::atomic<int>> last_added_;  ///< last added chunk of each image
+  std::vector<std::atomic<int>> last_added_;  ///< last added chunk of each own part
   std::atomic<int> num_added_{0};             ///< number of added chunks
   std::atomic<bool> abandoned_{false};
 };

@@ -30,24 +30,20 @@ bool IsWithin(double squared, double bound) {
 }  // namespace
 
 SumGrid::SumGrid(const EliminationInput& input, const Assembler& assembler,
-                 const BlockStructure& structure, int num_images)
+                 const BlockStructure& structure, int num_parts)
     : input_(input),
-      stride_(input.num_columns),
-      column_(stride_ * num_images, -1),
-      scale_(stride_ * num_images),
+      stride_(input.part_columns),
+      column_(stride_ * num_parts, -1),
+      scale_(stride_ * num_parts),
       of_column_(structure.num_columns()) {
-  for (int i = 0; i < num_images; ++i) {
+  for (int i = 0; i < num_parts; ++i) {
     for (int s = 0; s < assembler.num_blocks(i); ++s) {
-      const ImageBlock& block = assembler.blocks_of(i)[s];
+      const PartBlock& block = assembler.blocks_of(i)[s];
       for (int k = 0; k < block.size; ++k) {
         column_[stride_ * i + block.local[k]] = structure.offset[block.block] + k;
       }
     }
   }
-}
-
-int SumGrid::WidthOf(int image) const {
-  return input_.mixed ? 4 * input_.image_quads[image] : input_.num_columns;
 }
 
 void SumGrid::Choose(const std::vector<double>& squared_norms, double cost) {
@@ -70,37 +66,32 @@ bool SumGrid::Fits(const std::vector<double>& squared_norms, double cost) const 
 
 void SumGrid::Add(const Chunk& chunk, double sign, ChunkSum* sum) const {
   const double factor = 3 * sign;
-  const int64_t block_size = static_cast<int64_t>(input_.num_rows) * input_.num_columns;
   const auto add_block = [&](int first, int second, double* to) {
     const double* const rows = scale_.data() + stride_ * first;
     const double* const columns = scale_.data() + stride_ * second;
-    const int width = WidthOf(second);
-    for (int a = 0; a < input_.image_columns[first]; ++a, to += width) {
+    const int width = 4 * input_.part_quads[second];
+    for (int a = 0; a < input_.part_rows[first]; ++a, to += width) {
       const double scale = factor * rows[a];
       for (int b = 0; b < width; ++b) to[b] += scale * columns[b];
     }
   };
-  int64_t number = 0;
-  const auto next_block = [&] {
-    const int64_t b = number++;
-    return sum->blocks + (input_.mixed ? sum->block_begin[b] : block_size * b);
-  };
-  for (const int image : chunk.images) add_block(image, image, next_block());
-  for (const Chunk::Pair& pair : chunk.pairs) {
-    add_block(chunk.images[pair.first], chunk.images[pair.second], next_block());
+  const size_t num_parts = chunk.parts.size();
+  for (size_t k = 0; k < chunk.pairs.size(); ++k) {
+    add_block(chunk.parts[chunk.pairs[k].first], chunk.parts[chunk.pairs[k].second],
+              sum->BlockOf(num_parts + k));
   }
-  for (size_t i = 0; i < chunk.images.size(); ++i) {
-    const int image = chunk.images[i];
-    const int width = WidthOf(image);
-    const double* const scale = scale_.data() + stride_ * image;
-    double* const vectors = sum->vectors + ChunkSum::kVectors * stride_ * i;
+  for (size_t i = 0; i < num_parts; ++i) {
+    const int part = chunk.parts[i];
+    add_block(part, part, sum->BlockOf(i));
+    const int width = 4 * input_.part_quads[part];
+    const double* const scale = scale_.data() + stride_ * part;
+    double* const vectors = sum->VectorsOf(input_, i);
     for (int a = 0; a < width; ++a) {
       vectors[a] += factor * scale[a] * residual_;
       vectors[width + a] += factor * scale[a] * residual_;
       vectors[2 * width + a] += factor * scale[a] * scale[a];
     }
-    if (sum->camera_diagonal == nullptr) continue;
-    add_block(image, image, sum->camera_diagonal + block_size * static_cast<int64_t>(i));
+    if (sum->camera_diagonal != nullptr) add_block(part, part, sum->SquaresOf(i));
   }
 }
 

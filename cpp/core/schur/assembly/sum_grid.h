@@ -48,7 +48,7 @@ class SumGrid {
   /// Keeps a reference to the input. The assembler must have no maps, because maps would round the
   /// sums of a chunk again.
   SumGrid(const EliminationInput& input, const Assembler& assembler,
-          const BlockStructure& structure, int num_images);
+          const BlockStructure& structure, int num_parts);
 
   /// The grid for columns with about these squared norms and residuals of this cost.
   void Choose(const std::vector<double>& squared_norms, double cost);
@@ -68,12 +68,11 @@ class SumGrid {
 
  private:
   void Add(const Chunk& chunk, double sign, ChunkSum* sum) const;
-  int WidthOf(int image) const;
 
   const EliminationInput& input_;
-  size_t stride_;                  ///< stride of an image in column_ and scale_
-  std::vector<int32_t> column_;    ///< column of the layout, per column of each image; -1: none
-  std::vector<double> scale_;      ///< s of each image's columns
+  size_t stride_;                  ///< stride of a part in column_ and scale_
+  std::vector<int32_t> column_;    ///< column of the layout, per column of each part; -1: none
+  std::vector<double> scale_;      ///< s of each part's columns
   std::vector<double> of_column_;  ///< s of each column of the layout
   double residual_ = 0;            ///< t
   bool is_chosen_ = false;

@@ -1,39 +1,61 @@
 #pragma once
 
-/// Elimination of a chunk, strip by strip: linearise its observations, factorise its points'
-/// blocks, add each point's contribution. Included by kernels.cpp only.
+/// Elimination of a chunk, tile by tile: linearise the observations of its strips, factorise their
+/// points' blocks, compute the factors of their entries, then add the products of the tile.
+/// Included by kernels.cpp only.
 
 #include "core/schur/kernels/eliminate_point.h"
 #include "core/schur/kernels/point_block.h"
 #include "core/schur/kernels/strip.h"
+#include "core/schur/kernels/tile_products.h"
 
 namespace bundle::BUNDLE_ISA {
 
+/// Row of the derivative by the pose of the sensor: that by the pose of the frame times K.
+inline void ChainSensor(const StateRecords& x, const Lanes& lanes, const int32_t* image,
+                        const Pack* d_pose, Pack* d_sensor) {
+  const double* records[kLanes];
+  for (int lane = 0; lane < kLanes; ++lane) {
+    records[lane] = x.images + int64_t{image[lanes.observation[lane]]} * x.stride + x.sensor_map;
+  }
+  Pack map[kPoseSize * kPoseSize];
+  GatherRecords(records, kPoseSize * kPoseSize, map);
+  for (int j = 0; j < kPoseSize; ++j) {
+    d_sensor[j] = d_pose[0] * map[j];
+    for (int i = 1; i < kPoseSize; ++i) d_sensor[j] += d_pose[i] * map[kPoseSize * i + j];
+  }
+}
+
 /// Writes the records of observations in lanes and returns their cost.
 inline double LinearizeLanes(const EliminationInput& input, const StateRecords& x,
-                             const Strip& strip, const Lanes& lanes, const StripRecords& records) {
+                             const Lanes& lanes, const TileRecords& records) {
   const LaneState state(input, x, lanes, true);
   const LaneResiduals residuals(input, x, state, lanes, true);
   double* out[kLanes];
-  double discarded[2 * kMaxColumns + kRecordHead];
+  double discarded[2 * 4 * kMaxRecordQuads + kRecordHead];
   for (int lane = 0; lane < kLanes; ++lane) {
-    out[lane] = lane < lanes.count ? records.Of(lanes.observation[lane] - strip.begin) : discarded;
+    out[lane] = lane < lanes.count ? records.Of(lanes.observation[lane]) : discarded;
   }
   const Pack zero = 0.0;
   const ModelGroup& group = *lanes.group;
   for (int row = 0; row < 2; ++row) {
-    Pack d_pose[kPoseSize], d_point[3];
+    Pack d_pose[kPoseSize], d_sensor[kPoseSize], d_point[3];
     residuals.ChainPose(state, row, d_pose);
     residuals.ChainPoint(state, row, d_point);
     const Pack* const d_params = residuals.d_params + row * group.num_params;
+    if (group.parts[kSensorPart].num_columns > 0) {
+      ChainSensor(x, lanes, input.plan->image.data(), d_pose, d_sensor);
+    }
     const int width = 4 * group.num_quads;
     for (int j = 0; j < width; j += 4) {
       const Pack* quad[4];
       for (int k = 0; k < 4; ++k) {
-        const int column = j + k < group.num_columns ? group.columns[j + k] : -1;
-        quad[k] = column < 0           ? &zero
-                  : column < kPoseSize ? d_pose + column
-                                       : d_params + (column - kPoseSize);
+        const int column = group.columns[j + k];
+        quad[k] = column == ModelGroup::kNoColumn ? &zero
+                  : column < kPoseSize            ? d_pose + column
+                  : column < ModelGroup::kFirstOfSensor
+                      ? d_params + (column - kPoseSize)
+                      : d_sensor + (column - ModelGroup::kFirstOfSensor);
       }
       ScatterRecords(quad, out, kRecordHead + row * width + j);
     }
@@ -43,60 +65,102 @@ inline double LinearizeLanes(const EliminationInput& input, const StateRecords& 
   return 0.5 * Sum(residuals.rho, lanes.count);
 }
 
-template <typename Elimination>
-void EliminateChunk(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
-                    double damping, bool first, double* squared_scale, double* memory,
-                    ChunkSum* sum) {
-  const StripRecords records(input, memory);
-  const int64_t* const begin = input.plan->first.data();
-  const uint16_t* pair_block = input.plan->pair_block.data() + chunk.first_pair;
-  Elimination elimination(input, records, sum);
-  const bool counts = chunk.first_row == 0;
+/// Linearises the strips of points [first_point, last_point) of a tile and calls visit(p, block of
+/// the point) for each point. `visit_strip(cost)` comes before the points of a strip.
+template <typename VisitStrip, typename Visit>
+inline void VisitPoints(const EliminationInput& input, const StateRecords& x, int first_point,
+                        int last_point, double damping, bool first, const double* squared_scale,
+                        const TileRecords& records, const VisitStrip& visit_strip,
+                        const Visit& visit) {
   PointBlock blocks[kStripPoints];
-  for (int point = chunk.first_point; point < chunk.last_point;) {
-    const Strip strip(input, point, chunk.last_point);
+  for (int point = first_point; point < last_point;) {
+    const Strip strip(input, point, last_point);
     double cost = 0;
-    VisitLanes(input, strip, [&](const Lanes& lanes) {
-      cost += LinearizeLanes(input, x, strip, lanes, records);
-    });
-    FormPointBlocks(input, strip, records.Of(0), records.stride(), damping, first, squared_scale,
-                    blocks);
-    if (counts) sum->cost += cost;
-    for (int p = strip.first; p < strip.last; ++p) {
-      for (int j = 0; j < 3 && first && counts; ++j) {
-        squared_scale[3 * p + j] = blocks[p - strip.first].squared_scale[j];
-      }
-      const PointBlock* block = nullptr;
-      if (p < input.plan->num_free_points) {
-        block = blocks + (p - strip.first);
-        for (int j = 0; j < 3 && counts; ++j) {
-          const double g = block->Gradient(j), size = __builtin_fabs(g);
-          sum->gradient_squared += g * g;
-          if (!(size <= sum->gradient_max)) sum->gradient_max = size;
-        }
-      }
-      pair_block = elimination.Add(begin[p] - strip.begin, begin[p], begin[p + 1], chunk.first_row,
-                                   chunk.last_row, block, pair_block);
-    }
+    VisitLanes(input, strip,
+               [&](const Lanes& lanes) { cost += LinearizeLanes(input, x, lanes, records); });
+    FormPointBlocks(input, strip, records.Of(strip.begin), records.stride(), damping, first,
+                    squared_scale, blocks);
+    visit_strip(cost);
+    for (int p = strip.first; p < strip.last; ++p) visit(p, blocks[p - strip.first]);
     point = strip.last;
   }
 }
 
-using EliminateFunction = decltype(Kernels::eliminate);
+/// The tiles of a chunk, one after the other, with their lists.
+struct TileCursor {
+  const Chunk& chunk;
+  int first_point = chunk.first_point;
+  const EntryPair* pairs = chunk.entry_pairs.data();
+  const Tile::Block* block = chunk.tile_blocks.data();
+  const Tile::Image* image = chunk.tile_images.data();
+  const uint16_t* observations = chunk.tile_observations.data();
 
-inline EliminateFunction EliminateFor(int num_columns) {
-  static constexpr EliminateFunction kFor[] = {
-      &EliminateChunk<Elimination<1>>, &EliminateChunk<Elimination<2>>,
-      &EliminateChunk<Elimination<3>>, &EliminateChunk<Elimination<4>>,
-      &EliminateChunk<Elimination<5>>, &EliminateChunk<Elimination<6>>};
-  return kFor[num_columns / 4 - 1];
+  const Tile::Block* EndOfBlocks(const Tile& tile) const {
+    return chunk.tile_blocks.data() + tile.last_block;
+  }
+  const Tile::Image* EndOfImages(const Tile& tile) const {
+    return chunk.tile_images.data() + tile.last_image;
+  }
+  void Pass(const Tile& tile) {
+    for (; block < EndOfBlocks(tile); ++block) pairs += block->num_pairs;
+    for (; image < EndOfImages(tile); ++image) observations += image->num_observations;
+    first_point = tile.last_point;
+  }
+};
+
+template <int kOwn, int kCamera>
+void EliminateChunk(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
+                    double damping, bool first, double* squared_scale, double* memory,
+                    ChunkSum* sum) {
+  const int64_t* const begin = input.plan->first.data();
+  const bool counts = chunk.first_row == 0;
+  TileCursor at = {chunk};
+  for (const Tile* tile = chunk.tiles.data(); at.first_point < chunk.last_point; ++tile) {
+    const TileRecords records(input, memory, at.first_point);
+    VisitPoints(
+        input, x, at.first_point, tile->last_point, damping, first, squared_scale, records,
+        [&](double cost) {
+          if (counts) sum->cost += cost;
+        },
+        [&](int p, const PointBlock& of_point) {
+          for (int j = 0; j < 3 && first && counts; ++j) {
+            squared_scale[3 * p + j] = of_point.squared_scale[j];
+          }
+          const PointBlock* const block = p < input.plan->num_free_points ? &of_point : nullptr;
+          const int num_refined = CountRefined(input, begin[p], begin[p + 1]);
+          if (block != nullptr) {
+            for (int j = 0; j < 3 && counts; ++j) {
+              const double g = block->Gradient(j), size = __builtin_fabs(g);
+              sum->gradient_squared += g * g;
+              if (!(size <= sum->gradient_max)) sum->gradient_max = size;
+            }
+            WhitenRows(records, begin[p], begin[p] + num_refined, *block);
+            FormFactors<kOwn, kCamera>(input, chunk, records, begin[p], num_refined, memory);
+          }
+          FinishHeads(input, records, begin[p], num_refined, block);
+        });
+    AddImages(input, chunk, at.image, at.EndOfImages(*tile), at.observations, begin[at.first_point],
+              records, *sum);
+    SubtractTile(input, chunk, at.block, at.EndOfBlocks(*tile), at.pairs, memory, *sum);
+    at.Pass(*tile);
+  }
 }
 
 inline void Eliminate(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
                       double damping, bool first, double* squared_scale, double* memory,
                       ChunkSum* sum) {
-  const EliminateFunction eliminate =
-      input.mixed ? &EliminateChunk<MixedElimination> : EliminateFor(input.num_columns);
+  using Function = decltype(Kernels::eliminate);
+  static constexpr Function kAny = &EliminateChunk<0, 0>;
+  static constexpr Function kFor[][3] = {
+      {kAny, kAny, kAny},
+      {&EliminateChunk<1, 0>, kAny, kAny},
+      {&EliminateChunk<2, 0>, &EliminateChunk<2, 1>, &EliminateChunk<2, 2>},
+      {&EliminateChunk<3, 0>, kAny, kAny},
+      {&EliminateChunk<4, 0>, kAny, kAny},
+      {&EliminateChunk<5, 0>, kAny, kAny},
+      {&EliminateChunk<6, 0>, kAny, kAny}};
+  const Function eliminate =
+      input.camera_quads < 3 ? kFor[input.own_quads][input.camera_quads] : kAny;
   eliminate(input, x, chunk, damping, first, squared_scale, memory, sum);
 }
 

@@ -13,14 +13,24 @@
 
 namespace bundle {
 
-/// The images of one camera model, and the shape of its Jacobians.
+/// Images with equal Jacobian records: of one camera model and with the same kinds of parts.
 struct ModelGroup {
+  /// Columns of a part in a row of the record: they begin at a whole quad.
+  struct Part {
+    int num_columns = 0;  ///< 0: no image of the group has this part
+    int num_quads = 0;    ///< num_columns, rounded up
+    int first_quad = 0;
+  };
+  static constexpr int kFirstOfSensor = kPoseSize + kMaxCameraParams;
+  static constexpr int8_t kNoColumn = -1;
+
   int model = 0;       ///< index into CameraModels
   int num_params = 0;  ///< parameters of the model
-  /// Camera parameters that any image of the group refines, as in ParameterLayout.
-  int num_columns = 0;
-  int8_t columns[kPoseSize + kMaxCameraParams] = {};
-  int num_quads = 1;  ///< quads in a row of its Jacobian records: num_columns, rounded up
+  Part parts[kMaxParts];
+  int num_quads = 0;  ///< quads in a row of the record
+  /// Per column of a row: the column in ParameterLayout; that of the sensor's pose from
+  /// kFirstOfSensor on; kNoColumn: padding.
+  int8_t columns[4 * 8] = {};
 };
 
 /// Input of the passes; no pass changes it.
@@ -28,14 +38,15 @@ struct EliminationInput {
   const EliminationPlan* plan = nullptr;
   const ModelGroup* groups = nullptr;
   int num_groups = 0;
-  const uint8_t* image_group = nullptr;    ///< group per image
-  const uint8_t* image_columns = nullptr;  ///< per image: num_columns of its group
-  const uint8_t* image_quads = nullptr;    ///< per image: num_quads of its group
+  const uint8_t* image_group = nullptr;  ///< group per image
   const uint8_t* image_refined = nullptr;
-  int num_rows = 0;     ///< number of columns of the largest group
-  int num_columns = 0;  ///< columns of the widest Jacobian record: num_rows in whole quads
-  bool mixed =
-      false;  ///< the widths of groups differ: each block is as large as the groups of its images
+  const uint8_t* part_rows = nullptr;   ///< per part: its columns
+  const uint8_t* part_quads = nullptr;  ///< per part: its columns in quads, rounded up
+  /// Quads of the own parts, and of the cameras' parts, if they are equal for all images and there
+  /// are no other parts; or else 0. Without cameras' parts, the second is 0.
+  int own_quads = 0, camera_quads = 0;
+  int record_columns = 0;  ///< columns of the widest Jacobian record's rows
+  int part_columns = 0;    ///< columns of the widest part, in whole quads
   Cheirality cheirality = Cheirality::kAuto;
   LossType loss = LossType::kTrivial;
   double loss_scale = 1;
@@ -47,10 +58,6 @@ struct EliminationInput {
   /// Per place: contributions of factors to the point's block at the last linearisation. 12
   /// numbers: rows of J^T J, each followed by its entry of J^T r.
   const double* prior_sums = nullptr;
-
-  /// Per image: 1 if the pose's rows of its ChunkSum::camera_diagonal are needed. nullptr: all rows
-  /// of all images are needed.
-  const uint8_t* image_is_mapped = nullptr;
 
   const double* PriorOf(int point) const {
     const int place = point_prior == nullptr ? -1 : point_prior[point];
@@ -66,6 +73,9 @@ struct StateRecords {
   /// numbers); 0: it is the identity. For an image of a rig, this derivative and the left Jacobian
   /// refer to the chart of its frame.
   int translation_jacobian = 0;
+  /// Offset in a record of K (factors/rig_pose.h), 6 x 6: a step of the sensor times K is a step of
+  /// the frame.
+  int sensor_map = 0;
   const double* images = nullptr;
   int stride = 0;  ///< stride of `images`; a multiple of 4
   const double* points = nullptr;
@@ -77,18 +87,26 @@ struct StateRecords {
   HeldSink sink;  ///< for observations that hold a residual at a candidate, or at the start
 };
 
-/// Contribution of a chunk to the normal equations, by the chunk's images and blocks.
+/// Contribution of a chunk to the normal equations, by the chunk's parts and blocks.
 struct ChunkSum {
-  /// num_blocks x num_rows x num_columns; the rows are those of the first image. With mixed widths,
-  /// block b begins at block_begin[b]. It has the rows of the group of its first image and the
-  /// width of the group of its second image.
+  /// Block b of the chunk begins at block_begin[b]. It has the rows of its first part, each as wide
+  /// as the quads of its second part.
   double* blocks = nullptr;
   const int64_t* block_begin = nullptr;
   static constexpr int kVectors = 3;
-  /// Buffer of num_images x kVectors x num_columns: J_c^T r, reduced right-hand side, ||J e_j||^2,
-  /// each as wide as the image's group. The rows of camera_diagonal have this width, too.
+  /// Per part kVectors x EliminationInput::part_columns: J_c^T r, reduced right-hand side, ||J
+  /// e_j||^2, each as wide as the part's quads.
   double* vectors = nullptr;
-  double* camera_diagonal = nullptr;  ///< num_images x num_rows x num_columns; nullptr: not needed
+  /// J_c^T J_c of each part, laid out as the diagonal blocks; nullptr: not needed.
+  double* camera_diagonal = nullptr;
+  double* BlockOf(size_t b) const { return blocks + block_begin[b]; }
+  double* VectorsOf(const EliminationInput& input, size_t i) const {
+    return vectors + int64_t{kVectors} * input.part_columns * static_cast<int64_t>(i);
+  }
+  double* SquaresOf(size_t i) const {
+    return camera_diagonal == nullptr ? nullptr : camera_diagonal + block_begin[i];
+  }
+
   double cost = 0;
   double gradient_squared = 0;  ///< squared norm over the points
   double gradient_max = 0;      ///< maximum norm over the points
@@ -120,7 +138,7 @@ inline constexpr int kMoves = 8;
 /// Derivatives of images and points by the similarities about a centre: N of
 /// covariance/gauge_sums.h. Translations are in units of the size of the scene.
 struct WorldMoves {
-  /// N by the columns of a record, num_columns x kMoves per image; nullptr: not needed.
+  /// N by the columns of a record, record_columns x kMoves per image; nullptr: not needed.
   const double* images = nullptr;
   /// Per image: 1 if all of it moves along with the world, so that no observation of a free point
   /// changes.
@@ -155,6 +173,14 @@ struct PointSurvey {
   void (*add_unclear)(void* list, int point) = nullptr;
 };
 
+/// Where a block of a chunk is added: row i of the block to column i of a block of S.
+struct BlockTarget {
+  double* sum;  ///< columns `sum_stride` apart
+  int64_t sum_stride;
+  double* error;  ///< error terms of the sums (double_double.h), or nullptr
+  int64_t error_stride;
+};
+
 /// Each pass except `cost` works in `memory`, a buffer of `memory_doubles` doubles.
 struct Kernels {
   const char* name;
@@ -172,6 +198,10 @@ struct Kernels {
                                const Chunk& chunk, double damping, const double* squared_scale,
                                const StepRecords& step, const StateRecords& candidate,
                                double* candidate_points, double* memory, CandidateSum* sum);
+
+  /// Adds a block of a chunk to S (assembly/add_block.h).
+  void (*add_block)(const double* from, int from_stride, int num_rows, int num_columns,
+                    const BlockTarget& to);
 
   /// Computes both directions of the points (3 numbers per point each) from those of the cameras,
   /// and products. `d_squared`: D^2 of the free points' columns; nullptr: not needed.

@@ -7,11 +7,10 @@
 ///
 ///   V^-1 + V^-1 (sum_ij W_i^T C_ij W_j) V^-1 = L^-T (I + sum_ij Z_i^T C_ij Z_j) L^-1.
 ///
-/// C_ij are the blocks of image pairs that the elimination sums up for the chunk, with the same
-/// block numbers. For each j, the rows Z_i^T C_ij are summed over i <= j, with half of the diagonal
-/// block, and multiplied by Z_j. This sum plus its transpose is the sum over all ij.
-
-#include <type_traits>
+/// By entries a of the point instead of observations, W V^-1 = Z L^-1 with the factors Z_a of the
+/// elimination, and the sum is over all pairs of entries. The pairs of a tile are visited block by
+/// block of C, in the order of the elimination. The sum over ab is the sum over a <= b, with half
+/// of the squares, plus its transpose.
 
 #include "core/schur/kernels/eliminate_chunk.h"
 #include "core/schur/kernels/point_block.h"
@@ -20,112 +19,33 @@
 
 namespace bundle::BUNDLE_ISA {
 
-/// Widest vector type that divides a row of kQuads quads.
+/// Adds Z_a^T C_ab Z_b to the sums of the points of some pairs. C_ab has `num_rows` rows of kQuads
+/// quads, and entries have `stride` doubles, `width` in a row of Z_a. `sums`: 3 x 3 quads per point
+/// of the tile, each in four parts.
 template <int kQuads>
-struct WideRow {
-  static constexpr bool kIsWide = kLanes == 8 && kQuads % 2 == 0;
-  using Oct = double __attribute__((vector_size(64)));
-  using Type = std::conditional_t<kIsWide, Oct, Quad>;
-  static constexpr int kDoubles = kIsWide ? 8 : 4;
-  static constexpr int kCount = 4 * kQuads / kDoubles;
-
-  static Type Load(const double* from) {
-    Type value;
-    __builtin_memcpy(&value, from, sizeof value);
-    return value;
-  }
-};
-
-/// Z^T C for some rows of C: three rows of camera parameters' columns.
-template <int kQuads>
-struct ThreeRows {
-  using Wide = WideRow<kQuads>;
-  typename Wide::Type row[3][Wide::kCount];
-
-  /// += Z^T C: `z` has three rows of `stride` doubles, C `num_rows` rows.
-  void AddProduct(const double* z, int stride, int num_rows, const double* c) {
-    for (int r = 0; r < num_rows; ++r, c += 4 * kQuads) {
-#pragma GCC unroll 8
-      for (int q = 0; q < Wide::kCount; ++q) {
-        const auto at = Wide::Load(c + Wide::kDoubles * q);
-        for (int k = 0; k < 3; ++k) row[k][q] += z[k * stride + r] * at;
+void AddScatter(const double* z, int width, int64_t stride, const EntryPair* pairs, int count,
+                int num_rows, const double* c, const uint16_t* point_of_entry, Quad* sums) {
+  using Row = WideRow<kQuads>;
+  for (const EntryPair* pair = pairs; pair < pairs + count; ++pair) {
+    const double* const a = z + stride * pair->first;
+    const double* const b = z + stride * pair->second;
+    const bool is_square = pair->first == pair->second;
+    Quad* const sum = sums + 9 * point_of_entry[pair->first];
+    for (int k = 0; k < 3; ++k) {
+      Row row = {};
+      for (int r = 0; r < num_rows; ++r) {
+        const double factor = is_square ? -0.5 * a[width * k + r] : -a[width * k + r];
+        row.Subtract(factor, Row::Load(c + 4 * kQuads * r));
       }
-    }
-  }
-
-  void Halve() {
-    for (auto& of_row : row) {
-      for (int q = 0; q < Wide::kCount; ++q) of_row[q] *= 0.5;
-    }
-  }
-
-  /// sum[k][m] += row k times row m of z, in four parts.
-  void AddTo(const double* z, int stride, Quad (*sum)[3]) const {
-    for (int m = 0; m < 3; ++m) {
-      typename Wide::Type product[3] = {};
-#pragma GCC unroll 8
-      for (int q = 0; q < Wide::kCount; ++q) {
-        const auto at = Wide::Load(z + m * stride + Wide::kDoubles * q);
-        for (int k = 0; k < 3; ++k) product[k] += row[k][q] * at;
+      for (int m = 0; m < 3; ++m) {
+        sum[3 * k + m] += row.Times(Row::Load(b + 4 * kQuads * m));
       }
-      for (int k = 0; k < 3; ++k) {
-        Quad parts[2];
-        __builtin_memcpy(parts, &product[k], sizeof product[k]);
-        sum[k][m] += Wide::kIsWide ? parts[0] + parts[1] : parts[0];
-      }
-    }
-  }
-};
-
-/// Data of one point: its refined observations, their Z^T and the blocks of C.
-struct PointPairs {
-  const EliminationInput& input;
-  const double* blocks;        ///< blocks of the chunk, as in Kernels::point_covariances
-  const int64_t* block_begin;  ///< used with mixed widths
-  const int32_t* image;
-  const uint16_t* image_in_chunk;
-  const uint16_t* pair_block;  ///< block of the point's first pair
-  int refined;
-  const double* z;  ///< three rows per observation, each of input.num_columns doubles
-
-  const double* Block(int64_t b) const {
-    return blocks + (input.mixed ? block_begin[b]
-                                 : b * input.num_rows * static_cast<int64_t>(input.num_columns));
-  }
-  int NumRows(int i) const { return input.mixed ? input.image_columns[image[i]] : input.num_rows; }
-  const double* Z(int i) const { return z + 3 * static_cast<int64_t>(i) * input.num_columns; }
-
-  /// Adds sum_i<=j Z_i^T C_ij Z_j, with half of the term i = j.
-  template <int kQuads>
-  void AddColumn(int j, Quad (*sum)[3]) const {
-    const int stride = input.num_columns;
-    ThreeRows<kQuads> total = {};
-    total.AddProduct(Z(j), stride, NumRows(j), Block(image_in_chunk[j]));
-    total.Halve();
-    // Pair (i, j) has the number i (2 refined - i - 1) / 2 + j - i - 1.
-    const uint16_t* pair = pair_block + j - 1;
-    for (int i = 0; i < j; ++i) {
-      total.AddProduct(Z(i), stride, NumRows(i), Block(*pair));
-      pair += refined - i - 2;
-    }
-    total.AddTo(Z(j), stride, sum);
-  }
-};
-
-using AddColumnOfPairs = void (PointPairs::*)(int, Quad (*)[3]) const;
-inline constexpr AddColumnOfPairs kAddColumn[] = {
-    &PointPairs::AddColumn<1>, &PointPairs::AddColumn<2>, &PointPairs::AddColumn<3>,
-    &PointPairs::AddColumn<4>, &PointPairs::AddColumn<5>, &PointPairs::AddColumn<6>};
-
-/// Z^T of a white record, three rows of `stride` doubles.
-inline void FormZ(const double* head, const double* rows, int width, int stride, double* z) {
-  for (int k = 0; k < 3; ++k) {
-    for (int c = 0; c < width; c += 4) {
-      StoreQuad(head[k] * LoadQuad(rows + c) + head[4 + k] * LoadQuad(rows + width + c),
-                z + k * stride + c);
     }
   }
 }
+
+inline constexpr decltype(&AddScatter<1>) kAddScatter[] = {
+    &AddScatter<1>, &AddScatter<2>, &AddScatter<3>, &AddScatter<4>, &AddScatter<5>, &AddScatter<6>};
 
 /// L^-T X L^-1, of a symmetric X; row-major.
 inline void Unwhiten(const PointBlock& block, const double (*x)[3], double* out) {
@@ -168,56 +88,119 @@ inline void TakeMovesOut(const WorldMoves& moves, const double* point, const dou
   }
 }
 
+/// Memory of a tile's factors and records.
+inline int64_t TileDoubles(const EliminationInput& input) {
+  return TileRecords::FactorDoubles(input) +
+         int64_t{TileRecords::StrideOf(input)} * input.plan->largest_tile_observations;
+}
+
+/// Further memory of a tile: the sums and the columns of L^-1 of its points, and the point of each
+/// entry.
+struct ScatterMemory {
+  Quad* sums;
+  Quad* columns;
+  uint16_t* point_of_entry;
+
+  static int64_t NumDoubles(const EliminationPlan& plan) {
+    return int64_t{4} * (9 + 3) * plan.largest_tile_points + plan.largest_tile_entries / 4 + 8;
+  }
+  ScatterMemory(const EliminationPlan& plan, double* memory)
+      : sums(reinterpret_cast<Quad*>(memory)),
+        columns(sums + int64_t{9} * plan.largest_tile_points),
+        point_of_entry(
+            reinterpret_cast<uint16_t*>(columns + int64_t{3} * plan.largest_tile_points)) {}
+};
+
+/// The product of an own part that occurs once in its point is not among the pairs of a tile.
+inline void AddSingleSquares(const EliminationInput& input, const Chunk& chunk, int64_t begin,
+                             int num_refined, const double* z, const double* blocks,
+                             const int64_t* block_begin, const uint16_t* point_of_entry,
+                             Quad* sums) {
+  const int num_kinds = input.plan->num_kinds;
+  const uint16_t* entry = input.plan->entry.data() + begin * num_kinds;
+  const uint16_t* const image = input.plan->image_in_chunk.data() + begin;
+  for (int i = 0; i < num_refined; ++i, entry += num_kinds) {
+    const uint16_t slot = chunk.images.data()[image[i]].part[kOwnPart];
+    if (slot == Chunk::Image::kNone || !IsSingle(entry, num_kinds, i + 1 == num_refined)) continue;
+    const int part = chunk.parts.data()[slot], quads = input.part_quads[part];
+    const uint16_t number = EntryNumber(entry[0]);
+    const EntryPair pair = {number, number};
+    kAddScatter[quads - 1](z, 4 * quads, int64_t{3} * input.part_columns, &pair, 1,
+                           input.part_rows[part], blocks + block_begin[slot], point_of_entry, sums);
+  }
+}
+
+/// Writes the covariance of a point from its sums and the columns of its L^-1.
+inline void WriteCovariance(const WorldMoves& moves, const double* point, const Quad* sum,
+                            const PointBlock& block, double* out) {
+  constexpr double kIdentity[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+  double whole[3][3];
+  for (int k = 0; k < 3; ++k) {
+    for (int m = 0; m < 3; ++m) {
+      const Quad both = sum[3 * k + m] + sum[3 * m + k];
+      whole[k][m] = kIdentity[k][m] + (both[0] + both[1]) + (both[2] + both[3]);
+    }
+  }
+  Unwhiten(block, whole, out);
+  if (moves.combinations == nullptr) return;
+  double inverse[9];
+  Unwhiten(block, kIdentity, inverse);
+  TakeMovesOut(moves, point, inverse, out);
+}
+
 inline void PointCovariances(const EliminationInput& input, const StateRecords& x,
                              const Chunk& chunk, const WorldMoves& moves, const double* blocks,
                              const int64_t* block_begin, double* memory, double* covariances) {
-  const StripRecords records(input, memory);
+  if (chunk.last_row > 0) return;
   const EliminationPlan& plan = *input.plan;
   const int64_t* const begin = plan.first.data();
-  const int num_free = plan.num_free_points, stride = input.num_columns;
-  const int last_point = chunk.last_point < num_free ? chunk.last_point : num_free;
-  if (chunk.last_row > 0) return;
-  double* const z = memory + (kMixedStripObservations + input.longest_track) * records.stride();
-  const uint16_t* pair_block = plan.pair_block.data() + chunk.first_pair;
-  PointBlock point_blocks[kStripPoints];
-  for (int first = chunk.first_point; first < last_point;) {
-    const Strip strip(input, first, last_point);
-    VisitLanes(input, strip,
-               [&](const Lanes& lanes) { LinearizeLanes(input, x, strip, lanes, records); });
-    FormPointBlocks(input, strip, records.Of(0), records.stride(), 0, true, nullptr, point_blocks);
-    for (int p = strip.first; p < strip.last; ++p) {
-      const PointBlock& block = point_blocks[p - strip.first];
-      const int64_t slot = begin[p] - strip.begin;
+  const ScatterMemory tile_memory(plan, memory + TileDoubles(input));
+  const int64_t stride = int64_t{3} * input.part_columns;
+  TileCursor at = {chunk};
+  for (const Tile* tile = chunk.tiles.data(); at.first_point < chunk.last_point; ++tile) {
+    const int first_point = at.first_point;
+    const int last_point =
+        tile->last_point < plan.num_free_points ? tile->last_point : plan.num_free_points;
+    const TileRecords records(input, memory, first_point);
+    const auto white = [&](int p, const PointBlock& block) {
       const int refined = CountRefined(input, begin[p], begin[p + 1]);
-      const int32_t* const image = plan.image.data() + begin[p];
-      WhitenRows(records, slot, refined, &block);
-      const PointPairs pairs = {
-          input,   blocks, block_begin, image, plan.image_in_chunk.data() + begin[p], pair_block,
-          refined, z};
-      Quad sum[3][3] = {};
-      for (int j = 0; j < refined; ++j) {
-        const int quads = input.mixed ? input.image_quads[image[j]] : stride / 4;
-        FormZ(records.Of(slot + j), records.Rows(slot + j), 4 * quads, stride,
-              z + 3 * static_cast<int64_t>(j) * stride);
-        (pairs.*kAddColumn[quads - 1])(j, sum);
-      }
-      pair_block += static_cast<int64_t>(refined) * (refined - 1) / 2;
-      constexpr double kIdentity[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
-      double whole[3][3];
-      for (int k = 0; k < 3; ++k) {
-        for (int m = 0; m < 3; ++m) {
-          const Quad both = sum[k][m] + sum[m][k];
-          whole[k][m] = kIdentity[k][m] + (both[0] + both[1]) + (both[2] + both[3]);
+      WhitenRows(records, begin[p], begin[p] + refined, block);
+      FormFactors<0, 0>(input, chunk, records, begin[p], refined, memory);
+      const int number = p - first_point;
+      for (int k = 0; k < 9; ++k) tile_memory.sums[9 * number + k] = Quad{};
+      for (int k = 0; k < 3; ++k) tile_memory.columns[3 * number + k] = block.column[k];
+      const uint16_t* const entry = plan.entry.data() + begin[p] * plan.num_kinds;
+      const uint16_t* const image = plan.image_in_chunk.data() + begin[p];
+      for (int i = 0; i < refined; ++i) {
+        for (int kind = 0; kind < plan.num_kinds; ++kind) {
+          if (chunk.images.data()[image[i]].part[kind] == Chunk::Image::kNone) continue;
+          tile_memory.point_of_entry[EntryNumber(entry[i * plan.num_kinds + kind])] =
+              static_cast<uint16_t>(number);
         }
       }
-      double* const out = covariances + 9 * static_cast<int64_t>(p - chunk.first_point);
-      Unwhiten(block, whole, out);
-      if (moves.combinations == nullptr) continue;
-      double inverse[9];
-      Unwhiten(block, kIdentity, inverse);
-      TakeMovesOut(moves, x.points + 3 * int64_t{p}, inverse, out);
+    };
+    if (first_point < last_point) {
+      VisitPoints(
+          input, x, first_point, last_point, 0, true, nullptr, records, [](double) {}, white);
     }
-    first = strip.last;
+    const EntryPair* pairs = at.pairs;
+    for (const Tile::Block* of = at.block; of < at.EndOfBlocks(*tile); ++of) {
+      const Chunk::Pair pair = PartsOfBlock(chunk, of->block);
+      const int first = chunk.parts.data()[pair.first], second = chunk.parts.data()[pair.second];
+      kAddScatter[input.part_quads[second] - 1](
+          memory, 4 * input.part_quads[first], stride, pairs, of->num_pairs, input.part_rows[first],
+          blocks + block_begin[of->block], tile_memory.point_of_entry, tile_memory.sums);
+      pairs += of->num_pairs;
+    }
+    for (int p = first_point; p < last_point; ++p) {
+      AddSingleSquares(input, chunk, begin[p], CountRefined(input, begin[p], begin[p + 1]), memory,
+                       blocks, block_begin, tile_memory.point_of_entry, tile_memory.sums);
+      PointBlock block;
+      for (int k = 0; k < 3; ++k) block.column[k] = tile_memory.columns[3 * (p - first_point) + k];
+      WriteCovariance(moves, x.points + 3 * int64_t{p}, tile_memory.sums + 9 * (p - first_point),
+                      block, covariances + 9 * int64_t{p - chunk.first_point});
+    }
+    at.Pass(*tile);
   }
 }
 

@@ -6,7 +6,6 @@
 /// kLanes observations at a time, all of one camera model. Each lane reads the records of its
 /// image, point and measurement, and writes a record per observation. Work within a point then
 /// reads these records in order.
-/// record an observation, in order.
 
 #include "core/factors/reprojection.h"
 #include "core/schur/kernels/kernels.h"
@@ -16,8 +15,7 @@ namespace bundle::BUNDLE_ISA {
 
 inline constexpr int kStripPoints = 32;
 inline constexpr int kStripObservations = 64;  // or more, up to the end of its last point
-/// Variant for mixed widths. The last lanes of each group in a strip are not full. Most records are
-/// narrow and leave room for these lanes.
+/// Variant for several groups: the last lanes of each group in a strip are not full.
 inline constexpr int kMixedStripObservations = 128;
 
 /// Points [first, last) of the plan with observations [begin, end).
@@ -28,7 +26,7 @@ struct Strip {
   Strip(const EliminationInput& input, int first_point, int last_point)
       : first(first_point), last(first_point), begin(input.plan->first.data()[first_point]) {
     const int64_t* const at = input.plan->first.data();
-    const int wanted = input.mixed ? kMixedStripObservations : kStripObservations;
+    const int wanted = input.num_groups > 1 ? kMixedStripObservations : kStripObservations;
     do {
       end = at[++last];
     } while (last < last_point && last - first < kStripPoints && end - begin < wanted);

@@ -68,10 +68,10 @@ inline bool IsClear(const Quad* sum) {
   return smallest > kClearPivot * largest;
 }
 
-/// Adds a point and its observations, with records from `slot` on, to the sums for N.
+/// Adds a point and its observations to the sums for N.
 inline void SurveyMoves(const EliminationInput& input, const WorldMoves& moves,
-                        const StripRecords& records, int64_t slot, int64_t begin, int64_t end,
-                        const double* point, const PointBlock& block, PointSurvey* survey) {
+                        const TileRecords& records, int64_t begin, int64_t end, const double* point,
+                        const PointBlock& block, PointSurvey* survey) {
   MoveRow n[3], whitened[3], solved[3];
   MovesOfPoint(moves, point, n);
   for (int i = 0; i < 3; ++i) {
@@ -84,12 +84,12 @@ inline void SurveyMoves(const EliminationInput& input, const WorldMoves& moves,
   }
   AddSquares(whitened, survey->weighted);
   AddSquares(n, survey->own);
-  for (int64_t i = begin; i < end; ++i, ++slot) {
+  for (int64_t i = begin; i < end; ++i) {
     const int32_t image = input.plan->image.data()[i];
-    const double* const head = records.Of(slot);
-    const double* const rows = records.Rows(slot);
-    const int64_t at = static_cast<int64_t>(image) * input.num_columns * kMoves;
-    const int columns = input.image_columns[image], width = 4 * input.image_quads[image];
+    const double* const head = records.Of(i);
+    const double* const rows = records.Rows(i);
+    const int64_t at = static_cast<int64_t>(image) * input.record_columns * kMoves;
+    const int width = 4 * input.groups[input.image_group[image]].num_quads;
     for (int row = 0; row < 2; ++row) {
       const double* const a = rows + row * width;
       const MoveRow by_point = Combine(head + 4 * row, n);
@@ -99,7 +99,7 @@ inline void SurveyMoves(const EliminationInput& input, const WorldMoves& moves,
         both.AddTo(survey->parts);
       } else {
         MoveRow by_image = {};
-        for (int k = 0; k < columns; ++k) {
+        for (int k = 0; k < width; ++k) {
           by_image = by_image + a[k] * MoveRow::Load(moves.images + at + kMoves * k);
         }
         double parts[2 * kMoves] = {};
@@ -109,7 +109,7 @@ inline void SurveyMoves(const EliminationInput& input, const WorldMoves& moves,
       }
     }
     const MoveRow along_0 = Combine(head, solved), along_1 = Combine(head + 4, solved);
-    for (int k = 0; k < columns; ++k) {
+    for (int k = 0; k < width; ++k) {
       (rows[k] * along_0 + rows[width + k] * along_1).AddTo(survey->eliminated + at + kMoves * k);
     }
   }
@@ -117,7 +117,6 @@ inline void SurveyMoves(const EliminationInput& input, const WorldMoves& moves,
 
 inline void SurveyPoints(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
                          const WorldMoves& moves, double* memory, PointSurvey* survey) {
-  const StripRecords records(input, memory);
   const int64_t* const begin = input.plan->first.data();
   const int num_free = input.plan->num_free_points;
   const int last_point = chunk.last_point < num_free ? chunk.last_point : num_free;
@@ -127,32 +126,27 @@ inline void SurveyPoints(const EliminationInput& input, const StateRecords& x, c
     }
     return;
   }
-  PointBlock blocks[kStripPoints];
-  for (int first = chunk.first_point; first < last_point;) {
-    const Strip strip(input, first, last_point);
-    VisitLanes(input, strip,
-               [&](const Lanes& lanes) { LinearizeLanes(input, x, strip, lanes, records); });
-    FormPointBlocks(input, strip, records.Of(0), records.stride(), 0, true, nullptr, blocks);
-    for (int p = strip.first; p < strip.last; ++p) {
-      const PointBlock& block = blocks[p - strip.first];
-      if (!IsClear(block.sum)) {
-        survey->add_unclear(survey->list, p);
-        continue;
-      }
-      const int64_t slot = begin[p] - strip.begin;
-      for (int64_t i = 0; i < begin[p + 1] - begin[p]; ++i) {
-        const double* const head = records.Of(slot + i);
-        survey->squares += head[3] * head[3] + head[7] * head[7];
-      }
-      survey->num_observations += begin[p + 1] - begin[p];
-      double h[4];
-      StoreQuad(block.h, h);
-      survey->decrease += 0.5 * Dot3(h, h);
-      if (moves.images == nullptr) continue;
-      SurveyMoves(input, moves, records, slot, begin[p], begin[p + 1], x.points + 3 * int64_t{p},
-                  block, survey);
-    }
-    first = strip.last;
+  int first_point = chunk.first_point;
+  for (const Tile* tile = chunk.tiles.data(); first_point < last_point; ++tile) {
+    const TileRecords records(input, memory, first_point);
+    const int end = tile->last_point < last_point ? tile->last_point : last_point;
+    VisitPoints(
+        input, x, first_point, end, 0, true, nullptr, records, [](double) {},
+        [&](int p, const PointBlock& block) {
+          if (!IsClear(block.sum)) return survey->add_unclear(survey->list, p);
+          for (int64_t i = begin[p]; i < begin[p + 1]; ++i) {
+            const double* const head = records.Of(i);
+            survey->squares += head[3] * head[3] + head[7] * head[7];
+          }
+          survey->num_observations += begin[p + 1] - begin[p];
+          double h[4];
+          StoreQuad(block.h, h);
+          survey->decrease += 0.5 * Dot3(h, h);
+          if (moves.images == nullptr) return;
+          SurveyMoves(input, moves, records, begin[p], begin[p + 1], x.points + 3 * int64_t{p},
+                      block, survey);
+        });
+    first_point = tile->last_point;
   }
 }
 

@@ -64,11 +64,11 @@ def fused_memory(
     plan = pattern.plan
     buffer = plan.largest_chunk_blocks * plan.block_doubles * DOUBLE
     terms = {
-        # Image, measurement and chunk index of an observation; block index of a pair.
-        "plan of the points": 22.0 * plan.num_observations
-        + 2.0 * plan.num_pairs
+        # Image, measurement, image in the chunk and entries of an observation; entries of a pair.
+        "plan of the points": (22.0 + 2.0 * plan.num_kinds) * plan.num_observations
+        + 4.0 * (plan.num_pairs + plan.num_tile_blocks)
         + 12.0 * plan.num_points
-        + 4.0 * (plan.num_chunk_pairs + 2 * plan.num_chunk_images),
+        + 4.0 * (plan.num_chunk_pairs + 2 * plan.num_chunk_parts),
         # Two states, column scales, and refined points.
         "points": 4 * 3 * DOUBLE * plan.num_points,
         # Sorting the observations comes first; its memory is reused later.

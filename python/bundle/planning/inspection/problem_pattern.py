@@ -109,8 +109,10 @@ class PlanSize:
     num_free_points: int = 0
     num_observations: int = 0
     num_pairs: int = 0
+    num_kinds: int = 1
+    num_tile_blocks: int = 0
     num_chunk_pairs: int = 0
-    num_chunk_images: int = 0
+    num_chunk_parts: int = 0
     largest_chunk_blocks: int = 0
     block_doubles: int = 0
 

@@ -1,0 +1,331 @@
+#pragma once
+
+/// Products of a tile, summed block by block. Included by kernels.cpp only.
+///
+///   S_ab -= W_pa W_pb^T       for the pairs of entries of each point p, of rank 3
+///   S_aa += A_ia^T M A_ia     for the observations i of an image, of rank 2
+///   S_ab += A_ia^T A_ib       for two parts of the image
+///
+/// If every product were added to its block in memory, loads and stores would take longer than the
+/// arithmetic. Here the rows of a block stay in registers while all products of a tile are added,
+/// and the factors come from the second-level cache. If a block has more rows than there are
+/// registers, its panels of rows are computed one after the other.
+
+#include "core/schur/kernels/eliminate_point.h"
+#include "core/schur/kernels/pack.h"
+
+namespace bundle::BUNDLE_ISA {
+
+/// A row of kQuads quads in the widest registers of the instruction set.
+template <int kQuads>
+struct WideRow {
+  static constexpr int kOcts = kLanes == 8 ? kQuads / 2 : 0;
+  static constexpr int kRest = kQuads - 2 * kOcts;
+  using Oct = double __attribute__((vector_size(64)));
+  Oct oct[kOcts > 0 ? kOcts : 1];
+  Quad quad[kRest > 0 ? kRest : 1];
+
+  static WideRow Load(const double* from) {
+    WideRow row;
+#pragma GCC unroll 4
+    for (int k = 0; k < kOcts; ++k) __builtin_memcpy(&row.oct[k], from + 8 * k, sizeof(Oct));
+#pragma GCC unroll 8
+    for (int k = 0; k < kRest; ++k) row.quad[k] = LoadQuad(from + 8 * kOcts + 4 * k);
+    return row;
+  }
+  void Store(double* to) const {
+#pragma GCC unroll 4
+    for (int k = 0; k < kOcts; ++k) __builtin_memcpy(to + 8 * k, &oct[k], sizeof(Oct));
+#pragma GCC unroll 8
+    for (int k = 0; k < kRest; ++k) StoreQuad(quad[k], to + 8 * kOcts + 4 * k);
+  }
+  /// -= factor * row
+  void Subtract(double factor, const WideRow& row) {
+#pragma GCC unroll 4
+    for (int k = 0; k < kOcts; ++k) oct[k] -= factor * row.oct[k];
+#pragma GCC unroll 8
+    for (int k = 0; k < kRest; ++k) quad[k] -= factor * row.quad[k];
+  }
+  /// += factor * row
+  void Add(double factor, const WideRow& row) {
+#pragma GCC unroll 4
+    for (int k = 0; k < kOcts; ++k) oct[k] += factor * row.oct[k];
+#pragma GCC unroll 8
+    for (int k = 0; k < kRest; ++k) quad[k] += factor * row.quad[k];
+  }
+  /// += row * row, number by number
+  void AddSquares(const WideRow& row) {
+#pragma GCC unroll 4
+    for (int k = 0; k < kOcts; ++k) oct[k] += row.oct[k] * row.oct[k];
+#pragma GCC unroll 8
+    for (int k = 0; k < kRest; ++k) quad[k] += row.quad[k] * row.quad[k];
+  }
+  /// The product with a row, in four parts.
+  Quad Times(const WideRow& row) const {
+    Quad sum = {};
+#pragma GCC unroll 4
+    for (int k = 0; k < kOcts; ++k) {
+      Quad half[2];
+      const Oct product = oct[k] * row.oct[k];
+      __builtin_memcpy(half, &product, sizeof product);
+      sum += half[0] + half[1];
+    }
+#pragma GCC unroll 8
+    for (int k = 0; k < kRest; ++k) sum += quad[k] * row.quad[k];
+    return sum;
+  }
+};
+
+/// Rows of a panel, so that it fits the registers.
+template <int kQuads>
+inline constexpr int kPanelRows = kLanes == 8 ? (kQuads <= 2   ? 12
+                                                 : kQuads <= 4 ? 9
+                                                               : 6)
+                                              : (12 / kQuads > 0 ? 12 / kQuads : 1);
+
+/// Subtracts the products of `count` pairs from kRows rows of a block. Entries have `stride`
+/// doubles, of which a row takes `width` in the first factor and 4 kQuads in the second.
+template <int kQuads, int kRows>
+void SubtractPanel(const double* first, int width, const double* second, int64_t stride,
+                   const EntryPair* pairs, int count, double* block) {
+  WideRow<kQuads> sum[kRows];
+#pragma GCC unroll 16
+  for (int r = 0; r < kRows; ++r) sum[r] = WideRow<kQuads>::Load(block + 4 * kQuads * r);
+  for (int i = 0; i < count; ++i) {
+    const double* const a = first + stride * pairs[i].first;
+    const double* const b = second + stride * pairs[i].second;
+#pragma GCC unroll 3
+    for (int k = 0; k < 3; ++k) {
+      const auto row = WideRow<kQuads>::Load(b + 4 * kQuads * k);
+#pragma GCC unroll 16
+      for (int r = 0; r < kRows; ++r) sum[r].Subtract(a[width * k + r], row);
+    }
+  }
+#pragma GCC unroll 16
+  for (int r = 0; r < kRows; ++r) sum[r].Store(block + 4 * kQuads * r);
+}
+
+/// The observations of one image in a tile, and its records.
+struct ImageRecords {
+  const double* first;           ///< record of the tile's first observation
+  int64_t stride;                ///< between records
+  int row_stride;                ///< from row 0 to row 1
+  const uint16_t* observations;  ///< numbers in the tile
+  int count;
+};
+
+/// Adds A_a^T M A_b of all observations to kRows rows of a block, where the rows of A_a begin at
+/// `first` doubles from the begin of the record and those of A_b at `second`. `kHasMiddle`: M is
+/// that of the record's head; or else M = I.
+template <int kQuads, int kRows, bool kHasMiddle>
+void AddPanel(const ImageRecords& records, int first, int second, double* block) {
+  WideRow<kQuads> sum[kRows];
+#pragma GCC unroll 16
+  for (int r = 0; r < kRows; ++r) sum[r] = WideRow<kQuads>::Load(block + 4 * kQuads * r);
+  for (int i = 0; i < records.count; ++i) {
+    const double* const record = records.first + records.stride * records.observations[i];
+    const double *a_0 = record + first, *a_1 = a_0 + records.row_stride;
+    auto row_0 = WideRow<kQuads>::Load(record + second);
+    auto row_1 = WideRow<kQuads>::Load(record + second + records.row_stride);
+    if constexpr (kHasMiddle) {
+      const double* const m = record + 4;
+      WideRow<kQuads> middle_0 = {}, middle_1 = {};
+      middle_0.Add(m[0], row_0);
+      middle_0.Add(m[1], row_1);
+      middle_1.Add(m[1], row_0);
+      middle_1.Add(m[2], row_1);
+      row_0 = middle_0;
+      row_1 = middle_1;
+    }
+#pragma GCC unroll 16
+    for (int r = 0; r < kRows; ++r) {
+      sum[r].Add(a_0[r], row_0);
+      sum[r].Add(a_1[r], row_1);
+    }
+  }
+#pragma GCC unroll 16
+  for (int r = 0; r < kRows; ++r) sum[r].Store(block + 4 * kQuads * r);
+}
+
+/// Adds A^T r, A^T (r - Y h) and ||A e_j||^2 of all observations to three vectors. The columns
+/// begin at `first` doubles from the begin of the record.
+template <int kQuads>
+void AddVectors(const ImageRecords& records, int first, double* vectors) {
+  using Row = WideRow<kQuads>;
+  Row sum[ChunkSum::kVectors];
+  for (int v = 0; v < ChunkSum::kVectors; ++v) sum[v] = Row::Load(vectors + 4 * kQuads * v);
+  for (int i = 0; i < records.count; ++i) {
+    const double* const record = records.first + records.stride * records.observations[i];
+    const Row row_0 = Row::Load(record + first);
+    const Row row_1 = Row::Load(record + first + records.row_stride);
+    for (int v = 0; v < 2; ++v) {
+      sum[v].Add(record[2 * v], row_0);
+      sum[v].Add(record[2 * v + 1], row_1);
+    }
+    sum[2].AddSquares(row_0);
+    sum[2].AddSquares(row_1);
+  }
+  for (int v = 0; v < ChunkSum::kVectors; ++v) sum[v].Store(vectors + 4 * kQuads * v);
+}
+
+/// The functions for panels of at most kRows rows, by their height minus one.
+template <int kQuads, int kRows>
+struct Panels {
+  template <int... kHeight>
+  struct List {
+    static constexpr decltype(&SubtractPanel<1, 1>) kSubtract[] = {
+        &SubtractPanel<kQuads, kHeight + 1>...};
+    static constexpr decltype(&AddPanel<1, 1, true>) kAdd[] = {
+        &AddPanel<kQuads, kHeight + 1, false>...};
+    static constexpr decltype(&AddPanel<1, 1, true>) kAddWithMiddle[] = {
+        &AddPanel<kQuads, kHeight + 1, true>...};
+  };
+  template <int... kHeight>
+  static List<kHeight...> Make(std::integer_sequence<int, kHeight...>);
+  using Type = decltype(Make(std::make_integer_sequence<int, kRows>()));
+};
+template <int kQuads>
+using PanelsFor = typename Panels<kQuads, kPanelRows<kQuads>>::Type;
+
+/// Calls visit(first row, height) for panels of about equal heights.
+template <int kQuads, typename Visit>
+inline void ForPanels(int num_rows, const Visit& visit) {
+  constexpr int kMost = kPanelRows<kQuads>;
+  const int panels = (num_rows + kMost - 1) / kMost;
+  for (int panel = 0, row = 0; panel < panels; ++panel) {
+    const int height = (num_rows - row + panels - panel - 1) / (panels - panel);
+    visit(row, height);
+    row += height;
+  }
+}
+
+/// block += sum of A_a^T M A_b; `num_rows` rows of kQuads quads.
+template <int kQuads>
+void AddProducts(const ImageRecords& records, int first, int second, bool has_middle, int num_rows,
+                 double* block) {
+  using Functions = PanelsFor<kQuads>;
+  ForPanels<kQuads>(num_rows, [&](int row, int height) {
+    const auto add =
+        has_middle ? Functions::kAddWithMiddle[height - 1] : Functions::kAdd[height - 1];
+    add(records, first + row, second, block + 4 * kQuads * row);
+  });
+}
+
+/// block -= sum of W_a W_b^T over pairs of entries; `num_rows` rows of kQuads quads.
+template <int kQuads>
+void SubtractPairs(const double* w, int width, int64_t stride, const EntryPair* pairs, int count,
+                   int num_rows, double* block) {
+  ForPanels<kQuads>(num_rows, [&](int row, int height) {
+    PanelsFor<kQuads>::kSubtract[height - 1](w + row, width, w, stride, pairs, count,
+                                             block + 4 * kQuads * row);
+  });
+}
+
+/// The same for 9 x 9 blocks: a pose and three camera parameters. Three quads would leave a quarter
+/// of the arithmetic to padding; the last column is summed by rows instead.
+inline void SubtractNine(const double* w, int64_t stride, const EntryPair* pairs, int count,
+                         double* block) {
+  using Row = WideRow<2>;
+  Row sum[9], last_column = {};
+  double last = 0;
+#pragma GCC unroll 9
+  for (int r = 0; r < 9; ++r) sum[r] = Row::Load(block + 12 * r);
+  for (int i = 0; i < count; ++i) {
+    const double* const a = w + stride * pairs[i].first;
+    const double* const b = w + stride * pairs[i].second;
+#pragma GCC unroll 3
+    for (int k = 0; k < 3; ++k) {
+      const Row row = Row::Load(b + 12 * k);
+#pragma GCC unroll 9
+      for (int r = 0; r < 9; ++r) sum[r].Subtract(a[12 * k + r], row);
+      last_column.Subtract(b[12 * k + 8], Row::Load(a + 12 * k));
+      last -= a[12 * k + 8] * b[12 * k + 8];
+    }
+  }
+  double column[8];
+  last_column.Store(column);
+#pragma GCC unroll 9
+  for (int r = 0; r < 9; ++r) sum[r].Store(block + 12 * r);
+  for (int r = 0; r < 8; ++r) block[12 * r + 8] += column[r];
+  block[12 * 8 + 8] += last;
+}
+
+/// Functions by the quads of a block's rows, minus one.
+inline constexpr decltype(&SubtractPairs<1>) kSubtractPairs[] = {
+    &SubtractPairs<1>, &SubtractPairs<2>, &SubtractPairs<3>,
+    &SubtractPairs<4>, &SubtractPairs<5>, &SubtractPairs<6>};
+inline constexpr decltype(&AddProducts<1>) kAddProducts[] = {&AddProducts<1>, &AddProducts<2>,
+                                                             &AddProducts<3>, &AddProducts<4>,
+                                                             &AddProducts<5>, &AddProducts<6>};
+inline constexpr decltype(&AddVectors<1>) kAddVectors[] = {
+    &AddVectors<1>, &AddVectors<2>, &AddVectors<3>, &AddVectors<4>, &AddVectors<5>, &AddVectors<6>};
+
+/// What the observations of one image add without other images.
+inline void AddImage(const EliminationInput& input, const ModelGroup& group,
+                     const Chunk::Image& image, const ImageRecords& records, const ChunkSum& sum) {
+  for (int kind = 0; kind < input.plan->num_kinds; ++kind) {
+    const uint16_t part = image.part[kind];
+    if (part == Chunk::Image::kNone) continue;
+    const ModelGroup::Part& of = group.parts[kind];
+    const int first = kRecordHead + 4 * of.first_quad;
+    const int64_t begin = sum.block_begin[part];
+    kAddVectors[of.num_quads - 1](
+        records, first, sum.vectors + int64_t{ChunkSum::kVectors} * input.part_columns * part);
+    kAddProducts[of.num_quads - 1](records, first, first, kind == kOwnPart, of.num_columns,
+                                   sum.blocks + begin);
+    if (sum.camera_diagonal != nullptr) {
+      kAddProducts[of.num_quads - 1](records, first, first, false, of.num_columns,
+                                     sum.camera_diagonal + begin);
+    }
+    for (int other = kind + 1; other < input.plan->num_kinds; ++other) {
+      if (image.part[other] == Chunk::Image::kNone) continue;
+      const ModelGroup::Part& with = group.parts[other];
+      kAddProducts[with.num_quads - 1](
+          records, first, kRecordHead + 4 * with.first_quad, false, of.num_columns,
+          sum.blocks + sum.block_begin[image.cross[CrossIndex(kind, other)]]);
+    }
+  }
+}
+
+/// What the images of a tile add.
+inline void AddImages(const EliminationInput& input, const Chunk& chunk, const Tile::Image* begin,
+                      const Tile::Image* end, const uint16_t* observations, int64_t first,
+                      const TileRecords& records, const ChunkSum& sum) {
+  for (const Tile::Image* at = begin; at < end; ++at) {
+    const int image = input.plan->image.data()[first + *observations];
+    const ModelGroup& group = input.groups[input.image_group[image]];
+    const ImageRecords of = {records.Of(first), records.stride(), 4 * group.num_quads, observations,
+                             at->num_observations};
+    AddImage(input, group, chunk.images.data()[at->image], of, sum);
+    observations += at->num_observations;
+  }
+}
+
+/// The parts of a block of a chunk.
+inline Chunk::Pair PartsOfBlock(const Chunk& chunk, uint16_t block) {
+  const auto num_parts = static_cast<int64_t>(chunk.parts.size());
+  if (block < num_parts) return {block, block};
+  return chunk.pairs.data()[block - num_parts];
+}
+
+/// The pairs of a tile, whose entries have the factors `w`.
+inline void SubtractTile(const EliminationInput& input, const Chunk& chunk,
+                         const Tile::Block* begin, const Tile::Block* end, const EntryPair* pairs,
+                         const double* w, const ChunkSum& sum) {
+  const int* const parts = chunk.parts.data();
+  const int64_t stride = int64_t{3} * input.part_columns;
+  for (const Tile::Block* at = begin; at < end; ++at) {
+    const Chunk::Pair of = PartsOfBlock(chunk, at->block);
+    const int first = parts[of.first], second = parts[of.second];
+    double* const block = sum.blocks + sum.block_begin[at->block];
+    if (kLanes == 8 && input.part_rows[first] == 9 && input.part_rows[second] == 9) {
+      SubtractNine(w, stride, pairs, at->num_pairs, block);
+    } else {
+      kSubtractPairs[input.part_quads[second] - 1](w, 4 * input.part_quads[first], stride, pairs,
+                                                   at->num_pairs, input.part_rows[first], block);
+    }
+    pairs += at->num_pairs;
+  }
+}
+
+}  // namespace bundle::BUNDLE_ISA
