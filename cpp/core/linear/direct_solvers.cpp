@@ -63,11 +63,15 @@ class RemoteSolver final : public LinearSolver {
 
 class DenseSolver final : public LinearSolver {
  public:
-  DenseSolver(const BlockStructure& structure, int num_threads, bool same_bits)
+  DenseSolver(const BlockStructure& structure, int num_threads, bool same_bits, ThreadPool* pool)
       : num_columns_(structure.num_columns()) {
-    if (num_columns_ < kColumnsWorthBlasThreads) return;
-    blas_threads_ = EffectiveNumThreads(num_threads);
-    if (same_bits) pool_ = std::make_unique<ThreadPool>(blas_threads_);
+    if (num_columns_ >= kColumnsWorthBlasThreads) blas_threads_ = EffectiveNumThreads(num_threads);
+    if (pool != nullptr && num_columns_ >= kColumnsWorthTiles) {
+      if (same_bits || num_columns_ < kColumnsOfSmallTiles) pool_ = pool;
+    } else if (same_bits && num_columns_ >= kColumnsWorthBlasThreads) {
+      own_pool_ = std::make_unique<ThreadPool>(blas_threads_);
+      pool_ = own_pool_.get();
+    }
   }
 
   FactorStatistics factor_statistics() const override {
@@ -83,7 +87,7 @@ class DenseSolver final : public LinearSolver {
     const ScopedBlasThreads blas_threads(pool_ == nullptr ? blas_threads_ : 1);
     int info = 0;
     if (pool_ != nullptr) {
-      info = FactorizeTiled(values_, num_columns_, pool_.get());
+      info = FactorizeTiled(values_, num_columns_, pool_);
       return info == 0 ? LinearSolution{} : NotPositiveDefinite(info, "");
     }
     dpotrf_(&kLower, &num_columns_, values_, &num_columns_, &info);
@@ -113,7 +117,8 @@ class DenseSolver final : public LinearSolver {
   double* values_ = nullptr;  ///< S, then L
   const int num_columns_;
   int blas_threads_ = 1;
-  std::unique_ptr<ThreadPool> pool_;  ///< for the tiled factorisation; nullptr: OpenBLAS' threads
+  std::unique_ptr<ThreadPool> own_pool_;
+  ThreadPool* pool_ = nullptr;  ///< for the tiled factorisation; nullptr: OpenBLAS' threads
 };
 
 }  // namespace
@@ -123,8 +128,8 @@ std::unique_ptr<LinearSolver> MakeRemoteSolver(bool needs_camera_diagonal, bool 
 }
 
 std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, int num_threads,
-                                              bool same_bits) {
-  return std::make_unique<DenseSolver>(structure, num_threads, same_bits);
+                                              bool same_bits, ThreadPool* pool) {
+  return std::make_unique<DenseSolver>(structure, num_threads, same_bits, pool);
 }
 
 /// S = L L^T, supernodal: columns of L with the same rows below form one dense panel, so that

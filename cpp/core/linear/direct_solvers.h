@@ -12,9 +12,10 @@
 namespace bundle {
 
 /// LAPACK's Cholesky factorisation; requires a dense structure.
-/// `same_bits`: the bits do not depend on the number of threads (tiled_cholesky.h).
+/// `same_bits`: the bits do not depend on the number of threads (tiled_cholesky.h). `pool` as below;
+/// with it, the bits of systems below kColumnsOfSmallTiles never depend on the number of threads.
 std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, int num_threads,
-                                              bool same_bits = false);
+                                              bool same_bits = false, ThreadPool* pool = nullptr);
 
 /// Supernodal Cholesky factorisation, analysed once. `structure` is sparse, with blocks in the
 /// order of the elimination, as in `ordering`. On return `structure` has the places of its

@@ -9,7 +9,7 @@
 namespace bundle {
 namespace {
 
-constexpr int kTile = 384;
+constexpr int kLargeTile = 384, kSmallTile = 96;
 
 /// Calls visit(number) for 0 to count - 1, on all threads.
 template <typename Visit>
@@ -25,15 +25,16 @@ void ForTiles(int64_t count, ThreadPool* pool, const Visit& visit) {
 int FactorizeTiled(double* a, int n, ThreadPool* pool) {
   constexpr char kRight = 'R', kLower = 'L', kTransposed = 'T', kNot = 'N';
   constexpr double kOne = 1, kMinusOne = -1;
-  const int num_tiles = (n + kTile - 1) / kTile;
-  const auto tile = [&](int i, int j) { return a + int64_t{i} * kTile + int64_t{j} * kTile * n; };
-  const auto size = [&](int i) { return std::min(kTile, n - i * kTile); };
+  const int tile_size = n < kColumnsOfSmallTiles ? kSmallTile : kLargeTile;
+  const int num_tiles = (n + tile_size - 1) / tile_size;
+  const auto tile = [&](int i, int j) { return a + int64_t{i} * tile_size + int64_t{j} * tile_size * n; };
+  const auto size = [&](int i) { return std::min(tile_size, n - i * tile_size); };
   for (int k = 0; k < num_tiles; ++k) {
     ThrowIfInterrupted();
     const int width = size(k);
     int info = 0;
     dpotrf_(&kLower, &width, tile(k, k), &n, &info);
-    if (info != 0) return k * kTile + info;
+    if (info != 0) return k * tile_size + info;
     const int below = num_tiles - 1 - k;
     ForTiles(below, pool, [&](int64_t number) {
       const int i = k + 1 + static_cast<int>(number), height = size(i);

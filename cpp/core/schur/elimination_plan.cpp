@@ -31,6 +31,7 @@ constexpr int64_t kWorkPerBlock = 20, kLeastOfFullChunk = 512;
 constexpr int kMaxBlocks = 0xffff;
 // The factors of so many observations, 24 to 36 doubles each, fit half of a cache of 1 MiB.
 constexpr int64_t kTileObservations = 2048;
+constexpr int kTilePoints = 4096;  // points may have no observations
 
 /// The entries of one point: its distinct parts, ascending, and those of its observations.
 class PointEntries {
@@ -196,9 +197,9 @@ class Planner {
       const bool full = chunk.num_blocks() > most_blocks && work >= kLeastOfFullChunk;
       const bool enough =
           work >= std::max(wanted, std::min(kWorkPerBlock * chunk.num_blocks(), largest_chunk_));
-      if (enough || full || chunk.num_blocks() > kMaxBlocks / 2 || HasTooManyBlocks(p)) {
-        break;
-      }
+      const bool has_numbers = chunk.num_blocks() <= kMaxBlocks / 2 &&
+                               chunk.images.size() <= kMaxBlocks / 2 && !HasTooManyBlocks(p);
+      if (enough || full || !has_numbers) break;
       entries_.Find(p, num_refined_[p]);
       AddParts(p, &chunk);
       for (int i = 0; i < num_refined_[p]; ++i) AddCrossBlocks(p, i, &chunk);
@@ -402,6 +403,7 @@ class Planner {
       images.clear();
       observations.clear();
       int num_entries = 0;
+      const int first_point = p;
       const int64_t begin = plan_.first[p];
       do {
         entries.Find(p, num_refined_[p]);
@@ -430,7 +432,8 @@ class Planner {
           }
         }
         num_entries += entries.size();
-      } while (++p < chunk->last_point && plan_.first[p + 1] - begin <= kTileObservations);
+      } while (++p < chunk->last_point && p - first_point < kTilePoints &&
+               plan_.first[p + 1] - begin <= kTileObservations);
       SortInto(blocks, pairs, chunk->num_blocks(), &count, &chunk->tile_blocks,
                &chunk->entry_pairs);
       SortInto(images, observations, static_cast<int>(chunk->images.size()), &count,

@@ -33,12 +33,15 @@ double Dot(const std::vector<double>& a, const std::vector<double>& b) {
 
 SchurProblem::SchurProblem(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const SolveOptions& options, BlockStructure structure,
-                           LinearSolver* solver, bool is_reused)
+                           LinearSolver* solver, bool is_reused, ThreadPool* pool)
     : setup_(problem, layout, options, std::move(structure), is_reused),
       solver_(solver),
       factors_(problem, layout, structure_, plan_),
       input_(WithPriors(setup_.input)),
-      pool_(EffectiveNumThreads(options.num_threads)),
+      own_pool_(pool != nullptr
+                    ? nullptr
+                    : std::make_unique<ThreadPool>(EffectiveNumThreads(options.num_threads))),
+      pool_(pool != nullptr ? *pool : *own_pool_),
       memory_(pool_.num_threads(), std::vector<double>(kernels_.memory_doubles(input_) + 8)),
       states_{State(problem, layout, plan_), State(problem, layout, plan_)},
       step_(problem, layout),

@@ -31,10 +31,11 @@ namespace bundle {
 class SchurProblem final : public LeastSquares {
  public:
   /// Keeps references to the problem, the layout and the solver. `structure` is the solver's
-  /// structure. `is_reused`: Reset will be called.
+  /// structure. `is_reused`: Reset will be called. `pool`: threads that the solver uses too, which
+  /// must outlive this; nullptr: it starts its own.
   SchurProblem(const AdjustmentProblem& problem, const ParameterLayout& layout,
                const SolveOptions& options, BlockStructure structure, LinearSolver* solver,
-               bool is_reused = false);
+               bool is_reused = false, ThreadPool* pool = nullptr);
   SchurProblem(const SchurProblem&) = delete;
   SchurProblem& operator=(const SchurProblem&) = delete;
 
@@ -156,7 +157,8 @@ class SchurProblem final : public LeastSquares {
   LinearSolver* const solver_;
   CameraFactors factors_;
   EliminationInput input_;
-  ThreadPool pool_;
+  const std::unique_ptr<ThreadPool> own_pool_;
+  ThreadPool& pool_;
   std::vector<std::vector<double>> memory_;  ///< per thread
   State states_[2];
   State* x_ = &states_[0];

@@ -181,6 +181,7 @@ void FusedSolver::BuildProblem() {
   }
   ThrowIfInterrupted();
   const Stopwatch symbolic;
+  pool_ = std::make_unique<ThreadPool>(options_.num_threads);
   solver_ = IsFirst(problem_.division.communicator) ? MakeSolver() : nullptr;
   if (problem_.division.communicator != nullptr) {
     const double needs =
@@ -195,7 +196,7 @@ void FusedSolver::BuildProblem() {
                       working_bytes_);
   ThrowIfInterrupted();
   schur_ = std::make_unique<SchurProblem>(problem_, layout_, options_, std::move(structure_),
-                                          solver_.get(), is_reused_);
+                                          solver_.get(), is_reused_, pool_.get());
 }
 
 /// Number of values of S, and of its error terms if its sums are double-doubles.
@@ -228,10 +229,9 @@ std::unique_ptr<LinearSolver> FusedSolver::MakeSolver() {
   switch (options_.linear_solver_type) {
     case LinearSolverType::kDenseSchur:
       return MakeDenseSolver(structure_, options_.num_threads,
-                             /*same_bits=*/options_.deterministic || is_dogleg);
+                             /*same_bits=*/options_.deterministic || is_dogleg, pool_.get());
     case LinearSolverType::kSparseSchur:
-      return MakeSparseSolver(ordering_, options_.deterministic ? 1 : options_.num_threads,
-                              &structure_);
+      return MakeSparseSolver(ordering_, options_.num_threads, &structure_, pool_.get());
     default:
       return MakeIterativeSolver(structure_, options_.preconditioner_type, options_.num_threads);
   }
