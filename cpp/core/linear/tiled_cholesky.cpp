@@ -27,7 +27,9 @@ int FactorizeTiled(double* a, int n, ThreadPool* pool) {
   constexpr double kOne = 1, kMinusOne = -1;
   const int tile_size = n < kColumnsOfSmallTiles ? kSmallTile : kLargeTile;
   const int num_tiles = (n + tile_size - 1) / tile_size;
-  const auto tile = [&](int i, int j) { return a + int64_t{i} * tile_size + int64_t{j} * tile_size * n; };
+  const auto tile = [&](int i, int j) {
+    return a + int64_t{i} * tile_size + int64_t{j} * tile_size * n;
+  };
   const auto size = [&](int i) { return std::min(tile_size, n - i * tile_size); };
   for (int k = 0; k < num_tiles; ++k) {
     ThrowIfInterrupted();

@@ -18,8 +18,8 @@ namespace bundle {
 /// architectures, Parallel Computing 35, 2009, without its graph of tasks.) With two threads and
 /// 9,000 columns, it takes a tenth longer than OpenBLAS.
 ///
-/// Small systems have small tiles, because two threads need several tiles to share. With 568 columns
-/// and two threads, a factorisation then takes half of the time of one thread.
+/// Small systems have small tiles, because two threads need several tiles to share. With 568
+/// columns and two threads, a factorisation then takes half of the time of one thread.
 ///
 /// Returns 0, or the order of a leading minor that is not positive definite; A is then undefined.
 /// OpenBLAS must use one thread during the call.

@@ -9,6 +9,8 @@
 
 #include "core/parallel/thread_pool.h"
 #include "core/schur/image_parts.h"
+#include "core/schur/number_chunk.h"
+#include "core/schur/point_entries.h"
 #include "core/schur/sort_points.h"
 #include "core/sums/communicator.h"
 
@@ -29,70 +31,6 @@ constexpr int64_t kWorkPerBlock = 20, kLeastOfFullChunk = 512;
 // Limit of the 16-bit numbers in a chunk. A point that needs more than half of them is spread over
 // chunks of its own. Any other point fits into a chunk that is less than half full.
 constexpr int kMaxBlocks = 0xffff;
-// The factors of so many observations, 24 to 36 doubles each, fit half of a cache of 1 MiB.
-constexpr int64_t kTileObservations = 2048;
-constexpr int kTilePoints = 4096;  // points may have no observations
-
-/// The entries of one point: its distinct parts, ascending, and those of its observations.
-class PointEntries {
- public:
-  PointEntries(const EliminationPlan& plan, const ImageParts& parts) : plan_(plan), parts_(parts) {}
-
-  void Find(int point, int num_refined) {
-    first_ = plan_.first[point];
-    num_refined_ = num_refined;
-    list_.clear();
-    for (int kind = 0; kind < plan_.num_kinds; ++kind) {
-      for (int i = 0; i < num_refined; ++i) {
-        const int part = PartOf(i, kind);
-        if (part >= 0 && (list_.empty() || list_.back() != part)) list_.push_back(part);
-      }
-    }
-    const auto falls = std::adjacent_find(list_.begin(), list_.end(), std::greater_equal<>());
-    if (falls == list_.end()) return;
-    std::sort(list_.begin(), list_.end());
-    list_.erase(std::unique(list_.begin(), list_.end()), list_.end());
-  }
-
-  int size() const { return static_cast<int>(list_.size()); }
-  int num_refined() const { return num_refined_; }
-  int operator[](int entry) const { return list_[entry]; }
-  int PartOf(int i, int kind) const { return parts_.part_of(plan_.image[first_ + i], kind); }
-
-  /// Entry of observation i by one of its kinds, -1: it has no such part.
-  int EntryOf(int i, int kind) const {
-    const int part = PartOf(i, kind);
-    if (part < 0) return -1;
-    return static_cast<int>(std::lower_bound(list_.begin(), list_.end(), part) - list_.begin());
-  }
-
-  /// The entry in whose row an observation's own products are added.
-  int RowOf(int i) const {
-    int entry = -1;
-    for (int kind = 0; kind < plan_.num_kinds && entry < 0; ++kind) entry = EntryOf(i, kind);
-    return entry;
-  }
-
-  /// Sets to 1 where the product of an entry with itself is among the pairs. It is not for an own
-  /// part that occurs once, which the diagonal includes (kernels/eliminate_point.h).
-  void FindSquares(std::vector<uint8_t>* has_square) const {
-    has_square->assign(list_.size(), 1);
-    for (int i = 0; i < num_refined_; ++i) {
-      const int part = PartOf(i, kOwnPart);
-      if (part < 0) continue;
-      const bool again = (i > 0 && PartOf(i - 1, kOwnPart) == part) ||
-                         (i + 1 < num_refined_ && PartOf(i + 1, kOwnPart) == part);
-      if (!again) (*has_square)[EntryOf(i, kOwnPart)] = 0;
-    }
-  }
-
- private:
-  const EliminationPlan& plan_;
-  const ImageParts& parts_;
-  int64_t first_ = 0;
-  int num_refined_ = 0;
-  std::vector<int> list_;
-};
 
 /// Cuts the points of a plan into chunks.
 class Planner {
@@ -117,13 +55,6 @@ class Planner {
   }
 
  private:
-  /// A chunk until its parts are sorted: the number of the block of each pair of entries, in the
-  /// order of their points, and the images whose parts have numbers.
-  struct Draft {
-    std::vector<uint16_t> pair_numbers;
-    std::vector<int> images;
-  };
-
   void CountEntries() {
     num_refined_.resize(plan_.point.size());
     num_entries_.resize(plan_.point.size());
@@ -237,7 +168,8 @@ class Planner {
       } while (row < num_rows && (!IsFree(point) || has_room()));
       chunk.last_row = row;
       EndChunk(point + 1, &chunk);
-      NumberChunk(&chunk, &drafts_.back());  // the next chunk numbers the same observations
+      NumberChunk(parts_, num_refined_, &drafts_.back(), &chunk,
+                  &plan_);  // the next chunk numbers the same observations
     }
     return point + 1;
   }
@@ -314,10 +246,11 @@ class Planner {
         plan_.num_observations() < kObservationsWorthAThread ? 1 : num_threads_,
         [this](int64_t begin, int64_t end) {
           for (int64_t c = begin; c < end; ++c) {
-            if (plan_.chunks[c].last_row == 0) NumberChunk(&plan_.chunks[c], &drafts_[c]);
+            if (plan_.chunks[c].last_row == 0)
+              NumberChunk(parts_, num_refined_, &drafts_[c], &plan_.chunks[c], &plan_);
           }
         },
-        /*min_range=*/8);
+        /*min_range=*/2);
     for (const Chunk& chunk : plan_.chunks) {
       int first_point = chunk.first_point;
       for (const Tile& tile : chunk.tiles) {
@@ -330,156 +263,6 @@ class Planner {
             std::max(plan_.largest_tile_observations,
                      plan_.first[tile.last_point] - plan_.first[first_point]);
         first_point = tile.last_point;
-      }
-    }
-  }
-
-  /// Sorts parts and pairs, so that adding a chunk accesses S in ascending order, and lists the
-  /// pairs of its tiles.
-  void NumberChunk(Chunk* chunk, Draft* draft) {
-    const std::vector<uint16_t> rank = SortParts(chunk);
-    const std::vector<uint16_t> block = SortPairs(rank, chunk);
-    for (Chunk::Image& image : chunk->images) {
-      for (uint16_t& part : image.part) {
-        if (part != Chunk::Image::kNone) part = rank[part];
-      }
-      for (uint16_t& cross : image.cross) {
-        if (cross != Chunk::Image::kNone) cross = block[cross];
-      }
-    }
-    for (uint16_t& number : draft->pair_numbers) number = block[number];
-    CutIntoTiles(draft->pair_numbers, chunk);
-    *draft = Draft();
-  }
-
-  /// Returns the new position of each.
-  std::vector<uint16_t> SortParts(Chunk* chunk) const {
-    const std::vector<int> before = chunk->parts;
-    std::sort(chunk->parts.begin(), chunk->parts.end());
-    std::vector<uint16_t> rank;
-    rank.reserve(before.size());
-    for (const int part : before) {
-      const auto at = std::lower_bound(chunk->parts.begin(), chunk->parts.end(), part);
-      rank.push_back(static_cast<uint16_t>(at - chunk->parts.begin()));
-    }
-    chunk->num_own_parts = static_cast<int>(
-        std::lower_bound(chunk->parts.begin(), chunk->parts.end(), parts_.num_own_parts()) -
-        chunk->parts.begin());
-    return rank;
-  }
-
-  /// Returns the block of each.
-  static std::vector<uint16_t> SortPairs(const std::vector<uint16_t>& rank, Chunk* chunk) {
-    std::vector<uint64_t> order;  // part, part, old number
-    order.reserve(chunk->pairs.size());
-    for (const Chunk::Pair& pair : chunk->pairs) {
-      const uint64_t first = rank[pair.first], second = rank[pair.second];
-      order.push_back(first << 32 | second << 16 | order.size());
-    }
-    std::sort(order.begin(), order.end());
-    std::vector<uint16_t> block(order.size());
-    for (size_t s = 0; s < order.size(); ++s) {
-      chunk->pairs[s] = {static_cast<uint16_t>(order[s] >> 32),
-                         static_cast<uint16_t>(order[s] >> 16)};
-      block[order[s] & 0xffff] = static_cast<uint16_t>(chunk->parts.size() + s);
-    }
-    return block;
-  }
-
-  /// `numbers`: the block of each pair of entries, in the order of the points.
-  void CutIntoTiles(const std::vector<uint16_t>& numbers, Chunk* chunk) {
-    PointEntries entries(plan_, parts_);
-    std::vector<uint8_t> has_square;
-    std::vector<uint16_t> blocks, images, observations;
-    std::vector<EntryPair> pairs;
-    std::vector<int> count;
-    chunk->entry_pairs.reserve(numbers.size());
-    chunk->tile_observations.reserve(plan_.first[chunk->last_point] -
-                                     plan_.first[chunk->first_point]);
-    const uint16_t* number = numbers.data();
-    for (int p = chunk->first_point; p < chunk->last_point;) {
-      blocks.clear();
-      pairs.clear();
-      images.clear();
-      observations.clear();
-      int num_entries = 0;
-      const int first_point = p;
-      const int64_t begin = plan_.first[p];
-      do {
-        entries.Find(p, num_refined_[p]);
-        const int last_row = chunk->last_row > 0 ? chunk->last_row : entries.size();
-        for (int i = 0; i < num_refined_[p]; ++i) {
-          if (chunk->last_row > 0) {
-            const int row = entries.RowOf(i);
-            if (row < chunk->first_row || row >= last_row) continue;
-          }
-          images.push_back(plan_.image_in_chunk[plan_.first[p] + i]);
-          observations.push_back(static_cast<uint16_t>(plan_.first[p] + i - begin));
-        }
-        if (!IsFree(p)) continue;
-        NumberEntries(p, num_entries, entries);
-        entries.FindSquares(&has_square);
-        for (int e = chunk->first_row; e < last_row; ++e) {
-          const auto first = static_cast<uint16_t>(num_entries + e);
-          if (has_square[e]) {
-            const auto at = std::lower_bound(chunk->parts.begin(), chunk->parts.end(), entries[e]);
-            blocks.push_back(static_cast<uint16_t>(at - chunk->parts.begin()));
-            pairs.push_back({first, first});
-          }
-          for (int f = e + 1; f < entries.size(); ++f) {
-            blocks.push_back(*number++);
-            pairs.push_back({first, static_cast<uint16_t>(num_entries + f)});
-          }
-        }
-        num_entries += entries.size();
-      } while (++p < chunk->last_point && p - first_point < kTilePoints &&
-               plan_.first[p + 1] - begin <= kTileObservations);
-      SortInto(blocks, pairs, chunk->num_blocks(), &count, &chunk->tile_blocks,
-               &chunk->entry_pairs);
-      SortInto(images, observations, static_cast<int>(chunk->images.size()), &count,
-               &chunk->tile_images, &chunk->tile_observations);
-      chunk->tiles.push_back({p, static_cast<int>(chunk->tile_blocks.size()),
-                              static_cast<int>(chunk->tile_images.size())});
-    }
-    chunk->tile_images.shrink_to_fit();
-    chunk->entry_pairs.shrink_to_fit();
-    chunk->tile_blocks.shrink_to_fit();
-    chunk->tiles.shrink_to_fit();
-  }
-
-  /// Appends the items in the order of their keys, 0 to num_keys - 1, and the count for each key
-  /// that occurs.
-  template <typename Item, typename KeyCount>
-  static void SortInto(const std::vector<uint16_t>& keys, const std::vector<Item>& items,
-                       int num_keys, std::vector<int>* place, std::vector<KeyCount>* counts,
-                       std::vector<Item>* sorted) {
-    place->assign(num_keys, 0);
-    for (const uint16_t key : keys) ++(*place)[key];
-    auto end = static_cast<int>(sorted->size());
-    for (int key = 0; key < num_keys; ++key) {
-      const int count = (*place)[key];
-      if (count > 0) {
-        counts->push_back({static_cast<uint16_t>(key), static_cast<uint16_t>(count)});
-      }
-      (*place)[key] = end;
-      end += count;
-    }
-    sorted->resize(end);
-    for (size_t k = 0; k < items.size(); ++k) (*sorted)[(*place)[keys[k]]++] = items[k];
-  }
-
-  void NumberEntries(int point, int first_entry, const PointEntries& entries) {
-    std::vector<uint8_t> is_seen(entries.size());
-    uint16_t* to = &plan_.entry[plan_.first[point] * plan_.num_kinds];
-    for (int i = 0; i < entries.num_refined(); ++i) {
-      for (int kind = 0; kind < plan_.num_kinds; ++kind, ++to) {
-        const int e = entries.EntryOf(i, kind);
-        if (e < 0) {
-          *to = EliminationPlan::kFirstOfEntry;
-          continue;
-        }
-        *to = static_cast<uint16_t>(first_entry + e);
-        if (!std::exchange(is_seen[e], 1)) *to |= EliminationPlan::kFirstOfEntry;
       }
     }
   }
@@ -501,9 +284,9 @@ class Planner {
   EliminationPlan plan_;
   Communicator* const communicator_;
   const int num_threads_;
-  std::vector<int> num_refined_;  ///< observations per point with something to refine
-  std::vector<int> num_entries_;  ///< entries per point
-  std::vector<Draft> drafts_;     ///< per chunk
+  std::vector<int> num_refined_;    ///< observations per point with something to refine
+  std::vector<int> num_entries_;    ///< entries per point
+  std::vector<ChunkDraft> drafts_;  ///< per chunk
   PointEntries entries_{plan_, parts_};
   std::vector<int> part_slot_, image_slot_;  ///< slot in the current chunk; -1: not in it
   int64_t largest_chunk_ = 0;                ///< limit of chunks that grow

@@ -52,8 +52,8 @@ class ImageParts {
   const std::vector<uint8_t>& part_rows() const { return part_rows_; }
   const std::vector<uint8_t>& part_quads() const { return part_quads_; }
 
-  int record_columns() const { return record_columns_; }  ///< of the widest record's rows
-  int part_columns() const { return part_columns_; }      ///< of the widest part, in whole quads
+  int record_columns() const { return record_columns_; }  ///< columns of the widest record
+  int part_columns() const { return part_columns_; }  ///< those of the widest part, in whole quads
   /// EliminationInput::own_quads and camera_quads.
   int own_quads() const { return own_quads_; }
   int camera_quads() const { return camera_quads_; }

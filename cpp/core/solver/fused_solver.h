@@ -13,8 +13,8 @@
 #include "core/linear/linear_solver.h"
 #include "core/minimize/trust_region.h"
 #include "core/model/parameter_layout.h"
-#include "core/prepare/prepare.h"
 #include "core/parallel/thread_pool.h"
+#include "core/prepare/prepare.h"
 #include "core/schur/schur_problem.h"
 #include "core/solver/summarize_fused.h"
 
@@ -69,7 +69,7 @@ class FusedSolver {
   BlockStructure structure_;            ///< moved to the problem
   FillOrdering ordering_;               ///< ordering of the sparse structure
   double working_bytes_ = 0;            ///< bytes in addition to the system
-  std::unique_ptr<ThreadPool> pool_;  ///< of the passes and of direct solvers
+  std::unique_ptr<ThreadPool> pool_;    ///< threads of the passes and of direct solvers
   std::unique_ptr<LinearSolver> solver_;
   std::unique_ptr<SchurProblem> schur_;
   FactorSummary factor_;

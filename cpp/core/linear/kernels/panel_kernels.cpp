@@ -1,3 +1,5 @@
+#include "core/linear/kernels/panel_kernels.h"
+
 /// The kernels of panel_kernels.h for one instruction set. This file is compiled once for each of
 /// them, with BUNDLE_ISA, the name of the namespace, and BUNDLE_LANES, the doubles of a register.
 ///
@@ -19,11 +21,7 @@
 /// with the triangular solve in registers. All of it is in columns of lanes: column c of the result
 /// is v_c / M_cc, after which later columns subtract its multiples.
 
-#include "core/linear/kernels/panel_kernels.h"
-
-#if defined(__AVX2__)
-#include <immintrin.h>
-#endif
+#include "core/linear/kernels/panel_vectors.h"
 
 namespace bundle::BUNDLE_ISA {
 
@@ -31,63 +29,12 @@ namespace bundle::BUNDLE_ISA {
 // one, compiled for different instruction sets, must never share a name.
 namespace {
 
-constexpr int kLanes = BUNDLE_LANES;
 /// Registers of rows in a tile. The accumulators and a column of rows fit into the registers.
 #if defined(__AVX2__)
 constexpr int kTileVectors = 3;
 #else
 constexpr int kTileVectors = 1;
 #endif
-
-using Vector = double __attribute__((vector_size(8 * kLanes)));
-
-inline int Least(int a, int b) { return a < b ? a : b; }
-
-inline Vector Load(const double* from) {
-  Vector v;
-  __builtin_memcpy(&v, from, sizeof v);
-  return v;
-}
-
-inline void Store(const Vector& v, double* to) { __builtin_memcpy(to, &v, sizeof v); }
-
-/// The first `count` lanes, below kLanes; the others are 0.
-inline Vector LoadFirst(const double* from, int count) {
-#if defined(__AVX512F__)
-  return _mm512_maskz_loadu_pd(static_cast<__mmask8>((1U << count) - 1), from);
-#elif defined(__AVX2__)
-  const __m256i mask =
-      _mm256_cmpgt_epi64(_mm256_set1_epi64x(count), _mm256_setr_epi64x(0, 1, 2, 3));
-  return _mm256_maskload_pd(from, mask);
-#else
-  Vector v = {};
-  for (int i = 0; i < count; ++i) v[i] = from[i];
-  return v;
-#endif
-}
-
-inline void StoreFirst(const Vector& v, int count, double* to) {
-#if defined(__AVX512F__)
-  _mm512_mask_storeu_pd(to, static_cast<__mmask8>((1U << count) - 1), v);
-#elif defined(__AVX2__)
-  const __m256i mask =
-      _mm256_cmpgt_epi64(_mm256_set1_epi64x(count), _mm256_setr_epi64x(0, 1, 2, 3));
-  _mm256_maskstore_pd(to, mask, v);
-#else
-  for (int i = 0; i < count; ++i) to[i] = v[i];
-#endif
-}
-
-inline Vector Broadcast(double x) { return x - Vector{}; }
-
-inline double SumOfLanes(const Vector& v) {
-  double half[kLanes / 2];
-  for (int i = 0; i < kLanes / 2; ++i) half[i] = v[i] + v[i + kLanes / 2];
-  for (int size = kLanes / 4; size > 0; size /= 2) {
-    for (int i = 0; i < size; ++i) half[i] += half[i + size];
-  }
-  return half[0];
-}
 
 /// kVectors registers of rows times kColumns columns. The last register has `last` rows if
 /// kPartial.

@@ -1,4 +1,6 @@
-/// Part of panel_kernels.h: the choice of the instruction set.
+/// Part of panel_kernels.h.
+///
+/// Choice of the instruction set.
 
 #include "core/linear/kernels/panel_kernels.h"
 #include "core/parallel/instruction_set.h"

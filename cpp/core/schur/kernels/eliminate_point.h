@@ -41,7 +41,7 @@ namespace bundle::BUNDLE_ISA {
 /// Number of doubles in a record before the two rows of the camera parameters: (a, r) of each row.
 inline constexpr int kRecordHead = 8;
 inline constexpr int kMaxRecordQuads = sizeof(ModelGroup::columns) / 4;
-inline constexpr int kMaxQuads = (kPoseSize + kMaxCameraParams + 3) / 4;  ///< of a part
+inline constexpr int kMaxQuads = (kPoseSize + kMaxCameraParams + 3) / 4;  ///< most quads of a part
 
 /// Records of a tile: [a_0 r_0 | a_1 r_1 | row 0 | row 1] per observation. The rows are as wide as
 /// those of the image's group. All records have the length of the widest.

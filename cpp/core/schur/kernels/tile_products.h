@@ -260,7 +260,7 @@ inline constexpr decltype(&AddProducts<1>) kAddProducts[] = {&AddProducts<1>, &A
 inline constexpr decltype(&AddVectors<1>) kAddVectors[] = {
     &AddVectors<1>, &AddVectors<2>, &AddVectors<3>, &AddVectors<4>, &AddVectors<5>, &AddVectors<6>};
 
-/// What the observations of one image add without other images.
+/// Adds the own products of the observations of one image.
 inline void AddImage(const EliminationInput& input, const ModelGroup& group,
                      const Chunk::Image& image, const ImageRecords& records, const ChunkSum& sum) {
   for (int kind = 0; kind < input.plan->num_kinds; ++kind) {
@@ -287,7 +287,7 @@ inline void AddImage(const EliminationInput& input, const ModelGroup& group,
   }
 }
 
-/// What the images of a tile add.
+/// Adds the own products of the images of a tile.
 inline void AddImages(const EliminationInput& input, const Chunk& chunk, const Tile::Image* begin,
                       const Tile::Image* end, const uint16_t* observations, int64_t first,
                       const TileRecords& records, const ChunkSum& sum) {
