@@ -45,9 +45,10 @@ COUNTED = FactorizedSystem(60, 3000, FACTOR, values=3600.0, panel_values=7000.0)
 
 def test_memory_of_the_fused_backend():
     expected = {
-        "plan of the points": 26 * 1000 + 4 * (5000 + 300) + 12 * 100 + 4 * (40 + 2 * 10),
+        "plan of the points": 28 * 1000 + 4 * (5000 + 300) + 12 * 100 + 4 * (40 + 2 * 10),
         "points": 4 * 3 * 8 * 100,  # four arrays of three doubles
         "sorting": 2 * 1000,
+        "tiles": 8 * (5 * 108**0.5 + 8) * 3 * 1000,
         "buffers of chunks": 2.5 * 3 * (7 * 108 * 8),
         "process": 0.9e6,
     }

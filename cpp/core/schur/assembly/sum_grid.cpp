@@ -59,7 +59,7 @@ void SumGrid::Choose(const std::vector<double>& squared_norms, double cost) {
 
 bool SumGrid::Fits(const std::vector<double>& squared_norms, double cost) const {
   for (size_t j = 0; j < of_column_.size(); ++j) {
-    if (!IsWithin(squared_norms[j], of_column_[j])) return false;
+    if (!IsWithin(2 * squared_norms[j], of_column_[j])) return false;
   }
   return IsWithin(2 * cost, residual_);
 }

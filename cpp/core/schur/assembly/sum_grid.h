@@ -15,14 +15,16 @@
 /// ARITH 2013.) A term half way between two multiples is rounded to the even one, which may depend
 /// on the order. Products of Jacobians have too many digits for that to happen.
 ///
-/// The required bound is Cauchy-Schwarz. A point adds u_a^T P u_b to entry (a, b) of S. Here u_a
-/// are the rows of the Jacobian's column a that see the point, and P is a matrix between 0 and the
-/// identity (kernels/eliminate_point.h). Over any subset of the points,
+/// The required bound is Cauchy-Schwarz. A point adds u_a^T P u_b or u_a^T u_b to entry (a, b) of S
+/// and subtracts u_a^T P u_b. Here u_a are the rows of the Jacobian's column a that see the point,
+/// and P is a matrix between 0 and the identity (kernels/eliminate_point.h). Over any subset of
+/// these terms,
 ///
-///   |sum u_a^T P u_b| <= sqrt(sum |u_a|^2) sqrt(sum |u_b|^2) <= ||J e_a|| ||J e_b|| <= s_a s_b,
+///   |sum u_a^T P u_b| <= sqrt(sum |u_a|^2) sqrt(sum |u_b|^2) <= ||J e_a|| ||J e_b||,
 ///
-/// with a power of two s_a >= ||J e_a|| for each column, and likewise |J^T r| <= s_a t for the
-/// residuals' norm ||r|| <= t. A grid is therefore given by s and t: entry (a, b) starts at
+/// so that the sum of both kinds is at most twice that, and at most s_a s_b with a power of two
+/// s_a >= sqrt(2) ||J e_a|| for each column. Likewise |J^T r| <= s_a t for the residuals' norm
+/// ||r|| <= t. A grid is therefore given by s and t: entry (a, b) starts at
 /// 3 s_a s_b and has the spacing 2^-51 s_a s_b.
 ///
 /// s and t must be known before the sums are made. They come from the previous linearisation, with

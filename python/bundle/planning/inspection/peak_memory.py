@@ -7,6 +7,8 @@ real data and on synthetic scenes of 50 to 1000 images.
 
 from __future__ import annotations
 
+import math
+
 from bundle.planning.inspection.counts import FactorizedSystem
 from bundle.planning.inspection.problem_pattern import ProblemPattern
 
@@ -30,6 +32,10 @@ _SUPERNODE_PADDING = 1.15
 # uses the third only when it is two chunks ahead of the others (assembler.h): rarely on small
 # problems, always on large ones.
 _CHUNK_BUFFERS = 2.5
+
+# Observations of a tile (number_chunk.cpp). Each has a Jacobian record of two rows and a factor of
+# three rows.
+_TILE_OBSERVATIONS = 4096
 
 # Ceres. Per observation: cost function, residual block, Jacobian row with its cells, and pointers
 # in the problem, the program and the evaluator. Per point: parameter block with state and manifold,
@@ -63,9 +69,12 @@ def fused_memory(
     """
     plan = pattern.plan
     buffer = plan.largest_chunk_blocks * plan.block_doubles * DOUBLE
+    columns = math.sqrt(plan.block_doubles)
+    observations = plan.num_observations
     terms = {
-        # Image, measurement, image in the chunk and entries of an observation; entries of a pair.
-        "plan of the points": (22.0 + 2.0 * plan.num_kinds) * plan.num_observations
+        # Image, measurement, places in chunk and tile, and entries of an observation; entries of a
+        # pair.
+        "plan of the points": (24.0 + 2.0 * plan.num_kinds) * plan.num_observations
         + 4.0 * (plan.num_pairs + plan.num_tile_blocks)
         + 12.0 * plan.num_points
         + 4.0 * (plan.num_chunk_pairs + 2 * plan.num_chunk_parts),
@@ -73,6 +82,7 @@ def fused_memory(
         "points": 4 * 3 * DOUBLE * plan.num_points,
         # Sorting the observations comes first; its memory is reused later.
         "sorting": 2.0 * plan.num_observations,
+        "tiles": DOUBLE * (5 * columns + 8) * num_threads * min(observations, _TILE_OBSERVATIONS),
         "buffers of chunks": _CHUNK_BUFFERS * num_threads * float(buffer),
         "process": _PROCESS,
     }
