@@ -121,5 +121,27 @@ TEST(ImageParts, ImagesOfAFrameShareItsPoseAndThoseOfASensorItsPose) {
   EXPECT_EQ(found.parts.own_quads(), 0);  // several kinds of records
 }
 
+/// Images of a frame have records of equal width for its pose, even if the gauge holds a number of
+/// this pose and all other images of one of the models are of a constant frame.
+TEST(ImageParts, RecordsOfAFrameAreAsWideAsItsPart) {
+  testing::SceneOptions scene_options;
+  scene_options.num_images = 5;
+  testing::Scene scene = testing::MakeScene(scene_options);
+  testing::SetModels({"SIMPLE_RADIAL", "FULL_OPENCV"}, &scene);
+  testing::MakeRigs(2, 0.2, /*last_alone=*/true, &scene);
+  SolveOptions options;
+  options.gauge = Gauge::kTwoCameras;
+  const Parts found(scene, options);
+  int num_own = 0;
+  for (int i = 0; i < 5; ++i) {
+    const int own = found.Of(i, kOwnPart);
+    if (own < 0) continue;
+    ++num_own;
+    const ModelGroup& group = found.parts.groups()[found.parts.image_group()[i]];
+    EXPECT_EQ(group.parts[kOwnPart].num_columns, found.parts.part(own).num_columns) << i;
+  }
+  EXPECT_EQ(num_own, 3);
+}
+
 }  // namespace
 }  // namespace bundle
