@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "core/parallel/thread_pool.h"
+#include "core/schur/assembly/ordered_sums.h"
 
 namespace bundle {
 namespace {
@@ -278,7 +279,8 @@ void PointPasses::FindCovariances(const BlockStructure& structure,
   std::atomic<int> next{0};
   RunOnThreads(num_threads_, [&](int64_t) {
     std::vector<double> memory_room, blocks_room, found;
-    double* const memory = Aligned(setup.kernels.memory_doubles(input), &memory_room);
+    double* const memory = Aligned(
+        setup.kernels.memory_doubles(input) + setup.kernels.scatter_doubles(input), &memory_room);
     std::vector<int64_t> begin;
     try {
       for (int c = next.fetch_add(1); c < num_chunks; c = next.fetch_add(1)) {
@@ -287,17 +289,12 @@ void PointPasses::FindCovariances(const BlockStructure& structure,
         const int last_point = std::min(chunk.last_point, setup.plan.num_free_points);
         if (chunk.last_row > 0 || chunk.first_point >= last_point) continue;
         const size_t num_parts = chunk.parts.size();
-        begin.assign(1, 0);
         const auto parts_of = [&](size_t b) {
           if (b < num_parts) return std::pair(chunk.parts[b], chunk.parts[b]);
           const Chunk::Pair& pair = chunk.pairs[b - num_parts];
           return std::pair(chunk.parts[pair.first], chunk.parts[pair.second]);
         };
-        for (size_t b = 0; b < static_cast<size_t>(chunk.num_blocks()); ++b) {
-          const auto [first, second] = parts_of(b);
-          begin.push_back(begin.back() + int64_t{NumColumns(first)} * Width(second));
-        }
-        double* const blocks = Aligned(begin.back(), &blocks_room);
+        double* const blocks = Aligned(PlaceBlocks(input, chunk, &begin), &blocks_room);
         for (size_t b = 0; b < static_cast<size_t>(chunk.num_blocks()); ++b) {
           const auto [first, second] = parts_of(b);
           std::fill(blocks + begin[b], blocks + begin[b + 1], 0.0);

@@ -30,7 +30,7 @@ InstructionSet Allowed() {
 }
 
 InstructionSet OfProcessor() {
-#if defined(__x86_64__)
+#ifdef BUNDLE_X86_KERNELS
   __builtin_cpu_init();
   if (!__builtin_cpu_supports("avx2") || !__builtin_cpu_supports("fma")) {
     return InstructionSet::kBaseline;

@@ -40,9 +40,8 @@ class ImageParts {
 
   int num_parts() const { return static_cast<int>(parts_.size()); }
   int num_own_parts() const { return num_own_parts_; }
+  /// Own parts come in the order of their blocks of the layout, then cameras, then sensors.
   const CameraPart& part(int part) const { return parts_[part]; }
-  /// Own parts in the order of their blocks of the layout, then cameras, then sensors.
-  const std::vector<CameraPart>& parts() const { return parts_; }
   /// The part of an image, -1: none.
   int part_of(int image, int kind) const { return of_image_[kMaxParts * image + kind]; }
   /// One more than the last kind in use.

@@ -19,26 +19,14 @@ extern const PanelKernels kPanelKernels;
 }
 #endif
 
-namespace {
-
-const PanelKernels& Select() {
-#ifdef BUNDLE_X86_KERNELS
-  switch (BestInstructionSet()) {
-    case InstructionSet::kAvx512:
-      return avx512::kPanelKernels;
-    case InstructionSet::kAvx2:
-      return avx2::kPanelKernels;
-    case InstructionSet::kBaseline:
-      break;
-  }
-#endif
-  return baseline::kPanelKernels;
-}
-
-}  // namespace
-
 const PanelKernels& SelectPanelKernels() {
-  static const PanelKernels& kernels = Select();
+#ifdef BUNDLE_X86_KERNELS
+  static const PanelKernels& kernels =
+      ForBestInstructionSet(&baseline::kPanelKernels, &avx2::kPanelKernels, &avx512::kPanelKernels);
+#else
+  static const PanelKernels& kernels =
+      ForBestInstructionSet<PanelKernels>(&baseline::kPanelKernels, nullptr, nullptr);
+#endif
   return kernels;
 }
 

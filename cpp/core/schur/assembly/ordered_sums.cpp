@@ -12,6 +12,20 @@
 
 namespace bundle {
 
+int64_t PlaceBlocks(const EliminationInput& input, const Chunk& chunk,
+                    std::vector<int64_t>* block_begin) {
+  int64_t end = 0;
+  block_begin->clear();
+  const auto place = [&](size_t first, size_t second) {
+    block_begin->push_back(end);
+    end += int64_t{4} * input.part_rows[chunk.parts[first]] * input.part_quads[chunk.parts[second]];
+  };
+  for (size_t i = 0; i < chunk.parts.size(); ++i) place(i, i);
+  for (const Chunk::Pair& pair : chunk.pairs) place(pair.first, pair.second);
+  block_begin->push_back(end);
+  return end;
+}
+
 OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& structure,
                          const Assembler& assembler, int num_own_parts, int num_threads,
                          bool wants_camera_diagonal, bool keeps_error_terms)
@@ -30,7 +44,7 @@ OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& st
     parts = std::max(parts, chunk.parts.size());
     pairs = std::max(pairs, chunk.pairs.size());
     blocks = std::max<size_t>(blocks, chunk.num_blocks());
-    doubles = std::max<size_t>(doubles, PlaceBlocks(chunk, &block_begin));
+    doubles = std::max<size_t>(doubles, PlaceBlocks(input, chunk, &block_begin));
     diagonal = std::max<size_t>(diagonal, block_begin[chunk.parts.size()]);
   }
   for (Waiting& waiting : waiting_) {
@@ -46,20 +60,6 @@ OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& st
     }
   }
   MakeSystem();
-}
-
-int64_t OrderedSums::PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block_begin) const {
-  int64_t end = 0;
-  block_begin->clear();
-  const auto place = [&](size_t first, size_t second) {
-    block_begin->push_back(end);
-    end +=
-        int64_t{4} * input_.part_rows[chunk.parts[first]] * input_.part_quads[chunk.parts[second]];
-  };
-  for (size_t i = 0; i < chunk.parts.size(); ++i) place(i, i);
-  for (const Chunk::Pair& pair : chunk.pairs) place(pair.first, pair.second);
-  block_begin->push_back(end);
-  return end;
 }
 
 void OrderedSums::MakeSystem() {
@@ -115,7 +115,7 @@ ChunkSum& OrderedSums::Begin(int chunk, int thread) {
   Buffer& buffer = waiting.Push();
   buffer.chunk = chunk;
   const Chunk& what = input_.plan->chunks[chunk];
-  buffer.blocks.assign(PlaceBlocks(what, &buffer.block_begin), 0.0);
+  buffer.blocks.assign(PlaceBlocks(input_, what, &buffer.block_begin), 0.0);
   buffer.vectors.assign(what.parts.size() * ChunkSum::kVectors * input_.part_columns, 0.0);
   buffer.sum = {};
   buffer.sum.blocks = buffer.blocks.data();

@@ -17,6 +17,11 @@ namespace bundle {
 
 class SumGrid;  // sum_grid.h
 
+/// Writes the offset of each block of a chunk to `block_begin` (ChunkSum), then the end, and
+/// returns the end.
+int64_t PlaceBlocks(const EliminationInput& input, const Chunk& chunk,
+                    std::vector<int64_t>* block_begin);
+
 /// Sums over chunks that several threads compute. Chunks are added in their order, so that no bit
 /// of a sum depends on the speed of threads.
 ///
@@ -83,10 +88,6 @@ class OrderedSums {
       --count;
     }
   };
-
-  /// Writes the offset of each block of a chunk to `block_begin`, and returns the total number of
-  /// doubles of the blocks.
-  int64_t PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block_begin) const;
 
   /// The pairs of a chunk by their second part. Those of part i are seconds[second_begin[i]] to
   /// seconds[second_begin[i + 1]], ascending.

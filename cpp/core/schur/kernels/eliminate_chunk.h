@@ -66,12 +66,11 @@ inline double LinearizeLanes(const EliminationInput& input, const StateRecords& 
 }
 
 /// Linearises the strips of points [first_point, last_point) of a tile and calls visit(p, block of
-/// the point) for each point. `visit_strip(cost)` comes before the points of a strip.
-template <typename VisitStrip, typename Visit>
+/// the point) for each point. Adds their cost.
+template <typename Visit>
 inline void VisitPoints(const EliminationInput& input, const StateRecords& x, int first_point,
                         int last_point, double damping, bool first, const double* squared_scale,
-                        const TileRecords& records, const VisitStrip& visit_strip,
-                        const Visit& visit) {
+                        const TileRecords& records, double* total_cost, const Visit& visit) {
   PointBlock blocks[kStripPoints];
   for (int point = first_point; point < last_point;) {
     const Strip strip(input, point, last_point);
@@ -80,7 +79,7 @@ inline void VisitPoints(const EliminationInput& input, const StateRecords& x, in
                [&](const Lanes& lanes) { cost += LinearizeLanes(input, x, lanes, records); });
     FormPointBlocks(input, strip, records.Of(strip.begin), records.stride(), damping, first,
                     squared_scale, blocks);
-    visit_strip(cost);
+    *total_cost += cost;
     for (int p = strip.first; p < strip.last; ++p) visit(p, blocks[p - strip.first]);
     point = strip.last;
   }
@@ -114,15 +113,13 @@ void EliminateChunk(const EliminationInput& input, const StateRecords& x, const 
                     ChunkSum* sum) {
   const int64_t* const begin = input.plan->first.data();
   const bool counts = chunk.first_row == 0;
+  double ignored = 0;
   TileCursor at = {chunk};
   for (const Tile* tile = chunk.tiles.data(); at.first_point < chunk.last_point; ++tile) {
     const TileRecords records(input, memory, at.first_point);
     VisitPoints(
         input, x, at.first_point, tile->last_point, damping, first, squared_scale, records,
-        [&](double cost) {
-          if (counts) sum->cost += cost;
-        },
-        [&](int p, const PointBlock& of_point) {
+        counts ? &sum->cost : &ignored, [&](int p, const PointBlock& of_point) {
           for (int j = 0; j < 3 && first && counts; ++j) {
             squared_scale[3 * p + j] = of_point.squared_scale[j];
           }

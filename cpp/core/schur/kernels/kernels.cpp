@@ -23,13 +23,21 @@
 namespace bundle::BUNDLE_ISA {
 
 inline int64_t MemoryDoubles(const EliminationInput& input) {
-  const int64_t of_tile = TileDoubles(input) + ScatterMemory::NumDoubles(*input.plan);
+  const int64_t of_tile = TileDoubles(input);
   const int64_t of_strip = (kMixedStripObservations + input.longest_track) * kStepRecord;
   return of_tile > of_strip ? of_tile : of_strip;
 }
 
-extern constexpr Kernels kKernels = {
-    BUNDLE_ISA_NAME, &MemoryDoubles, &Eliminate, &EvaluateNewtonStep, &AddBlock,
-    &Products,       &Cost,          &Slope,     &SurveyPoints,       &PointCovariances};
+extern constexpr Kernels kKernels = {BUNDLE_ISA_NAME,
+                                     &MemoryDoubles,
+                                     &ScatterMemory::NumDoubles,
+                                     &Eliminate,
+                                     &EvaluateNewtonStep,
+                                     &AddBlock,
+                                     &Products,
+                                     &Cost,
+                                     &Slope,
+                                     &SurveyPoints,
+                                     &PointCovariances};
 
 }  // namespace bundle::BUNDLE_ISA

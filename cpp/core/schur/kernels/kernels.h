@@ -186,6 +186,8 @@ struct Kernels {
   const char* name;
 
   int64_t (*memory_doubles)(const EliminationInput& input);
+  /// Number of further doubles that point_covariances needs.
+  int64_t (*scatter_doubles)(const EliminationInput& input);
 
   /// Linearises and eliminates. `squared_scale` (3 per point) is written if `first`, else read.
   void (*eliminate)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,

@@ -101,7 +101,8 @@ struct ScatterMemory {
   Quad* columns;
   uint16_t* point_of_entry;
 
-  static int64_t NumDoubles(const EliminationPlan& plan) {
+  static int64_t NumDoubles(const EliminationInput& input) {
+    const EliminationPlan& plan = *input.plan;
     return int64_t{4} * (9 + 3) * plan.largest_tile_points + plan.largest_tile_entries / 4 + 8;
   }
   ScatterMemory(const EliminationPlan& plan, double* memory)
@@ -156,6 +157,7 @@ inline void PointCovariances(const EliminationInput& input, const StateRecords& 
   const int64_t* const begin = plan.first.data();
   const ScatterMemory tile_memory(plan, memory + TileDoubles(input));
   const int64_t stride = int64_t{3} * input.part_columns;
+  double ignored = 0;
   TileCursor at = {chunk};
   for (const Tile* tile = chunk.tiles.data(); at.first_point < chunk.last_point; ++tile) {
     const int first_point = at.first_point;
@@ -180,8 +182,7 @@ inline void PointCovariances(const EliminationInput& input, const StateRecords& 
       }
     };
     if (first_point < last_point) {
-      VisitPoints(
-          input, x, first_point, last_point, 0, true, nullptr, records, [](double) {}, white);
+      VisitPoints(input, x, first_point, last_point, 0, true, nullptr, records, &ignored, white);
     }
     const EntryPair* pairs = at.pairs;
     for (const Tile::Block* of = at.block; of < at.EndOfBlocks(*tile); ++of) {

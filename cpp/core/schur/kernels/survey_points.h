@@ -126,26 +126,26 @@ inline void SurveyPoints(const EliminationInput& input, const StateRecords& x, c
     }
     return;
   }
+  double ignored = 0;
   int first_point = chunk.first_point;
   for (const Tile* tile = chunk.tiles.data(); first_point < last_point; ++tile) {
     const TileRecords records(input, memory, first_point);
     const int end = tile->last_point < last_point ? tile->last_point : last_point;
-    VisitPoints(
-        input, x, first_point, end, 0, true, nullptr, records, [](double) {},
-        [&](int p, const PointBlock& block) {
-          if (!IsClear(block.sum)) return survey->add_unclear(survey->list, p);
-          for (int64_t i = begin[p]; i < begin[p + 1]; ++i) {
-            const double* const head = records.Of(i);
-            survey->squares += head[3] * head[3] + head[7] * head[7];
-          }
-          survey->num_observations += begin[p + 1] - begin[p];
-          double h[4];
-          StoreQuad(block.h, h);
-          survey->decrease += 0.5 * Dot3(h, h);
-          if (moves.images == nullptr) return;
-          SurveyMoves(input, moves, records, begin[p], begin[p + 1], x.points + 3 * int64_t{p},
-                      block, survey);
-        });
+    VisitPoints(input, x, first_point, end, 0, true, nullptr, records, &ignored,
+                [&](int p, const PointBlock& block) {
+                  if (!IsClear(block.sum)) return survey->add_unclear(survey->list, p);
+                  for (int64_t i = begin[p]; i < begin[p + 1]; ++i) {
+                    const double* const head = records.Of(i);
+                    survey->squares += head[3] * head[3] + head[7] * head[7];
+                  }
+                  survey->num_observations += begin[p + 1] - begin[p];
+                  double h[4];
+                  StoreQuad(block.h, h);
+                  survey->decrease += 0.5 * Dot3(h, h);
+                  if (moves.images == nullptr) return;
+                  SurveyMoves(input, moves, records, begin[p], begin[p + 1],
+                              x.points + 3 * int64_t{p}, block, survey);
+                });
     first_point = tile->last_point;
   }
 }
