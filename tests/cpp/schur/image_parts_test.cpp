@@ -122,25 +122,24 @@ TEST(ImageParts, ImagesOfAFrameShareItsPoseAndThoseOfASensorItsPose) {
 }
 
 /// Images of a frame have records of equal width for its pose, even if the gauge holds a number of
-/// this pose and all other images of one of the models are of a constant frame.
+/// this pose and the other images of one of the models are of a constant frame.
 TEST(ImageParts, RecordsOfAFrameAreAsWideAsItsPart) {
-  testing::SceneOptions scene_options;
-  scene_options.num_images = 5;
-  testing::Scene scene = testing::MakeScene(scene_options);
+  testing::Scene scene = SceneOf(1);
   testing::SetModels({"SIMPLE_RADIAL", "FULL_OPENCV"}, &scene);
-  testing::MakeRigs(2, 0.2, /*last_alone=*/true, &scene);
+  testing::MakeRigs(2, 0.2, /*last_alone=*/false, &scene);
+  scene.image_camera[5] = 0;  // images 1 and 3 alone have the second model
   SolveOptions options;
+  options.refine_sensor_from_rig = true;  // otherwise the rig has a length
   options.gauge = Gauge::kTwoCameras;
   const Parts found(scene, options);
-  int num_own = 0;
-  for (int i = 0; i < 5; ++i) {
-    const int own = found.Of(i, kOwnPart);
-    if (own < 0) continue;
-    ++num_own;
+  const int held = found.layout.blocks_of(3)[ParameterLayout::kPoseBlock];
+  ASSERT_EQ(found.layout.blocks()[held].size, 5);
+  for (const int i : {2, 3}) {
     const ModelGroup& group = found.parts.groups()[found.parts.image_group()[i]];
-    EXPECT_EQ(group.parts[kOwnPart].num_columns, found.parts.part(own).num_columns) << i;
+    EXPECT_EQ(group.parts[kOwnPart].num_columns, 6) << i;
+    EXPECT_EQ(found.parts.part(found.Of(i, kOwnPart)).num_columns, 6);
   }
-  EXPECT_EQ(num_own, 3);
+  EXPECT_EQ(found.Of(0, kOwnPart), -1);
 }
 
 }  // namespace
