@@ -100,6 +100,7 @@ if TYPE_CHECKING:
     from bundle.planning.comparison.comparison_file import read_comparison
     from bundle.planning.comparison.comparison_result import Comparison
     from bundle.planning.comparison.graph_comparison import GraphComparison
+    from bundle.planning.inspection.factor_graph_inspection import FactorGraphInspection
     from bundle.planning.inspection.graph_inspection import GraphInspection, inspect_graph
     from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
     from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
@@ -137,6 +138,7 @@ __all__ = [
     "Evaluation",
     "Excitation",
     "FactorGraph",
+    "FactorGraphInspection",
     "Filtered",
     "FlightOptions",
     "FrameTracks",
@@ -346,6 +348,7 @@ _DEFERRED = {
     "planning.comparison.comparison_file": ("read_comparison",),
     "planning.comparison.comparison_result": ("Comparison",),
     "planning.comparison.graph_comparison": ("GraphComparison",),
+    "planning.inspection.factor_graph_inspection": ("FactorGraphInspection",),
     "planning.inspection.graph_inspection": ("GraphInspection", "inspect_graph"),
     "planning.inspection.inspection_result": ("Inspection", "MethodInspection"),
     "planning.inspection.pose_graph_inspection": ("PoseGraphInspection",),

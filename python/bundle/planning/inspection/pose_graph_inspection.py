@@ -12,39 +12,20 @@ from bundle.base.arguments import check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path, is_path
 from bundle.base.words import number, plural
+from bundle.errors import InputError
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.planning.inspection.graph_inspection import pattern_of_edges
+from bundle.planning.inspection.elimination_costs import (
+    EliminationCost,
+    advise,
+    elimination_costs,
+)
 
-__all__ = ["EliminationCost", "PoseGraphInspection", "inspect_pose_graph"]
+__all__ = ["PoseGraphInspection", "inspect_pose_graph"]
 
 ORDERINGS = ("natural", "amd", "metis")
 """Orders that a solve offers."""
-
-BYTES = 8
-
-
-@dataclass(frozen=True, kw_only=True)
-class EliminationCost:
-    """Exact cost of the Cholesky factor L in one order of the poses.
-
-    Attributes:
-        ordering: "natural" (by position), "amd" or "metis".
-        nnz_factor: nnz(L): lower triangle with its diagonal, without the zeros that supernodes
-            store.
-        fill: fill-in: pairs of poses that are nonzero in L and zero in the matrix.
-        flops: sum of c^2 + 3 c over the columns of L with c entries below the diagonal.
-        tree_height: poses on the longest path of the elimination tree.
-        memory_in_bytes: memory of the values of L.
-    """
-
-    ordering: str
-    nnz_factor: int
-    fill: int
-    flops: int
-    tree_height: int
-    memory_in_bytes: int
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -59,8 +40,8 @@ class PoseGraphInspection(Displayed):
         density: share of nonzeros in that matrix.
         num_free_poses: poses that a solve does not hold constant; the costs are for these.
         nnz_free: nonzeros of the information matrix over the free poses.
-        costs: one per order.
-        auto_ordering: order that ``auto`` selects; "" without free poses.
+        costs: one per order, then the dense matrix.
+        auto_ordering: order that ``auto`` selects.
     """
 
     num_poses: int
@@ -76,20 +57,7 @@ class PoseGraphInspection(Displayed):
     @property
     def recommendation(self) -> str:
         """Recommended order and the reason, in one sentence."""
-        if not self.auto_ordering:
-            return "Nothing to factorise: every pose is constant."
-        flops = {cost.ordering: cost.flops for cost in self.costs}
-        chosen, worst = flops[self.auto_ordering], max(flops.values())
-        least = min(flops, key=lambda name: flops[name])
-        words = f"Leave --pose-ordering at auto: it selects {self.auto_ordering}, "
-        if worst > chosen:
-            words += f"{number(worst / max(chosen, 1))} times fewer flops than the worst order"
-        else:
-            words += "and all orders cost the same"
-        if flops[least] < chosen:
-            words += f" ({least} needs {100 - round(100 * flops[least] / chosen)} % fewer, "
-            words += "but computing it takes longer than it saves)"
-        return words + "."
+        return advise(self.costs, self.auto_ordering, "--pose-ordering at auto")
 
     def _display(self) -> Display:
         facts = [
@@ -108,7 +76,7 @@ def inspect_pose_graph(source: Any) -> PoseGraphInspection:
     """Count the cost of a step of a pose graph's solve; see :func:`bundle.inspect`.
 
     Raises:
-        InputError: the source is not a pose graph.
+        InputError: the source is not a pose graph, or all poses are constant.
         OSError: the path cannot be read.
     """
     if isinstance(source, PoseGraphResult):
@@ -123,21 +91,12 @@ def inspect_pose_graph(source: Any) -> PoseGraphInspection:
     free = np.cumsum(~held) - 1
     kept = free[pairs[~held[pairs].any(axis=1)]]
     num_free = int((~held).sum())
-    costs = []
-    if num_free:
-        pattern = pattern_of_edges(np.full(num_free, d, np.int32), kept)
-        for name in ORDERINGS:
-            counts = _core.count_factor(*pattern, _core.order_blocks(*pattern, name))
-            costs.append(
-                EliminationCost(
-                    ordering=name,
-                    nnz_factor=int(counts["entries"]),
-                    fill=int(counts["fill_edges"]),
-                    flops=int(counts["flops"]),
-                    tree_height=int(counts["tree_height"]),
-                    memory_in_bytes=BYTES * int(counts["entries"]),
-                )
-            )
+    if not num_free:
+        raise InputError(
+            f"graph: expected a free pose, found only constant poses ({graph.num_poses} of "
+            f"{graph.num_poses})"
+        )
+    costs = elimination_costs(np.full(num_free, d, np.int32), kept, ORDERINGS)
     nnz = d * d * (graph.num_poses + 2 * len(pairs))
     return PoseGraphInspection(
         num_poses=graph.num_poses,
@@ -147,6 +106,6 @@ def inspect_pose_graph(source: Any) -> PoseGraphInspection:
         density=nnz / (d * graph.num_poses) ** 2,
         num_free_poses=num_free,
         nnz_free=d * d * (num_free + 2 * len(kept)),
-        costs=tuple(costs),
+        costs=costs,
         auto_ordering=_core.auto_ordering(graph, held),
     )

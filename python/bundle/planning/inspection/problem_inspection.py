@@ -9,6 +9,8 @@ import bundle._core as _core
 from bundle.base.arguments import as_flag
 from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY, format_size
 from bundle.errors import InputError
+from bundle.graphs.factors.factor_graph import FactorGraph
+from bundle.graphs.factors.same_problem import options_of_graph, pose_graph_of, problem_of
 from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.option_class import takes_options
@@ -18,6 +20,10 @@ from bundle.io.files import Source, as_problem
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.planning.inspection.counts import FactorCounter, FactorizedSystem
+from bundle.planning.inspection.factor_graph_inspection import (
+    FactorGraphInspection,
+    inspect_factor_graph,
+)
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
 from bundle.planning.inspection.machine_rates import machine_rates
 from bundle.planning.inspection.methods import Method, all_methods
@@ -42,6 +48,16 @@ def inspect(problem: PoseGraph | PoseGraphResult) -> PoseGraphInspection: ...
 
 @overload
 def inspect(
+    problem: FactorGraph,
+    options: SolveOptions | None = None,
+    *,
+    recalibrate: bool = False,
+    **changes: Unpack[SolveKeywords],
+) -> Inspection | PoseGraphInspection | FactorGraphInspection: ...
+
+
+@overload
+def inspect(
     problem: Source,
     options: SolveOptions | None = None,
     *,
@@ -52,12 +68,12 @@ def inspect(
 
 @takes_options(SolveOptions)
 def inspect(
-    problem: Source | PoseGraph | PoseGraphResult,
+    problem: Source | PoseGraph | PoseGraphResult | FactorGraph,
     options: SolveOptions | None = None,
     *,
     recalibrate: bool = False,
     **changes: Unpack[SolveKeywords],
-) -> Inspection | PoseGraphInspection:
+) -> Inspection | PoseGraphInspection | FactorGraphInspection:
     """Predict the cost of each solver method on a problem, without solving it.
 
     Counts are exact, by symbolic elimination on blocks, unless a method's note says otherwise.
@@ -67,6 +83,11 @@ def inspect(
     For a pose graph, the result of its solve, or a g2o file, the result is a
     :class:`PoseGraphInspection`: nonzeros of the normal equations, and fill-in, flops and memory of
     their factor in each elimination order. Pose graphs take no options.
+
+    A :class:`FactorGraph` of reprojections is inspected as the problem that it states, one of
+    relative poses as the pose graph that it states; the result is equal. For any other factor graph
+    the result is a :class:`FactorGraphInspection`, with the same table of orders. The graph decides
+    which coordinates are constant; of the options only ``num_threads`` has an effect.
 
     Args:
         problem: Problem, path of one, or pycolmap.Reconstruction; not modified.
@@ -79,6 +100,8 @@ def inspect(
             observations constrain the refined parameters.
         OSError: the path cannot be read.
     """
+    if isinstance(problem, FactorGraph):
+        return _inspect_factor_graph(problem, options, recalibrate=recalibrate, **changes)
     if is_graph(problem):
         refuse_for_graphs(options=options, recalibrate=recalibrate or None, **changes)
         return inspect_pose_graph(problem)
@@ -105,6 +128,22 @@ def inspect(
         recommendation=explain(methods, best, density),
         auto_choice=inspector.auto_choice(),
     )
+
+
+def _inspect_factor_graph(
+    graph: FactorGraph,
+    options: SolveOptions | None,
+    *,
+    recalibrate: bool,
+    **changes: Unpack[SolveKeywords],
+) -> Inspection | PoseGraphInspection | FactorGraphInspection:
+    """Inspect the pose graph or problem that a factor graph states, otherwise the graph itself."""
+    if (same := problem_of(graph)) is not None:
+        asked = options_of_graph(same, SolveOptions.of(options, changes, "inspect"))
+        return inspect(same.problem, asked, recalibrate=recalibrate)
+    refuse_for_graphs(options=options, recalibrate=recalibrate or None, **changes)
+    poses = pose_graph_of(graph)
+    return inspect_factor_graph(graph) if poses is None else inspect_pose_graph(poses.graph)
 
 
 class _Inspector:

@@ -9,11 +9,14 @@ from bundle.base.memory_sizes import format_size
 from bundle.base.words import number, plural, seconds
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison.graph_comparison import GraphComparison, GraphRun
+from bundle.planning.inspection.elimination_costs import CONVENTION, EliminationCost
 from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
 from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_graph, graph_facts
 
 __all__ = ["compared_graph", "inspected_graph"]
+
+LEGEND = "* selected by auto; [not offered by a solve]."
 
 
 def inspected_graph(
@@ -23,10 +26,7 @@ def inspected_graph(
     size = found.block_size * found.num_poses
     free = max(1, (found.nnz_free + found.block_size * found.num_free_poses) / 2)
     columns = (
-        Column(
-            "order",
-            lambda cost: cost.ordering + (" *" if cost.ordering == found.auto_ordering else ""),
-        ),
+        Column("order", lambda cost: _order(cost, found.auto_ordering)),
         Column("nonzeros of L", "nnz_factor"),
         Column("of the matrix", lambda cost: number(cost.nnz_factor / free)),
         Column("fill [pairs]", "fill"),
@@ -39,21 +39,29 @@ def inspected_graph(
         ("matrix", f"{size} x {size}, blocks of {found.block_size}"),
         ("nonzeros", f"{found.nnz} ({100 * found.density:.4g} %)"),
         ("free", f"{plural(found.num_free_poses, 'pose')}, {found.nnz_free} nonzeros"),
+        ("", CONVENTION),
     ]
     return Report(
         command="inspect",
         input=about_graph(path, graph),
         headline=[found.recommendation],
         sections=[
-            *([Section(tables=[Table(columns, found.costs)])] if found.costs else []),
+            Section(tables=[Table(columns, found.costs, legend=LEGEND)]),
             Section(facts=facts, is_detail=True),
         ],
         data={
             **fields(found),
             "recommendation": found.recommendation,
+            "nonzeros": CONVENTION,
             "wall_time": {"total": wall_time},
         },
     )
+
+
+def _order(cost: EliminationCost, chosen: str) -> str:
+    if not cost.is_taken:
+        return f"[{cost.ordering}]"
+    return f"{cost.ordering} *" if cost.ordering == chosen else cost.ordering
 
 
 def compared_graph(

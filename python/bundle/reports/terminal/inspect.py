@@ -11,17 +11,13 @@ from bundle.errors import shown
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.planning.comparison.command_line import recommended_command
+from bundle.planning.inspection.elimination_costs import CONVENTION
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
 from bundle.planning.inspection.rank_prediction import RankPrediction, find_rank_limit
 from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_problem, problem_facts
 
-__all__ = ["CONVENTION", "inspected"]
-
-CONVENTION = (
-    "Nonzeros count both triangles and the diagonal; those of the factor L, its lower triangle "
-    "with the diagonal."
-)
+__all__ = ["inspected"]
 
 _CLEARLY_SLOWER = 1.25
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from bundle.base.words import number, plural
 from bundle.errors import shown
+from bundle.planning.inspection.elimination_costs import CONVENTION
 from bundle.planning.inspection.graph_inspection import GraphInspection
 from bundle.reports.sections import Column, Report, Section, Table, fields
-from bundle.reports.terminal.inspect import CONVENTION
 
 __all__ = ["inspected"]
 

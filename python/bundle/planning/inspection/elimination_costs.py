@@ -1,0 +1,122 @@
+"""Cost of the Cholesky factor of a block-sparse matrix, under each elimination order and dense.
+
+Conventions of all inspections. Nonzeros of a matrix count both triangles and the diagonal; those of
+its factor L, nnz(L), count the lower triangle with the diagonal. A block counts as full. Flops are
+the sum of c^2 + 3 c over the columns of L with c entries below the diagonal
+(``cpp/core/symbolic/factor_counts.h``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import bundle._core as _core
+from bundle.base.words import number
+from bundle.planning.inspection.graph_inspection import pattern_of_edges
+from bundle.planning.inspection.problem_pattern import count_dense
+
+__all__ = ["CONVENTION", "ORDERINGS", "EliminationCost", "advise", "elimination_costs"]
+
+CONVENTION = (
+    "Nonzeros count both triangles and the diagonal; those of the factor L, its lower triangle "
+    "with the diagonal."
+)
+
+ORDERINGS = ("natural", "amd", "metis", "colamd", "nesdis")
+"""Orders of an inspection; of these a solve offers some."""
+
+BYTES = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class EliminationCost:
+    """Exact cost of the Cholesky factor L in one order of the variables.
+
+    Attributes:
+        ordering: "natural" (by position), "amd", "metis", "colamd", "nesdis", or "dense" for a
+            dense matrix.
+        nnz_factor: nnz(L): lower triangle with its diagonal, without the zeros that supernodes
+            store.
+        fill: fill-in: pairs of variables that are nonzero in L and zero in the matrix.
+        flops: sum of c^2 + 3 c over the columns of L with c entries below the diagonal.
+        tree_height: variables on the longest path of the elimination tree.
+        memory_in_bytes: memory of the values of L, of a dense matrix with both triangles.
+        is_taken: True if an option of the solve selects the order.
+    """
+
+    ordering: str
+    nnz_factor: int
+    fill: int
+    flops: int
+    tree_height: int
+    memory_in_bytes: int
+    is_taken: bool = True
+
+
+def elimination_costs(
+    sizes: NDArray[np.int32], pairs: NDArray[np.int64], taken: Sequence[str]
+) -> tuple[EliminationCost, ...]:
+    """Return the cost of each order, then of the dense matrix.
+
+    Args:
+        sizes: (n,) scalars of each variable.
+        pairs: distinct pairs (smaller, larger) of variables with a nonzero block.
+        taken: orders that a solve offers.
+    """
+    pattern = pattern_of_edges(sizes, pairs)
+    costs = []
+    for name in ORDERINGS:
+        counts: dict[str, Any] = _core.count_factor(*pattern, _core.order_blocks(*pattern, name))
+        costs.append(
+            EliminationCost(
+                ordering=name,
+                nnz_factor=int(counts["entries"]),
+                fill=int(counts["fill_edges"]),
+                flops=int(counts["flops"]),
+                tree_height=int(counts["tree_height"]),
+                memory_in_bytes=BYTES * int(counts["entries"]),
+                is_taken=name in taken,
+            )
+        )
+    n, columns = len(sizes), int(sizes.sum(dtype=np.int64))
+    dense = count_dense(columns, n * (n - 1) // 2 - len(pairs), n)
+    return (
+        *costs,
+        EliminationCost(
+            ordering="dense",
+            nnz_factor=int(dense.nnz),
+            fill=int(dense.fill),
+            flops=int(dense.flops),
+            tree_height=n,
+            memory_in_bytes=BYTES * columns**2,
+            is_taken="dense" in taken,
+        ),
+    )
+
+
+def advise(costs: Sequence[EliminationCost], chosen: str, setting: str) -> str:
+    """Return advice on the order in a sentence.
+
+    Args:
+        costs: costs of :func:`elimination_costs`.
+        chosen: order that the solve takes by itself.
+        setting: option that should stay at its default; "" without an option.
+    """
+    flops = {cost.ordering: cost.flops for cost in costs if cost.is_taken}
+    least = min(flops, key=lambda name: flops[name])
+    worst = max(flops, key=lambda name: flops[name])
+    words = f"Leave {setting}: it selects {chosen}, " if setting else f"A solve takes {chosen}, "
+    if flops[worst] > flops[chosen]:
+        against = "a dense matrix" if worst == "dense" else "the worst order"
+        words += f"{number(flops[worst] / max(flops[chosen], 1))} times fewer flops than {against}"
+    else:
+        words += "and all orders cost the same"
+    if flops[least] < flops[chosen]:
+        share = 100 - round(100 * flops[least] / flops[chosen])
+        words += f" ({least} needs {share} % fewer, but computing it takes longer than it saves)"
+    return words + "."

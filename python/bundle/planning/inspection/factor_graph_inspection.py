@@ -1,0 +1,134 @@
+"""Structure of a factor graph, and the cost of factorising its normal equations.
+
+Two variables have a block in Lambda = J^T J if a factor joins them. A factor of k variables
+therefore adds all k (k - 1) / 2 pairs: a prior from a marginalisation makes its variables dense.
+Constant coordinates have no columns.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.display import Display, Displayed
+from bundle.base.words import number, plural
+from bundle.errors import InputError
+from bundle.graphs.factors.factor_graph import FactorGraph
+from bundle.planning.inspection.elimination_costs import (
+    EliminationCost,
+    advise,
+    elimination_costs,
+)
+
+__all__ = ["FactorGraphInspection", "inspect_factor_graph"]
+
+MOST_DENSE_COLUMNS = 100
+"""Free coordinates up to which a solve takes a dense matrix (``cpp/core/ceres/solve_graph.cpp``).
+"""
+
+TAKEN = ("amd", "dense")
+"""Orders that Ceres offers for a factor graph: AMD of a sparse matrix, or a dense matrix."""
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class FactorGraphInspection(Displayed):
+    """Normal equations of a factor graph and the cost of factorising them.
+
+    Attributes:
+        num_variables: number of variables.
+        num_factors: number of factors.
+        manifolds: number of variables by manifold.
+        kinds: number of factors by class.
+        num_columns: number of free coordinates.
+        num_free_variables: variables with a free coordinate; the costs are for these.
+        num_edges: distinct pairs of free variables with a common factor.
+        largest_clique: free variables of the factor with most of them.
+        nnz: nonzeros of Lambda over the free coordinates, both triangles and the diagonal.
+        density: share of nonzeros in that matrix.
+        costs: one per order, then the dense matrix.
+        auto_ordering: order that a solve selects.
+    """
+
+    num_variables: int
+    num_factors: int
+    manifolds: dict[str, int]
+    kinds: dict[str, int]
+    num_columns: int
+    num_free_variables: int
+    num_edges: int
+    largest_clique: int
+    nnz: int
+    density: float
+    costs: tuple[EliminationCost, ...]
+    auto_ordering: str
+
+    @property
+    def recommendation(self) -> str:
+        """Advice on the order, in one sentence."""
+        return advise(self.costs, self.auto_ordering, "")
+
+    def _display(self) -> Display:
+        facts = [
+            ("Lambda", f"{self.nnz} nonzeros, {100 * self.density:.4g} %"),
+            *(
+                (cost.ordering, f"{cost.nnz_factor} nonzeros of L, {number(cost.flops)} flops")
+                for cost in self.costs
+            ),
+            ("advice", self.recommendation),
+        ]
+        counts = f"{plural(self.num_variables, 'variable')}, {plural(self.num_factors, 'factor')}"
+        return Display(title=f"FactorGraphInspection: {counts}", facts=tuple(facts))
+
+
+def inspect_factor_graph(graph: FactorGraph) -> FactorGraphInspection:
+    """Count the cost of a step of a factor graph's solve; see :func:`bundle.inspect`.
+
+    Raises:
+        InputError: the graph has no factor or no free coordinate.
+    """
+    variables, factors = graph.variables, graph.factors
+    for noun, count in (("variable", len(variables)), ("factor", len(factors))):
+        if not count:
+            raise InputError(f"graph: expected at least one {noun}, found 0")
+    sizes = np.array([len(v.coordinates) - sum(v.held) for v in variables.values()], np.int32)
+    if not sizes.any():
+        raise InputError(
+            "graph: expected a free coordinate, found only constant variables "
+            f"({len(variables)} of {len(variables)})"
+        )
+    pairs, largest = _pairs(graph, sizes > 0)
+    free = sizes[sizes > 0]
+    wide = free.astype(np.int64)
+    nnz = int((wide**2).sum() + 2 * (wide[pairs[:, 0]] * wide[pairs[:, 1]]).sum())
+    columns = int(wide.sum())
+    return FactorGraphInspection(
+        num_variables=len(variables),
+        num_factors=len(factors),
+        manifolds=dict(Counter(variable.manifold for variable in variables.values())),
+        kinds=dict(Counter(type(factor).__name__ for factor in factors)),
+        num_columns=columns,
+        num_free_variables=len(free),
+        num_edges=len(pairs),
+        largest_clique=largest,
+        nnz=nnz,
+        density=nnz / columns**2,
+        costs=elimination_costs(free, pairs, TAKEN),
+        auto_ordering="dense" if columns <= MOST_DENSE_COLUMNS else "amd",
+    )
+
+
+def _pairs(graph: FactorGraph, is_free: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:
+    """Return distinct pairs of free variables with a common factor, and the largest clique."""
+    free = [key for key, flag in zip(graph.keys, is_free, strict=True) if flag]
+    place = {key: k for k, key in enumerate(free)}
+    cliques = {
+        tuple(sorted(place[key] for key in factor.keys if key in place)) for factor in graph.factors
+    }
+    count = len(free)
+    codes = {a * count + b for clique in cliques for a, b in combinations(clique, 2)}
+    first, second = np.divmod(np.array(sorted(codes), np.int64), count)
+    return np.stack([first, second], axis=1), max(map(len, cliques))
