@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from bundle.analysis.uncertainty.graph_covariance import GraphCovariance
     from bundle.base.paths import get_include
     from bundle.checking.gradient_report import GradientReport
-    from bundle.checking.gradients import check_gradients
-    from bundle.checking.jacobians import check_jacobians
     from bundle.editing.cameras.camera_sharing import share_cameras, split_cameras
     from bundle.editing.cameras.model_change import (
         CameraModelChange,
@@ -34,6 +32,7 @@ if TYPE_CHECKING:
     from bundle.georeference.alignment_result import Alignment
     from bundle.georeference.control_point import GroundControlPoint
     from bundle.georeference.position_prior import PositionPrior
+    from bundle.graphs.factors.checks import check_gradients, check_jacobians
     from bundle.graphs.factors.factor_graph import DigitsLeft, FactorGraph, GraphResult
     from bundle.graphs.factors.factors import (
         BetweenFactor,
@@ -272,8 +271,6 @@ _DEFERRED = {
     "analysis.uncertainty.graph_covariance": ("GraphCovariance",),
     "base.paths": ("get_include",),
     "checking.gradient_report": ("GradientReport",),
-    "checking.gradients": ("check_gradients",),
-    "checking.jacobians": ("check_jacobians",),
     "editing.cameras.camera_sharing": ("share_cameras", "split_cameras"),
     "editing.cameras.model_change": ("CameraModelChange", "ChangedModels", "change_camera_model"),
     "editing.merging.merge_models": ("merge",),
@@ -284,6 +281,7 @@ _DEFERRED = {
     "georeference.alignment_result": ("Alignment",),
     "georeference.control_point": ("GroundControlPoint",),
     "georeference.position_prior": ("PositionPrior",),
+    "graphs.factors.checks": ("check_gradients", "check_jacobians"),
     "graphs.factors.factor_graph": ("DigitsLeft", "FactorGraph", "GraphResult"),
     "graphs.factors.factors": (
         "BetweenFactor",

@@ -29,6 +29,8 @@ class Finding:
         sentence: explanation.
         error: largest relative error of these columns.
         factor: analytic / correct, if this ratio is constant.
+        rows: indices of the residuals with a wrong entry in these columns; () if the mistake is one
+            of the whole Jacobian.
     """
 
     kind: str
@@ -36,6 +38,7 @@ class Finding:
     sentence: str
     error: float = 0.0
     factor: float | None = None
+    rows: tuple[int, ...] = ()
 
 
 @dataclass(eq=False)
@@ -103,9 +106,11 @@ class Evidence:
         self, kind: str, columns: Sequence[int], sentence: str, factor: float | None = None
     ) -> None:
         """Add a finding that explains columns."""
-        error = float(np.max(self.deviations.error[..., list(columns)], initial=0.0))
+        errors = self.deviations.error[..., list(columns)]
+        error = float(np.max(errors, initial=0.0))
+        rows = tuple(np.flatnonzero((errors > self.tolerance).any(axis=(0, 2))).tolist())
         names = tuple(self.columns[j].name for j in columns)
-        self.findings.append(Finding(kind, names, sentence, error, factor))
+        self.findings.append(Finding(kind, names, sentence, error, factor, rows))
         self.wrong = [j for j in self.wrong if j not in columns]
 
 

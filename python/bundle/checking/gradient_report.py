@@ -14,6 +14,7 @@ from bundle.base.words import plural
 from bundle.checking.evidence import Finding
 
 __all__ = [
+    "STYLES",
     "GradientCheckerSummary",
     "GradientReport",
     "Offender",
@@ -24,6 +25,7 @@ __all__ = [
     "mistakes",
     "outcome",
     "subject",
+    "worst_entries",
 ]
 
 
@@ -240,7 +242,7 @@ def measurements(report: GradientReport) -> list[Block | str]:
     if not report.ok:
         wrong = [verdict for verdict in report.parameters if verdict.verdict != "correct"]
         parts += ["", _verdicts(wrong, "parameter")] if wrong else []
-        parts += ["", _worst(report.worst)] if report.verdict == "wrong" else []
+        parts += ["", worst_entries(report.worst)] if report.verdict == "wrong" else []
     parts += ["", _histogram(report.histogram)]
     parts += ["", facts([("GradientChecker", _checker(report.gradient_checker))])]
     return parts
@@ -262,7 +264,8 @@ def _verdicts(verdicts: Sequence[Verdict], title: str = "parameters") -> Columns
     return columns(head, rows, left=2)
 
 
-def _worst(offenders: Sequence[Offender]) -> Columns:
+def worst_entries(offenders: Sequence[Offender]) -> Columns:
+    """Return a table of wrong entries: column, place, row and values."""
     rows = [
         (
             offender.parameter,

@@ -19,10 +19,10 @@ from bundle.errors import InputError, brief
 from bundle.interface.check_options import TOLERANCE
 from bundle.interface.option_fields import number
 
-__all__ = ["check_gradients"]
+__all__ = ["check_function_at"]
 
 
-def check_gradients(
+def check_function_at(
     function: ResidualFunction,
     blocks: Sequence[ArrayLike],
     manifolds: Sequence[ManifoldLike] | None = None,
@@ -34,39 +34,7 @@ def check_gradients(
     tolerance: float = TOLERANCE,
     ambient: bool = True,
 ) -> GradientReport:
-    """Check analytic Jacobians, and identify the mistake in wrong ones.
-
-    The Jacobians are compared at the given point and at points around it. The two references are
-    ceres::GradientChecker, and central differences with Richardson extrapolation and an error
-    bound. In a test::
-
-        assert bundle.check_gradients(residual, [pose, intrinsics, point], ["se3", None, None])
-
-    Args:
-        function: function from a list of arrays, one per block, to (residual, list of Jacobians),
-            Jacobian i of shape (num_residuals, size of block i). It is called some hundred times
-            per sample and block. The C++ header bundle/check.h (``bundle.get_include()``) converts
-            a compiled ceres cost function to such a function.
-        blocks: parameters, one array per block.
-        manifolds: one per block, or None if all are Euclidean. Choices: None or "euclidean";
-            "angle_axis" (a rotation vector, differentiated as a vector space but sampled and named
-            as a rotation); "quaternion_wxyz", "quaternion_xyzw"; "se3" (qx qy qz qw tx ty tz,
-            COLMAP's pose); "sphere"; ("subset", constant entries).
-        names: one entry per block, for the report: a name, or (name, names of its parameters).
-        num_samples: number of points to check, including the given one.
-        radius: distance of the other points, relative to each parameter; radians for rotations.
-        seed: seed of the sampling.
-        tolerance: relative error above which an entry is wrong.
-        ambient: also compare derivatives along the normals of manifolds. They do not affect a
-            solve, and GradientChecker does not test them.
-
-    Returns:
-        Report; its truth value is True if all Jacobians are correct. Print it for details.
-
-    Raises:
-        InputError: blocks, manifolds or names do not match, or the function returns wrong shapes.
-            Exceptions of the function are passed on.
-    """
+    """Check the Jacobians of a function; see :func:`bundle.check_gradients`."""
     if not callable(function):
         raise InputError(f"function: expected a function, found {brief(function)}")
     single = isinstance(blocks, np.ndarray) and blocks.ndim == 0

@@ -25,7 +25,7 @@ from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 from bundle.model.reprojection import resolve_cheirality
 
-__all__ = ["check_jacobians"]
+__all__ = ["check_problem"]
 
 CHUNK = 16384
 CENTER = 1e-3
@@ -40,7 +40,7 @@ TURN = 0.3
 Progress = Callable[[int, int], None]
 
 
-def check_jacobians(
+def check_problem(
     problem: Source,
     *,
     samples_per_image: int | None = SAMPLES_PER_IMAGE,
@@ -50,26 +50,7 @@ def check_jacobians(
     num_threads: int = 0,
     progress: Progress | None = None,
 ) -> GradientReport:
-    """Check the analytic Jacobians that a solve of this problem would use.
-
-    Every residual is checked as Ceres evaluates it, with variable pose, intrinsics and point. The
-    references are ceres::GradientChecker and Richardson extrapolation. Every other observation is
-    checked away from the origin of its rotation's chart.
-
-    Args:
-        problem: a problem, the path of a problem, or a pycolmap.Reconstruction; the check is at its
-            values.
-        samples_per_image: number of observations to check per image; None: all.
-        seed: seed of the sampling.
-        tolerance: relative error above which an entry is wrong.
-        cheirality: as in a solve; observations that do not count are skipped.
-        num_threads: number of threads; 0: all cores.
-        progress: called with the number of finished and the total number of observations.
-
-    Raises:
-        InputError: a camera model is not supported, or an argument is out of range.
-        OSError: the path cannot be read.
-    """
+    """Check the Jacobians of a reconstruction; see :func:`bundle.check_jacobians`."""
     problem = as_problem(problem)
     if samples_per_image is not None:
         samples_per_image = number("samples_per_image", samples_per_image, minimum=1, whole=True)

@@ -105,8 +105,11 @@ def add_check(parser: Parser) -> None:
     group = parser.add_argument_group("options of the check")
     which = group.add_mutually_exclusive_group()
     add_fields(which, "CheckOptions", ("samples_per_image",))
-    which.add_argument("--all", action="store_true", help="check every observation")
+    which.add_argument(
+        "--all", action="store_true", help="check every observation, or every factor of a graph"
+    )
     add_fields(group, "CheckOptions", ("seed", "tolerance", "num_threads"))
+    add_pose_graph_flags(parser, ("error",), "pose graphs (.g2o)")
 
 
 def add_covariance(parser: Parser) -> None:

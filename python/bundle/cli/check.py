@@ -6,7 +6,7 @@ import argparse
 from time import perf_counter
 
 from bundle.checking.gradient_report import outcome
-from bundle.checking.jacobians import check_jacobians
+from bundle.checking.jacobians import check_problem
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION, EXIT_UNDECIDED
 from bundle.cli.option_flags import options_given
 from bundle.cli.output import publish
@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
         progress.stage(f"reading {shown(arguments.input)}")
         problem = load(arguments.input)
         progress.stage("checking")
-        report = check_jacobians(
+        report = check_problem(
             problem,
             **options,
             progress=lambda done, total: progress.stage(f"checked {done} of {total} observations"),

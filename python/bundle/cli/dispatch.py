@@ -31,7 +31,8 @@ COMMANDS = {
     "compare": "the same start under several solvers: measured, and one of them recommended",
     "validate": "which lens model, sharing and loss predict observations best: k folds, one "
     "recommendation",
-    "check": "validates the analytic Jacobians on this very problem, and names what is wrong",
+    "check": "validates the analytic Jacobians on this very problem, or those of your own factors "
+    "(FILE.py:NAME), and names what is wrong",
     "covariance": "how certain poses, points and intrinsics, or the poses of a pose graph are: "
     "their marginal covariances",
     "diagnose": "what the observations, or the edges of a pose graph, do not determine, and why: "
@@ -65,6 +66,8 @@ HANDLERS = {
     ("compare", Kind.POSE_GRAPH): "pose_graph_costs:compare_graph",
     ("validate", Kind.RECONSTRUCTION): "validate:run",
     ("check", Kind.RECONSTRUCTION): "check:run",
+    ("check", Kind.POSE_GRAPH): "check_factors:check_edges_of_file",
+    ("check", Kind.PYTHON): "check_factors:check_object",
     ("covariance", Kind.RECONSTRUCTION): "covariance:run",
     ("covariance", Kind.POSE_GRAPH): "pose_graph_analyses:compute_covariance",
     ("diagnose", Kind.RECONSTRUCTION): "diagnose:run",

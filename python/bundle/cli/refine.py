@@ -302,7 +302,7 @@ def _has_wrong_jacobians(asked: Refinement, opened: Opened, progress: Progress) 
 
     progress.stage("checking the Jacobians")
     begun, options = perf_counter(), opened.options
-    report = jacobians.check_jacobians(
+    report = jacobians.check_problem(
         opened.problem, cheirality=options.cheirality, num_threads=options.num_threads
     )
     if report.verdict != "wrong":

@@ -28,7 +28,8 @@ class CheckOptions(Options):
     samples_per_image: int = option(
         SAMPLES_PER_IMAGE,
         "--samples",
-        "number of observations to check for each image and its camera",
+        "number of observations to check for each image and its camera; of a graph, of factors "
+        "with the same code and the same kinds of variables",
         minimum=1,
         maximum=math.inf,
         metavar="N",

@@ -11,6 +11,7 @@ from typing import TypeGuard
 from bundle.base.words import FORMATS
 from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files
 from bundle.io.file_names import format_of_name
+from bundle.io.python_objects import is_python_object
 
 __all__ = [
     "OUTPUT_FORMATS",
@@ -63,6 +64,7 @@ class Kind(StrEnum):
     RECONSTRUCTION = "a reconstruction"
     POSE_GRAPH = "a pose graph"
     SEQUENCE = "a sequence"
+    PYTHON = "a Python file"
 
 
 def recognize(path: object) -> Kind:
@@ -73,6 +75,8 @@ def recognize(path: object) -> Kind:
     """
     if is_pose_graph_file(path):
         return Kind.POSE_GRAPH
+    if is_python_object(path):
+        return Kind.PYTHON
     return Kind.SEQUENCE if sequence_at(path) else Kind.RECONSTRUCTION
 
 

@@ -87,7 +87,7 @@ def test_the_verdict_on_factors_is_the_worst_of_each():
     undecided = graph.check_gradients()
     assert (undecided.verdict, bool(undecided), undecided.wrong) == ("undecided", False, {})
     assert len(undecided.undecided) == 1
-    assert "1 undecided" in str(undecided)
+    assert "1 of 2 factors" in str(undecided)
     graph.add_factor(bundle.FunctionFactor(["x"], lambda v: (v[0], [[[2.0]]])))
     wrong = graph.check_gradients()
     assert (wrong.verdict, len(wrong.wrong), len(wrong.undecided)) == ("wrong", 1, 1)

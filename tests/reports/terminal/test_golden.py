@@ -17,9 +17,9 @@ import pytest
 from bundle import _core
 from bundle.analysis.statistics.description import describe
 from bundle.base.tables import render
-from bundle.checking.jacobians import check_jacobians
 from bundle.cli.synth import _tally
 from bundle.georeference.alignment import align
+from bundle.graphs.factors.checks import check_jacobians
 from bundle.interface.evaluate_options import EvaluateOptions
 from bundle.interface.options import SolveOptions
 from bundle.interface.scene_options import SceneOptions

@@ -8,28 +8,18 @@ passed unchanged.
 The checker's first steps are proportional to the size of a parameter, so that a parameter must not
 be zero. Therefore c is 1 for an angle. For a translation, c is the length of the variable's
 translation, or 1 if this length is zero.
-
-Common mistakes are derivatives with respect to other tangent coordinates. A variable X moves by
-delta to X Exp(delta). A derivative with respect to another motion d is J M with delta = M d. With R
-and t the rotation and translation of X:
-
-- Exp(d) X: X^-1 Exp(d) X = Exp(Ad(X)^-1 d), so M = Ad(X)^-1;
-- t + d, in the frame of the world: M = R^T for the translation, as for Exp(d) R of the rotation;
-- translation and rotation in the other order: M is a permutation.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 import bundle._core as _core
-from bundle.base.display import Display, Displayed
-from bundle.base.words import plural
 from bundle.checking.columns import Block
 from bundle.checking.function import UserFunction
 from bundle.checking.gradient_report import GradientReport
@@ -37,88 +27,13 @@ from bundle.checking.manifolds import Manifold
 from bundle.checking.residual_blocks import Layout, sample
 from bundle.checking.sample_check import SamplePoint, check_samples
 from bundle.errors import InputError, brief, check_keywords
+from bundle.graphs.factors.factor_report import FactorCheck, Member
+from bundle.graphs.factors.tangent_conventions import other_coordinates
 from bundle.graphs.factors.variables import Array, Variable
 from bundle.interface.check_options import TOLERANCE
 from bundle.interface.option_fields import number
-from bundle.model.rotations import rotation_matrices
 
-__all__ = ["FactorCheck", "check_each", "other_coordinates"]
-
-
-Conventions = dict[tuple[str, str], Array]
-
-_LEFT = "left for right perturbation: derivative by d of Exp(d) X, not of X Exp(d)"
-_WORLD = "translation in the world frame: t + d instead of t + R d (R is missing)"
-_BOTH = (
-    "left for right perturbation of rotation and translation: derivative by d of Exp(d) R and t + d"
-)
-_TURN = "left for right perturbation of the rotation: Exp(d) R instead of R Exp(d)"
-_ORDER = "wrong order: {} first"
-
-
-def other_coordinates(manifold: str, values: Array) -> Conventions:
-    """Return kind, description and M (K, d, d) of each wrong convention at the values (K, n)."""
-    return _MANIFOLDS[manifold](values) if manifold in _MANIFOLDS else {}
-
-
-def _so3(values: Array) -> Conventions:
-    return {("perturbation", _LEFT): _turned(values)}
-
-
-def _se3(values: Array) -> Conventions:
-    back, t = _turned(values[:, :4]), values[:, 4:]
-    one = np.broadcast_to(np.eye(3), back.shape)
-    skew = np.cross(t[:, None, :], np.eye(3)).transpose(0, 2, 1)
-    left = _blocks(back, back)
-    left[:, 3:, :3] = -back @ skew
-    plain = {
-        ("perturbation", _LEFT): left,
-        ("frame", _WORLD): _blocks(one, back),
-        ("perturbation", _BOTH): _blocks(back, back),
-        ("perturbation", _TURN): _blocks(back, one),
-    }
-    return _also_reordered(plain, [3, 4, 5, 0, 1, 2], "translation")
-
-
-def _se2(values: Array) -> Conventions:
-    cosine, sine = np.cos(values[:, 2]), np.sin(values[:, 2])
-    back = np.array([[cosine, sine], [-sine, cosine]]).transpose(2, 0, 1)
-    world = np.zeros((len(values), 3, 3))
-    world[:, :2, :2] = back
-    world[:, 2, 2] = 1
-    left = world.copy()
-    across = np.stack([-values[:, 1], values[:, 0]], axis=1)
-    left[:, :2, 2] = (back @ across[..., None])[..., 0]
-    return _also_reordered(
-        {("perturbation", _LEFT): left, ("frame", _WORLD): world}, [2, 0, 1], "angle"
-    )
-
-
-def _also_reordered(plain: Conventions, order: list[int], first: str) -> Conventions:
-    """Add the same conventions with reordered columns: new column j is old column order[j]."""
-    size = len(order)
-    count = len(next(iter(plain.values())))
-    words = _ORDER.format(first)
-    right = np.broadcast_to(np.eye(size), (count, size, size))
-    moved: Conventions = {("order", words): right[..., order]}
-    for (kind, what), matrix in plain.items():
-        moved[kind, f"{what}; and {words}"] = matrix[..., order]
-    return plain | moved
-
-
-def _turned(quaternions: Array) -> Array:
-    """Return R^T (K, 3, 3)."""
-    back: Array = rotation_matrices(quaternions).transpose(0, 2, 1)
-    return back
-
-
-def _blocks(first: Array, second: Array) -> Array:
-    matrices = np.zeros((len(first), 6, 6))
-    matrices[:, :3, :3], matrices[:, 3:, 3:] = first, second
-    return matrices
-
-
-_MANIFOLDS: dict[str, Callable[[Array], Conventions]] = {"so3": _so3, "se2": _se2, "se3": _se3}
+__all__ = ["CheckedFactor", "check_each"]
 
 
 _SETTINGS = {"num_samples": 3, "radius": 0.1, "seed": 0, "tolerance": TOLERANCE}
@@ -127,69 +42,39 @@ _SETTINGS = {"num_samples": 3, "radius": 0.1, "seed": 0, "tolerance": TOLERANCE}
 FactorFunction = Callable[[list[Array]], tuple[Array, list[Array]] | None]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class FactorCheck(Displayed):
-    """Result of a check of factors. True if every Jacobian is right.
+@dataclass(frozen=True, eq=False)
+class CheckedFactor:
+    """Factor to check.
 
     Attributes:
-        reports: one report per factor, by its name in the graph.
+        name: name of the factor in its graph.
+        label: name of its kind.
+        kind: identifier that factors with the same code and the same manifolds share.
+        variables: its variables.
+        function: function of their values.
     """
 
-    reports: Mapping[str, GradientReport]
-
-    @property
-    def ok(self) -> bool:
-        """True if the verdict is "correct"."""
-        return self.verdict == "correct"
-
-    @property
-    def verdict(self) -> str:
-        """Worst verdict of the factors: "wrong", "undecided" or "correct"."""
-        found = {report.verdict for report in self.reports.values()}
-        return next((name for name in ("wrong", "undecided") if name in found), "correct")
-
-    def __bool__(self) -> bool:
-        return self.ok
-
-    @property
-    def wrong(self) -> dict[str, GradientReport]:
-        """Reports of the factors with a wrong Jacobian."""
-        return self._with_verdict("wrong")
-
-    @property
-    def undecided(self) -> dict[str, GradientReport]:
-        """Reports of the factors without a verdict."""
-        return self._with_verdict("undecided")
-
-    def _with_verdict(self, verdict: str) -> dict[str, GradientReport]:
-        return {name: r for name, r in self.reports.items() if r.verdict == verdict}
-
-    def __str__(self) -> str:
-        parts = [repr(self).splitlines()[0]]
-        for name, report in (self.wrong | self.undecided).items():
-            parts.append(f"{name}\n{report}")
-        return "\n\n".join(parts)
-
-    def _display(self) -> Display:
-        wrong, undecided = self.wrong, self.undecided
-        verdict = f"{len(wrong)} with wrong Jacobians" if wrong else "all Jacobians right"
-        if undecided:
-            verdict = f"{verdict}, " if wrong else ""
-            verdict += f"{len(undecided)} undecided"
-        facts = [
-            (name, ", ".join(sorted(report.kinds)))
-            for name, report in list((wrong | undecided).items())[:10]
-        ]
-        return Display(
-            title=f"FactorCheck: {plural(len(self.reports), 'factor')}, {verdict}",
-            facts=tuple(facts),
-        )
+    name: str
+    label: str
+    kind: Hashable
+    variables: Sequence[Variable]
+    function: FactorFunction
 
 
 def check_each(
-    factors: Sequence[tuple[str, list[Variable], FactorFunction]], settings: Mapping[str, Any]
+    factors: Iterable[CheckedFactor],
+    settings: Mapping[str, Any],
+    *,
+    num_factors: int | None = None,
+    progress: Callable[[int], None] | None = None,
 ) -> FactorCheck:
-    """Check factors, given by name, variables and function of their values.
+    """Check factors.
+
+    Args:
+        factors: factors to check.
+        settings: num_samples, radius, seed and tolerance.
+        num_factors: number of factors of the graph; None: all are checked.
+        progress: called with the number of checked factors.
 
     Raises:
         InputError: a setting does not exist or is out of range.
@@ -200,19 +85,42 @@ def check_each(
     radius = number("radius", given["radius"], minimum=0)
     seed = number("seed", given["seed"], minimum=0, maximum=math.inf, whole=True)
     tolerance = number("tolerance", given["tolerance"], above=0)
-    reports = {}
-    for name, variables, function in factors:
+    reports, members = {}, {}
+    kinds: dict[Hashable, int] = {}  # numbers, because code cannot be pickled
+    for done, factor in enumerate(factors):
         rng = np.random.default_rng(seed)
-        values = [[variable.value for variable in variables]]
+        values = [[variable.value for variable in factor.variables]]
         for _ in range(num_samples - 1):
-            values.append([_sample(variable, radius, rng) for variable in variables])
-        points: list[SamplePoint] = []
-        for at in values:
-            size = points[0].user.num_residuals if points else 0
-            here = _InTangentCoordinates(name, variables, at, function, size)
-            points.append(SamplePoint(UserFunction(here, here.origins, size), here.origins))
-        reports[name] = check_samples(points, _layout(variables, values), tolerance=tolerance)
-    return FactorCheck(reports)
+            values.append([_sample(variable, radius, rng) for variable in factor.variables])
+        layout = _layout(factor.variables, values)
+        reports[factor.name] = _check(factor, values, layout, tolerance)
+        members[factor.name] = Member(
+            kinds.setdefault(factor.kind, len(kinds)),
+            factor.label,
+            tuple(brief(v.key) for v in factor.variables),
+            tuple(
+                (column.name, b, column.name.removeprefix(f"{column.group} "))
+                for column, b in zip(layout.columns, _owners(factor.variables), strict=True)
+            ),
+        )
+        if progress is not None:
+            progress(done + 1)
+    return FactorCheck(reports, members, len(reports) if num_factors is None else num_factors)
+
+
+def _check(
+    factor: CheckedFactor, values: Sequence[list[Array]], layout: Layout, tolerance: float
+) -> GradientReport:
+    points: list[SamplePoint] = []
+    for at in values:
+        size = points[0].user.num_residuals if points else 0
+        here = _InTangentCoordinates(factor, at, size)
+        points.append(SamplePoint(UserFunction(here, here.origins, size), here.origins))
+    return check_samples(points, layout, tolerance=tolerance)
+
+
+def _owners(variables: Sequence[Variable]) -> list[int]:
+    return [b for b, variable in enumerate(variables) for _ in variable.coordinates]
 
 
 # Slices of the translation in the value and in the tangent coordinates.
@@ -270,16 +178,9 @@ def _layout(variables: Sequence[Variable], values: Sequence[Sequence[Array]]) ->
 class _InTangentCoordinates:
     """Factor as a function of steps of its variables from given values."""
 
-    def __init__(
-        self,
-        name: str,
-        variables: list[Variable],
-        values: list[Array],
-        function: FactorFunction,
-        num_residuals: int,
-    ) -> None:
-        self.name, self.variables, self.values, self.function = name, variables, values, function
-        self.origins = [_origin(v, x) for v, x in zip(variables, values, strict=True)]
+    def __init__(self, factor: CheckedFactor, values: list[Array], num_residuals: int) -> None:
+        self.factor, self.values = factor, values
+        self.origins = [_origin(v, x) for v, x in zip(factor.variables, values, strict=True)]
         self.num_residuals = num_residuals
 
     def __call__(self, blocks: list[Array]) -> tuple[Array, list[Array]]:
@@ -288,14 +189,18 @@ class _InTangentCoordinates:
             if variable.manifold == "euclidean"
             else _core.retract(variable.manifold, value, block - origin)
             for variable, value, origin, block in zip(
-                self.variables, self.values, self.origins, blocks, strict=True
+                self.factor.variables, self.values, self.origins, blocks, strict=True
             )
         ]
-        answer = self.function(values)
+        try:
+            answer = self.factor.function(values)
+        except Exception as error:
+            error.add_note(self.factor.name)
+            raise
         if answer is not None:
             self.num_residuals = len(answer[0])
             return answer
         if not self.num_residuals:
-            raise InputError(f"{self.name}: the residual has no value at the start")
+            raise InputError(f"{self.factor.name}: the residual has no value at the start")
         shape = self.num_residuals
         return np.full(shape, np.nan), [np.full((shape, len(b)), np.nan) for b in blocks]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Unpack
 
@@ -14,11 +14,11 @@ from bundle.base.display import Display, Displayed
 from bundle.base.words import change, plural, seconds
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.check_solve import Conditioning, SolvedGraph, checked
-from bundle.graphs.factors.contents import factor_name
-from bundle.graphs.factors.factor_check import FactorCheck, check_each
+from bundle.graphs.factors.factor_report import FactorCheck
 from bundle.graphs.factors.factors import Factor
+from bundle.graphs.factors.graph_check import check_graph
 from bundle.graphs.factors.marginals import GraphMarginals
-from bundle.graphs.factors.variables import Array, Key, Variable, as_list
+from bundle.graphs.factors.variables import Array, Key, as_list
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import GraphOptions, SolveOptions
@@ -277,44 +277,44 @@ class FactorGraph(GraphMarginals):
         return _core.graph_cost(*self._core())
 
     def check_gradients(
-        self, factors: Iterable[Factor] | Factor | None = None, **settings: Any
+        self,
+        factors: Iterable[Factor] | Factor | None = None,
+        *,
+        most_of_a_kind: int | None = None,
+        progress: Callable[[int], None] | None = None,
+        **settings: Any,
     ) -> FactorCheck:
         """Check the Jacobians of factors as :func:`bundle.check_gradients` does.
 
         Args:
             factors: factors of the graph; by default all.
+            most_of_a_kind: largest number of factors to check of those with the same code and the
+                same manifolds; None: all.
+            progress: called with the number of checked factors.
             **settings: num_samples (default 3), radius, seed and tolerance of
                 :func:`bundle.check_gradients`; the radius refers to tangent coordinates, and for
                 Euclidean variables to relative changes.
 
         Returns:
-            Report that is true if all Jacobians are right, and readable when printed.
+            Report that is true if all Jacobians are right. Its findings name factor, variables,
+            rows and columns; printing it explains them.
 
         Raises:
             InputError: a factor is not in the graph, or a function returns wrong shapes.
         """
-        wanted = [factors] if isinstance(factors, Factor) else factors
-        every = {id(factor): i for i, factor in enumerate(self._factors)}
-        chosen = list(range(len(self._factors)))
-        if wanted is not None:
-            for factor in (wanted := as_list("factors", "factors", wanted)):
-                if id(factor) not in every:
-                    raise InputError(
-                        f"factors: expected factors of the graph, found {brief(factor)}"
-                    )
-            chosen = [every[id(factor)] for factor in wanted]
-        return check_each(
-            [(factor_name(i, self._factors[i]), *self._one(i)) for i in chosen], settings
-        )
+        chosen = self._factors if factors is None else self._chosen(factors)
+        check_function("progress", progress)
+        return check_graph(self, chosen, most_of_a_kind, progress, settings)
 
-    def _one(self, position: int) -> tuple[list[Variable], Any]:
-        """Return the variables of a factor, and the factor as a function of their values."""
-        factor = self._factors[position]
-        variables, (given,) = self._core(factor.keys, [position], [factor])
-        return (
-            [self._variables[key] for key in factor.keys],
-            _core.factor_function(variables, given),
+    def _chosen(self, factors: Iterable[Factor] | Factor) -> list[Factor]:
+        wanted = (
+            [factors] if isinstance(factors, Factor) else as_list("factors", "factors", factors)
         )
+        every = {id(factor) for factor in self._factors}
+        for factor in wanted:
+            if id(factor) not in every:
+                raise InputError(f"factors: expected factors of the graph, found {brief(factor)}")
+        return list(wanted)
 
     def _display(self) -> Display:
         manifolds = Counter(variable.manifold for variable in self._variables.values())

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from bundle.base.arguments import check_type
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.check_solve import spot_checked, time_for_checks
-from bundle.graphs.factors.factor_check import FactorCheck
 from bundle.graphs.factors.factor_graph import FactorGraph
+from bundle.graphs.factors.factor_report import FactorCheck
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.variables import Array, Key, as_list
 from bundle.model.problem import Problem
