@@ -209,6 +209,17 @@ py::dict CostsToPython(const WindowCosts& costs) {
   return result;
 }
 
+/// Smallest trust region radius of a step; None without steps. A record has the radius after its
+/// step.
+py::object LeastRadius(const std::vector<IterationRecord>& iterations) {
+  if (iterations.size() < 2) return py::none();
+  double least = iterations.front().trust_region_radius;
+  for (size_t k = 1; k + 1 < iterations.size(); ++k) {
+    least = std::min(least, iterations[k].trust_region_radius);
+  }
+  return py::float_(least);
+}
+
 py::dict SolveWindowFromPython(const py::dict& window, const py::dict& options,
                                const py::object& progress) {
   const WindowArrays arrays(window);
@@ -238,6 +249,7 @@ py::dict SolveWindowFromPython(const py::dict& window, const py::dict& options,
   result["interrupted"] = output.interrupted;
   result["num_iterations"] = static_cast<int>(output.iterations.size()) - 1;
   result["num_rejected"] = output.num_rejected;
+  result["least_radius"] = LeastRadius(output.iterations);
   result["fill_ratio"] = output.fill_ratio;
   result["linearization_time"] = output.linearization_time;
   result["linear_solver_time"] = output.linear_solver_time;

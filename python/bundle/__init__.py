@@ -74,6 +74,7 @@ if TYPE_CHECKING:
     from bundle.interface.pose_graph_options import PoseGraphOptions
     from bundle.interface.scene_options import SceneOptions
     from bundle.interface.summary import Summary
+    from bundle.interface.triage_options import TriageOptions
     from bundle.interface.window_options import WindowOptions
     from bundle.io.files import load, reprojection_errors, save
     from bundle.io.pose_files import load_poses
@@ -82,6 +83,9 @@ if TYPE_CHECKING:
     from bundle.judging.evaluation.check_points import CheckPointEvaluation
     from bundle.judging.evaluation.evaluate_models import evaluate
     from bundle.judging.evaluation.evaluation_result import Evaluation
+    from bundle.judging.triage.cause_words import TriageCause
+    from bundle.judging.triage.triage_reports import triage
+    from bundle.judging.triage.triage_result import Triage
     from bundle.judging.validation.validate_problem import validate
     from bundle.judging.validation.validation_result import ValidatedCandidate, Validation
     from bundle.model import losses
@@ -106,6 +110,7 @@ if TYPE_CHECKING:
     from bundle.planning.inspection.problem_inspection import inspect
     from bundle.reports import page as html
     from bundle.reports.page import report
+    from bundle.reports.saved_report import save_report
     from bundle.solving import constraints
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.gauge_freedom import GaugeFreedom, gauge_freedom
@@ -197,6 +202,9 @@ __all__ = [
     "TrackRows",
     "Trajectory",
     "TrajectoryError",
+    "Triage",
+    "TriageCause",
+    "TriageOptions",
     "ValidatedCandidate",
     "Validation",
     "VioStart",
@@ -247,6 +255,7 @@ __all__ = [
     "reprojection_errors",
     "run_odometry",
     "save",
+    "save_report",
     "save_sequence",
     "share_cameras",
     "solve",
@@ -255,6 +264,7 @@ __all__ = [
     "synthesize",
     "synthesize_flight",
     "track_rows",
+    "triage",
     "two_loops",
     "validate",
     "warning_kinds",
@@ -321,11 +331,15 @@ _DEFERRED = {
     "interface.pose_graph_options": ("PoseGraphOptions",),
     "interface.scene_options": ("SceneOptions",),
     "interface.summary": ("Summary",),
+    "interface.triage_options": ("TriageOptions",),
     "interface.window_options": ("WindowOptions",),
     "io.files": ("load", "reprojection_errors", "save"),
     "io.pose_files": ("load_poses",),
     "io.sequences.sequence_folder": ("load_sequence", "save_sequence"),
     "io.sequences.trajectory_files": ("Trajectory", "load_trajectory"),
+    "judging.triage.cause_words": ("TriageCause",),
+    "judging.triage.triage_reports": ("triage",),
+    "judging.triage.triage_result": ("Triage",),
     "judging.validation.validate_problem": ("validate",),
     "judging.validation.validation_result": ("ValidatedCandidate", "Validation"),
     "io.source": ("reprojection_errors",),
@@ -352,6 +366,7 @@ _DEFERRED = {
     "planning.inspection.pose_graph_inspection": ("PoseGraphInspection",),
     "planning.inspection.problem_inspection": ("inspect",),
     "reports.page": ("report",),
+    "reports.saved_report": ("save_report",),
     "solving.constraints.rule_list": ("Constraints",),
     "solving.gauge_freedom": ("GaugeFreedom", "gauge_freedom"),
     "solving.held_out.hold_out": ("hold_out",),

@@ -18,9 +18,10 @@ STAYED = ("checking", "errors", "georeference", "synthetic", "_core")
 """Rooms, and the core, whose modules have the names of before."""
 
 NEW = (
+    *("interface.triage_options", "judging.triage.cause_words", "judging.triage.triage_result"),
     *("interface.evaluate_options", "interface.finding", "judging.evaluation.check_points"),
     *("judging.evaluation.evaluation_result", "judging.validation.validation_result"),
-    *("model.pose_table", "model.selection", "planning.comparison.environment", "solving.request"),
+    *("model.pose_table", "model.selection", "interface.environment", "solving.request"),
 )
 """Modules of classes that were not there before."""
 

@@ -59,10 +59,12 @@ def test_json_against_the_contract(run, model, tmp_path, backend):
         "schema", "command", "version", "input", "headline", "findings", "options", "summary",
         "iterations", "reprojection_error",
         "held_cost", "deleted", "edits", "movement", "cameras", "worst_images", "wall_time",
-        "output",
+        "environment", "output",
     ]  # fmt: skip
     assert (report["schema"], report["command"]) == (1, "refine")
     assert report["version"] == bundle.__version__
+    digests = report["input"].pop("digests")
+    assert set(digests) == {"structure", "measurements", "start"}
     assert report["input"] == {
         "path": str(model),
         "format": "bal",

@@ -149,6 +149,18 @@ def _evaluate(parser: Parser) -> None:
     )
 
 
+def _triage(parser: Parser) -> None:
+    parser.usage = "bundle triage OLD.json NEW.json [options]"
+    for name, which in (("old", "earlier"), ("new", "later")):
+        parser.add_argument(
+            name,
+            metavar=f"{name.upper()}.json",
+            type=a_path,
+            help=f"the {which} report of bundle refine, vio or compare (--json FILE)",
+        )
+    add_options(parser, "TriageOptions", "noise")
+
+
 def _vio(parser: Parser) -> None:
     parser.usage = "bundle vio SEQUENCE -o FILE.tum [options]"
     parser.add_argument(
@@ -275,6 +287,7 @@ ARGUMENTS = {
     "merge": _merge,
     "evaluate": _evaluate,
     "report": add_report,
+    "triage": _triage,
     "vio": _vio,
     "convert": _convert,
     "synth": _synth,

@@ -42,6 +42,8 @@ COMMANDS = {
     "evaluate": "errors of a model or trajectory A against a reference: truth, or another model",
     "report": "one page (HTML, no network) on a reconstruction: residuals, lenses, tracks, a 3-D "
     "view",
+    "triage": "names the cause of the difference between two reports of one input: ordering, fill, "
+    "prior, Jacobian, machine, data, options or convergence",
     "vio": "visual-inertial odometry from feature tracks and IMU samples",
     "convert": "between formats, saying what is lost",
     "synth": "seeded synthetic scenes with ground truth, from toy to millions of observations",
@@ -76,6 +78,7 @@ HANDLERS = {
     ("merge", Kind.RECONSTRUCTION): "merge:run",
     ("evaluate", Kind.RECONSTRUCTION): "evaluate:run",
     ("report", Kind.RECONSTRUCTION): "report:run",
+    ("triage", Kind.RECONSTRUCTION): "triage:run",
     ("vio", Kind.RECONSTRUCTION): "vio:run",
     ("convert", Kind.RECONSTRUCTION): "convert:run",
     ("convert", Kind.POSE_GRAPH): "pose_graph_commands:convert",

@@ -32,6 +32,7 @@ OPTION_CLASSES = {
     "RuleOptions": "camera_edit_options",
     "SceneOptions": "scene_options",
     "SolveOptions": "options",
+    "TriageOptions": "triage_options",
     "ValidationOptions": "validation_options",
     "WindowOptions": "window_options",
 }

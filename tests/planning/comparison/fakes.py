@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from bundle.interface.environment import Environment
 from bundle.interface.options import SolveOptions
 from bundle.planning.comparison.comparison_result import ComparedProblem, Comparison
-from bundle.planning.comparison.environment import Environment
 from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
 from bundle.planning.comparison.method import Method
 from tests.reports.terminal import fakes

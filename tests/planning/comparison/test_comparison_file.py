@@ -12,9 +12,9 @@ import pytest
 import bundle
 from bundle import _core
 from bundle.errors import InputError
-from bundle.planning.comparison import environment
+from bundle.interface import environment
+from bundle.interface.environment import Environment
 from bundle.planning.comparison.compare_methods import compare
-from bundle.planning.comparison.environment import Environment
 from bundle.reports.sections import dumps
 from bundle.reports.terminal.compare import compared
 from tests.figures.matplotlib.comparisons import comparison

@@ -246,6 +246,7 @@ def test_json_has_what_the_contract_lists(problem):
         "cameras",
         "worst_images",
         "wall_time",
+        "environment",
         "output",
     ]
     assert report["input"] == {

@@ -34,9 +34,14 @@ class KeyframeRecord:
         num_landmarks, num_observations: counts of the solve; observations exclude those of anchors.
         num_rows: number of residuals, including those of the prior.
         num_columns: number of unknowns, including landmarks.
+        num_prior_columns: number of coordinates of the prior, which couples all of them.
+        num_information_nonzeros: nnz(Lambda) of the window, both triangles and the diagonal.
+        num_reduced_nonzeros: the same after elimination of the landmarks.
+        num_factor_nonzeros: nnz(L) of the reduced matrix.
         fill_ratio: fill-in: nonzeros of the factor relative to the reduced matrix (1 if dense).
         times: seconds per phase: preintegration, assembly, solve, marginalization, total.
         num_iterations, num_rejected: attempted steps and rejected steps.
+        least_radius: smallest trust region radius of a step; the damping lambda is its reciprocal.
         out_of_time: True if the time budget ended the solve.
         costs: costs by family after the solve: visual, imu, bias_walk, prior. That of the prior is
             0 at its own minimum, and about 0.1 per coordinate in healthy windows.
@@ -75,10 +80,15 @@ class KeyframeRecord:
     num_observations: int
     num_rows: int
     num_columns: int
+    num_prior_columns: int
+    num_information_nonzeros: int
+    num_reduced_nonzeros: int
+    num_factor_nonzeros: int
     fill_ratio: float
     times: dict[str, float]
     num_iterations: int
     num_rejected: int
+    least_radius: float | None
     out_of_time: bool
     costs: dict[str, float]
     mean_visual_chi2: float | None

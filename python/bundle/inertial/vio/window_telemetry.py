@@ -13,6 +13,7 @@ from bundle.inertial.vio.landmark_table import LandmarkTable
 from bundle.inertial.vio.window_alarms import WindowAlarms
 from bundle.inertial.vio.window_contents import WindowContents
 from bundle.inertial.vio.window_frame import WindowFrame
+from bundle.inertial.vio.window_sizes import window_sizes
 from bundle.model.rotations import (
     quaternion_inverse,
     quaternion_multiply,
@@ -73,19 +74,8 @@ class WindowTelemetry:
         if solved["expected_imu_cost"] > 0:
             self._imu_excess = solved["costs_after"]["imu"] / solved["expected_imu_cost"]
             self._is_new_excess = True
-        priors = sum(len(prior["vector"]) for prior in window["priors"])
-        self._prior_size = max(priors, 1)
-        states = len(window["states"])
-        self._sizes = {
-            "window_size": states,
-            "num_landmarks": len(table.ids),
-            "num_observations": len(table.landmarks),
-            "num_rows": 2 * (len(table.landmarks) + len(table.ids)) + 15 * (states - 1) + priors,
-            "num_columns": 15 * states
-            + 3 * len(table.ids)
-            + 6 * window["refine_camera"]
-            + window["refine_time_offset"],
-        }
+        self._prior_size = max(sum(len(prior["vector"]) for prior in window["priors"]), 1)
+        self._window = table, window
 
     @property
     def covariance(self) -> Array | None:
@@ -108,7 +98,8 @@ class WindowTelemetry:
 
     def record(self, reason: str, parallax: float, now: float) -> KeyframeRecord:
         """Return the record of the newest keyframe."""
-        window, solved, sizes = self.window, self._last, self._sizes
+        window, solved = self.window, self._last
+        sizes = window_sizes(*self._window, solved["fill_ratio"])
         newest = window.frames[-1]
         times = {**self._times, "total": now - self._start}
         value, verdict = self.excitation()
@@ -139,6 +130,7 @@ class WindowTelemetry:
             times=times,
             num_iterations=solved["num_iterations"],
             num_rejected=solved["num_rejected"],
+            least_radius=solved["least_radius"],
             out_of_time=solved["out_of_time"],
             costs=dict(costs),
             mean_visual_chi2=costs["visual"]

@@ -26,6 +26,7 @@ from bundle.interface.compare_options import (
     TIMEOUT,
     TRUST_REGIONS,
 )
+from bundle.interface.environment import Environment
 from bundle.interface.option_class import spellings, takes_options
 from bundle.interface.option_fields import number
 from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
@@ -35,7 +36,6 @@ from bundle.io.files import Source
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison import process_memory
 from bundle.planning.comparison.comparison_result import GAPS, Comparison
-from bundle.planning.comparison.environment import Environment
 from bundle.planning.comparison.graph_comparison import GraphComparison, compare_graph
 from bundle.planning.comparison.method import expand
 from bundle.planning.comparison.profiles import PerformanceProfile, performance_profiles

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bundle.base.paths import as_path
 from bundle.errors import InputError, brief, shown
+from bundle.interface.environment import Environment
 from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary
 from bundle.planning.comparison.comparison_result import (
@@ -22,7 +23,6 @@ from bundle.planning.comparison.comparison_result import (
     Comparison,
     Recommendation,
 )
-from bundle.planning.comparison.environment import Environment
 from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
 from bundle.planning.comparison.method import Method
 from bundle.planning.comparison.profiles import PerformanceProfile

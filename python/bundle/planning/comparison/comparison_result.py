@@ -9,8 +9,8 @@ from bundle.base.display import Display, Displayed
 from bundle.base.memory_sizes import format_size
 from bundle.base.words import contents, plural, seconds
 from bundle.errors import shown
+from bundle.interface.environment import Environment
 from bundle.interface.options import SolveOptions
-from bundle.planning.comparison.environment import Environment
 from bundle.planning.comparison.measured_run import Run
 from bundle.planning.comparison.method import Method
 from bundle.planning.comparison.profiles import PerformanceProfile

@@ -18,13 +18,13 @@ from bundle.errors import InputError
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
 from bundle.interface.compare_options import BACKENDS, REPEAT, SECONDS_NOT_REPEATED, TIMEOUT
+from bundle.interface.environment import Environment
 from bundle.interface.option_fields import choice
 from bundle.interface.option_fields import number as checked_number
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison.command_line import command_line
-from bundle.planning.comparison.environment import Environment
 from bundle.planning.comparison.method import as_tuple, thread_counts
 
 __all__ = ["GraphComparison", "GraphMethod", "GraphRun", "compare_graph"]
@@ -81,6 +81,7 @@ class GraphRun:
         termination_type: as in a summary, or "TIMEOUT".
         failure: reason for a missing solution, as a sentence; "" with a solution.
         warnings: warnings of the solve.
+        result: the last solve; None after a failure.
     """
 
     method: GraphMethod
@@ -91,6 +92,7 @@ class GraphRun:
     termination_type: str
     failure: str = ""
     warnings: tuple[str, ...] = ()
+    result: PoseGraphResult | None = None
 
     @property
     def time_in_seconds(self) -> float:
@@ -270,6 +272,7 @@ def _run(
         num_steps=len(result.iterations["cost"]) - 1,
         termination_type=summary.termination_type,
         warnings=tuple(summary.warnings),
+        result=result,
     )
 
 

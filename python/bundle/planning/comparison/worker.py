@@ -24,9 +24,9 @@ from typing import Any, TextIO
 
 import bundle._core as _core
 from bundle.errors import InputError
+from bundle.interface.environment import load_average
 from bundle.interface.options import SolveOptions
 from bundle.planning.comparison import process_memory
-from bundle.planning.comparison.environment import load_average
 from bundle.planning.comparison.hand_over import restore, restore_solution, store_solution
 from bundle.solving.result import Result
 from bundle.solving.solve import solve

@@ -7,11 +7,13 @@ from typing import Any
 
 from bundle.base.memory_sizes import format_size
 from bundle.base.words import number, plural, seconds
+from bundle.graphs.pose_graphs.densest_set import densest_set
+from bundle.model.content_digests import content_digests
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison.graph_comparison import GraphComparison, GraphRun
 from bundle.planning.inspection.elimination_costs import CONVENTION, EliminationCost
 from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
-from bundle.reports.sections import Column, Report, Section, Table, fields
+from bundle.reports.sections import Column, Report, Section, Table, fields, records
 from bundle.reports.terminal.inputs import about_graph, graph_facts
 
 __all__ = ["compared_graph", "inspected_graph"]
@@ -103,7 +105,7 @@ def compared_graph(
         }
     return Report(
         command="compare",
-        input=about_graph(path, found.graph),
+        input=about_graph(path, found.graph) | {"digests": content_digests(found.graph)},
         headline=[found.reason],
         sections=[
             Section(facts=graph_facts(path, found.graph)),
@@ -113,6 +115,7 @@ def compared_graph(
         data={
             "options": dict(options),
             "environment": found.environment,
+            "structure": {"densest": densest_set(found.graph.edges)},
             "repeat": found.repeat,
             "timeout": found.timeout,
             "runs": [_run(found, run) for run in found.runs],
@@ -133,4 +136,6 @@ def _run(found: GraphComparison, run: GraphRun) -> dict[str, Any]:
         "termination_type": run.termination_type,
         "failure": run.failure,
         "warnings": run.warnings,
+        "summary": run.result and run.result.summary,
+        "iterations": [] if run.result is None else records(run.result.iterations),
     }

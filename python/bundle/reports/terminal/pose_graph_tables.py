@@ -9,10 +9,13 @@ import numpy as np
 
 from bundle.base.words import number, plural
 from bundle.errors import InputError
+from bundle.graphs.pose_graphs.densest_set import densest_set
 from bundle.graphs.pose_graphs.information import bad_information, describe_information
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.graphs.pose_graphs.solve_pose_graph import pose_graph_chi2
+from bundle.interface.environment import Environment
 from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
+from bundle.model.content_digests import content_digests
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.reports.sections import Column, Report, Section, Table, records
 from bundle.reports.terminal.graph_headline import degrees_of_freedom, graph_headline
@@ -107,7 +110,7 @@ def refined_graph(
     ]
     return Report(
         command="refine",
-        input=about_graph(path, graph),
+        input=about_graph(path, graph) | {"digests": content_digests(graph)},
         headline=graph_headline(solved),
         warnings=(*_said(graph), *summary.warnings),
         sections=[
@@ -132,7 +135,9 @@ def refined_graph(
                 }
                 for one in left_out
             ],
+            "structure": {"densest": densest_set(graph.edges)},
             "wall_time": wall,
+            "environment": Environment.now().finished(),
             "output": output,
         },
     )

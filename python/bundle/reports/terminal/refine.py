@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 from bundle.base.memory_sizes import format_size
 from bundle.base.words import change, pixels, plural
 from bundle.errors import shown
+from bundle.interface.environment import Environment
 from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary, sizes
+from bundle.model.content_digests import content_digests
 from bundle.model.problem import Problem
 from bundle.model.worst_images import ImageError
 from bundle.reports.sections import Column, Report, Section, Table
@@ -102,11 +104,12 @@ def refinement(
         "worst_images": solved.worst_images,
         **({} if georeference is None else {"georeference": georeference.asdict()}),
         "wall_time": wall,
+        "environment": Environment.now().finished(),
         "output": output,
     }
     return Report(
         command="refine",
-        input=about_problem(path, problem),
+        input=about_problem(path, problem) | {"digests": content_digests(problem)},
         headline=[*headline(solved), *places],
         findings=findings,
         warnings=[*warnings, *place_warnings, *(f"lost: {what}" for what in lost)],

@@ -12,6 +12,8 @@ from bundle.errors import shown
 from bundle.inertial.vio.keyframe_record import KeyframeRecord, alarms_by_kind
 from bundle.inertial.vio.odometry import OdometryResult
 from bundle.inertial.vio.trajectory_comparison import TrajectoryError
+from bundle.interface.environment import Environment
+from bundle.model.content_digests import content_digests
 from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.sequence_findings import SequenceFinding
 from bundle.reports.sections import Report, Section, Table, plain
@@ -45,7 +47,11 @@ def odometry_report(
     said = _warnings(result, findings)
     return Report(
         command="vio",
-        input={**about_sequence(source, format, sequence), "duration": sequence.duration},
+        input={
+            **about_sequence(source, format, sequence),
+            "duration": sequence.duration,
+            "digests": content_digests(sequence),
+        },
         headline=_headline(result, error),
         warnings=said,
         sections=[
@@ -69,6 +75,7 @@ def odometry_report(
             "keyframes": [record.asdict() for record in result.keyframes],
             "error": error,
             "wall_time": {"solve": result.solve_time, "total": wall_time},
+            "environment": Environment.now().finished(),
             "output": None if written is None else {"path": written, "format": "tum"},
         },
     )

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import datetime
-import importlib.metadata
 import math
 import os
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 import bundle._core as _core
 
@@ -51,7 +52,7 @@ class Environment:
                 "ceres": _core.CERES_VERSION,
                 "blas": _blas_version(),
                 "python": platform.python_version(),
-                "numpy": importlib.metadata.version("numpy"),
+                "numpy": np.__version__,
                 "os": platform.platform(),
             },
         )

@@ -1,0 +1,1 @@
+"""Cause of the difference between two reports of one input."""

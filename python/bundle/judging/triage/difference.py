@@ -1,0 +1,206 @@
+"""Difference of two solves: which facts changed beyond noise.
+
+A cost is noise if threads or instruction sets may change it: sums in another order end a solve
+elsewhere within its tolerances. Steps of a solve without progress vary more. Times vary most: with
+the load of the machine, its clock, and in short solves with the scheduler, which gives the cores to
+others for some milliseconds. A time is therefore compared with the time that the steps and flops
+explain, and the more tolerantly the shorter it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from bundle.interface.triage_options import TriageOptions
+from bundle.judging.triage.solve_facts import SolveFacts
+
+__all__ = ["Difference", "is_busy"]
+
+Entry = Mapping[str, Any]
+
+WITHOUT_EFFECT = ("nullity", "covariance", "check_solution")
+"""Options that change a report, but not the solve."""
+
+THREADS = "num_threads"
+LEAST_STEPS = 2.0
+FLOPS_NOISE, FACTOR_NOISE, NONZEROS_NOISE = 1.1, 1.05, 1.01
+SECONDS_NOISE = 0.02
+BUSY_NOISE, OTHER_HOST_NOISE, MOST_THREADS_NOISE = 1.6, 3.0, 2.0
+FLIGHT_COST_NOISE = 10.0  # times the noise of other costs
+ERROR_NOISE = 0.1
+SAME_COST = 1e-6
+LESS_RADIUS, MORE_REJECTED = 0.2, 0.15
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Two solves of one input by one method.
+
+    Attributes:
+        old, new: facts of both solves.
+        inputs: path, format, counts and digests of both inputs.
+        environments: machine, load and versions of both; empty if unknown.
+        limits: largest differences that are noise.
+    """
+
+    old: SolveFacts
+    new: SolveFacts
+    inputs: tuple[Entry, Entry]
+    environments: tuple[Entry, Entry]
+    limits: TriageOptions
+
+    def pair(self, name: str) -> tuple[Any, Any]:
+        """Return a fact of both solves."""
+        return getattr(self.old, name), getattr(self.new, name)
+
+    def ratio(self, name: str) -> float | None:
+        """Return the new value divided by the old one; None if one is unknown or 0."""
+        old, new = self.pair(name)
+        return new / old if old and new else None
+
+    def is_same(self, name: str) -> bool:
+        """Return True if both solves have the same known value."""
+        old, new = self.pair(name)
+        return old is not None and old == new
+
+    @cached_property
+    def options(self) -> dict[str, tuple[Any, Any]]:
+        """Options that differ, by name, without threads and those of the report alone."""
+        old, new = self.old.options, self.new.options
+        names = [name for name in new if name in old and name not in (*WITHOUT_EFFECT, THREADS)]
+        return {name: (old[name], new[name]) for name in names if old[name] != new[name]}
+
+    @cached_property
+    def counts(self) -> dict[str, tuple[Any, Any]]:
+        """Counts of the input that differ, by name."""
+        old, new = self.inputs
+        names = [name for name in new if name.startswith("num_") or name == "duration"]
+        return {name: (old.get(name), new[name]) for name in names if old.get(name) != new[name]}
+
+    def differs(self, *parts: str) -> bool | None:
+        """Return True if a digest of these parts of the input differs; None if it is unknown."""
+        digests = [given.get("digests") or {} for given in self.inputs]
+        if not all(part in one for part in parts for one in digests):
+            return None
+        return any(digests[0][part] != digests[1][part] for part in parts)
+
+    @cached_property
+    def has_other_data(self) -> bool:
+        """True if the measurements or their structure differ."""
+        differs = self.differs("structure", "measurements")
+        if differs is not None and self.differs("start") is not None:
+            is_same_start = not self.differs("start")
+            # the same residuals at the same start cost the same
+            return differs or (is_same_start and not self.options and not self.is_same_start_cost)
+        return bool(self.counts) or not (self.options or self.is_same_start_cost)
+
+    @cached_property
+    def is_same_start_cost(self) -> bool:
+        """True if the costs at the start agree, or are unknown."""
+        old, new = self.pair("initial_cost")
+        return old is None or new is None or abs(new - old) <= SAME_COST * max(abs(old), abs(new))
+
+    @cached_property
+    def cost_changed(self) -> bool:
+        """True if the final cost, or the error against a ground truth, changed beyond noise."""
+        if self.old.is_usable != self.new.is_usable:
+            return True
+        noise = self.limits.cost_noise
+        old, new = self.pair("final_cost")
+        if self.old.initial_cost is None:  # odometry
+            noise *= FLIGHT_COST_NOISE
+        # a cost that is 0 up to rounding has no relative noise
+        floor = 1e-12 * (self.old.initial_cost or 0.0)
+        if old is not None and new is not None and abs(new - old) > noise * abs(old) + floor:
+            return True
+        old, new = self.pair("error")
+        return bool(old is not None and new is not None and abs(new - old) > ERROR_NOISE * old)
+
+    @cached_property
+    def steps_changed(self) -> bool:
+        """True if the number of steps changed beyond noise."""
+        old, new = self.pair("steps")
+        if old is None or new is None:
+            return False
+        return bool(abs(new - old) > max(LEAST_STEPS, self.limits.step_noise * min(old, new)))
+
+    @cached_property
+    def converges_otherwise(self) -> bool:
+        """True if one solve converged and the other did not."""
+        return self.old.is_converged != self.new.is_converged
+
+    @cached_property
+    def factor_changed(self) -> bool:
+        """True if flops or nonzeros of the factor changed beyond noise."""
+        return self._moved("factor_flops", FLOPS_NOISE) or self._moved(
+            "factor_nonzeros", FACTOR_NOISE
+        )
+
+    @cached_property
+    def information_changed(self) -> bool:
+        """True if nnz(Lambda) changed beyond noise."""
+        return self._moved("information_nonzeros", NONZEROS_NOISE)
+
+    def _moved(self, name: str, noise: float) -> bool:
+        ratio = self.ratio(name)
+        return ratio is not None and not 1 / noise <= ratio <= noise
+
+    @cached_property
+    def radius_fell(self) -> bool:
+        """True if the trust region shrank more, or rejected a larger share of the steps."""
+        old, new = self.pair("least_radius")
+        if old is not None and new is not None and new < LESS_RADIUS * old:
+            return True
+        shares = [(s.rejected or 0.0) / s.steps if s.steps else 0.0 for s in (self.old, self.new)]
+        return shares[1] - shares[0] > MORE_REJECTED
+
+    @cached_property
+    def time_excess(self) -> float | None:
+        """Ratio of the times beyond what steps and flops explain; None within noise."""
+        old, new = self.pair("seconds")
+        if not old or not new or old < 0 or new < 0:
+            return None
+        steps = self.ratio("steps") or 1.0
+        work = steps * (self.ratio("factor_flops") or 1.0)
+        least, most = min(1.0, steps, work), max(1.0, steps, work)
+        noise = self.limits.time_noise + SECONDS_NOISE / min(old, new)
+        noise *= self._machine_noise()
+        ratio: float = new / old
+        if ratio > most * noise:
+            return ratio / most
+        return ratio / least if ratio < least / noise else None
+
+    def _machine_noise(self) -> float:
+        old, new = self.environments
+        noise = 1.0
+        if is_busy(old, self.old.num_threads) and is_busy(new, self.new.num_threads):
+            noise *= BUSY_NOISE
+        if self.has_other_host:
+            noise = max(noise, OTHER_HOST_NOISE / self.limits.time_noise)
+        threads = self.ratio("num_threads") or 1.0
+        return noise * min(max(threads, 1 / threads), MOST_THREADS_NOISE)
+
+    @cached_property
+    def has_other_host(self) -> bool:
+        """True if another processor ran the second solve."""
+        models = [given.get("cpu_model") for given in self.environments]
+        return None not in models and models[0] != models[1]
+
+    def new_warnings(self, kinds: tuple[str, ...]) -> list[str]:
+        """Return the kinds of these warnings that only the new solve has."""
+        return [
+            kind
+            for kind in kinds
+            if self.new.warnings.get(kind) and not self.old.warnings.get(kind)
+        ]
+
+
+def is_busy(environment: Entry, num_threads: int | None) -> bool:
+    """Return True if other work left too few cores for the threads of a solve."""
+    load, cores = environment.get("load_before"), environment.get("num_cores")
+    if load is None or cores is None:
+        return False
+    return bool(load + (num_threads or 1) > cores + 0.5)

@@ -1,0 +1,172 @@
+"""Reports of refine, vio and compare, as a triage reads them."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bundle._core import __version__
+from bundle.base.paths import as_path
+from bundle.errors import InputError, brief, shown
+from bundle.judging.triage.solve_facts import SolveFacts, flight_facts, solve_facts
+
+__all__ = ["SolveReport", "read_report", "same_input"]
+
+SCHEMA = 1
+COMMANDS = ("refine", "vio", "compare")
+SIZES = {"num_poses": "poses", "num_images": "images", "duration": "seconds"}
+"""Counts that tell two inputs apart, with their nouns."""
+
+Entry = Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolveReport:
+    """A report of one command.
+
+    Attributes:
+        path: path of the report.
+        command: "refine", "vio" or "compare".
+        inputs: path, format, counts and digests of each input.
+        environment: machine, load and versions; empty in a report without them.
+        solves: facts of the solves by (input, method).
+    """
+
+    path: str
+    command: str
+    inputs: tuple[Entry, ...]
+    environment: Entry
+    solves: Mapping[tuple[int, str], SolveFacts]
+
+
+def read_report(path: str | os.PathLike[str]) -> SolveReport:
+    """Read the JSON that ``--json FILE`` wrote.
+
+    Raises:
+        InputError: the file is no such report, is of another version, or is incomplete.
+        OSError: the file cannot be read.
+    """
+    place = shown(os.fspath(path))
+    expected = f"{place}: expected a report of bundle refine, vio or compare (--json FILE)"
+    try:
+        report = json.loads(Path(as_path(path)).read_text(encoding="utf-8", errors="replace"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{expected}, found no JSON: {error}") from None
+    if not isinstance(report, dict) or not isinstance(report.get("command"), str):
+        raise InputError(f"{expected}, found {brief(report)}")
+    if report["command"] not in COMMANDS:
+        raise InputError(f"{expected}, found one of bundle {brief(report['command'])[1:-1]}")
+    for name, known in (("schema", SCHEMA), ("version", __version__)):
+        if report.get(name) != known:
+            raise InputError(
+                f"{place}: expected a report of {name} {known}, found {name} "
+                f"{brief(report.get(name))}; solve the input again with this version"
+            )
+    try:
+        return _report(str(path), report)
+    except KeyError as error:
+        raise InputError(f"{place}: expected an entry {error}, it is missing") from None
+    except (TypeError, ValueError, AttributeError, IndexError) as error:
+        raise InputError(f"{expected}, found other contents: {error}") from None
+
+
+def same_input(old: SolveReport, new: SolveReport) -> None:
+    """Refuse reports of different commands or inputs.
+
+    A file may have another name in each run, and its contents may grow under the same name. An
+    input with another name and another size is another input.
+
+    Raises:
+        InputError: the reports are not comparable; the message names both inputs.
+    """
+    place = shown(new.path)
+    if old.command != new.command:
+        raise InputError(
+            f"{place}: expected a report of bundle {old.command} as {shown(old.path)}, found one "
+            f"of bundle {new.command}"
+        )
+    if len(old.inputs) != len(new.inputs):
+        raise InputError(
+            f"{place}: expected {len(old.inputs)} inputs as in {shown(old.path)}, found "
+            f"{len(new.inputs)}"
+        )
+    for before, after in zip(old.inputs, new.inputs, strict=True):
+        sizes = [name for name in SIZES if name in before or name in after]
+        is_same_size = all(before.get(name) == after.get(name) for name in sizes)
+        is_same_kind = before["format"] == after["format"]
+        if is_same_kind and (is_same_size or _name(before) == _name(after)):
+            continue
+        raise InputError(
+            f"{place}: expected a report on the input of {shown(old.path)}, "
+            f"{_described(before)}, found {_described(after)}"
+        )
+
+
+def _name(given: Entry) -> str:
+    """Return the name of a file without folder and suffixes."""
+    return Path(given["path"] or "").name.partition(".")[0]
+
+
+def _described(given: Entry) -> str:
+    counts = [f"{given[name]:.6g} {noun}" for name, noun in SIZES.items() if name in given]
+    return f"{shown(given['path'] or 'a problem')} ({given['format']}, {', '.join(counts)})"
+
+
+def _report(path: str, report: Entry) -> SolveReport:
+    inputs = report["inputs"] if "inputs" in report else [report["input"]]
+    solves = {
+        "refine": _refined,
+        "vio": lambda given: {(0, ""): flight_facts(given)},
+        "compare": _compared_models if "inputs" in report else _compared_graph,
+    }[report["command"]](report)
+    return SolveReport(
+        path=path,
+        command=report["command"],
+        inputs=tuple(dict(given) for given in inputs),
+        environment=report.get("environment") or {},
+        solves=solves,
+    )
+
+
+def _refined(report: Entry) -> dict[tuple[int, str], SolveFacts]:
+    structure = report.get("structure") or {}
+    parts = report["options"], report["summary"], report["iterations"], structure
+    return {(0, ""): solve_facts(*parts)}
+
+
+def _compared_graph(report: Entry) -> dict[tuple[int, str], SolveFacts]:
+    varied = ("backend", "trust_region_strategy_type", "ordering", "num_threads")
+    structure = report.get("structure") or {}
+    solves = {}
+    for run in report["runs"]:
+        if run["summary"] is None:  # the run failed
+            continue
+        options = {**report["options"], **{name: run[name] for name in varied}}
+        name = f"{run['name']}, {run['num_threads']} threads"
+        solves[0, name] = solve_facts(
+            options, run["summary"], run["iterations"], structure, name, run["time_in_seconds"]
+        )
+    return solves
+
+
+def _compared_models(report: Entry) -> dict[tuple[int, str], SolveFacts]:
+    solves = {}
+    for run in report["runs"]:
+        if not run["measurements"]:
+            continue
+        last, method = run["measurements"][-1], run["method"]
+        name = " ".join(str(value) for key, value in method.items() if key != "num_threads")
+        name += f", {method['num_threads']} threads"
+        solves[run["input"], name] = solve_facts(
+            {**report["options"], **method},
+            last["summary"],
+            last["iterations"],
+            {},
+            name,
+            run["total_time_in_seconds"],
+        )
+    return solves

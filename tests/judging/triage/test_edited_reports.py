@@ -1,0 +1,226 @@
+"""`bundle triage` of reports in which one number differs, and of files that are no such reports."""
+
+import json
+
+import pytest
+
+import bundle
+from bundle.errors import InputError
+from tests.campaigns.triage_inputs import Workshop
+
+
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory):
+    """One report of a graph, a model and a flight, at an unloaded machine."""
+    workshop = Workshop(tmp_path_factory.mktemp("reports"), 3)
+    made = {
+        "graph": workshop.run("refine", workshop.graph()),
+        "model": workshop.run("refine", workshop.model()),
+        "flight": workshop.run("vio", workshop.flight(duration=6.0)),
+        "graphs": workshop.run("compare", workshop.graph(), "--repeat", 1, "--backends", "fused"),
+    }
+    for path in made.values():
+        content = json.loads(path.read_text())
+        content["environment"]["load_before"] = 0.0
+        content["environment"]["num_cores"] = 8
+        path.write_text(json.dumps(content))
+    return made
+
+
+def edited(path, *changes, name="edited"):
+    """The report with entries replaced: (keys, value or function of the old value)."""
+    content = json.loads(path.read_text())
+    for keys, value in changes:
+        *parents, last = keys.split(".")
+        place = content
+        for key in parents:
+            place = place[int(key) if key.isdigit() else key]
+        place[last] = value(place[last]) if callable(value) else value
+    out = path.with_name(f"{path.stem}-{name}.json")
+    out.write_text(json.dumps(content))
+    return out
+
+
+def causes(old, new, **options):
+    return [one.cause for one in bundle.triage(old, new, **options).causes]
+
+
+def times(factor):
+    return lambda value: value * factor
+
+
+@pytest.mark.parametrize("kind", ["graph", "model"])
+def test_more_flops_at_the_same_information_matrix_are_the_ordering(reports, kind):
+    new = edited(
+        reports[kind],
+        ("summary.num_factor_nonzeros", times(34)),
+        ("summary.factor_flops", times(200)),
+        ("summary.total_time_in_seconds", times(150)),
+    )
+    found = bundle.triage(reports[kind], new)
+    assert [one.cause for one in found.causes] == ["ordering"]
+    assert "Ordering, not size: nnz(Lambda) is unchanged" in found.causes[0].sentence
+    assert found.causes[0].evidence["factor_flops"]["new"] > 100
+
+
+def test_a_grown_graph_is_not_its_ordering(reports):
+    new = edited(
+        reports["graph"],
+        ("input.num_poses", 1200),
+        ("input.num_edges", 1400),
+        *((f"summary.{name}", times(2)) for name in (
+            "num_information_nonzeros", "num_factor_nonzeros", "factor_flops",
+            "num_parameters_reduced", "num_residuals_reduced", "initial_cost", "final_cost")),
+    )  # fmt: skip
+    assert causes(reports["graph"], new) == ["data"]
+
+
+def test_a_denser_matrix_of_as_many_variables_is_a_prior(reports):
+    more = [(f"summary.{name}", times(3)) for name in (
+        "num_information_nonzeros", "num_factor_nonzeros", "factor_flops")]  # fmt: skip
+    assert causes(reports["graph"], edited(reports["graph"], *more)) == ["prior-densifies"]
+    flight = json.loads(reports["flight"].read_text())
+    wide = edited(
+        reports["flight"],
+        *((f"keyframes.{k}.num_prior_columns", times(3)) for k in range(len(flight["keyframes"]))),
+    )
+    assert causes(reports["flight"], wide) == ["prior-densifies"]
+
+
+def test_fill_outgrows_a_slightly_denser_matrix(reports):
+    new = edited(
+        reports["graph"],
+        ("summary.num_information_nonzeros", times(1.03)),
+        ("summary.num_residuals_reduced", times(1.03)),
+        ("summary.num_factor_nonzeros", times(2)),
+        ("summary.factor_flops", times(6)),
+    )
+    assert causes(reports["graph"], new) == ["fill"]
+
+
+def test_more_steps_at_a_smaller_radius_are_a_jacobian(reports):
+    rejected = {"step_is_successful": False, "trust_region_radius": 1e-3}
+
+    def longer(steps):
+        return [*steps, *([{**steps[-1], **rejected}] * 9), steps[-1]]
+
+    found = causes(reports["model"], edited(reports["model"], ("iterations", longer)))
+    assert found == ["jacobian"]
+    kept = {"trust_region_radius": 1e4}
+    calm = edited(reports["model"], ("iterations", lambda steps: [*steps, *[steps[-1] | kept] * 9]))
+    assert causes(reports["model"], calm) == ["convergence"]
+    warned = edited(reports["model"], ("summary.warning_kinds", ["suspicious_jacobian"]))
+    assert causes(reports["model"], warned) == ["jacobian"]
+
+
+@pytest.mark.parametrize(("kind", "time"), [
+    ("graph", "summary.total_time_in_seconds"),
+    ("model", "summary.total_time_in_seconds"),
+    ("flight", "wall_time.solve"),
+])  # fmt: skip
+def test_time_alone_is_the_machine(reports, kind, time):
+    old = edited(reports[kind], (time, 2.0), name="base")
+    assert causes(old, edited(old, (time, times(3)))) == ["machine"]
+    assert causes(old, edited(old, (time, times(1 / 3)))) == ["machine"]
+    assert causes(old, edited(old, (time, times(1.3)))) == []
+    assert causes(old, edited(old, (time, times(1.3))), time_noise=1.2) == ["machine"]
+    busy = [("environment.load_before", 9.0)]
+    one, other = edited(old, *busy, name="busy"), edited(old, *busy, (time, times(2)))
+    assert causes(one, other) == []  # both times are uncertain
+    found = bundle.triage(old, other).causes
+    assert [one.cause for one in found] == ["machine"]
+    assert "other processes" in found[0].sentence
+
+
+def test_threads_explain_their_times(reports):
+    old = edited(
+        reports["graph"],
+        ("summary.total_time_in_seconds", 2.0),
+        ("summary.num_threads_used", 8),
+        name="eight",
+    )
+    half = [("summary.num_threads_used", 4), ("summary.total_time_in_seconds", times(1.9))]
+    found = bundle.triage(old, edited(old, *half))
+    assert found.causes == () and "Threads differ" in found.notes[0]
+    one = [("summary.num_threads_used", 1), ("summary.total_time_in_seconds", times(7))]
+    assert causes(old, edited(old, *one)) == ["options"]
+
+
+def test_a_median_method_decides_about_the_machine(reports):
+    runs = range(len(json.loads(reports["graphs"].read_text())["runs"]))
+    old = edited(
+        reports["graphs"], *((f"runs.{k}.time_in_seconds", 1.0) for k in runs), name="base"
+    )
+    assert causes(old, edited(old, ("runs.0.time_in_seconds", 3.0))) == []
+    slow = edited(old, *((f"runs.{k}.time_in_seconds", 3.0) for k in runs))
+    found = bundle.triage(old, slow)
+    assert [one.cause for one in found.causes] == ["machine"]
+    assert len(found.methods["machine"]) == len(runs)
+
+
+def test_cost_and_termination(reports):
+    graph = reports["graph"]
+    worse = edited(graph, ("summary.final_cost", times(2)))
+    assert causes(graph, worse) == ["convergence"]
+    both = edited(graph, ("summary.final_cost", times(2)), ("summary.initial_cost", times(2)))
+    assert causes(graph, both) == ["data"]
+    loss = edited(graph, ("summary.final_cost", times(2)), ("options.loss", "CAUCHY"))
+    found = bundle.triage(graph, loss)
+    assert [one.cause for one in found.causes] == ["options"]
+    assert found.causes[0].evidence["loss"] == {"old": "TRIVIAL", "new": "CAUCHY"}
+    ended = edited(graph, ("summary.termination_type", "NO_CONVERGENCE"))
+    assert causes(graph, ended) == ["convergence"]
+    unusable = edited(graph, ("summary.is_solution_usable", False))
+    assert causes(graph, unusable) == ["convergence"]
+
+
+def test_differences_without_effect_are_notes(reports):
+    new = edited(reports["model"], ("options.loss_scale", 2.0), ("input.digests.start", "0"))
+    found = bundle.triage(reports["model"], new)
+    assert found.causes == ()
+    assert len(found.notes) == 2 and "loss_scale" in found.notes[0]
+
+
+def test_reports_without_digests_environment_and_structure(reports):
+    content = json.loads(reports["graph"].read_text())
+    for name in ("environment", "structure"):
+        del content[name]
+    del content["input"]["digests"]
+    old = reports["graph"].with_name("bare.json")
+    old.write_text(json.dumps(content))
+    assert causes(old, old) == []
+    assert causes(old, edited(old, ("input.num_edges", 702), ("summary.final_cost", times(9)))) == [
+        "data"
+    ]
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("", "no JSON"),
+    ("[1]", "found [1]"),
+    ("{}", "found {}"),
+    ('{"command": "info"}', "found one of bundle info"),
+    ('{"command": "refine", "schema": 2}', "schema 1, found schema 2"),
+    ('{"command": "refine", "schema": 1, "version": "9"}', "version"),
+    ('{"command": "refine", "schema": 1, "version": "V"}', "entry 'input', it is missing"),
+    ("[" * 100000, "no JSON"),
+])  # fmt: skip
+def test_files_that_are_no_reports(reports, tmp_path, text, words):
+    path = tmp_path / "bad.json"
+    path.write_text(text.replace('"V"', f'"{bundle.__version__}"'))
+    with pytest.raises(InputError, match=r"bad.json: expected") as refused:
+        bundle.triage(reports["graph"], path)
+    assert words in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_reports_of_different_inputs(reports):
+    with pytest.raises(InputError, match=r"walk.g2o.*found .*orbit.txt"):
+        bundle.triage(reports["graph"], reports["model"])
+    with pytest.raises(InputError, match=r"bundle refine as .*found one of bundle vio"):
+        bundle.triage(reports["graph"], reports["flight"])
+    other = edited(reports["graph"], ("input.path", "a/other.g2o"), ("input.num_poses", 9))
+    with pytest.raises(InputError, match=r"600 poses.*9 poses"):
+        bundle.triage(reports["graph"], other)
+    renamed = edited(reports["graph"], ("input.path", "a/other.g2o"))
+    assert causes(reports["graph"], renamed) == []
+    with pytest.raises(InputError, match="found other contents"):
+        bundle.triage(reports["graph"], edited(reports["graph"], ("iterations", 3)))
