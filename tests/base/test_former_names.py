@@ -18,6 +18,8 @@ STAYED = ("checking", "errors", "georeference", "synthetic", "_core")
 """Rooms, and the core, whose modules have the names of before."""
 
 NEW = (
+    *("graphs.factors.factor_report", "planning.inspection.elimination_costs"),
+    "planning.inspection.factor_graph_inspection",
     *("interface.triage_options", "judging.triage.cause_words", "judging.triage.triage_result"),
     *("interface.evaluate_options", "interface.finding", "judging.evaluation.check_points"),
     *("judging.evaluation.evaluation_result", "judging.validation.validation_result"),

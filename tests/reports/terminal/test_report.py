@@ -249,6 +249,7 @@ def test_json_has_what_the_contract_lists(problem):
         "environment",
         "output",
     ]
+    assert set(report["input"].pop("digests")) == {"structure", "measurements", "start"}
     assert report["input"] == {
         "path": "in",
         "format": "colmap",
