@@ -30,6 +30,7 @@ ROOT = workspace.REPOSITORY
 WITH_DATA: dict[str, Callable[[Path, Path], None]] = {
     "docs/compare.md": workspace.measured,
     "docs/pose-graphs.md": workspace.graphs,
+    "docs/triage.md": workspace.graphs,
     "docs/vio.md": workspace.sequence,
     "docs/drone_block.md": workspace.flights,
     "docs/align.md": workspace.one_flight,
