@@ -8,11 +8,15 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/graph_from_python.h"
 #include "bindings/immutable_array.h"
 #include "bindings/pose_graph_from_python.h"
 #include "bindings/python_progress.h"
+#include "core/ceres/solve_graph.h"
+#include "core/diagnosis/factor_graph_certainty.h"
 #include "core/diagnosis/graph_spectrum.h"
 #include "core/error.h"
+#include "core/model/factor_costs.h"
 #include "core/pose_graph/block_pattern_of_edges.h"
 #include "core/pose_graph/graph_covariance.h"
 
@@ -96,12 +100,114 @@ std::string AutoOrdering(const py::object& graph, const Array<bool>& held) {
   return PatternOfEdges(made, view.tangent(), "auto").ordering.name;
 }
 
+std::vector<uint8_t> HeldOf(const Array<bool>& held, const FactorGraph& graph) {
+  py::ssize_t size = 0;
+  for (const Block& block : graph.blocks) size += block.retraction.tangent_size();
+  if (held.size() != size) throw InputError("held: expected a flag for each tangent coordinate");
+  return {held.data(), held.data() + held.size()};
+}
+
+py::array ToArray(PlainMatrix matrix) {
+  return ToImmutableNumpy(std::move(matrix.values), {matrix.rows, matrix.columns});
+}
+
+template <typename T>
+py::array ToArray(std::vector<T> values) {
+  const auto count = static_cast<py::ssize_t>(values.size());
+  return ToImmutableNumpy(std::move(values), {count});
+}
+
+py::dict FactorGraphCertaintyFromPython(const py::list& variables, const py::list& factors,
+                                        const Array<bool>& held,
+                                        const std::vector<std::pair<int, int>>& pairs,
+                                        const Array<double>& null_seed, bool of_factors,
+                                        int num_threads) {
+  const FactorGraph graph = GraphFromPython(variables, factors);
+  FactorGraphRequest request;
+  request.held = HeldOf(held, graph);
+  request.pairs = pairs;
+  request.of_factors = of_factors;
+  request.num_threads = num_threads;
+  request.null_seed = {null_seed.shape(0),
+                       null_seed.shape(1),
+                       {null_seed.data(), null_seed.data() + null_seed.size()}};
+  PythonProgress watch{py::none()};
+  FactorGraphCertainty found = RunWatched(&watch, [&] {
+    ValidateGraph(graph);
+    return ComputeFactorGraphCertainty(graph, LinearizeGraph(graph, num_threads), request);
+  });
+  watch.Rethrow();
+  py::list blocks, across;
+  for (PlainMatrix& block : found.variables) blocks.append(ToArray(std::move(block)));
+  for (PlainMatrix& block : found.across) across.append(ToArray(std::move(block)));
+  py::dict result;
+  result["variables"] = blocks;
+  result["across"] = across;
+  result["redundancy"] = ToArray(std::move(found.redundancy));
+  result["test"] = ToArray(std::move(found.test));
+  result["rank"] = ToArray(std::move(found.rank));
+  result["predicted_decrease"] = found.predicted_decrease;
+  result["inflation"] = found.inflation;
+  result["undetermined"] = found.undetermined;
+  return result;
+}
+
+py::dict FactorGraphSpectrumFromPython(const py::list& variables, const py::list& factors,
+                                       const Array<bool>& held, int num_null, int num_threads) {
+  const FactorGraph graph = GraphFromPython(variables, factors);
+  const std::vector<uint8_t> flags = HeldOf(held, graph);
+  PythonProgress watch{py::none()};
+  FactorGraphSpectrum found = RunWatched(&watch, [&] {
+    ValidateGraph(graph);
+    return FindFactorGraphSpectrum(graph, LinearizeGraph(graph, num_threads), flags, num_null,
+                                   num_threads);
+  });
+  watch.Rethrow();
+  py::dict result;
+  result["eigenvalues"] = ToArray(std::move(found.eigenvalues));
+  result["null_directions"] = ToArray(std::move(found.null_directions));
+  result["directions"] = ToArray(std::move(found.directions));
+  result["condition_number"] = found.condition_number;
+  result["condition_number_unscaled"] = found.condition_number_unscaled;
+  return result;
+}
+
+/// Cost 1/2 rho, squared norm r^T r without loss, and number of residuals of each factor.
+py::tuple FactorCostsFromPython(const py::list& variables, const py::list& factors) {
+  const FactorGraph graph = GraphFromPython(variables, factors);
+  PythonProgress watch{py::none()};
+  std::vector<double> costs, squares;
+  std::vector<int64_t> sizes;
+  RunWatched(&watch, [&] {
+    ValidateGraph(graph);
+    for (const auto& factor : graph.factors) {
+      std::vector<double> residual(factor->num_residuals());
+      factor->Evaluate(ValuesOf(*factor, graph.blocks).data(), residual.data(), nullptr);
+      double sum = 0;
+      for (const double value : residual) sum += value * value;
+      squares.push_back(sum);
+      sizes.push_back(factor->num_residuals());
+      costs.push_back(ApplyLoss(*factor, 0, residual.data(), nullptr));
+    }
+    return 0;
+  });
+  watch.Rethrow();
+  return py::make_tuple(ToArray(std::move(costs)), ToArray(std::move(squares)),
+                        ToArray(std::move(sizes)));
+}
+
 }  // namespace
 }  // namespace bundle
 
 void BindGraphCertainty(py::module_& m) {
   m.def("graph_covariance", &bundle::GraphCovarianceFromPython, py::arg("graph"), py::arg("error"),
         py::arg("inner"), py::arg("of_edges"), py::arg("relative"), py::arg("num_threads"));
+  m.def("factor_graph_certainty", &bundle::FactorGraphCertaintyFromPython, py::arg("variables"),
+        py::arg("factors"), py::arg("held"), py::arg("pairs"), py::arg("null_seed"),
+        py::arg("of_factors"), py::arg("num_threads"));
+  m.def("factor_graph_spectrum", &bundle::FactorGraphSpectrumFromPython, py::arg("variables"),
+        py::arg("factors"), py::arg("held"), py::arg("num_null"), py::arg("num_threads"));
+  m.def("factor_costs", &bundle::FactorCostsFromPython, py::arg("variables"), py::arg("factors"));
   m.def("auto_ordering", &bundle::AutoOrdering, py::arg("graph"), py::arg("held"));
   m.def("graph_spectrum", &bundle::GraphSpectrumFromPython, py::arg("graph"), py::arg("held"),
         py::arg("error"), py::arg("null_directions"), py::arg("num_threads"));

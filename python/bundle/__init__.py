@@ -12,8 +12,9 @@ if TYPE_CHECKING:
     from bundle.analysis.diagnosis.diagnosis_result import Diagnosis
     from bundle.analysis.diagnosis.graph_diagnosis import GraphDiagnosis
     from bundle.analysis.statistics.description import Description, describe
-    from bundle.analysis.uncertainty.compute_covariance import covariance
+    from bundle.analysis.uncertainty.covariance_by_input import covariance
     from bundle.analysis.uncertainty.covariance_result import Covariance
+    from bundle.analysis.uncertainty.factor_graph_covariance import FactorGraphCovariance
     from bundle.analysis.uncertainty.graph_covariance import GraphCovariance
     from bundle.base.paths import get_include
     from bundle.checking.gradient_report import GradientReport
@@ -142,6 +143,7 @@ __all__ = [
     "Evaluation",
     "Excitation",
     "FactorGraph",
+    "FactorGraphCovariance",
     "FactorGraphInspection",
     "Filtered",
     "FlightOptions",
@@ -276,8 +278,9 @@ _DEFERRED = {
     "analysis.diagnosis.diagnosis_result": ("Diagnosis",),
     "analysis.diagnosis.graph_diagnosis": ("GraphDiagnosis",),
     "analysis.statistics.description": ("Description", "describe"),
-    "analysis.uncertainty.compute_covariance": ("covariance",),
+    "analysis.uncertainty.covariance_by_input": ("covariance",),
     "analysis.uncertainty.covariance_result": ("Covariance",),
+    "analysis.uncertainty.factor_graph_covariance": ("FactorGraphCovariance",),
     "analysis.uncertainty.graph_covariance": ("GraphCovariance",),
     "base.paths": ("get_include",),
     "checking.gradient_report": ("GradientReport",),

@@ -568,6 +568,25 @@ def graph_covariance(
     relative: list[tuple[int, int]],
     num_threads: int,
 ) -> dict[str, Any]: ...
+def factor_graph_certainty(
+    variables: list[Any],
+    factors: list[Any],
+    held: NDArray[np.bool_],
+    pairs: list[tuple[int, int]],
+    null_seed: NDArray[np.float64],
+    of_factors: bool,
+    num_threads: int,
+) -> dict[str, Any]: ...
+def factor_graph_spectrum(
+    variables: list[Any],
+    factors: list[Any],
+    held: NDArray[np.bool_],
+    num_null: int,
+    num_threads: int,
+) -> dict[str, Any]: ...
+def factor_costs(
+    variables: list[Any], factors: list[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]: ...
 def auto_ordering(graph: _PoseGraph, held: NDArray[np.bool_]) -> str: ...
 def graph_spectrum(
     graph: _PoseGraph,

@@ -153,9 +153,9 @@ def format_name(name: str) -> str:
     return name.replace("-", " ").replace("colmap", "COLMAP").replace("bal", "BAL")
 
 
-def named(what: str, ids: Iterable[int]) -> str:
+def named(what: str, ids: Iterable[int | str]) -> str:
     """Return "image 3", "images 3, 4" or "images 3, 4, 5, 6, 7 and 12 more"."""
-    listed = [int(entry) for entry in ids]
+    listed = [*ids]
     first = ", ".join(map(str, listed[:_LISTED]))
     more = f" and {len(listed) - _LISTED} more" if len(listed) > _LISTED else ""
     return f"{what}{'' if len(listed) == 1 else 's'} {first}{more}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from time import perf_counter
 
-from bundle.analysis.uncertainty.compute_covariance import covariance
+from bundle.analysis.uncertainty.covariance_by_input import covariance
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.flags_by_kind import refuse_flags_of_graphs
 from bundle.cli.georeference_flags import (

@@ -10,7 +10,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from bundle.analysis.statistics.description import describe
-from bundle.analysis.uncertainty.compute_covariance import covariance
+from bundle.analysis.uncertainty.covariance_by_input import covariance
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.georeference_flags import (
     GEOREFERENCE_FLAGS,

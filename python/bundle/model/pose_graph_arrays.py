@@ -44,6 +44,7 @@ class PoseGraph(Displayed):
             spanning tree if the chain of ids is broken.
         format: format of the file, "g2o" or "toro"; "" from memory.
         notes: sentences on entries that were interpreted.
+        names: names of the poses in sentences; by default () for their ids.
 
     Raises:
         InputError: shapes or values are inconsistent.
@@ -60,6 +61,7 @@ class PoseGraph(Displayed):
     has_poses: bool = True
     format: str = ""
     notes: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         def put(name: str, value: NDArray[Any]) -> None:
@@ -176,11 +178,20 @@ class PoseGraph(Displayed):
         """Return a copy with some attributes changed."""
         return dataclasses.replace(self, **changes)
 
+    def pose_name(self, position: int) -> str:
+        """Return the name of a pose in sentences."""
+        return self.names[position] if self.names else str(self.ids[position])
+
+    def ends_of(self, position: int) -> tuple[str, str]:
+        """Return the names of the poses of an edge."""
+        first, second = self.edges[position].tolist()
+        return self.pose_name(first), self.pose_name(second)
+
     def edge_name(self, position: int) -> str:
         """Return the name of an edge in messages: file and line if known, then its ids."""
         line = int(self.edge_lines[position])
         place = f"{self.path}:{line}: " if line and self.path else ""
-        first, second = self.ids[self.edges[position]]
+        first, second = self.ends_of(position)
         return f"{place}edge {first} {second}"
 
     def __getstate__(self) -> dict[str, Any]:

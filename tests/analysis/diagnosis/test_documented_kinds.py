@@ -8,7 +8,7 @@ import bundle
 
 ROOT = Path(__file__).parents[3]
 PACKAGE = Path(bundle.__file__).parent / "analysis" / "diagnosis"
-MAKERS = {"_problem", "_note"}
+MAKERS = {"_problem", "_note", "problem", "note"}
 
 
 def kinds(path: Path) -> Iterator[str]:

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2 as chi2_distribution
 
 import bundle
-from bundle.graphs.pose_graphs.chi2_quantiles import MEDIANS, ONE_IN_A_MILLION
+from bundle.graphs.pose_graphs.chi2_quantiles import chi2_limit, chi2_median
 from tests.graphs.pose_graphs import graphs
 from tests.graphs.pose_graphs.test_wrong_closures import with_wrong_closures
 
@@ -45,8 +45,11 @@ def kinds(diagnosis):
 
 def test_quantiles():
     for k in range(1, 7):
-        np.testing.assert_allclose(ONE_IN_A_MILLION[k], chi2_distribution.isf(1e-6, k), rtol=1e-12)
-        np.testing.assert_allclose(MEDIANS[k], chi2_distribution.median(k), rtol=1e-12)
+        np.testing.assert_allclose(chi2_limit(k), chi2_distribution.isf(1e-6, k), rtol=1e-12)
+        np.testing.assert_allclose(chi2_median(k), chi2_distribution.median(k), rtol=1e-12)
+    for k in (7, 9, 15, 40):  # Wilson and Hilferty
+        np.testing.assert_allclose(chi2_limit(k), chi2_distribution.isf(1e-6, k), rtol=0.05)
+        np.testing.assert_allclose(chi2_median(k), chi2_distribution.median(k), rtol=0.01)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

@@ -14,10 +14,20 @@ from bundle.analysis.diagnosis.graph_diagnosis import (
     GraphWeakMode,
     SuspiciousEdge,
 )
+from bundle.analysis.diagnosis.graph_findings import (
+    about_conditioning,
+    about_edges,
+    about_minimum,
+    about_noise,
+    is_at_minimum,
+    noise_scale,
+    note,
+    problem,
+    worst_first,
+)
 from bundle.analysis.diagnosis.graph_modes import component_modes_of_graph, joint_modes
 from bundle.base.arrays import freeze
-from bundle.base.words import number, plural
-from bundle.graphs.pose_graphs.chi2_quantiles import MEDIANS, ONE_IN_A_MILLION
+from bundle.base.words import plural
 from bundle.graphs.pose_graphs.edge_weights import WeightedGraph, weighted_graph
 from bundle.graphs.pose_graphs.joints import Joints, find_joints
 from bundle.interface.finding import Finding
@@ -25,15 +35,6 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 
 __all__ = ["diagnose_graph"]
-
-AT_MINIMUM = 1e-4
-"""Relative decrease of the cost by one more step, below which a state counts as a minimum."""
-
-FEW_DIGITS = 4
-"""Number of digits of a step below which the normal equations are a problem."""
-
-MOST_NAMED = 5
-"""Number of suspicious edges that a sentence names."""
 
 
 def diagnose_graph(
@@ -62,19 +63,19 @@ def diagnose_graph(
         spectrum = _core.graph_spectrum(graph, held, error, joints.directions, threads)
     redundancy, test, rank, decrease = _tests(weighted, joints, threads)
     cost = 0.5 * float(_core.edge_chi2(graph, error).sum())
-    is_minimum = not (decrease > AT_MINIMUM * cost and decrease > 1e-9)
+    is_minimum = is_at_minimum(decrease, cost)
     if not is_minimum:  # the test applies to errors of a fit only
         test = np.full(len(test), np.nan)
-    scale = _noise_scale(test, rank)
-    suspicious = _suspicious(weighted, test, rank, scale)
+    scale = noise_scale(test, rank)
+    suspicious, names = _suspicious(weighted, test, rank, scale)
     said = [
         *_about_modes(modes),
-        *_about_edges(suspicious, scale),
-        *_about_conditioning(float(spectrum["condition_number"])),
-        *(() if is_minimum else _about_minimum(decrease, cost)),
+        *about_edges(suspicious, scale, names, "edge"),
+        *about_conditioning(float(spectrum["condition_number"])),
+        *(() if is_minimum else about_minimum(decrease, cost)),
         *_about_unchecked(graph, redundancy, rank),
         *_about_unjudged(weighted, redundancy, joints),
-        *_about_noise(scale),
+        *about_noise(scale),
         *_about_weights(weighted),
     ]
     return GraphDiagnosis(
@@ -128,30 +129,20 @@ def _tests(
     return redundancy, test, rank, float(out["predicted_decrease"])
 
 
-def _noise_scale(test: NDArray[np.float64], rank: NDArray[np.int64]) -> float:
-    """Return the ratio of actual to expected scatter of correct edges; half may be wrong."""
-    checked = np.isfinite(test) & (rank > 0)
-    if not checked.any():
-        return 1.0
-    medians = np.array([MEDIANS[degrees] for degrees in rank[checked].tolist()])
-    return max(1.0, float(np.median(test[checked] / medians)))
-
-
 def _suspicious(
     weighted: WeightedGraph,
     test: NDArray[np.float64],
     rank: NDArray[np.int64],
     scale: float,
-) -> tuple[SuspiciousEdge, ...]:
+) -> tuple[tuple[SuspiciousEdge, ...], list[str]]:
+    """Return the suspicious edges and their names."""
     graph = weighted.given
-    limit = np.array([ONE_IN_A_MILLION.get(degrees, np.inf) for degrees in rank.tolist()])
-    ratio = np.where(np.isfinite(test) & (rank > 0), test, 0.0) / limit
     chi2 = np.full(graph.num_edges, np.nan)
     chi2[weighted.edges] = _core.edge_chi2(weighted.graph, weighted.options.error)
     found = []
-    for edge in np.argsort(-ratio, kind="stable").tolist():
-        if not ratio[edge] > scale:
-            break
+    names = []
+    for edge in worst_first(test, rank, scale):
+        names.append(" ".join(graph.ends_of(edge)))
         first, second = graph.ids[graph.edges[edge]].tolist()
         found.append(
             SuspiciousEdge(
@@ -162,58 +153,11 @@ def _suspicious(
                 degrees=int(rank[edge]),
             )
         )
-    return tuple(found)
+    return tuple(found), names
 
 
 def _about_modes(modes: list[GraphWeakMode]) -> list[Finding]:
-    return [_problem(mode.kind, mode.sentence) for mode in modes]
-
-
-def _about_edges(suspicious: tuple[SuspiciousEdge, ...], scale: float) -> list[Finding]:
-    if not suspicious:
-        return []
-    names = [
-        f"{one.edge[0]} {one.edge[1]}{f' (line {one.line})' if one.line else ''}: "
-        f"{number(one.test)} on {one.degrees}"
-        for one in suspicious[:MOST_NAMED]
-    ]
-    more = f" and {len(suspicious) - MOST_NAMED} more" if len(suspicious) > MOST_NAMED else ""
-    against = f" times {number(scale)}, the noise" if scale > 1 else ""
-    return [
-        _problem(
-            "suspicious_edges",
-            f"{plural(len(suspicious), 'edge')} with an error that one right edge in a million has "
-            f"(chi2 of the test on degrees of freedom{against}): {'; '.join(names)}{more}. A wrong "
-            "edge spoils its neighbours' errors, too: look at the first, or refine with a loss for "
-            "wrong closures (dcs, gnc-tls).",
-        )
-    ]
-
-
-def _about_conditioning(condition: float) -> list[Finding]:
-    if not np.isfinite(condition):
-        return []
-    digits = 16 - np.log10(max(condition, 1.0))
-    if digits >= FEW_DIGITS:
-        return []
-    return [
-        _problem(
-            "ill_conditioned",
-            f"A step has about {max(0, round(digits))} digits by the normal equations (condition "
-            f"number {number(condition)}).",
-        )
-    ]
-
-
-def _about_minimum(decrease: float, cost: float) -> list[Finding]:
-    return [
-        _note(
-            "no_minimum",
-            f"This is no minimum: a step of a solve would lower the cost by about "
-            f"{number(min(100.0, 100 * decrease / cost))} %. Which edges the others contradict is "
-            "told at a minimum only: refine first.",
-        )
-    ]
+    return [problem(mode.kind, mode.sentence) for mode in modes]
 
 
 def _about_unchecked(
@@ -224,7 +168,7 @@ def _about_unchecked(
         return []
     whole = "all of them" if unchecked == graph.num_edges else plural(unchecked, "edge")
     return [
-        _note(
+        note(
             "unchecked_edges",
             f"No other edge checks {whole}: in no loop, an error would not show.",
         )
@@ -238,22 +182,10 @@ def _about_unjudged(
     if not count or joints.num_open:
         return []
     return [
-        _note(
+        note(
             "unjudged_edges",
             f"{plural(count, 'edge')} so far from held poses that rounding hides whether others "
             "contradict them: fix a pose near them, or cut the graph, to judge them.",
-        )
-    ]
-
-
-def _about_noise(scale: float) -> list[Finding]:
-    if scale < 2:
-        return []
-    return [
-        _note(
-            "optimistic_information",
-            f"Errors scatter {number(float(np.sqrt(scale)))} times as much as the information "
-            "says: it is optimistic, or many edges are wrong.",
         )
     ]
 
@@ -263,16 +195,8 @@ def _about_weights(weighted: WeightedGraph) -> list[Finding]:
     if not count:
         return []
     return [
-        _note(
+        note(
             "rejected_edges",
             f"{plural(count, 'edge')} of weight 0 left out (by the loss or the consistency check).",
         )
     ]
-
-
-def _problem(kind: str, sentence: str) -> Finding:
-    return Finding(kind=kind, is_problem=True, sentence=sentence)
-
-
-def _note(kind: str, sentence: str) -> Finding:
-    return Finding(kind=kind, is_problem=False, sentence=sentence)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
 from bundle.analysis.diagnosis.component_modes import component_modes, rotation_modes
+from bundle.analysis.diagnosis.diagnose_factor_graph import diagnose_factor_graph, with_keys
 from bundle.analysis.diagnosis.diagnose_graph import diagnose_graph
 from bundle.analysis.diagnosis.diagnosis_result import Component, Diagnosis
 from bundle.analysis.diagnosis.equation_counts import EquationCounts
@@ -21,6 +22,8 @@ from bundle.analysis.diagnosis.point_checks import check_points, collapsed_clust
 from bundle.analysis.diagnosis.scale_checks import scale_drift
 from bundle.analysis.diagnosis.track_table import FEW_SHARED, TrackTable
 from bundle.analysis.diagnosis.unknowns import Unknowns
+from bundle.graphs.factors.factor_graph import FactorGraph
+from bundle.graphs.factors.same_problem import pose_graph_of, problem_of
 from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.option_class import takes_options
@@ -57,6 +60,10 @@ def diagnose(
 
 
 @overload
+def diagnose(problem: FactorGraph, *, num_threads: int = 0) -> Diagnosis | GraphDiagnosis: ...
+
+
+@overload
 def diagnose(
     problem: Source | Result,
     options: SolveOptions | None = None,
@@ -72,7 +79,7 @@ def diagnose(
 
 @takes_options(SolveOptions)
 def diagnose(
-    problem: Source | Result | PoseGraph | PoseGraphResult,
+    problem: Source | Result | PoseGraph | PoseGraphResult | FactorGraph,
     options: SolveOptions | PoseGraphOptions | None = None,
     *,
     factors: Iterable[Factor] = (),
@@ -97,6 +104,10 @@ def diagnose(
     :class:`bundle.PoseGraphOptions`, of which error, information and loss count. The result of a
     solve is diagnosed with its own options and the final weights of the solve.
 
+    A :class:`FactorGraph` of relative poses or of reprojections is diagnosed as the pose graph or
+    the problem that it states. For any other factor graph the result is a :class:`GraphDiagnosis`,
+    with keys in place of ids and factors in place of edges.
+
     Args:
         problem: a problem, the result of a solve, a path or a pycolmap.Reconstruction; not
             modified.
@@ -117,6 +128,17 @@ def diagnose(
         >>> bundle.diagnose("sparse/0").nullity
         7
     """
+    if isinstance(problem, FactorGraph):
+        return _diagnose_factor_graph(
+            problem,
+            changes,
+            options=options,
+            factors=factors,
+            priors=priors,
+            align=align,
+            bounds=bounds,
+            constraints=constraints,
+        )
     if is_graph(problem):
         refuse_for_graphs(
             factors=factors, priors=priors, align=align, bounds=bounds, constraints=constraints
@@ -194,6 +216,21 @@ def diagnose(
     bare = Diagnosis(**parts, findings=())
     said = findings(bare, start, tracks, unknowns, found, apart, drift)
     return Diagnosis(**parts, findings=said)
+
+
+def _diagnose_factor_graph(
+    graph: FactorGraph, changes: dict[str, Any], **given: Any
+) -> Diagnosis | GraphDiagnosis:
+    """Diagnose the pose graph or problem that a factor graph states, otherwise the graph itself."""
+    threads = SolveOptions.of(None, changes, "diagnose").num_threads
+    refuse_for_graphs(
+        **given, **{name: value for name, value in changes.items() if name != "num_threads"}
+    )
+    if (poses := pose_graph_of(graph)) is not None:
+        return with_keys(diagnose_graph(poses.graph, num_threads=threads), poses)
+    if (same := problem_of(graph)) is not None:
+        return diagnose(same.problem, same.options.replace(num_threads=threads))
+    return diagnose_factor_graph(graph, threads)
 
 
 def _held(problem: Problem, options: SolveOptions) -> NDArray[np.bool_]:

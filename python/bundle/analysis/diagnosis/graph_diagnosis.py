@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +21,12 @@ class GraphComponent:
     """Poses that are connected by edges, and not connected with other poses.
 
     Attributes:
-        pose_ids: ids of the poses, ascending.
+        pose_ids: ids of the poses, ascending; of a factor graph the keys of free variables.
         num_edges: number of edges between them.
         num_fixed: number of fixed poses; without one the component is free to move.
     """
 
-    pose_ids: tuple[int, ...]
+    pose_ids: tuple[Any, ...]
     num_edges: int
     num_fixed: int
 
@@ -38,7 +39,8 @@ class GraphWeakMode:
         kind: "component": no edge joins a component with the largest one; "open_joint": the edges
             between a group of poses and the others leave directions free; "weak_joint": they
             determine directions weakly; "open_together": further free directions, in which several
-            groups move together.
+            groups move together. Of a factor graph "open_direction": no factor determines it;
+            "weak_direction": the factors determine it weakly.
         sentence: moving poses, their motion, the responsible edges, and the remedy.
         pose_ids: poses that move.
         edges: pairs of pose ids: the edges that connect them with the others.
@@ -49,8 +51,8 @@ class GraphWeakMode:
 
     kind: str
     sentence: str
-    pose_ids: tuple[int, ...]
-    edges: tuple[tuple[int, int], ...]
+    pose_ids: tuple[Any, ...]
+    edges: tuple[tuple[Any, ...], ...]
     eigenvalue: float
     dimension: int
 
@@ -67,7 +69,7 @@ class SuspiciousEdge:
         degrees: degrees of freedom of the test: directions of the edge that other edges check.
     """
 
-    edge: tuple[int, int]
+    edge: tuple[Any, ...]
     line: int | None
     chi2: float
     test: float
@@ -76,7 +78,10 @@ class SuspiciousEdge:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GraphDiagnosis(Conditioned, Displayed):
-    """Determined and undetermined directions of a pose graph at its poses.
+    """Determined and undetermined directions of a graph at its poses, or at its variables' values.
+
+    For a :class:`bundle.FactorGraph`, keys take the place of ids, variables that of poses, and
+    factors that of edges.
 
     Attributes:
         nullity: number of directions of the poses that change no error.

@@ -38,12 +38,13 @@ def component_modes_of_graph(
         inside = np.isin(ids, part.pose_ids)
         ends = np.flatnonzero(inside[1:] != inside[:-1])
         near = ends[np.argmin(ids[ends + 1] - ids[ends])]
-        first, second = int(ids[near]), int(ids[near + 1])
+        first, second = (graph.pose_name(int(order[k])) for k in (near, near + 1))
+        members = order[inside]
         free = "it is held by its fixed poses" if part.num_fixed else "it floats by itself"
         modes.append(
             GraphWeakMode(
                 kind="component",
-                sentence=f"{named('Pose', part.pose_ids)} ({plural(part.num_edges, 'edge')}): no "
+                sentence=f"{_named(graph, members)} ({plural(part.num_edges, 'edge')}): no "
                 f"edge joins this component with the largest, of "
                 f"{plural(len(components[0].pose_ids), 'pose')}; {free}. An edge between poses "
                 f"{first} and {second}, the nearest by their ids, would join it to another.",
@@ -72,7 +73,7 @@ def _open(graph: PoseGraph, joint: Joint) -> GraphWeakMode:
     what = _coordinates(graph, joint, joint.vectors[:, :count])
     return GraphWeakMode(
         kind="open_joint",
-        sentence=f"{named('Pose', _ids(graph, joint))} against the others: {edges} "
+        sentence=f"{_named(graph, joint.poses)} against the others: {edges} "
         f"{'says' if len(joint.edges) == 1 else 'say'} nothing of {what}, which leaves "
         f"{plural(count, 'direction')} open. Give the information a value there, add an edge, or "
         "fix a pose among them.",
@@ -91,7 +92,7 @@ def _weak(graph: PoseGraph, joint: Joint) -> GraphWeakMode:
     hangs = "hangs" if len(joint.poses) == 1 else "hang"
     return GraphWeakMode(
         kind="weak_joint",
-        sentence=f"{named('Pose', _ids(graph, joint))} {hangs} on {_edges(graph, joint.edges)}, "
+        sentence=f"{_named(graph, joint.poses)} {hangs} on {_edges(graph, joint.edges)}, "
         f"which leaves a sigma of up to {number(1 / np.sqrt(lowest))} times that of a typical edge "
         f"in {what}. Add an edge, or check the information of this one.",
         pose_ids=_ids(graph, joint),
@@ -110,7 +111,7 @@ def _together(graph: PoseGraph, joints: Joints, count: int) -> GraphWeakMode:
     ids = sorted_ids(graph.ids, moved)
     return GraphWeakMode(
         kind="open_together",
-        sentence=f"{named('Pose', ids)} against the others: edges without information in some "
+        sentence=f"{_named(graph, moved)} against the others: edges without information in some "
         f"direction leave {plural(count, 'direction')} open together, beside what single groups of "
         "poses can do. Add an edge with full information among them.",
         pose_ids=ids,
@@ -123,12 +124,18 @@ def _together(graph: PoseGraph, joints: Joints, count: int) -> GraphWeakMode:
 def _coordinates(graph: PoseGraph, joint: Joint, vectors: Floats) -> str:
     """Return the coordinates, in the frame of the reference pose, that directions change."""
     names = COORDINATES[graph.tangent_size]
-    frame = f" in the frame of pose {graph.ids[joint.poses[0]]}"
+    frame = f" in the frame of pose {graph.pose_name(int(joint.poses[0]))}"
     if vectors.shape[1] == len(names):
         return "their whole relative pose"
     shares = (vectors**2).sum(axis=1)
     chosen = [names[k] for k in np.flatnonzero(shares >= DOMINANT * shares.max())]
     return ", ".join(chosen) + frame
+
+
+def _named(graph: PoseGraph, poses: NDArray[np.int64]) -> str:
+    """Return the names of poses in the order of their ids."""
+    ordered = poses[np.argsort(graph.ids[poses], kind="stable")]
+    return named("Pose", [graph.pose_name(pose) for pose in ordered.tolist()])
 
 
 def _ids(graph: PoseGraph, joint: Joint) -> tuple[int, ...]:
@@ -143,7 +150,7 @@ def _pairs(graph: PoseGraph, edges: Iterable[int]) -> tuple[tuple[int, int], ...
 def _edges(graph: PoseGraph, edges: NDArray[np.int64]) -> str:
     words = []
     for edge in edges[:MOST_EDGES].tolist():
-        first, second = graph.ids[graph.edges[edge]]
+        first, second = graph.ends_of(edge)
         line = int(graph.edge_lines[edge])
         words.append(f"{first} {second}" + (f" (line {line})" if line else ""))
     more = f" and {len(edges) - MOST_EDGES} more" if len(edges) > MOST_EDGES else ""

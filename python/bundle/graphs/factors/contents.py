@@ -110,6 +110,18 @@ class GraphContents(Displayed):
         """Variables by key."""
         return dict(self._variables)
 
+    def variable(self, argument: str, key: Key) -> Variable:
+        """Return a variable.
+
+        Args:
+            argument: name of the argument with the key, for messages.
+            key: key of the variable.
+
+        Raises:
+            InputError: the graph does not have the variable.
+        """
+        return self._known(argument, key)
+
     @property
     def factors(self) -> tuple[Factor, ...]:
         """Factors in the order in which they were added."""
@@ -231,6 +243,21 @@ class GraphContents(Displayed):
     def core(self) -> tuple[list[Any], list[Any]]:
         """Return variables and factors in the format of ``_core``."""
         return self._core()
+
+    def check_free(self) -> None:
+        """Refuse a graph without anything to estimate.
+
+        Raises:
+            InputError: the graph has no variable, no factor or no free coordinate.
+        """
+        for noun, count in (("variable", len(self._variables)), ("factor", len(self._factors))):
+            if not count:
+                raise InputError(f"graph: expected at least one {noun}, found 0")
+        if all(variable.held and all(variable.held) for variable in self._variables.values()):
+            raise InputError(
+                "graph: expected a free coordinate, found only constant variables "
+                f"({len(self._variables)})"
+            )
 
     def _known(self, argument: str, key: Key) -> Variable:
         check_key(argument, key)

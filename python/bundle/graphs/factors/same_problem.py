@@ -86,6 +86,7 @@ def pose_graph_of(graph: GraphContents) -> AsPoseGraph | None:
             ),
             ids=_ids(graph.keys, "pose"),
             fixed=np.array([_is_fixed(variable) for variable in variables]),
+            names=tuple(brief(key) for key in graph.keys),
         ),
         graph.keys,
     )
@@ -97,8 +98,11 @@ def problem_of(graph: GraphContents) -> AsProblem | None:
         return None
     factors: Any = graph.factors
     variables = graph.variables
+    roles = {
+        part: {getattr(factor, part) for factor in factors} for part in ("pose", "camera", "point")
+    }
     images, cameras, points = (
-        tuple(dict.fromkeys(getattr(factor, part) for factor in factors))
+        tuple(key for key in graph.keys if key in roles[part])
         for part in ("pose", "camera", "point")
     )
     if len({*images, *cameras, *points}) < len(variables) or _are_shared(images, cameras, points):

@@ -7,7 +7,7 @@ is nearly normal, with mean 1 - 2 / (9 k) and variance 2 / (9 k).
 
 from __future__ import annotations
 
-__all__ = ["MEDIANS", "ONE_IN_2000", "ONE_IN_A_MILLION", "chi2_quantile"]
+__all__ = ["ONE_IN_2000", "ONE_IN_A_MILLION", "chi2_limit", "chi2_median", "chi2_quantile"]
 
 ONE_IN_2000 = {3: 17.72999622894616, 6: 24.102798994983747}
 """99.95 % quantiles: limit of a squared error that one correct edge in 2000 exceeds."""
@@ -22,7 +22,7 @@ ONE_IN_A_MILLION = {
 }
 """Quantiles at 1 - 1e-6: limit of a squared error that one correct edge in a million exceeds."""
 
-MEDIANS = {
+_MEDIANS = {
     1: 0.454936423119572,
     2: 1.386294361119891,
     3: 2.3659738843753377,
@@ -35,10 +35,29 @@ MEDIANS = {
 _NORMAL_QUANTILE = 3.2905267314918945
 """99.95 % quantile of the standard normal distribution."""
 
+_NORMAL_ONE_IN_A_MILLION = 4.753424308822899
+"""Quantile of the standard normal distribution at 1 - 1e-6."""
+
 
 def chi2_quantile(degrees: int) -> float:
     """Return the 99.95 % quantile of chi2, accurate to a percent (Wilson and Hilferty)."""
+    return _quantile(degrees, _NORMAL_QUANTILE)
+
+
+def chi2_limit(degrees: int) -> float:
+    """Return the quantile at 1 - 1e-6; infinite without degrees of freedom."""
+    if degrees < 1:
+        return float("inf")
+    return ONE_IN_A_MILLION.get(degrees) or _quantile(degrees, _NORMAL_ONE_IN_A_MILLION)
+
+
+def chi2_median(degrees: int) -> float:
+    """Return the median."""
+    return _MEDIANS.get(degrees) or _quantile(degrees, 0.0)
+
+
+def _quantile(degrees: int, normal: float) -> float:
     if degrees < 1:
         return 0.0
     variance = 2 / (9 * degrees)
-    return float(degrees * (1 - variance + _NORMAL_QUANTILE * variance**0.5) ** 3)
+    return float(degrees * (1 - variance + normal * variance**0.5) ** 3)

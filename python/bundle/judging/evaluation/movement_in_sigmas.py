@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.uncertainty.compute_covariance import covariance
+from bundle.analysis.uncertainty.covariance_by_input import covariance
 from bundle.errors import InputError
 from bundle.georeference.pose_alignment import align_centers
 from bundle.model.problem import Problem

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.uncertainty.compute_covariance import covariance
+from bundle.analysis.uncertainty.covariance_by_input import covariance
 from bundle.errors import InputError
 from bundle.model.problem import Problem
 from bundle.model.problem_keys import touched_ids

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
 from bundle.base.words import number, plural
-from bundle.errors import InputError
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.planning.inspection.elimination_costs import (
     EliminationCost,
@@ -88,18 +87,11 @@ def inspect_factor_graph(graph: FactorGraph) -> FactorGraphInspection:
     """Count the cost of a step of a factor graph's solve; see :func:`bundle.inspect`.
 
     Raises:
-        InputError: the graph has no factor or no free coordinate.
+        InputError: the graph has no variable, no factor or no free coordinate.
     """
+    graph.check_free()
     variables, factors = graph.variables, graph.factors
-    for noun, count in (("variable", len(variables)), ("factor", len(factors))):
-        if not count:
-            raise InputError(f"graph: expected at least one {noun}, found 0")
     sizes = np.array([len(v.coordinates) - sum(v.held) for v in variables.values()], np.int32)
-    if not sizes.any():
-        raise InputError(
-            "graph: expected a free coordinate, found only constant variables "
-            f"({len(variables)} of {len(variables)})"
-        )
     pairs, largest = _pairs(graph, sizes > 0)
     free = sizes[sizes > 0]
     wide = free.astype(np.int64)

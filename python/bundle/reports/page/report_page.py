@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bundle.analysis.statistics.description import Description, describe
-from bundle.analysis.uncertainty.compute_covariance import covariance as compute_covariance
+from bundle.analysis.uncertainty.covariance_by_input import covariance as compute_covariance
 from bundle.base.arguments import check_type
 from bundle.base.paths import as_path
 from bundle.errors import InputError, shown

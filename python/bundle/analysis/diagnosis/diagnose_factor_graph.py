@@ -1,0 +1,294 @@
+"""Diagnosis of a factor graph: rank, gauge, components, weak modes by key, suspicious factors.
+
+A graph of relative poses is diagnosed as the pose graph that it states, a graph of reprojections as
+the problem that it states. Any other graph is diagnosed by its Jacobian, as follows.
+
+The rank is that of a QR factorisation, and the gauge that of ``graphs/factors/null_space.py``.
+Condition numbers are those of the normal equations with the gauge held. Factors are tested against
+all others as edges of a pose graph are (``factor_graph_certainty.cpp``).
+
+A weak mode has an eigenvalue below ``WEAK``, and the next one is ``GAP`` times as large. The
+eigenvalues of a long chain grow by the squares of the whole numbers and have no such gap. A gauge
+that only a prior with a large sigma holds has one.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import bundle._core as _core
+from bundle.analysis.diagnosis.graph_diagnosis import (
+    GraphComponent,
+    GraphDiagnosis,
+    GraphWeakMode,
+    SuspiciousEdge,
+)
+from bundle.analysis.diagnosis.graph_findings import (
+    about_conditioning,
+    about_edges,
+    about_minimum,
+    about_noise,
+    is_at_minimum,
+    noise_scale,
+    note,
+    problem,
+    worst_first,
+)
+from bundle.base.arrays import freeze
+from bundle.base.words import named, number, plural
+from bundle.errors import brief
+from bundle.graphs.factors.contents import factor_name
+from bundle.graphs.factors.factor_graph import FactorGraph
+from bundle.graphs.factors.null_space import NullSpace, find_null_space
+from bundle.graphs.factors.same_problem import AsPoseGraph
+from bundle.interface.finding import Finding
+
+__all__ = ["diagnose_factor_graph", "with_keys"]
+
+WEAK, GAP = 1e-6, 1e3
+
+SHARE = 0.1
+"""Share of the largest motion above which a sentence names a variable or a coordinate."""
+
+MOST_NAMED = 5
+
+MOST_MODES = 20
+"""Largest number of findings per kind; the nullity counts all."""
+
+Floats = NDArray[np.float64]
+
+
+def diagnose_factor_graph(graph: FactorGraph, num_threads: int = 0) -> GraphDiagnosis:
+    """Diagnose a factor graph by its Jacobian; see :func:`bundle.diagnose`.
+
+    Raises:
+        InputError: the graph has nothing to estimate, or a factor has no finite value.
+    """
+    threads = num_threads or _core.hardware_threads()
+    space = find_null_space(graph)
+    components = _components(graph, space)
+    held = space.held()
+    is_determined = space.is_exact and not space.others.shape[1]
+    modes = [*_component_modes(graph, components, space), *_open_modes(graph, space)]
+    core = graph.core()
+    spectrum = _core.factor_graph_spectrum(*core, held, 0, threads) if space.is_exact else None
+    if spectrum is not None:
+        modes += _weak_modes(graph, space, spectrum)
+    costs, squares, _ = _core.factor_costs(*core)
+    count = len(graph.factors)
+    redundancy, test = np.full(count, np.nan), np.full(count, np.nan)
+    rank = np.zeros(count, np.int64)
+    decrease, cost = 0.0, float(costs.sum())
+    if is_determined:
+        none = np.zeros((len(held), 0))
+        out = _core.factor_graph_certainty(*core, held, [], none, True, threads)
+        if out["undetermined"] < 0:
+            redundancy, test = np.array(out["redundancy"]), np.array(out["test"])
+            rank = np.array(out["rank"], np.int64)
+            decrease = float(out["predicted_decrease"])
+    at_minimum = is_at_minimum(decrease, cost)
+    if not at_minimum:  # the test applies to errors of a fit only
+        test = np.full(count, np.nan)
+    scale = noise_scale(test, rank)
+    worst = worst_first(test, rank, scale)
+    suspicious = tuple(
+        SuspiciousEdge(
+            edge=graph.factors[k].keys,
+            line=None,
+            chi2=float(squares[k]),
+            test=float(test[k]),
+            degrees=int(rank[k]),
+        )
+        for k in worst
+    )
+    names = [factor_name(k, graph.factors[k]) for k in worst]
+    condition = float(spectrum["condition_number"]) if spectrum else float("nan")
+    said = [
+        *((problem if mode.dimension else note)(mode.kind, mode.sentence) for mode in modes),
+        *about_edges(suspicious, scale, names, "factor"),
+        *about_conditioning(condition),
+        *(() if at_minimum else about_minimum(decrease, cost)),
+        *_about_unchecked(redundancy, rank),
+        *about_noise(scale),
+    ]
+    return GraphDiagnosis(
+        nullity=space.nullity,
+        expected_nullity=space.gauge,
+        nullity_is_exact=space.is_exact,
+        components=components,
+        weak_modes=tuple(modes),
+        condition_number=condition,
+        condition_number_unscaled=float(spectrum["condition_number_unscaled"])
+        if spectrum
+        else float("nan"),
+        eigenvalues=freeze(np.array(spectrum["eigenvalues"] if spectrum else np.zeros(0))),
+        suspicious_edges=suspicious,
+        edge_redundancy=freeze(redundancy),
+        edge_test=freeze(test),
+        noise_scale=scale,
+        findings=tuple(sorted(said, key=lambda finding: not finding.is_problem)),
+    )
+
+
+def with_keys(found: GraphDiagnosis, poses: AsPoseGraph) -> GraphDiagnosis:
+    """Return the diagnosis of a pose graph with the keys of its factor graph in place of ids."""
+    key_of = dict(zip(poses.graph.ids.tolist(), poses.keys, strict=True))
+
+    def edge(ends: tuple[Any, ...]) -> tuple[Any, ...]:
+        return tuple(key_of[end] for end in ends)
+
+    return replace(
+        found,
+        components=tuple(replace(part, pose_ids=edge(part.pose_ids)) for part in found.components),
+        weak_modes=tuple(
+            replace(mode, pose_ids=edge(mode.pose_ids), edges=tuple(map(edge, mode.edges)))
+            for mode in found.weak_modes
+        ),
+        suspicious_edges=tuple(replace(one, edge=edge(one.edge)) for one in found.suspicious_edges),
+    )
+
+
+def _components(graph: FactorGraph, space: NullSpace) -> tuple[GraphComponent, ...]:
+    """Return the components of free variables, the largest first."""
+    keys = graph.keys
+    is_free = ~np.logical_and.reduceat(space.constant, space.begin[:-1])
+    label = dict(zip(keys, space.labels.tolist(), strict=True))
+    free = {key for key, flag in zip(keys, is_free, strict=True) if flag}
+    counts: Counter[int] = Counter()
+    fixed: dict[int, set[Any]] = {}
+    for factor in graph.factors:
+        of = next((label[key] for key in factor.keys if key in free), None)
+        if of is not None:
+            counts[of] += 1
+            fixed.setdefault(of, set()).update(key for key in factor.keys if key not in free)
+    members: dict[int, list[Any]] = {}
+    for key in keys:
+        if key in free:
+            members.setdefault(label[key], []).append(key)
+    parts = [
+        GraphComponent(pose_ids=tuple(part), num_edges=counts[of], num_fixed=len(fixed.get(of, ())))
+        for of, part in members.items()
+    ]
+    return tuple(sorted(parts, key=lambda part: -len(part.pose_ids)))
+
+
+def _component_modes(
+    graph: FactorGraph, components: tuple[GraphComponent, ...], space: NullSpace
+) -> list[GraphWeakMode]:
+    """Return the components but the largest; those that float by themselves are a problem."""
+    label = dict(zip(graph.keys, space.labels.tolist(), strict=True))
+    modes = []
+    for part in components[1 : 1 + MOST_MODES]:
+        free = space.nullities.get(label[part.pose_ids[0]], 0)
+        state = f"it has {plural(free, 'null direction')}" if free else "its own factors hold it"
+        modes.append(
+            GraphWeakMode(
+                kind="component",
+                sentence=f"{_named(part.pose_ids)} ({plural(part.num_edges, 'factor')}): no factor "
+                f"joins this component with the largest, of "
+                f"{plural(len(components[0].pose_ids), 'variable')}; {state}.",
+                pose_ids=part.pose_ids,
+                edges=(),
+                eigenvalue=0.0,
+                dimension=free,
+            )
+        )
+    return modes
+
+
+def _open_modes(graph: FactorGraph, space: NullSpace) -> list[GraphWeakMode]:
+    """Return the directions that no factor determines, apart from the gauge."""
+    modes = []
+    for direction in space.others.T[:MOST_MODES]:
+        keys = _moving(graph, space, direction)
+        modes.append(
+            GraphWeakMode(
+                kind="open_direction",
+                sentence=f"{_named(keys)}: no factor determines {_motion(graph, space, direction)}"
+                ". Add a factor with information there, or hold it constant.",
+                pose_ids=keys,
+                edges=_factors_of(graph, keys),
+                eigenvalue=0.0,
+                dimension=1,
+            )
+        )
+    return modes
+
+
+def _weak_modes(
+    graph: FactorGraph, space: NullSpace, spectrum: dict[str, Any]
+) -> list[GraphWeakMode]:
+    """Return the modes below the last gap of the eigenvalues."""
+    values: Floats = np.asarray(spectrum["eigenvalues"])
+    gaps = np.flatnonzero((values[:-1] < WEAK) & (values[1:] > GAP * values[:-1]))
+    modes = []
+    for k in range(int(gaps[-1]) + 1 if len(gaps) else 0):
+        direction = spectrum["directions"][:, k]
+        keys = _moving(graph, space, direction)
+        inflation = number(float(1 / np.sqrt(max(values[k], 1e-300))))
+        modes.append(
+            GraphWeakMode(
+                kind="weak_direction",
+                sentence=f"{_named(keys)}: the factors determine "
+                f"{_motion(graph, space, direction)} weakly, with a sigma {inflation} times that "
+                "with all other coordinates known. Add a factor, or check the information of "
+                "these.",
+                pose_ids=keys,
+                edges=_factors_of(graph, keys),
+                eigenvalue=float(values[k]),
+                dimension=1,
+            )
+        )
+    return modes
+
+
+def _moving(graph: FactorGraph, space: NullSpace, direction: Floats) -> tuple[Any, ...]:
+    """Return the keys that a direction moves, those that move most first."""
+    largest = np.maximum.reduceat(np.abs(direction), space.begin[:-1])
+    order = np.argsort(-largest, kind="stable")
+    return tuple(graph.keys[k] for k in order if largest[k] >= SHARE * largest.max())
+
+
+def _motion(graph: FactorGraph, space: NullSpace, direction: Floats) -> str:
+    """Return the coordinates of the variable that moves most, such as "x, angle of 'x7'"."""
+    position = int(np.argmax(np.maximum.reduceat(np.abs(direction), space.begin[:-1])))
+    variable = graph.variables[graph.keys[position]]
+    part = np.abs(direction[space.begin[position] : space.begin[position + 1]])
+    chosen = [
+        name
+        for name, size in zip(variable.coordinates, part, strict=True)
+        if size >= SHARE * part.max()
+    ]
+    return f"{', '.join(chosen)} of {brief(variable.key)}"
+
+
+def _factors_of(graph: FactorGraph, keys: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the keys of the factors that join moving variables with others."""
+    moving = set(keys)
+    return tuple(
+        factor.keys
+        for factor in graph.factors
+        if not moving.isdisjoint(factor.keys) and not moving.issuperset(factor.keys)
+    )[:MOST_NAMED]
+
+
+def _named(keys: tuple[Any, ...]) -> str:
+    return named("Variable", [brief(key) for key in keys])
+
+
+def _about_unchecked(redundancy: Floats, rank: NDArray[np.int64]) -> list[Finding]:
+    unchecked = int((np.isfinite(redundancy) & (rank == 0)).sum())
+    if not unchecked:
+        return []
+    whole = "all of them" if unchecked == len(rank) else plural(unchecked, "factor")
+    return [
+        note(
+            "unchecked_edges",
+            f"No other factor checks {whole}: in no loop, an error would not show.",
+        )
+    ]
