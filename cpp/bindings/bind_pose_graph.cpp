@@ -265,7 +265,10 @@ py::object SolveEdgeSystemFromPython(const Array<int32_t>& edges, const Array<do
 }  // namespace bundle
 
 void BindPoseGraph(py::module_& m) {
-  py::class_<bundle::FillOrdering>(m, "PoseOrder");
+  py::class_<bundle::FillOrdering>(m, "PoseOrder")
+      .def_readonly("name", &bundle::FillOrdering::name)
+      .def_readonly("entries", &bundle::FillOrdering::entries)
+      .def_readonly("flops", &bundle::FillOrdering::elimination_flops);
   m.def("read_g2o", &bundle::ReadG2oFile, py::arg("path"));
   m.def("write_g2o", &bundle::WriteG2oFile, py::arg("path"), py::arg("graph"),
         py::arg("compression"));

@@ -18,6 +18,7 @@ DECLARED = re.findall(
 IN_PYTHON = [
     *("weak_baseline", "several_components", "local_minimum", "better_start"),
     *("unproven_set", "one_process", "wrong_factor", "free_directions", "prior_spectrum"),
+    "ordering",
     "most_left_out",
 ]
 """Kinds that the core does not know, after its own."""

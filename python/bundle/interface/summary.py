@@ -58,6 +58,9 @@ class Summary(Displayed):
     - ``factor_flops``: sum of c^2 + 3 c over the columns of L, where c is the number of entries
       below the diagonal.
     - ``factor_ordering``: "natural", "amd", "metis", or "points first, amd".
+    - ``least_factor_flops`` and ``least_flops_ordering``: the least flops of the orders that were
+      compared with the one used, and its name; None and "" if none was compared, which is usual
+      (``bundle.interface.ordering_alarm``).
     - ``symbolic_time_in_seconds``: time to find the pattern, the ordering and L's structure. It is
       part of the fused backend's preprocessor time. It is 0 for a ``bundle.Solver``, which spends
       this time in its constructor.
@@ -130,6 +133,8 @@ class Summary(Displayed):
     num_factor_nonzeros: int | None = None
     factor_flops: float | None = None
     factor_ordering: str = ""
+    least_factor_flops: float | None = None
+    least_flops_ordering: str = ""
     symbolic_time_in_seconds: float | None = None
     origin: tuple[float, float, float] | None = None
     num_factors: int = 0

@@ -21,6 +21,7 @@ from bundle.model.problem import Problem
 from bundle.solving.kept_errors import Edit
 from bundle.solving.layout import Layout, lay_out
 from bundle.solving.placed_problem import PlacedProblem, place_at_priors
+from bundle.solving.points_first_look import with_model_alarm
 from bundle.solving.request import Bounds, PartRequest, SolveRequest
 from bundle.solving.result import Result
 from bundle.solving.sensor_changes import weak_baseline
@@ -99,7 +100,10 @@ class Prepared:
 
             warnings["wrong_factor"] = wrong_factor(self.start, known.factors, output)
         warnings["weak_baseline"] = weak_baseline(options, before, refined, output["summary"])
-        output = {**output, "summary": with_warnings(output["summary"], warnings)}
+        fields = with_warnings(output["summary"], warnings)
+        if options.check_solution:
+            fields = with_model_alarm(fields, before, options)
+        output = {**output, "summary": fields}
         return Result(
             problem=refined,
             initial_problem=before,

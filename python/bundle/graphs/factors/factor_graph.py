@@ -14,6 +14,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.words import change, plural, seconds
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.check_solve import Conditioning, SolvedGraph, checked
+from bundle.graphs.factors.factor_counts import with_counts
 from bundle.graphs.factors.factor_report import FactorCheck
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.graph_check import check_graph
@@ -222,6 +223,7 @@ class FactorGraph(GraphMarginals):
             output["summary"]["linear_solver_choice"] = why
         if options.check_solution:
             output["summary"] = checked(output, SolvedGraph(variables, factors, core, conditioning))
+            output["summary"] = with_counts(output["summary"], variables, factors)
         return GraphResult(
             values=dict(zip(keys, output["values"], strict=True)),
             options=options,

@@ -23,6 +23,7 @@ from bundle.graphs.pose_graphs.loss_choice import choose_loss, loss_cost
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult, PoseGraphSummary
 from bundle.graphs.pose_graphs.truncated_search import find_doubt
 from bundle.interface.option_fields import choice
+from bundle.interface.ordering_alarm import BestOrder, with_ordering_alarm
 from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
 from bundle.interface.solve_record import Progress, record_fields, with_warnings
 from bundle.model.pose_graph_arrays import PoseGraph
@@ -219,8 +220,9 @@ def _refined(
             warnings[LOCAL_MINIMUM] = f"This is a local minimum: {lower}"
         elif lower:
             warnings[BETTER_START] = f"Not converged: {lower}"
+    fields = with_warnings(output["summary"], warnings)
     summary = PoseGraphSummary(
-        **with_warnings(output["summary"], warnings),
+        **_with_ordering_alarm(fields, weighed, held, options),
         num_rejected_edges=len(rejected),
         chi2_initial=float(output["chi2_before"].sum()),
         chi2_final=float(output["chi2_after"].sum()),
@@ -243,6 +245,22 @@ def _refined(
         **record | {"summary": summary},
     )
     return result, start.poses
+
+
+def _with_ordering_alarm(
+    fields: dict[str, Any], graph: PoseGraph, held: NDArray[np.bool_], options: PoseGraphOptions
+) -> dict[str, Any]:
+    """Compare the requested order with the one of ``auto``, and with an earlier solve."""
+
+    def look() -> BestOrder:
+        best = _core.order_poses(graph, held, "auto")
+        return BestOrder(ordering=best.name, flops=best.flops, nonzeros=best.entries)
+
+    is_asked = options.ordering != "auto" and fields["backend_used"] == "FUSED"
+    advice = "Leave --pose-ordering (ordering) at auto." if is_asked else ""
+    return with_ordering_alarm(
+        fields, lambda: (graph.edges, held), look if is_asked else None, advice
+    )
 
 
 def initial_poses(graph: PoseGraph, init: str = "chordal") -> NDArray[np.float64]:

@@ -112,7 +112,7 @@ def solve_facts(
         factor_flops=number("factor_flops"),
         ordering=str(summary.get("factor_ordering") or ""),
         solver=f"{summary['backend_used']} {summary['linear_solver_type_used']}",
-        least_flops=_known(structure.get("least_flops")),
+        least_flops=number("least_factor_flops"),
         densest=_known(structure.get("densest")),
         initial_cost=number("initial_cost"),
         final_cost=number("final_cost"),

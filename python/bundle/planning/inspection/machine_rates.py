@@ -3,8 +3,7 @@
 Each rate is measured on real solves of small problems by the solver that it predicts. It therefore
 includes the instruction set, caches, BLAS and threads of the machine (``calibrate``).
 
-The cache has one file per version and number of threads, in ``bundle`` under XDG_CACHE_HOME, by
-default ~/.cache.
+The cache folder has one file per version and number of threads.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ import platform
 from pathlib import Path
 
 import bundle._core as _core
+from bundle.base.cache_folder import cache_folder, write_cached
 from bundle.planning.inspection.calibrate import calibrate
 from bundle.planning.inspection.rates import FactorRate, Rates, implausible
 
@@ -53,9 +53,6 @@ def _measure(num_threads: int) -> Rates:
 
 def cache_path(num_threads: int) -> Path:
     """Return the path of the cached rates."""
-    base = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    if not base.is_absolute():  # required by the XDG specification
-        base = Path.home() / ".cache"
     # Machines may share a home folder, and one processor may offer several instruction sets.
     machine = (
         _core.__version__,
@@ -69,7 +66,7 @@ def cache_path(num_threads: int) -> Path:
         [field.name for field in dataclasses.fields(Rates)],
     )
     digest = hashlib.sha256(repr(machine).encode()).hexdigest()[:12]
-    return base / "bundle" / f"rates-{digest}-{num_threads}.json"
+    return cache_folder() / f"rates-{digest}-{num_threads}.json"
 
 
 def _processor() -> tuple[str, ...]:
@@ -117,7 +114,4 @@ def _read(path: Path) -> Rates | None:
 
 
 def _write(path: Path, rates: Rates) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.{os.getpid()}")
-    partial.write_text(json.dumps(dataclasses.asdict(rates), indent=2) + "\n", encoding="ascii")
-    partial.replace(path)
+    write_cached(path, json.dumps(dataclasses.asdict(rates), indent=2) + "\n")

@@ -1,0 +1,155 @@
+"""Alarm of a solve whose elimination order costs much more than another one.
+
+Three signs, each with the explanation that it must exclude:
+
+- flops in the order used, relative to those of the best order that a cheap look finds. The look
+  orders the same matrix: neither its size nor its density explains the ratio.
+- nnz(L) / nnz(Lambda). It is 1 to 3 in healthy graphs; 40 is often the ordering. Some matrices fill
+  in under every order, so that the ratio only decides whether a look is worth its time.
+- growth since an earlier solve of the same matrix (``factor_history``). The size is the same, or
+  the matrix is another one.
+
+A look is worth its time if the user chose the order, or if the factorisations take seconds. Orders
+that a solve chooses by itself are the best of several, or AMD, which is rarely far from the best.
+The alarm counts flops, not seconds, and is therefore the same on every machine.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.words import amount, number
+
+__all__ = ["BestOrder", "checksum", "with_ordering_alarm"]
+
+LEAST_FLOPS = 1e7
+"""Flops of all factorisations of a solve that another order must save: some milliseconds."""
+LEAST_FLOPS_TO_RECORD = 2e8
+TIMES_THE_BEST, TIMES_THE_BEST_OF_OWN = 2.0, 3.0
+"""Ratio of flops that raises the alarm, for orders of the user and for those of a solve."""
+ORDERING = "ordering"
+"""Kind of the warning."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BestOrder:
+    """Cost of the factor in the best order that was tried.
+
+    Attributes:
+        ordering: name of the order.
+        flops: flops of a factorisation.
+        nonzeros: nnz(L).
+        used_flops: lower bound of the flops in the order used, if the solver does not count them.
+    """
+
+    ordering: str
+    flops: float
+    nonzeros: float
+    used_flops: float = 0.0
+
+
+def with_ordering_alarm(
+    summary: Mapping[str, Any],
+    structure: Callable[[], Iterable[NDArray[Any]]],
+    look: Callable[[], BestOrder] | None,
+    advice: str = "",
+    least_flops: float = LEAST_FLOPS,
+) -> dict[str, Any]:
+    """Return the fields of a summary with the best order that was tried, and a warning.
+
+    Args:
+        summary: fields of the summary.
+        structure: function that returns the arrays on which the structure of the matrix depends.
+        look: function that orders the matrix; None if the solve chose the best of several orders.
+        advice: option that selects the better order; "" if the solve chose the order.
+        least_flops: flops of all factorisations from which a look is worth its time.
+    """
+    fields = dict(summary)
+    solves = max(int(fields["num_linear_solves"]), 0)
+    flops = fields["factor_flops"] or 0.0
+    said = ""
+    far = TIMES_THE_BEST if advice else TIMES_THE_BEST_OF_OWN
+    is_unknown = fields["factor_flops"] is None and bool(advice)
+    if look is not None and (is_unknown or flops * solves > least_flops):
+        best = look()
+        flops = max(flops, best.used_flops)
+        fields |= {"least_factor_flops": best.flops, "least_flops_ordering": best.ordering}
+        if _is_far(flops, best.flops, solves, far):
+            said = _sentence(fields, flops, best, advice)
+    if fields["factor_flops"] and flops * solves > LEAST_FLOPS_TO_RECORD:
+        past = _earlier(fields, structure)
+        if not said and past is not None and _is_far(flops, past.flops, solves, TIMES_THE_BEST):
+            fields |= {"least_factor_flops": past.flops, "least_flops_ordering": past.ordering}
+            said = _sentence(fields, flops, past, advice, "an earlier solve of this input in ")
+    if said:
+        fields["warnings"] = (*fields["warnings"], said)
+        fields["warning_kinds"] = (*fields["warning_kinds"], ORDERING)
+    return fields
+
+
+def checksum(arrays: Iterable[NDArray[Any]]) -> str:
+    """Return a checksum of the bytes of arrays."""
+    sums = 0, 1
+    for array in arrays:
+        data = np.ascontiguousarray(array).data
+        sums = zlib.crc32(data, sums[0]), zlib.adler32(data, sums[1])
+    return "".join(f"{value:08x}" for value in sums)
+
+
+def _is_far(flops: float, best: float, solves: int, times: float) -> bool:
+    return flops > times * best and (flops - best) * solves > LEAST_FLOPS
+
+
+def _earlier(
+    fields: Mapping[str, Any], structure: Callable[[], Iterable[NDArray[Any]]]
+) -> BestOrder | None:
+    from bundle.interface.factor_history import PastFactor, recall  # long solves only
+
+    names = ("backend_used", "linear_solver_type_used", "num_factor_columns")
+    key = " ".join(
+        str(part)
+        for part in (
+            checksum(structure()),
+            *(fields[name] for name in names),
+            fields["num_information_nonzeros"],
+        )
+    )
+    now = PastFactor(
+        float(fields["factor_flops"]),
+        float(fields["num_factor_nonzeros"]),
+        fields["factor_ordering"],
+    )
+    past = recall(key, now)
+    if past is None:
+        return None
+    return BestOrder(ordering=past.ordering, flops=past.flops, nonzeros=past.nonzeros)
+
+
+def _sentence(
+    fields: Mapping[str, Any], flops: float, best: BestOrder, advice: str, where: str = ""
+) -> str:
+    information, nonzeros = fields["num_information_nonzeros"], fields["num_factor_nonzeros"]
+    used = fields["factor_ordering"]
+    words = f"in {used} order" if used else "in the order used"
+    fill = ""
+    if nonzeros and information:
+        fill = (
+            f", nnz(L) is {amount(nonzeros)} instead of {amount(best.nonzeros)} "
+            f"(nnz(L) / nnz(Lambda) {number(nonzeros / information)})"
+        )
+    at_least = "" if fields["factor_flops"] else "at least "
+    same = ""
+    if information is not None:
+        unchanged = " is unchanged" if where else " is the same in every order"
+        same = f": nnz(Lambda){unchanged} ({amount(information)})"
+    return (
+        f"The ordering, not the size, costs the time{same}. A factorisation {words} needs "
+        f"{at_least}{number(flops / best.flops)} times the flops of {where}{best.ordering} "
+        f"order{fill}.{f' {advice}' if advice else ''}"
+    )
