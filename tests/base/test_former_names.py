@@ -19,6 +19,7 @@ STAYED = ("checking", "errors", "georeference", "synthetic", "_core")
 
 NEW = (
     *("graphs.factors.factor_report", "planning.inspection.elimination_costs"),
+    *("analysis.uncertainty.factor_graph_covariance", "planning.comparison.graph_runs"),
     "planning.inspection.factor_graph_inspection",
     *("interface.triage_options", "judging.triage.cause_words", "judging.triage.triage_result"),
     *("interface.evaluate_options", "interface.finding", "judging.evaluation.check_points"),

@@ -68,5 +68,5 @@ def compare_graph(arguments: argparse.Namespace) -> int:
             )
     asked = {name: getattr(options, name) for name in OPTIONS}
     wall = perf_counter() - started
-    publish(compared_graph(source, found, asked, wall), arguments)
+    publish(compared_graph(source, graph, found, asked, wall), arguments)
     return EXIT_DONE if found.recommended is not None else EXIT_NO_SOLUTION

@@ -7,6 +7,7 @@ import pytest
 
 import bundle
 from bundle.planning.comparison import graph_comparison
+from bundle.planning.comparison.graph_runs import GraphRun, recommend_run
 from tests.graphs.pose_graphs import graphs
 
 
@@ -33,7 +34,7 @@ def test_the_first_of_the_fast_ones_that_came_low_is_recommended():
         method = graph_comparison.GraphMethod(
             backend="fused", trust_region_strategy_type=name, ordering="amd", num_threads=1
         )
-        return graph_comparison.GraphRun(
+        return GraphRun(
             method=method,
             times_in_seconds=(seconds,),
             final_cost=cost,
@@ -49,11 +50,11 @@ def test_the_first_of_the_fast_ones_that_came_low_is_recommended():
         run("c", 1.0, 1.0 + 1e-8),
         run("d", 0.1, np.nan, "x"),
     ]
-    best, reason = graph_comparison._recommend(runs)
+    best, reason = recommend_run(runs)
     assert best is runs[1] and "1 method ended at a higher cost" in reason
     runs[1] = run("b", 1.3, 1.0)
-    assert graph_comparison._recommend(runs)[0] is runs[2]
-    best, reason = graph_comparison._recommend([run("d", 0.1, np.nan, "x")])
+    assert recommend_run(runs)[0] is runs[2]
+    best, reason = recommend_run([run("d", 0.1, np.nan, "x")])
     assert best is None and "diagnose" in reason
 
 

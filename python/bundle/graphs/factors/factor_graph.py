@@ -19,11 +19,14 @@ from bundle.graphs.factors.factor_report import FactorCheck
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.graph_check import check_graph
 from bundle.graphs.factors.marginals import GraphMarginals
+from bundle.graphs.factors.same_problem import pose_graph_of, problem_of
 from bundle.graphs.factors.variables import Array, Key, as_list
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import GraphOptions, SolveOptions
 from bundle.interface.solve_record import Progress, SolveRecord, record_fields
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.model.problem import Problem
 
 __all__ = ["DigitsLeft", "FactorGraph", "GraphResult"]
 
@@ -229,6 +232,22 @@ class FactorGraph(GraphMarginals):
             options=options,
             **record_fields(output),
         )
+
+    def as_pose_graph(self) -> PoseGraph | None:
+        """Return the pose graph of poses on se2 or se3 and BetweenFactors without loss; else None.
+
+        Its error is "log". :func:`bundle.solve` has a solver of its own for it.
+        """
+        found = pose_graph_of(self)
+        return None if found is None else found.graph
+
+    def as_problem(self) -> tuple[Problem, SolveOptions] | None:
+        """Return the problem of a graph of ReprojectionFactors and its options; else None.
+
+        The options have the constants and the loss of the graph, and no gauge.
+        """
+        found = problem_of(self)
+        return None if found is None else (found.problem, found.options)
 
     def digits(self) -> DigitsLeft:
         """Return the digits of a step that normal equations and a QR factorisation preserve.

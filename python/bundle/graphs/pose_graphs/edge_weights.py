@@ -20,7 +20,7 @@ from bundle.io.g2o_files import load_g2o
 from bundle.io.recognition import is_pose_graph_file
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["WeightedGraph", "is_graph", "refuse_for_graphs", "weighted_graph"]
+__all__ = ["WeightedGraph", "check_free_pose", "is_graph", "refuse_for_graphs", "weighted_graph"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +55,20 @@ def refuse_for_graphs(**given: Any) -> None:
     """
     for name, value in given.items():
         if value is not None and not (isinstance(value, tuple | list | dict) and not value):
-            raise InputError(f"{name}: expected only with a reconstruction, found a pose graph")
+            raise InputError(f"{name}: expected only with a reconstruction, found a graph")
+
+
+def check_free_pose(graph: PoseGraph) -> None:
+    """Refuse a graph whose poses a solve holds constant, all of them.
+
+    Raises:
+        InputError: there is no free pose.
+    """
+    held, _, _ = _core.hold_poses(graph)
+    if held.all():
+        raise InputError(
+            f"graph: expected a free pose, found only constant poses ({graph.num_poses})"
+        )
 
 
 def weighted_graph(

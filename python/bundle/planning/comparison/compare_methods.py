@@ -11,6 +11,8 @@ from typing import Any, Unpack, overload
 
 from bundle.base.arguments import check_function
 from bundle.errors import InputError, check_keywords
+from bundle.graphs.factors.factor_graph import FactorGraph
+from bundle.graphs.factors.same_problem import options_of_graph, pose_graph_of, problem_of
 from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.compare_options import (
@@ -36,6 +38,7 @@ from bundle.io.files import Source
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison import process_memory
 from bundle.planning.comparison.comparison_result import GAPS, Comparison
+from bundle.planning.comparison.factor_graph_comparison import compare_factor_graph
 from bundle.planning.comparison.graph_comparison import GraphComparison, compare_graph
 from bundle.planning.comparison.method import expand
 from bundle.planning.comparison.profiles import PerformanceProfile, performance_profiles
@@ -61,6 +64,14 @@ def compare(
 
 @overload
 def compare(
+    problems: FactorGraph,
+    options: SolveOptions | PoseGraphOptions | None = None,
+    **given: Any,
+) -> Comparison | GraphComparison: ...
+
+
+@overload
+def compare(
     problems: Source | Sequence[Source],
     options: SolveOptions | None = None,
     *,
@@ -82,7 +93,7 @@ def compare(
 
 @takes_options(SolveOptions)
 def compare(
-    problems: Source | Sequence[Source] | PoseGraph | PoseGraphResult,
+    problems: Source | Sequence[Source] | PoseGraph | PoseGraphResult | FactorGraph,
     options: SolveOptions | PoseGraphOptions | None = None,
     *,
     solvers: Iterable[str] = SOLVERS,
@@ -112,6 +123,13 @@ def compare(
     ``timeout`` and options of :class:`bundle.PoseGraphOptions`. ``progress`` is called with the
     name of each method.
 
+    A :class:`FactorGraph` of reprojections is compared as the problem that it states, one of
+    relative poses as the pose graph; :meth:`FactorGraph.as_problem` and
+    :meth:`FactorGraph.as_pose_graph` return these for a solve by the recommended method. For any
+    other factor graph, Ceres with each linear solver and trust region is compared with a QR
+    factorisation of the Jacobian. It takes ``threads``, ``repeat``, ``timeout`` and options of
+    :class:`bundle.SolveOptions`.
+
     Args:
         problems: one or a list of problems, paths, or pycolmap.Reconstructions.
         options: options of every solve, except those that the methods vary.
@@ -140,7 +158,9 @@ def compare(
         >>> comparison = bundle.compare("problem.txt", solvers=["dense_schur", "sparse_schur"])
         >>> print(comparison.recommendation.command)
     """
-    if is_graph(problems):
+    if isinstance(problems, FactorGraph):
+        problems, options = _stated(problems, options, changes)
+    if is_graph(problems) or isinstance(problems, FactorGraph):
         refuse_for_graphs(
             solvers=None if solvers is SOLVERS else solvers,
             preconditioners=None if preconditioners is PRECONDITIONERS else preconditioners,
@@ -150,6 +170,17 @@ def compare(
             seed=seed or None,
             memory_cap=memory_cap or None,
         )
+        if isinstance(problems, FactorGraph):
+            refuse_for_graphs(backends=None if backends is BACKENDS else backends)
+            return compare_factor_graph(
+                problems,
+                options,  # type: ignore[arg-type]
+                threads=threads,
+                repeat=repeat,
+                timeout=timeout,
+                progress=progress,
+                changes=changes,
+            )
         return compare_graph(
             problems,
             options,  # type: ignore[arg-type]
@@ -216,6 +247,15 @@ def compare(
         profiles=_profiles(comparison),
         recommendation=recommend(comparison, work.foreseen),
     )
+
+
+def _stated(graph: FactorGraph, options: Any, changes: Mapping[str, Any]) -> tuple[Any, Any]:
+    """Return the pose graph or problem that a graph states, or the graph itself, with options."""
+    if (poses := pose_graph_of(graph)) is not None:
+        return poses.graph, options
+    if (same := problem_of(graph)) is not None:
+        return same.problem, options_of_graph(same, SolveOptions.of(options, changes, "compare"))
+    return graph, options
 
 
 def _options(options: SolveOptions | None, changes: Mapping[str, Any]) -> SolveOptions:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import statistics
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -13,31 +10,29 @@ import bundle._core as _core
 from bundle.base.arguments import check_function, check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path, is_path
-from bundle.base.words import number, plural, seconds
+from bundle.base.words import plural, seconds
 from bundle.errors import InputError
+from bundle.graphs.factors.factor_graph import FactorGraph
+from bundle.graphs.pose_graphs.edge_weights import check_free_pose
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
-from bundle.interface.compare_options import BACKENDS, REPEAT, SECONDS_NOT_REPEATED, TIMEOUT
+from bundle.interface.compare_options import BACKENDS, REPEAT, TIMEOUT
 from bundle.interface.environment import Environment
 from bundle.interface.option_fields import choice
 from bundle.interface.option_fields import number as checked_number
+from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison.command_line import command_line
+from bundle.planning.comparison.graph_runs import GraphRun, best_cost, measure, recommend_run
 from bundle.planning.comparison.method import as_tuple, thread_counts
 
-__all__ = ["GraphComparison", "GraphMethod", "GraphRun", "compare_graph"]
+__all__ = ["FactorGraphMethod", "GraphComparison", "GraphMethod", "GraphRun", "compare_graph"]
 
 ORDERINGS = ("amd", "metis", "natural")
 TRUST_REGIONS = ("gauss_newton", "levenberg_marquardt", "dogleg", "subspace_dogleg")
 VARIED = ("backend", "ordering", "trust_region_strategy_type", "num_threads")
-
-NEAR_ENOUGH = 1.15
-"""Factor of the shortest time within which methods count as equally fast."""
-
-COST_TOLERANCE = 1e-6
-"""Relative distance to the best final cost within which solutions count as equally good."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,60 +64,57 @@ class GraphMethod:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GraphRun:
-    """Measurement of one method.
+class FactorGraphMethod:
+    """Options of a compared solve of a factor graph, named as in :class:`bundle.SolveOptions`.
 
-    Attributes:
-        method: the method.
-        times_in_seconds: time of each solve, without reading and without the start.
-        final_cost: 1/2 sum rho; NaN after a failure.
-        chi2_final: sum of squares without 1/2 and without loss; NaN after a failure.
-        num_steps: number of attempted steps.
-        termination_type: as in a summary, or "TIMEOUT".
-        failure: reason for a missing solution, as a sentence; "" with a solution.
-        warnings: warnings of the solve.
-        result: the last solve; None after a failure.
+    ``linear_solver_type`` is "square_root" for a QR factorisation of the Jacobian.
     """
 
-    method: GraphMethod
-    times_in_seconds: tuple[float, ...]
-    final_cost: float
-    chi2_final: float
-    num_steps: int
-    termination_type: str
-    failure: str = ""
-    warnings: tuple[str, ...] = ()
-    result: PoseGraphResult | None = None
+    linear_solver_type: str
+    trust_region_strategy_type: str
+    num_threads: int
 
     @property
-    def time_in_seconds(self) -> float:
-        """Median time; NaN after a failure."""
-        return statistics.median(self.times_in_seconds) if self.times_in_seconds else math.nan
+    def name(self) -> str:
+        """Return a name such as "sparse-normal-cholesky dogleg"."""
+        words = (self.linear_solver_type, self.trust_region_strategy_type)
+        return " ".join(words).replace("_", "-")
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments of :meth:`bundle.FactorGraph.solve`."""
+        of_solver: dict[str, Any] = {"linear_solver_type": self.linear_solver_type}
+        if self.linear_solver_type == "square_root":
+            of_solver = {"square_root": True}
+        return {
+            **of_solver,
+            "trust_region_strategy_type": self.trust_region_strategy_type,
+            "num_threads": self.num_threads,
+        }
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GraphComparison(Displayed):
-    """Solves of one pose graph by several methods.
+    """Solves of one pose graph or factor graph by several methods.
 
     Attributes:
-        graph: common start of all methods, with its poses.
+        graph: common start of all methods, with its poses or values.
         options: options of every solve, except those that the methods vary.
         runs: one per method.
         recommended: fastest of the methods that reach the best cost within 1e-6. Methods within
             15 % of its time count as equal, and the first one is recommended. None if no method has
             a usable solution.
         reason: reason in one sentence.
-        command: command line of the method.
+        command: command line of the method; for a factor graph the expression in Python.
         warnings: warnings of the recommended solve.
         repeat: solves of each method, of which the median time counts.
         timeout: seconds after which a solve was stopped.
         environment: machine, load, versions and date.
     """
 
-    graph: PoseGraph
-    options: PoseGraphOptions
+    graph: PoseGraph | FactorGraph
+    options: PoseGraphOptions | SolveOptions
     runs: tuple[GraphRun, ...]
-    recommended: GraphMethod | None
+    recommended: GraphMethod | FactorGraphMethod | None
     reason: str
     command: str
     warnings: tuple[str, ...]
@@ -132,7 +124,7 @@ class GraphComparison(Displayed):
 
     def gap(self, run: GraphRun) -> float:
         """Return the relative distance of a run's final cost to the best one."""
-        best = _best(self.runs)
+        best = best_cost(self.runs)
         return (run.final_cost - best) / best if best > 0 else run.final_cost - best
 
     def _display(self) -> Display:
@@ -161,7 +153,7 @@ def compare_graph(
     """Solve a pose graph from one start by every method; see :func:`bundle.compare`.
 
     Raises:
-        InputError: an argument is invalid, or an option is compared.
+        InputError: an argument is invalid, an option is compared, or all poses are constant.
         OSError: the path cannot be read.
     """
     if isinstance(source, PoseGraphResult):
@@ -169,6 +161,7 @@ def compare_graph(
     elif is_path(source):
         source = load_g2o(as_path(source))
     check_type("graph", source, PoseGraph)
+    check_free_pose(source)
     if options is not None and not isinstance(options, PoseGraphOptions):
         raise InputError(f"options: expected PoseGraphOptions, found {type(options).__name__}")
     options = PoseGraphOptions.of(options, changes, "compare")
@@ -190,8 +183,8 @@ def compare_graph(
     for method in methods:
         if progress is not None:
             progress(method.name)
-        runs.append(_run(started, method, base, repeat, timeout))
-    best, reason = _recommend(runs)
+        runs.append(measure(method, _solver(started, method.options(base)), repeat, timeout))
+    best, reason = recommend_run(runs)
     return GraphComparison(
         graph=started,
         options=options,
@@ -204,6 +197,16 @@ def compare_graph(
         timeout=timeout,
         environment=environment.finished(),
     )
+
+
+def _solver(
+    graph: PoseGraph, options: PoseGraphOptions
+) -> Callable[[Callable[[Any], None]], tuple[PoseGraphResult, float]]:
+    def solve(progress: Callable[[Any], None]) -> tuple[PoseGraphResult, float]:
+        result = solve_pose_graph(graph, options, progress=progress)
+        return result, result.summary.chi2_final
+
+    return solve
 
 
 def _methods(backends: tuple[Any, ...], threads: tuple[Any, ...], loss: str) -> list[GraphMethod]:
@@ -234,95 +237,6 @@ def _listed(name: str, values: Any) -> tuple[Any, ...]:
     if not listed:
         raise InputError(f"{name}: expected at least one value to compare, found 0")
     return listed
-
-
-def _run(
-    graph: PoseGraph, method: GraphMethod, base: PoseGraphOptions, repeat: int, timeout: float
-) -> GraphRun:
-    options = method.options(base)
-    times: list[float] = []
-    for _ in range(repeat):
-        begun = time.perf_counter()
-
-        def watch(_: Any, begun: float = begun) -> None:
-            if time.perf_counter() - begun > timeout:
-                raise _TimeoutError
-
-        try:
-            result = solve_pose_graph(graph, options, progress=watch)
-        except _TimeoutError:
-            return _failed(method, "TIMEOUT", f"stopped after {number(timeout)} s")
-        except InputError:
-            raise
-        except (RuntimeError, MemoryError) as error:
-            return _failed(method, "FAILURE", str(error).partition("\n")[0] or "no memory")
-        summary = result.summary
-        if summary.interrupted:
-            raise KeyboardInterrupt
-        if not summary.is_solution_usable:
-            return _failed(method, summary.termination_type, summary.message)
-        times.append(result.solve_time_in_seconds)
-        if times[-1] > SECONDS_NOT_REPEATED:
-            break
-    return GraphRun(
-        method=method,
-        times_in_seconds=tuple(times),
-        final_cost=summary.final_cost,
-        chi2_final=summary.chi2_final,
-        num_steps=len(result.iterations["cost"]) - 1,
-        termination_type=summary.termination_type,
-        warnings=tuple(summary.warnings),
-        result=result,
-    )
-
-
-class _TimeoutError(Exception):
-    """Time limit of a solve exceeded."""
-
-
-def _failed(method: GraphMethod, termination: str, failure: str) -> GraphRun:
-    return GraphRun(
-        method=method,
-        times_in_seconds=(),
-        final_cost=math.nan,
-        chi2_final=math.nan,
-        num_steps=0,
-        termination_type=termination,
-        failure=failure,
-    )
-
-
-def _best(runs: Iterable[GraphRun]) -> float:
-    return min((run.final_cost for run in runs if not run.failure), default=math.nan)
-
-
-def _recommend(runs: list[GraphRun]) -> tuple[GraphRun | None, str]:
-    usable = [run for run in runs if not run.failure]
-    if not usable:
-        return None, "No method has a usable solution: run bundle diagnose to find the cause."
-    best = _best(usable)
-    limit = best + COST_TOLERANCE * abs(best)
-    good = sorted(
-        (run for run in usable if run.final_cost <= limit), key=lambda run: run.time_in_seconds
-    )
-    near = [run for run in good if run.time_in_seconds <= NEAR_ENOUGH * good[0].time_in_seconds]
-    first = min(near, key=runs.index)  # earlier methods are closer to the defaults
-    reason = (
-        f"{first.method.name} took {seconds(first.time_in_seconds)} s to cost "
-        f"{best:.6g}: the least time, or within {round(100 * (NEAR_ENOUGH - 1))} % of "
-        f"it, of the {plural(len(good), 'method')} with the lowest cost"
-    )
-    others = [run for run in good if run.method.backend != first.method.backend]
-    if others:
-        ratio = others[0].time_in_seconds / max(first.time_in_seconds, 1e-9)
-        reason += f"; {others[0].method.name} took {number(ratio)} times as long"
-    worse = len(usable) - len(good)
-    if worse:
-        reason += (
-            f"; {plural(worse, 'method')} ended at a higher cost, in another minimum or not "
-            "converged"
-        )
-    return first, reason + "."
 
 
 def _command(graph: PoseGraph, options: PoseGraphOptions, method: GraphMethod) -> str:

@@ -12,7 +12,7 @@ from bundle.base.arguments import check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path, is_path
 from bundle.base.words import number, plural
-from bundle.errors import InputError
+from bundle.graphs.pose_graphs.edge_weights import check_free_pose
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
@@ -85,17 +85,13 @@ def inspect_pose_graph(source: Any) -> PoseGraphInspection:
         source = load_g2o(as_path(source))
     check_type("graph", source, PoseGraph)
     graph: PoseGraph = source
+    check_free_pose(graph)
     d = graph.tangent_size
     held, _, _ = _core.hold_poses(graph)
     pairs = np.unique(np.sort(graph.edges.astype(np.int64), axis=1), axis=0).reshape(-1, 2)
     free = np.cumsum(~held) - 1
     kept = free[pairs[~held[pairs].any(axis=1)]]
     num_free = int((~held).sum())
-    if not num_free:
-        raise InputError(
-            f"graph: expected a free pose, found only constant poses ({graph.num_poses} of "
-            f"{graph.num_poses})"
-        )
     costs = elimination_costs(np.full(num_free, d, np.int32), kept, ORDERINGS)
     nnz = d * d * (graph.num_poses + 2 * len(pairs))
     return PoseGraphInspection(

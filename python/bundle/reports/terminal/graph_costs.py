@@ -67,12 +67,17 @@ def _order(cost: EliminationCost, chosen: str) -> str:
 
 
 def compared_graph(
-    path: str, found: GraphComparison, options: Mapping[str, Any], wall_time: float
+    path: str,
+    graph: PoseGraph,
+    found: GraphComparison,
+    options: Mapping[str, Any],
+    wall_time: float,
 ) -> Report:
     """Return a row for each run, and a recommendation.
 
     Args:
         path: path of the input.
+        graph: common start of the solves.
         found: result of the comparison.
         options: options of every solve.
         wall_time: seconds.
@@ -105,17 +110,17 @@ def compared_graph(
         }
     return Report(
         command="compare",
-        input=about_graph(path, found.graph) | {"digests": content_digests(found.graph)},
+        input=about_graph(path, graph) | {"digests": content_digests(graph)},
         headline=[found.reason],
         sections=[
-            Section(facts=graph_facts(path, found.graph)),
+            Section(facts=graph_facts(path, graph)),
             Section(tables=[Table(columns, found.runs)]),
             Section(facts=advice, notes=found.warnings, is_warning=True),
         ],
         data={
             "options": dict(options),
             "environment": found.environment,
-            "structure": {"densest": densest_set(found.graph.edges)},
+            "structure": {"densest": densest_set(graph.edges)},
             "repeat": found.repeat,
             "timeout": found.timeout,
             "runs": [_run(found, run) for run in found.runs],
