@@ -8,6 +8,7 @@ import pytest
 
 from bundle.graphs.factors import check_solve
 from tests.campaigns import (
+    conventions,
     covariance,
     degenerate,
     gauges,
@@ -15,6 +16,7 @@ from tests.campaigns import (
     jacobians,
     jobs,
     kills,
+    library_mistakes,
     mutants,
     step_problems,
     steps,
@@ -72,6 +74,18 @@ def test_right_jacobians_are_not_accused_and_wrong_ones_caught(monkeypatch):
     assert [v for v in rights if v.verdict != "correct" or v.is_caught] == []
     assert [v for v in wrongs if not v.is_caught or not v.is_named] == []
     assert {"imu"} < {v.name for v in rights}
+
+
+def test_mistakes_in_the_layouts_of_libraries_are_named():
+    mistakes = library_mistakes.listed()
+    assert len(mistakes) >= 60
+    assert {m.library for m in mistakes} == {"ceres", "gtsam", "manif", "g2o", "g2o_expmap"}
+    some = [*mistakes[1::5], *(m for m in mistakes if m.kinds & {"adjoint", "inverse"})]
+    verdicts = [conventions.judge(mistake, 3) for mistake in some]
+    assert [verdict for verdict in verdicts if not verdict.is_named] == []
+    rights = [conventions.judge_right(seed) for seed in range(40)]
+    assert [verdict for verdict in rights if verdict.verdict == "wrong"] == []
+    assert sum(verdict.verdict == "correct" for verdict in rights) >= 30
 
 
 def test_covariances_are_the_dense_ones():

@@ -7,17 +7,19 @@ are classified by size.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from bundle.checking import block_signatures as block
 from bundle.checking import column_signatures as column
 from bundle.checking import rotation_signatures as rotation
 from bundle.checking import row_signatures as row
 from bundle.checking.evidence import Evidence, Finding
-from bundle.checking.jacobian_deviation import JacobianDeviation
+from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 
-__all__ = ["MISTAKES", "classify", "float_precision", "stale"]
+__all__ = ["MISTAKES", "classify", "float_precision", "is_single", "stale"]
 
 MISTAKES = (
     "correct",
@@ -30,6 +32,8 @@ MISTAKES = (
     "scaled_by_parameter",
     "transposed",
     "swapped",
+    "swapped_blocks",
+    "quaternion_order",
     "shifted",
     "swapped_rows",
     "order",
@@ -37,6 +41,9 @@ MISTAKES = (
     "whitening",
     "logarithm",
     "perturbation",
+    "inverse",
+    "half_angle",
+    "adjoint",
     "frame",
     "missing_term",
     "float_precision",
@@ -50,15 +57,18 @@ MISTAKES = (
 
 SIGNATURES: tuple[Callable[[Evidence], None], ...] = (
     rotation.conventions,
+    rotation.quaternion_order,
+    block.swapped_blocks,
+    block.adjoint,
     column.swapped,
     column.shifted,
     row.rows,
     column.zeros,
     row.whitening,
     column.factors,
+    row.logarithm,
     column.transposed,
     rotation.rotation_vectors,
-    row.logarithm,
     rotation.turned,
     column.order,
     column.parameter_factors,
@@ -114,11 +124,8 @@ def stale(
 def float_precision(deviations: JacobianDeviation, names: tuple[str, ...]) -> Finding | None:
     """Return a finding if the Jacobians were rounded to single precision."""
     analytic, reference = deviations.analytic, deviations.reference
-    with np.errstate(over="ignore", invalid="ignore"):
-        single = analytic.astype(np.float32).astype(np.float64) == analytic
-        # Numbers such as 0, 1 and 0.5 are exact in any precision.
-        plain = np.round(analytic * 2**10) == analytic * 2**10
-    telling = ~plain & np.isfinite(analytic) & (np.abs(reference) > 0)
+    single, telling = _singles(analytic)
+    telling &= np.abs(reference) > 0
     if telling.sum() < 5 or not single[telling].all():
         return None
     error = np.abs(analytic - reference)[telling] / np.abs(reference)[telling]
@@ -130,6 +137,23 @@ def float_precision(deviations: JacobianDeviation, names: tuple[str, ...]) -> Fi
         "float precision: every number is one of single precision (float32), 7 digits of 16",
         float(deviations.deviation.max()),
     )
+
+
+def is_single(residuals: Sequence[Array]) -> bool:
+    """Return True if all residuals were computed in single precision."""
+    single, telling = _singles(np.concatenate([np.zeros(0), *residuals]))
+    return bool(telling.any() and single.all())
+
+
+def _singles(values: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return masks of numbers of single precision, and of numbers for which this is no chance.
+
+    Numbers such as 0, 1 and 0.5 are exact in any precision.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        single = values.astype(np.float32).astype(np.float64) == values
+        plain = np.round(values * 2**10) == values * 2**10
+    return single, ~plain & np.isfinite(values)
 
 
 def _hold(deviations: JacobianDeviation, wrong: np.ndarray, source: np.ndarray) -> bool:

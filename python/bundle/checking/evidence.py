@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,11 @@ from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 
 __all__ = ["Evidence", "Finding"]
 
-EXPLAINED = 1e-3
+EXPLAINED = 1e-5
 """Largest fraction of the deviation that an accepted hypothesis may leave unexplained."""
+
+KNOWN = 0.1
+"""Largest relative uncertainty of a reference entry that can support a hypothesis."""
 
 ReferenceAt = Callable[[int, int], Array | None]
 
@@ -85,11 +89,15 @@ class Evidence:
         any small number would explain a column of a thousandth of the correct size.
         """
         chosen = slice(None) if points is None else points
-        analytic = self.analytic[chosen][..., columns]
-        reference = self.reference[chosen][..., columns]
-        left = np.linalg.norm(analytic - guess)
+        doubts = self.doubt[chosen][..., columns]
+        known = doubts <= KNOWN
+        if 2 * known.sum() < known.size:
+            return False
+        analytic = np.where(known, self.analytic[chosen][..., columns], 0.0)
+        reference = np.where(known, self.reference[chosen][..., columns], 0.0)
+        left = np.linalg.norm(analytic - np.where(known, guess, 0.0))
         deviation = np.linalg.norm(analytic - reference)
-        doubt = np.linalg.norm(self.doubt[chosen][..., columns])
+        doubt = np.linalg.norm(np.where(known, doubts, 0.0))
         size = min(float(deviation), float(np.linalg.norm(analytic)))
         return bool(deviation > 4 * doubt and left <= EXPLAINED * size + 2 * doubt)
 
@@ -115,10 +123,9 @@ class Evidence:
 
 
 def join_names(names: Sequence[str]) -> str:
-    """Return names as a phrase."""
-    heads = {name.rpartition(" ")[0] for name in names}
-    if len(names) > 1 and len(heads) == 1 and "" not in heads:
-        (head,) = heads
-        last = [name.rpartition(" ")[2] for name in names]
-        names = [f"{head} {last[0]}", *last[1:]]
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    """Return names as a phrase; the first words of consecutive names appear once."""
+    parts: list[str] = []
+    for head, same in groupby(names, key=lambda name: name.rpartition(" ")[0]):
+        first, *others = same
+        parts += [first, *(name.removeprefix(f"{head} ") for name in others)]
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"

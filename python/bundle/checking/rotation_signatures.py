@@ -17,7 +17,7 @@ from bundle.checking.columns import Block
 from bundle.checking.evidence import EXPLAINED, Evidence
 from bundle.checking.jacobian_deviation import Array
 
-__all__ = ["conventions", "rotation_vectors", "turned"]
+__all__ = ["conventions", "quaternion_order", "rotation_vectors", "turned"]
 
 BY_LEFT = "the derivative by d of Exp(d) Exp(w), not by w: J_l is missing"
 BY_RIGHT = "the derivative by d of Exp(w) Exp(d), not by w: J_r is missing"
@@ -33,6 +33,25 @@ def conventions(evidence: Evidence) -> None:
             right = evidence.deviations.reference[..., columns] @ changes[evidence.numbers]
             if evidence.explains(right / evidence.deviations.scale[..., columns], columns):
                 evidence.found(kind, columns, f"{evidence.names(columns)}: {words}")
+
+
+def quaternion_order(evidence: Evidence) -> None:
+    """Find derivatives by a quaternion with its real part at the other end."""
+    for block in evidence.blocks:
+        columns = list(block.columns)
+        if block.rotation != "quaternion" or not set(columns) & set(evidence.wrong):
+            continue
+        raw = evidence.deviations.reference[..., columns]
+        for step, words in ((1, "the last column first"), (-1, "the first column last")):
+            guess = np.roll(raw, step, axis=2) / evidence.deviations.scale[..., columns]
+            if evidence.explains(guess, columns):
+                evidence.found(
+                    "quaternion_order",
+                    columns,
+                    f"{evidence.names(columns)}: another order of the quaternion, {words}: "
+                    "w x y z and x y z w are confused",
+                )
+                break
 
 
 def rotation_vectors(evidence: Evidence) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.words import plural
 from bundle.checking.assemble import CHECKER_PRECISION, make_report, undecided_points
-from bundle.checking.classify import classify, float_precision, stale
+from bundle.checking.classify import classify, float_precision, is_single, stale
 from bundle.checking.columns import Block, Column
 from bundle.checking.evidence import Evidence, Finding, join_names
 from bundle.checking.function import UserFunction
@@ -21,6 +21,7 @@ from bundle.checking.gradient_report import GradientCheckerSummary, GradientRepo
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.padding import padded
 from bundle.checking.residual_blocks import Layout
+from bundle.checking.step_curve import Line, acquitted, walk
 from bundle.checking.tally import Tally
 from bundle.interface.check_options import TOLERANCE
 
@@ -28,6 +29,9 @@ __all__ = ["SamplePoint", "check_samples"]
 
 SAME_RESIDUAL = 1e-9
 """Largest difference between residuals of two calls at one point, relative to the largest entry."""
+
+SINGLE_TOLERANCE = 1e-4
+"""Relative error to which differences of a residual in single precision decide."""
 
 ROUGH = 1e-3
 """Largest relative uncertainty of the reference that rounding can cause at the given point."""
@@ -90,6 +94,9 @@ class _Check:
         self.samples = [at for at, valid in zip(samples, finite, strict=True) if valid]
         self.residuals = [r for (r, _), valid in zip(first, finite, strict=True) if valid]
         self.jacobians = [j for (_, j), valid in zip(first, finite, strict=True) if valid]
+        self.is_single = is_single(self.residuals)
+        if self.is_single:
+            self.tolerance = max(tolerance, SINGLE_TOLERANCE)
 
     def run(self) -> GradientReport:
         """Compare with both references and report."""
@@ -115,6 +122,13 @@ class _Check:
                 tangents[projected],
                 tangent_doubts[projected],
             )
+        space = self._appealed(space, range(len(space)), along_manifold=False)
+        repeated = JacobianDeviation(repeated.analytic, space.reference, space.uncertainty)
+        tangent = (
+            self._appealed(tangent, projected, along_manifold=True)
+            if self.layout.is_curved
+            else space
+        )
         tallies, findings = self._findings(space, repeated, tangent, np.array(projected, np.intp))
         watched = space if self.ambient else tangent
         numbers = range(len(space)) if self.ambient else projected
@@ -122,6 +136,45 @@ class _Check:
             findings = self._undecided_start(watched, numbers)
         undecided = self._undecided(watched, numbers)
         return self._report(tallies, findings, self._summary(space, checker), undecided)
+
+    def _appealed(
+        self, deviations: JacobianDeviation, samples: Sequence[int], *, along_manifold: bool
+    ) -> JacobianDeviation:
+        """Return the deviations with entries undecided that are a derivative at another scale."""
+        wrong = deviations.error > self.tolerance
+        if not wrong.any():
+            return deviations
+        uncertainty = deviations.uncertainty.copy()
+        off = np.abs(deviations.analytic - deviations.reference)
+        for k, j in zip(*np.nonzero(wrong.any(axis=1)), strict=True):
+            if not np.isfinite(deviations.analytic[k, :, j]).all():
+                continue
+            line = self.line(samples[k], int(j), along_manifold=along_manifold)
+            scale = float(deviations.scale[k, 0, j])
+            found = acquitted(line, deviations.analytic[k, :, j], off[k, :, j], scale)
+            found &= wrong[k, :, j]
+            uncertainty[k, found, j] += off[k, found, j]
+        return JacobianDeviation(deviations.analytic, deviations.reference, uncertainty)
+
+    def line(self, sample: int, column: int, *, along_manifold: bool) -> Line:
+        """Return the residuals at steps along a column of the Jacobian."""
+        at = self.samples[sample]
+        manifolds = self.layout.manifolds
+        sizes = [m.tangent_size if along_manifold else m.size for m in manifolds]
+        b = int(np.searchsorted(np.cumsum(sizes), column, side="right"))
+        direction = np.zeros(sizes[b])
+        direction[column - sum(sizes[:b])] = 1.0
+        is_curved = along_manifold and manifolds[b].is_curved
+
+        def values(step: float) -> Array | None:
+            blocks = [block.copy() for block in at.blocks]
+            move = step * direction
+            blocks[b] = manifolds[b].plus(blocks[b], move) if is_curved else blocks[b] + move
+            answer = at.user.core(blocks, False)
+            return None if answer is None else answer[0]
+
+        size = 1.0 if is_curved else float(at.blocks[b] @ direction)
+        return walk(values, self.residuals[sample], size)
 
     def _undecided_start(
         self, deviations: JacobianDeviation, samples: Sequence[int]
@@ -183,10 +236,10 @@ class _Check:
         watched = outer if self.ambient else along
         if not watched.wrong_columns and not along.wrong_columns:
             rounded = float_precision(space, tuple(c.name for c in layout.columns))
-            single = rounded is not None and tolerance <= TOLERANCE
-            return tallies, [rounded] if rounded is not None and single else []
+            is_precise = rounded is not None and tolerance <= TOLERANCE
+            return tallies, [rounded] if rounded is not None and is_precise else []
         whole = stale(space, repeated, tolerance)
-        if whole is None:
+        if whole is None and not self.is_single:
             whole = float_precision(space, tuple(c.name for c in layout.columns))
         if whole is not None:
             return tallies, [whole]
@@ -285,8 +338,9 @@ class _Check:
         sizes = " + ".join(map(str, self.user.sizes))
         parameters = "parameter" if sizes == "1" else "parameters"
         residuals = plural(self.user.num_residuals, "residual")
+        single = " in single precision" if self.is_single else ""
         return make_report(
-            subject=f"a function of {sizes} {parameters} with {residuals}",
+            subject=f"a function of {sizes} {parameters} with {residuals}{single}",
             noun="sample",
             tallies=tallies,
             findings=findings,

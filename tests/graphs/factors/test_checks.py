@@ -173,3 +173,30 @@ def test_an_exception_of_a_function_keeps_the_name_of_the_factor():
     with pytest.raises(ZeroDivisionError) as caught:
         make_graph(fails_later, count=1).check_gradients()
     assert "factor 0" in caught.value.__notes__[0]
+
+
+def test_a_tangent_is_that_of_its_library():
+    """The order of g2o in space, and its translation of the world in the plane."""
+
+    def between(values):
+        residual, jacobians = measured_range(values)
+        c, s = np.cos(values[0][2]), np.sin(values[0][2])
+        turn = np.eye(3)
+        turn[:2, :2] = [[c, s], [-s, c]]
+        return residual, [jacobians[0] @ turn, jacobians[1]]
+
+    values, manifolds = [[1, 2, 0.3], [4, 5]], ["se2", None]
+    assert bundle.check_gradients(between, values, manifolds, tangent="g2o")
+    found = bundle.check_gradients(between, values, manifolds, tangent="manif", names=["x", "l"])
+    assert found.kinds == {"frame"}
+    assert "g2o" in found.findings[0].sentence
+    with pytest.raises(bundle.InputError, match=r"tangent: .*gtsam.*found 'sophia'"):
+        bundle.check_gradients(between, values, manifolds, tangent="sophia")
+    for names in ([1, 2], ["x"], "xl"):
+        with pytest.raises(bundle.InputError, match="names: "):
+            bundle.check_gradients(between, values, manifolds, tangent="g2o", names=names)
+
+
+def test_built_in_factors_keep_their_tangent():
+    graph = make_graph(count=1)
+    assert graph.check_gradients(tangent="g2o_expmap")

@@ -18,6 +18,7 @@ from bundle.errors import InputError, brief
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.factor_report import FactorCheck
 from bundle.graphs.factors.factors import Factor
+from bundle.graphs.factors.function_factor import FunctionFactor
 from bundle.graphs.factors.variables import Key
 from bundle.graphs.pose_graphs.edge_check import check_edges
 from bundle.interface.check_options import SAMPLES_PER_IMAGE, TOLERANCE
@@ -111,6 +112,7 @@ def check_gradients(
     seed: int = 0,
     tolerance: float = TOLERANCE,
     ambient: bool = True,
+    tangent: str | None = None,
 ) -> GradientReport | FactorCheck:
     """Check analytic Jacobians, and identify the mistake in wrong ones.
 
@@ -144,6 +146,10 @@ def check_gradients(
         tolerance: relative error above which an entry is wrong.
         ambient: also compare derivatives along the normals of manifolds. They do not affect a
             solve, and GradientChecker does not test them. Factors have no such derivatives.
+        tangent: library in whose tangent coordinates the Jacobians are: "gtsam" (as a factor
+            graph), "manif" (also Sophus), "g2o", "g2o_expmap" (VertexSE3Expmap, as ORB-SLAM). The
+            manifolds are then those of a factor graph, and Jacobian i has their tangent size. None:
+            Jacobians by all numbers of the blocks, as Ceres; of a factor "gtsam".
 
     Returns:
         Report; its truth value is True if all Jacobians are correct. Print it for details.
@@ -152,9 +158,17 @@ def check_gradients(
         InputError: blocks, manifolds or names do not match, or the function returns wrong shapes.
             Exceptions of the function are passed on.
     """
+    settings: dict[str, Any] = {"radius": radius, "seed": seed, "tolerance": tolerance}
+    if tangent is not None:
+        settings["tangent"] = tangent
     if not isinstance(function, FactorGraph | Factor):
         if blocks is None:
             raise InputError("blocks: expected a list of arrays, found None")
+        if tangent is not None:
+            keys = _keys(blocks, names)
+            graph = _graph_of(FunctionFactor(keys, function), blocks, manifolds)
+            check = graph.check_gradients(num_samples=num_samples or 10, **settings)
+            return next(iter(check.reports.values()))
         return check_function_at(
             function,
             blocks,  # type: ignore[arg-type]
@@ -168,7 +182,6 @@ def check_gradients(
         )
     if names is not None:
         raise InputError("names: expected None for factors, whose names are their keys")
-    settings: dict[str, Any] = {"radius": radius, "seed": seed, "tolerance": tolerance}
     if isinstance(function, FactorGraph):
         for argument, given in (("blocks", blocks), ("manifolds", manifolds)):
             if given is not None:
@@ -176,6 +189,17 @@ def check_gradients(
         return function.check_gradients(num_samples=num_samples or 3, **settings)
     graph = _graph_of(function, blocks, manifolds)
     return graph.check_gradients(num_samples=num_samples or 10, **settings)
+
+
+def _keys(blocks: Any, names: Any) -> tuple[str, ...]:
+    if not hasattr(blocks, "__len__") or isinstance(blocks, str | bytes):
+        raise InputError(f"blocks: expected a list of arrays, found {brief(blocks)}")
+    if names is None:
+        return tuple(f"block {b}" for b in range(len(blocks)))
+    is_list = isinstance(names, list | tuple) and len(names) == len(blocks)
+    if not is_list or not all(isinstance(name, str) for name in names):
+        raise InputError(f"names: expected a name per block, found {brief(names)}")
+    return tuple(names)
 
 
 def _graph_of(factor: Factor, values: Any, manifolds: Any) -> FactorGraph:

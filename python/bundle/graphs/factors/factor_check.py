@@ -3,7 +3,8 @@
 A factor's Jacobian J at X is with respect to the tangent coordinates at X. At each sample X, the
 checker gets the residual as a function of s, evaluated at X Exp(s - c) with a constant c. The
 Jacobian of this function at s = c is J itself, including any mistake. Euclidean variables are
-passed unchanged.
+passed unchanged. For Jacobians in the coordinates of another library, M (s - c) takes the place of
+s - c (``tangent_conventions``).
 
 The checker's first steps are proportional to the size of a parameter, so that a parameter must not
 be zero. Therefore c is 1 for an angle. For a translation, c is the length of the variable's
@@ -28,15 +29,21 @@ from bundle.checking.residual_blocks import Layout, sample
 from bundle.checking.sample_check import SamplePoint, check_samples
 from bundle.errors import InputError, brief, check_keywords
 from bundle.graphs.factors.factor_report import FactorCheck, Member
-from bundle.graphs.factors.tangent_conventions import other_coordinates
+from bundle.graphs.factors.tangent_conventions import TANGENTS, other_coordinates, tangent_of
 from bundle.graphs.factors.variables import Array, Variable
 from bundle.interface.check_options import TOLERANCE
-from bundle.interface.option_fields import number
+from bundle.interface.option_fields import choice, number
 
 __all__ = ["CheckedFactor", "check_each"]
 
 
-_SETTINGS = {"num_samples": 3, "radius": 0.1, "seed": 0, "tolerance": TOLERANCE}
+_SETTINGS = {
+    "num_samples": 3,
+    "radius": 0.1,
+    "seed": 0,
+    "tolerance": TOLERANCE,
+    "tangent": "gtsam",
+}
 """Default settings of the check."""
 
 FactorFunction = Callable[[list[Array]], tuple[Array, list[Array]] | None]
@@ -52,6 +59,8 @@ class CheckedFactor:
         kind: identifier that factors with the same code and the same manifolds share.
         variables: its variables.
         function: function of their values.
+        is_own: True for a function of the user, whose Jacobians are by the tangent coordinates of
+            the settings; the others are by those of a factor graph.
     """
 
     name: str
@@ -59,6 +68,7 @@ class CheckedFactor:
     kind: Hashable
     variables: Sequence[Variable]
     function: FactorFunction
+    is_own: bool = False
 
 
 def check_each(
@@ -72,7 +82,7 @@ def check_each(
 
     Args:
         factors: factors to check.
-        settings: num_samples, radius, seed and tolerance.
+        settings: num_samples, radius, seed, tolerance and tangent.
         num_factors: number of factors of the graph; None: all are checked.
         progress: called with the number of checked factors.
 
@@ -85,6 +95,7 @@ def check_each(
     radius = number("radius", given["radius"], minimum=0)
     seed = number("seed", given["seed"], minimum=0, maximum=math.inf, whole=True)
     tolerance = number("tolerance", given["tolerance"], above=0)
+    tangent = choice("tangent", given["tangent"], TANGENTS)
     reports, members = {}, {}
     kinds: dict[Hashable, int] = {}  # numbers, because code cannot be pickled
     for done, factor in enumerate(factors):
@@ -92,8 +103,9 @@ def check_each(
         values = [[variable.value for variable in factor.variables]]
         for _ in range(num_samples - 1):
             values.append([_sample(variable, radius, rng) for variable in factor.variables])
-        layout = _layout(factor.variables, values)
-        reports[factor.name] = _check(factor, values, layout, tolerance)
+        by = tangent if factor.is_own else TANGENTS[0]
+        layout = _layout(factor.variables, values, by)
+        reports[factor.name] = _check(factor, values, layout, by, tolerance)
         members[factor.name] = Member(
             kinds.setdefault(factor.kind, len(kinds)),
             factor.label,
@@ -109,12 +121,16 @@ def check_each(
 
 
 def _check(
-    factor: CheckedFactor, values: Sequence[list[Array]], layout: Layout, tolerance: float
+    factor: CheckedFactor,
+    values: Sequence[list[Array]],
+    layout: Layout,
+    tangent: str,
+    tolerance: float,
 ) -> GradientReport:
     points: list[SamplePoint] = []
     for at in values:
         size = points[0].user.num_residuals if points else 0
-        here = _InTangentCoordinates(factor, at, size)
+        here = _InTangentCoordinates(factor, at, tangent, size)
         points.append(SamplePoint(UserFunction(here, here.origins, size), here.origins))
     return check_samples(points, layout, tolerance=tolerance)
 
@@ -150,27 +166,37 @@ def _origin(variable: Variable, value: Array) -> Array:
     return origin
 
 
-def _layout(variables: Sequence[Variable], values: Sequence[Sequence[Array]]) -> Layout:
+def _order(variable: Variable, tangent: str) -> list[int]:
+    """Return the tangent coordinate of each column."""
+    if variable.manifold == "euclidean":
+        return list(range(len(variable.value)))
+    return tangent_of(tangent, variable.manifold).order(variable.manifold)
+
+
+def _layout(
+    variables: Sequence[Variable], values: Sequence[Sequence[Array]], tangent: str
+) -> Layout:
     """Return names, and parameter blocks with the other conventions of their coordinates."""
     names = [
-        (brief(v.key), [f"{brief(v.key)} {coordinate}" for coordinate in v.coordinates])
+        (brief(v.key), [f"{brief(v.key)} {v.coordinates[j]}" for j in _order(v, tangent)])
         for v in variables
     ]
-    layout = Layout.make([_origin(v, v.value) for v in variables], None, names)
+    layout = Layout.make([_origin(v, v.value)[_order(v, tangent)] for v in variables], None, names)
     blocks: list[Block] = []
     for b, (variable, whole) in enumerate(zip(variables, layout.blocks, strict=True)):
         if variable.manifold == "euclidean":
             blocks.append(whole)
             continue
-        other = other_coordinates(variable.manifold, np.array([at[b] for at in values]))
+        other = other_coordinates(variable.manifold, np.array([at[b] for at in values]), tangent)
         turns = "tangent" if variable.manifold == "so3" else ""
         blocks.append(replace(whole, rotation=turns, conventions=other))
         if variable.manifold in _TRANSLATIONS:
             part = _TRANSLATIONS[variable.manifold][1]
-            begin, end = whole.start + part.start, whole.start + part.stop
-            blocks.append(Block(f"{whole.name} translation", begin, end))
+            begin = whole.start + _order(variable, tangent).index(part.start)
+            blocks.append(Block(f"{whole.name} translation", begin, begin + part.stop - part.start))
         if variable.manifold == "se3":
-            blocks.append(Block(f"{whole.name} rotation", whole.start, whole.start + 3, "tangent"))
+            begin = whole.start + _order(variable, tangent).index(0)
+            blocks.append(Block(f"{whole.name} rotation", begin, begin + 3, "tangent"))
     is_step = [v.manifold != "euclidean" for v in variables for _ in v.coordinates]
     return replace(layout, blocks=blocks, is_step=np.array(is_step))
 
@@ -178,18 +204,28 @@ def _layout(variables: Sequence[Variable], values: Sequence[Sequence[Array]]) ->
 class _InTangentCoordinates:
     """Factor as a function of steps of its variables from given values."""
 
-    def __init__(self, factor: CheckedFactor, values: list[Array], num_residuals: int) -> None:
+    def __init__(
+        self, factor: CheckedFactor, values: list[Array], tangent: str, num_residuals: int
+    ) -> None:
         self.factor, self.values = factor, values
-        self.origins = [_origin(v, x) for v, x in zip(factor.variables, values, strict=True)]
+        self.origins = [
+            _origin(v, x)[_order(v, tangent)] for v, x in zip(factor.variables, values, strict=True)
+        ]
+        self.steps = [
+            np.eye(len(x))
+            if v.manifold == "euclidean"
+            else tangent_of(tangent, v.manifold).matrix(v.manifold, x[None])[0]
+            for v, x in zip(factor.variables, values, strict=True)
+        ]
         self.num_residuals = num_residuals
 
     def __call__(self, blocks: list[Array]) -> tuple[Array, list[Array]]:
         values = [
             block
             if variable.manifold == "euclidean"
-            else _core.retract(variable.manifold, value, block - origin)
-            for variable, value, origin, block in zip(
-                self.factor.variables, self.values, self.origins, blocks, strict=True
+            else _core.retract(variable.manifold, value, step @ (block - origin))
+            for variable, value, origin, step, block in zip(
+                self.factor.variables, self.values, self.origins, self.steps, blocks, strict=True
             )
         ]
         try:

@@ -312,9 +312,9 @@ class FactorGraph(GraphMarginals):
             most_of_a_kind: largest number of factors to check of those with the same code and the
                 same manifolds; None: all.
             progress: called with the number of checked factors.
-            **settings: num_samples (default 3), radius, seed and tolerance of
+            **settings: num_samples (default 3), radius, seed, tolerance and tangent of
                 :func:`bundle.check_gradients`; the radius refers to tangent coordinates, and for
-                Euclidean variables to relative changes.
+                Euclidean variables to relative changes. A solve requires the default tangent.
 
         Returns:
             Report that is true if all Jacobians are right. Its findings name factor, variables,

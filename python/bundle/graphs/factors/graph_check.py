@@ -50,7 +50,8 @@ def check_graph(
         except Exception as error:
             error.add_note(name)
             raise
-        return CheckedFactor(name, _label(factor), kinds[place], own, function)
+        is_own = isinstance(factor, FunctionFactor)
+        return CheckedFactor(name, _label(factor), kinds[place], own, function, is_own)
 
     chosen = choose(kinds, most_of_a_kind)
     return check_each(map(make, chosen), settings, num_factors=len(factors), progress=progress)

@@ -1,0 +1,146 @@
+"""Differences of a residual against the step size, and the appeal of an entry that seems wrong.
+
+Along one parameter, with r the residual, there are three differences of each row:
+
+    D(h) = (r(h) - r(-h)) / 2h,     D+(h) = (r(h) - r(0)) / h,     D-(h) = (r(0) - r(-h)) / h.
+
+Their errors fall with h (truncation: h^2 and h) until the rounding errors of r, divided by h, take
+over: a V on logarithmic axes. One extrapolation removes the leading term,
+
+    R(h) = D(h/2) + (D(h/2) - D(h)) / 3,     R+-(h) = 2 D+-(h/2) - D+-(h).
+
+A Jacobian that equals one of these at two consecutive steps, to a hundredth of its deviation from
+the reference, is the derivative at this scale: no mistake agrees by chance, because the error of R
+changes by a factor of 16 from step to step and that of R+- by 4. The residual then has another
+slope at another scale, or on the other side of a kink: digits cancel near a small angle, a robust
+loss begins. Such an entry is undecided, not wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.checking.jacobian_deviation import Array
+
+__all__ = ["Line", "StepCurve", "acquitted", "walk"]
+
+HALVINGS = 44
+"""Number of steps; the last is at the resolution of double precision."""
+LARGEST_STEP = 1 / 16
+"""First step, as a fraction of the parameter."""
+LEAST_FIRST_STEP = 1 / 128
+CLOSE = 1e-6
+"""Largest difference of an acquitted entry, relative to its scale."""
+ROUNDING = 8
+"""Rounding errors of a difference, in units of the last place of the largest residual."""
+SHARE = 1e-2
+"""Largest difference of an acquitted entry, relative to its deviation."""
+
+Values = Callable[[float], Array | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """Residuals along a parameter.
+
+    Attributes:
+        steps: (S,) step sizes, each half of the one before.
+        center: (R,) residual at the point.
+        plus: (S, R) residuals at +h; NaN without a value.
+        minus: (S, R) residuals at -h.
+    """
+
+    steps: Array
+    center: Array
+    plus: Array
+    minus: Array
+
+    @property
+    def central(self) -> Array:
+        """D(h) (S, R)."""
+        return (self.plus - self.minus) / (2 * self.steps[:, None])
+
+    @property
+    def forward(self) -> Array:
+        """D+(h) (S, R)."""
+        return (self.plus - self.center) / self.steps[:, None]
+
+    @property
+    def backward(self) -> Array:
+        """D-(h) (S, R)."""
+        return (self.center - self.minus) / self.steps[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class StepCurve:
+    """Differences of one entry of a Jacobian against the step size.
+
+    Attributes:
+        parameter: name of the column.
+        place: point of the check in words.
+        residual: index of the row.
+        analytic: value to check.
+        reference: extrapolated difference.
+        uncertainty: bound on the error of the reference.
+        scale: divisor of relative errors.
+        is_wrong: True if the entry is wrong.
+        steps: (S,) step sizes.
+        differences: (S,) central differences; NaN without a value.
+    """
+
+    parameter: str
+    place: str
+    residual: int
+    analytic: float
+    reference: float
+    uncertainty: float
+    scale: float
+    is_wrong: bool
+    steps: Array
+    differences: Array
+
+
+def walk(values: Values, center: Array, size: float) -> Line:
+    """Evaluate a residual on both sides of a point.
+
+    Args:
+        values: residual at a step; None without a value.
+        center: residual at the point.
+        size: size of the parameter.
+    """
+    first = max(abs(size) * LARGEST_STEP, LEAST_FIRST_STEP)
+    steps = np.asarray(first * 0.5 ** np.arange(HALVINGS), np.float64)
+    sides = np.full((2, HALVINGS, len(center)), np.nan)
+    for k, h in enumerate(steps):
+        for side, step in enumerate((h, -h)):
+            found = values(float(step))
+            if found is not None:
+                sides[side, k] = found
+    return Line(steps, center, sides[0], sides[1])
+
+
+def acquitted(line: Line, analytic: Array, deviation: Array, scale: float) -> NDArray[np.bool_]:
+    """Return the mask (R,) of entries that are a derivative at some scale or on one side.
+
+    Args:
+        line: residuals along the parameter.
+        analytic: (R,) column of the Jacobian.
+        deviation: (R,) its absolute deviation from the reference.
+        scale: divisor of relative errors.
+    """
+    close = np.minimum(CLOSE * scale, SHARE * deviation)
+    # At smaller steps rounding alone decides: a residual that does not change has slope 0.
+    sides = np.abs(np.concatenate([line.plus, line.minus, line.center[None]]))
+    largest = np.max(np.nan_to_num(sides, posinf=0.0), axis=0)
+    is_clear = ROUNDING * np.finfo(float).eps * largest <= close * line.steps[1:, None]
+    found = np.zeros(len(analytic), bool)
+    for differences, divisor in ((line.central, 3), (line.forward, 1), (line.backward, 1)):
+        with np.errstate(invalid="ignore", over="ignore"):
+            extrapolated = differences[1:] + np.diff(differences, axis=0) / divisor
+            same = is_clear & (np.abs(extrapolated - analytic) <= close)
+        found |= (same[1:] & same[:-1]).any(axis=0)
+    return found

@@ -1,0 +1,95 @@
+"""Entries that are a derivative at another scale, or on one side, are undecided and not wrong."""
+
+import numpy as np
+import pytest
+
+import bundle
+from bundle.checking.step_curve import acquitted, walk
+
+
+def line(function, center=0.0):
+    return walk(lambda h: np.atleast_1d(function(center + h)), np.atleast_1d(function(center)), 1.0)
+
+
+def is_acquitted(function, claimed, right):
+    claimed = np.array([float(claimed)])
+    return bool(acquitted(line(function), claimed, np.abs(claimed - right), 1.0)[0])
+
+
+def test_a_slope_of_one_side_is_a_derivative():
+    def kink(x):
+        return x + x**2 + (3 * x if x > 0 else 0)
+
+    assert is_acquitted(kink, 1, 2.5)
+    assert is_acquitted(kink, 4, 2.5)
+    for claimed in (-1, 0, 2, 5):
+        assert not is_acquitted(kink, claimed, 2.5)
+
+
+def test_a_slope_below_which_digits_cancel_is_a_derivative():
+    def naive(x):
+        return x + (1 - np.cos(1e-3 * x)) / 1e-6 / (1 if abs(x) > 1e-7 else 2) + 1e-12 * (x > 0)
+
+    assert is_acquitted(naive, 1, 1.2)
+    assert not is_acquitted(naive, 1.1, 1.2)
+
+
+@pytest.mark.parametrize("claimed", [0.9, 1 + 1e-4, 1 + 1e-6, -1, 0])
+@pytest.mark.parametrize("bend", [0.1, 10, 1e4])
+def test_a_wrong_slope_of_a_smooth_function_is_not(claimed, bend):
+    def smooth(x):
+        return np.sin(x) + bend * x**2 + bend * x**3
+
+    assert not is_acquitted(smooth, claimed, 1.0)
+
+
+def test_steps_without_a_value_prove_nothing():
+    found = walk(lambda h: None if abs(h) > 1e-3 else np.array([h]), np.zeros(1), 1.0)
+    assert np.isnan(found.central[0, 0])
+    assert acquitted(found, np.ones(1), np.ones(1), 1.0)[0]
+    nothing = walk(lambda _: None, np.zeros(1), 1.0)
+    assert not acquitted(nothing, np.ones(1), np.ones(1), 1.0)[0]
+
+
+def huber(blocks):
+    """A robust weight exactly at its kink, beside a parameter across it."""
+    x, y = blocks[0]
+    length = abs(x)
+    root = 1.0 if length <= 2 else (2 / length) ** 0.5
+    slope = 0.0 if length <= 2 else -0.5 * root / x
+    return [root * x, y], [np.array([[root + slope * x, 0], [0, 1]])]
+
+
+def test_a_kink_is_undecided_and_a_mistake_beside_it_is_found():
+    assert bundle.check_gradients(huber, [[2.0, 1.0]], num_samples=1).verdict == "undecided"
+
+    def wrong(blocks):
+        residual, (jacobian,) = huber(blocks)
+        return residual, [jacobian * [1, -1]]
+
+    report = bundle.check_gradients(wrong, [[2.0, 1.0]], num_samples=1)
+    assert (report.verdict, report.kinds) == ("wrong", {"sign"})
+
+
+def single(blocks, factor=1.0):
+    """A curve computed in single precision, with Jacobians in double precision."""
+    a, b = blocks[0]
+    times = np.linspace(0.1, 1, 5)
+    e = np.exp(-b * times)
+    residual = (np.float32(a) * e.astype(np.float32)).astype(np.float32)
+    return residual, [np.column_stack([e, -factor * a * times * e])]
+
+
+def test_a_residual_in_single_precision_is_judged_at_its_own():
+    report = bundle.check_gradients(single, [[1.3, 0.7]])
+    assert (report.verdict, report.tolerance) == ("correct", 1e-4)
+    assert "single precision" in report.subject
+    assert bundle.check_gradients(single, [[1.3, 0.7]], tolerance=0.01).tolerance == 0.01
+    for factor, kind in ((2.0, "factor"), (-1.0, "sign"), (1.02, "factor")):
+        report = bundle.check_gradients(lambda b, f=factor: single(b, f), [[1.3, 0.7]])
+        assert report.kinds == {kind}
+
+
+def test_a_residual_of_plain_numbers_is_not_in_single_precision():
+    report = bundle.check_gradients(lambda b: (b[0], [np.eye(2)]), [[0.5, 3.0]], num_samples=1)
+    assert (report.verdict, report.tolerance) == ("correct", 1e-7)
