@@ -42,7 +42,10 @@ ImageParts::ImageParts(const AdjustmentProblem& problem, const ParameterLayout& 
 }
 
 void ImageParts::GroupImages(const AdjustmentProblem& problem, const ParameterLayout& layout) {
-  using Key = std::tuple<int, bool, bool>;  // model, if the camera is a part, if the sensor is one
+  // Model; if the camera is a part, if the sensor is one; and if the own part, without a camera, is
+  // that of a frame. Such a part has a pose only, as for the other images of the frame. An image
+  // alone of the same model may have its camera in it.
+  using Key = std::tuple<int, bool, bool, bool>;
   std::map<Key, int> group_of;
   std::vector<uint32_t> own_bits, camera_bits;
   std::vector<uint32_t> bits_of_model(kNumCameraModels);  // of cameras that are parts
@@ -61,7 +64,8 @@ void ImageParts::GroupImages(const AdjustmentProblem& problem, const ParameterLa
       continue;
     }
     const auto model_index = static_cast<int>(model - AllCameraModels());
-    const Key key = {model_index, has_camera, has_sensor};
+    const bool is_frame_alone = !has_camera && problem.FrameOf(i) >= 0;
+    const Key key = {model_index, has_camera, has_sensor, is_frame_alone};
     const auto [at, is_new] = group_of.try_emplace(key, static_cast<int>(groups_.size()));
     if (is_new) {
       ModelGroup fresh;
@@ -76,7 +80,7 @@ void ImageParts::GroupImages(const AdjustmentProblem& problem, const ParameterLa
     image_group_.push_back(static_cast<uint8_t>(at->second));
   }
   for (size_t g = 0; g < groups_.size(); ++g) {
-    const auto [model, has_camera, has_sensor] = keys[g];
+    const auto [model, has_camera, has_sensor, is_frame_alone] = keys[g];
     ModelGroup& group = groups_[g];
     std::fill(std::begin(group.columns), std::end(group.columns), ModelGroup::kNoColumn);
     AppendPart(own_bits[g], kOwnPart, &group);

@@ -35,6 +35,13 @@ ROWS = {
         "dense_schur",
         {"refine_sensor_from_rig": True, "fixed_image_ids": (1,), "fixed_sensors": ((2, 4),)},
     ),
+    # The other cameras are refined, those of the images alone in the own part of their image.
+    "one camera held": ("two rigs and more", "dense_schur", {"fixed_camera_ids": (4,)}),
+    "cameras held, refined": (
+        "two rigs and more",
+        "sparse_schur",
+        {"refine_sensor_from_rig": True, "fixed_camera_ids": (2, 3)},
+    ),
     "only sensors": (
         "three",
         "dense_schur",
