@@ -113,6 +113,7 @@ if TYPE_CHECKING:
     from bundle.reports.page import report
     from bundle.reports.saved_report import save_report
     from bundle.solving import constraints
+    from bundle.solving.colmap_adjustment.bundle_adjustment import bundle_adjustment
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.gauge_freedom import GaugeFreedom, gauge_freedom
     from bundle.solving.held_out.hold_out import hold_out
@@ -215,6 +216,7 @@ __all__ = [
     "__version__",
     "align",
     "apply_rig_config",
+    "bundle_adjustment",
     "camera_models",
     "change_camera_model",
     "check_factors",
@@ -370,6 +372,7 @@ _DEFERRED = {
     "planning.inspection.problem_inspection": ("inspect",),
     "reports.page": ("report",),
     "reports.saved_report": ("save_report",),
+    "solving.colmap_adjustment.bundle_adjustment": ("bundle_adjustment",),
     "solving.constraints.rule_list": ("Constraints",),
     "solving.gauge_freedom": ("GaugeFreedom", "gauge_freedom"),
     "solving.held_out.hold_out": ("hold_out",),

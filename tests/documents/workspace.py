@@ -43,6 +43,7 @@ def base(folder: Path) -> None:
     bundle.save(problem, folder / "sparse" / "0", "colmap")
     bundle.save(truth, folder / "sparse" / "last_year", "colmap")
     (folder / "data").symlink_to(REPOSITORY / "data")
+    (folder / "project.ini").write_text("[BundleAdjustment]\nrefine_principal_point=1\n")
     (folder / "rules.txt").write_text("cameras *: f prior 2 %  # of the lens\n")
 
     places = FRAME.to_geodetic(METRES * truth.projection_centers).tolist()

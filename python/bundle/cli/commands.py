@@ -54,6 +54,13 @@ def _refine(parser: Parser) -> None:
     add_output(parser, "-o", "--output", required=True)
     add_rig_config(parser)
     add_options(parser, "SolveOptions", "options of the solve")
+    parser.add_argument(
+        "--colmap-options",
+        metavar="FILE",
+        type=a_path,
+        help="take options from the project.ini of `colmap bundle_adjuster`, with COLMAP's "
+        "defaults for options that the file lacks; flags replace them (default: none)",
+    )
     add_pose_graph_flags(parser)
     add_options(parser, "RoundOptions", "rounds of adjusting and filtering")
     add_options(parser, "HoldOutOptions", "held-out observations")

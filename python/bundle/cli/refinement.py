@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bundle.cli.colmap_flag import take_colmap_options
 from bundle.cli.georeference_flags import georeference_given
 from bundle.cli.next_run import repeated_flags
 from bundle.cli.option_flags import options_given
@@ -89,8 +90,9 @@ class Refinement:
 
         Raises:
             InputError: a value is wrong, or an option has no effect; the message names the flag.
-            OSError: the file of the rules cannot be read.
+            OSError: the file of the rules, or of COLMAP's options, cannot be read.
         """
+        take_colmap_options(arguments)
         options = options_given(arguments, SolveOptions, names_follow=True)
         local = options_given(arguments, LocalOptions)
         rounds = options_given(arguments, RoundOptions)

@@ -7,6 +7,7 @@ from typing import Any
 
 import bundle._core as _core
 from bundle.base.arguments import check_function
+from bundle.base.log_messages import log, logged_iterations
 from bundle.interface.solve_record import Progress
 from bundle.solving.prepare import Executor, Prepared
 from bundle.solving.ranks.launch import current
@@ -61,7 +62,12 @@ def solve_prepared(
     """
     check_function("progress", progress)
     executor = _default_executor() if executor is None else executor
-    return prepared.result(executor.run(prepared, progress))
+    log("info", "solving %s", prepared.start)
+    result = prepared.result(executor.run(prepared, logged_iterations(progress)))
+    log("info", "%s", result.outcome)
+    for sentence in result.summary.warnings:
+        log("warning", "%s", sentence)
+    return result
 
 
 def _default_executor() -> Executor:

@@ -1,0 +1,1 @@
+"""Bundle adjustment of pycolmap's objects in place, as pycolmap does it."""

@@ -1,0 +1,273 @@
+"""bundle.bundle_adjustment against pycolmap's own, over the space of its options."""
+
+import numpy as np
+import pycolmap
+import pycolmap.pyceres
+import pytest
+from pycolmap import BundleAdjustmentGauge as Gauge
+
+import bundle
+from tests.solving.colmap_adjustment.option_space import (
+    CHANGES,
+    EARLY,
+    images_alone,
+    request,
+    rigs,
+)
+
+MODELS = {"alone": images_alone, "rigs": rigs}
+DETERMINED = {  # changes with which constant variables determine a part of the world
+    *("refine_points3D=False", "constant points", "sensors", "refine_sensor_from_rig=False"),
+    *("without 1 images", "without 3 images", "without 5 images", "frames 2", "frames 3"),
+}
+FATAL = {"constant points", "min_track_length=4", "min_track_length=6", "min_track_length=9"}
+"""pycolmap aborts the process for a constant point that takes no part."""
+
+
+@pytest.fixture(autouse=True)
+def _no_log():
+    level = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = 3
+    yield
+    pycolmap.logging.minloglevel = level
+
+
+def values(reconstruction):
+    """Return every number of a reconstruction that an adjustment can change."""
+    rigs = sorted(reconstruction.rigs.items())
+    sensors = [
+        rig.sensor_from_rig(s).matrix()
+        for _, rig in rigs
+        for s in sorted(rig.non_ref_sensors, key=lambda s: s.id)
+    ]
+    return {
+        "points": np.array([p.xyz for _, p in sorted(reconstruction.points3D.items())]),
+        "frames": np.array(
+            [f.rig_from_world.matrix() for _, f in sorted(reconstruction.frames.items())]
+        ),
+        "cameras": np.array([c.params for _, c in sorted(reconstruction.cameras.items())]),
+        "sensors": np.array(sensors),
+    }
+
+
+def adjusted(kind, names, seed, gauge=None):
+    """Return reconstruction and summary of pycolmap's own adjustment."""
+    reconstruction = MODELS[kind](seed)
+    options, config = request(reconstruction, names, seed)
+    if gauge is not None:
+        config.fix_gauge(gauge)
+    adjuster = pycolmap.create_default_bundle_adjuster(options, config, reconstruction)
+    return reconstruction, adjuster.solve()
+
+
+def check(kind, names, seed=0):
+    """Compare cost, parameters and summary with pycolmap's."""
+    mine = MODELS[kind](seed)
+    start = values(mine)
+    options, config = request(mine, names, seed)
+    summary = bundle.bundle_adjustment(mine, options, config)
+    theirs, expected = adjusted(kind, names, seed)
+    assert type(summary) is type(expected)
+    if not hasattr(expected, "ceres_summary"):
+        assert all((start[name] == value).all() for name, value in values(mine).items())
+        return
+    ours, its = summary.ceres_summary, expected.ceres_summary
+    assert ours.initial_cost == pytest.approx(its.initial_cost, rel=1e-12)
+    assert summary.is_solution_usable()
+    assert summary.termination_type == expected.termination_type
+    cost = pytest.approx(its.final_cost, rel=1e-6 if EARLY & set(names) else 1e-10)
+    if config.fixed_gauge == Gauge.THREE_POINTS and ours.final_cost != cost:
+        check_three_points(kind, names, seed, start, mine, ours.final_cost)
+        return
+    is_determined = config.fixed_gauge == Gauge.TWO_CAMS_FROM_WORLD and DETERMINED & set(names)
+    if is_determined and ours.final_cost != cost:  # pycolmap fixes more than is free
+        _, free = adjusted(kind, names, seed, Gauge.UNSPECIFIED)
+        rel = 1e-3 if EARLY & set(names) else 1e-9
+        assert ours.final_cost < its.final_cost
+        assert ours.final_cost == pytest.approx(free.ceres_summary.final_cost, rel=rel)
+        return
+    assert ours.final_cost == cost
+    assert ours.num_residuals_reduced == summary.num_residuals == expected.num_residuals
+    assert ours.num_effective_parameters_reduced == its.num_effective_parameters_reduced
+    precision = 1e-4 if EARLY & set(names) else 1e-5
+    for name, value in values(mine).items():
+        scale = 1 + np.abs(value)
+        difference = np.abs(value - values(theirs)[name]) / scale
+        assert difference.max(initial=0) < precision, name
+
+
+def check_three_points(kind, names, seed, start, mine, cost):
+    """Expect pycolmap's cost for the three points that did not move; with rigs, none is fixed."""
+    still = (values(mine)["points"] == start["points"]).all(axis=1)
+    ids = np.array(sorted(mine.points3D))[still]
+    reconstruction = MODELS[kind](seed)
+    options, config = request(reconstruction, names, seed)
+    lengths = [reconstruction.point3D(i).track.length() for i in ids]
+    ids = ids[np.array(lengths, int) >= options.min_track_length]
+    for point_id in ids:
+        if config.has_variable_point(point_id):
+            config.remove_variable_point(point_id)
+        config.add_constant_point(point_id)
+    config.fix_gauge(Gauge.UNSPECIFIED)
+    expected = pycolmap.create_default_bundle_adjuster(options, config, reconstruction).solve()
+    assert len(ids) >= 3 or kind == "rigs" or "refine_rig_from_world=False" in names
+    rel = 1e-3 if EARLY & set(names) else 1e-9
+    assert cost <= expected.ceres_summary.final_cost * (1 + rel)
+    if len(ids) in (0, 3):
+        assert cost == pytest.approx(expected.ceres_summary.final_cost, rel=rel)
+
+
+@pytest.mark.parametrize("kind", MODELS)
+@pytest.mark.parametrize("name", CHANGES)
+def test_each_option_alone(kind, name):
+    check(kind, (name,))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_combinations_of_options(seed):
+    rng = np.random.default_rng([seed, 5])
+    names = rng.choice(list(CHANGES), rng.integers(2, 6), replace=False).tolist()
+    if "constant points" in names:
+        names = [name for name in names if name == "constant points" or name not in FATAL]
+    check(list(MODELS)[seed % 2], tuple(names), seed)
+
+
+def test_without_config_as_pycolmap_bundle_adjustment():
+    mine, theirs = images_alone(), images_alone()
+    for reconstruction in (mine, theirs):  # an observation of a point behind its camera
+        point = reconstruction.point3D(5)
+        pose = reconstruction.image(1).cam_from_world()
+        point.xyz = pose.inverse() * np.array([0.1, 0.1, -0.1])
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    pycolmap.bundle_adjustment(theirs, options)
+    summary = bundle.bundle_adjustment(mine, options)
+    assert isinstance(summary, pycolmap.CeresBundleAdjustmentSummary)
+    assert mine.compute_num_observations() == theirs.compute_num_observations()
+    assert mine.compute_num_observations() < images_alone().compute_num_observations()
+    for reconstruction in (mine, theirs):
+        reconstruction.delete_point3D(5)  # far away, and hardly determined
+    for name, value in values(mine).items():
+        assert value == pytest.approx(values(theirs)[name], rel=1e-3, abs=1e-3)
+    errors = [point.error for _, point in sorted(mine.points3D.items())]
+    assert errors == pytest.approx([p.error for _, p in sorted(theirs.points3D.items())], rel=1e-2)
+
+
+REFUSED = {
+    "options.ceres.solver_options.use_nonmonotonic_steps": True,
+    "options.ceres.solver_options.jacobi_scaling": False,
+    "options.ceres.solver_options.use_inner_iterations": True,
+    "options.ceres.solver_options.min_lm_diagonal": 1e-3,
+    "options.ceres.solver_options.max_lm_diagonal": 1e3,
+    "options.ceres.solver_options.min_relative_decrease": 0.1,
+    "options.ceres.solver_options.max_trust_region_radius": 1e5,
+    "options.ceres.solver_options.min_trust_region_radius": 1e-3,
+    "options.ceres.solver_options.max_num_consecutive_invalid_steps": 3,
+    "options.ceres.solver_options.check_gradients": True,
+    "options.ceres.solver_options.minimizer_type": pycolmap.pyceres.MinimizerType.LINE_SEARCH,
+    "options.backend": pycolmap.BundleAdjustmentBackend.CASPAR,
+    "options.ceres.loss_function_scale": 0.0,
+    "options.ceres.solver_options.function_tolerance": -1.0,
+    "options.min_track_length": -1,
+}
+
+
+@pytest.mark.parametrize("place", REFUSED)
+def test_what_bundle_cannot_honour_is_refused_by_name(place):
+    reconstruction = images_alone()
+    before = values(reconstruction)
+    options, config = request(reconstruction, ["HUBER 0.5"])
+    owner = options
+    for name in place.split(".")[1:-1]:
+        owner = getattr(owner, name)
+    setattr(owner, place.rpartition(".")[2], REFUSED[place])
+    with pytest.raises(bundle.InputError, match=place.replace(".", r"\.")):
+        bundle.bundle_adjustment(reconstruction, options, config)
+    assert all((before[name] == value).all() for name, value in values(reconstruction).items())
+
+
+def test_accuracy_of_iterative_solvers_is_refused_only_if_one_is_requested():
+    reconstruction = images_alone()
+    options, config = request(reconstruction, ())
+    options.ceres.solver_options.eta = 0.5
+    bundle.bundle_adjustment(images_alone(), options, config)
+    options.ceres.auto_select_solver_type = False
+    solver_type = pycolmap.pyceres.LinearSolverType.ITERATIVE_SCHUR
+    options.ceres.solver_options.linear_solver_type = solver_type
+    with pytest.raises(bundle.InputError, match=r"solver_options\.eta"):
+        bundle.bundle_adjustment(reconstruction, options, config)
+    options.ceres.solver_options.eta = 0.1
+    summary = bundle.bundle_adjustment(reconstruction, options, config)
+    assert summary.ceres_summary.linear_solver_type_used == solver_type
+
+
+def test_ids_that_do_not_exist_and_wrong_types_are_named():
+    reconstruction = images_alone()
+    options, config = request(reconstruction, ())
+    config.add_image(99)
+    with pytest.raises(bundle.InputError, match=r"config\.images.*99"):
+        bundle.bundle_adjustment(reconstruction, options, config)
+    config.remove_image(99)
+    config.add_variable_point(4711)
+    with pytest.raises(bundle.InputError, match=r"config\.variable_points.*4711"):
+        bundle.bundle_adjustment(reconstruction, options, config)
+    for wrong in (
+        {"reconstruction": 3},
+        {"reconstruction": reconstruction, "options": {}},
+        {"reconstruction": reconstruction, "config": options},
+    ):
+        with pytest.raises(bundle.InputError, match="expected"):
+            bundle.bundle_adjustment(**wrong)
+
+
+def test_an_empty_configuration_does_nothing():
+    summary = bundle.bundle_adjustment(images_alone(), config=pycolmap.BundleAdjustmentConfig())
+    assert type(summary) is pycolmap.BundleAdjustmentSummary
+    assert summary.num_residuals == 0
+
+
+def test_a_cancelled_token_and_a_time_limit_stop_the_solve():
+    types = pycolmap.BundleAdjustmentTerminationType
+    options, config = request(images_alone(), ())
+    token = pycolmap.CancellationToken()
+    seen = []
+
+    def cancel(iteration):
+        seen.append(iteration["iteration"])
+        if len(seen) == 2:
+            token.cancel()
+
+    summary = bundle.bundle_adjustment(
+        images_alone(), options, config, cancellation_token=token, progress=cancel
+    )
+    assert summary.termination_type == types.USER_SUCCESS
+    assert len(seen) == 2
+    assert summary.ceres_summary.final_cost < summary.ceres_summary.initial_cost
+    options.ceres.solver_options.max_solver_time_in_seconds = 0.0
+    summary = bundle.bundle_adjustment(images_alone(), options, config)
+    assert summary.termination_type == types.NO_CONVERGENCE
+    assert "time" in summary.ceres_summary.message
+
+
+def test_the_summary_is_printed_unless_print_summary_is_false(capsys):
+    options, config = request(images_alone(), ())
+    bundle.bundle_adjustment(images_alone(), options, config)
+    assert capsys.readouterr() == ("", "")
+    options.print_summary = True
+    bundle.bundle_adjustment(images_alone(), options, config)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "Termination: CONVERGENCE" in err
+
+
+@pytest.mark.parametrize("name", ["maupertuis", "crane_mast", "batmo_rigs"])
+def test_real_models(bundle_data, name):
+    mine, theirs = (pycolmap.Reconstruction(bundle_data / "colmap" / name) for _ in range(2))
+    options, config = request(mine, ())
+    summary = bundle.bundle_adjustment(mine, options, config)
+    expected = pycolmap.create_default_bundle_adjuster(options, config, theirs).solve()
+    cost = expected.ceres_summary.final_cost
+    assert summary.ceres_summary.final_cost == pytest.approx(cost, rel=1e-9)
+    assert mine.num_points3D() == theirs.num_points3D()
+    colours = [p.color.tolist() for _, p in sorted(mine.points3D.items())]
+    assert colours == [p.color.tolist() for _, p in sorted(theirs.points3D.items())]
