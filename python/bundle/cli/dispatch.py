@@ -41,7 +41,7 @@ COMMANDS = {
     "merge": "makes two reconstructions of partly the same images one",
     "evaluate": "errors of a model or trajectory A against a reference: truth, or another model",
     "report": "one page (HTML, no network) on a reconstruction: residuals, lenses, tracks, a 3-D "
-    "view",
+    "view; on a pose graph: errors by kind of edge, worst edges, structure, trajectory",
     "triage": "names the cause of the difference between two reports of one input: ordering, fill, "
     "prior, Jacobian, machine, data, options or convergence",
     "vio": "visual-inertial odometry from feature tracks and IMU samples",
@@ -78,6 +78,7 @@ HANDLERS = {
     ("merge", Kind.RECONSTRUCTION): "merge:run",
     ("evaluate", Kind.RECONSTRUCTION): "evaluate:run",
     ("report", Kind.RECONSTRUCTION): "report:run",
+    ("report", Kind.POSE_GRAPH): "pose_graph_report:run",
     ("triage", Kind.RECONSTRUCTION): "triage:run",
     ("vio", Kind.RECONSTRUCTION): "vio:run",
     ("convert", Kind.RECONSTRUCTION): "convert:run",

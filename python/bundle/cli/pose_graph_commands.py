@@ -34,7 +34,7 @@ def refine(arguments: argparse.Namespace) -> int:
     """Refine the pose graph INPUT into OUTPUT."""
     note_alone("refines the pose graph")
     started = perf_counter()
-    refuse_flags_of_reconstructions(arguments, PoseGraphOptions.names())
+    refuse_flags_of_reconstructions(arguments, (*PoseGraphOptions.names(), "html"))
     options = options_given(arguments, PoseGraphOptions)
     source, target = arguments.input, arguments.output
     check_g2o_target(target)
@@ -53,6 +53,11 @@ def refine(arguments: argparse.Namespace) -> int:
             progress.stage(f"writing {shown(target)}")
             save_g2o(solved.problem, target)
         save_time = perf_counter() - begun
+        if arguments.html is not None:
+            from bundle.reports.page.graph_report import write_graph_report  # only for --html
+
+            progress.stage(f"writing {shown(arguments.html)}")
+            write_graph_report(solved, arguments.html, name=str(source))
     wall = WallTime(
         load=load_time,
         build=solved.build_time_in_seconds,

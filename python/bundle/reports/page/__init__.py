@@ -1,4 +1,4 @@
-"""HTML pages about reconstructions, inspections, comparisons and odometries, one file each.
+"""HTML pages about reconstructions, graphs, inspections, comparisons and odometries, one file each.
 
 A browser shows a page without any other file and without network access.
 """
@@ -7,10 +7,8 @@ from bundle.reports.page.comparison_page import write_comparison
 from bundle.reports.page.evaluation_page import write_evaluation
 from bundle.reports.page.inspection_page import write_inspection
 from bundle.reports.page.odometry_page import write_odometry
+from bundle.reports.page.report_by_input import report
 from bundle.reports.page.report_page import write_report
-
-report = write_report
-"""The name of :func:`write_report` directly in ``bundle``."""
 
 __all__ = [
     "report",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -50,7 +50,19 @@ class Shades:
         return {"name": self.name, "shades": _coded(shades.astype(np.uint8)), "ends": words}
 
 
-def scene_section(view: SceneView, num_points: int, *, is_solved: bool, more: str = "") -> str:
+PARTS = {"points": "points", "cameras": "cameras"}
+"""Parts of the view that can be hidden, with their names."""
+
+
+def scene_section(
+    view: SceneView,
+    num_points: int,
+    *,
+    is_solved: bool,
+    more: str = "",
+    parts: Mapping[str, str] = PARTS,
+    nouns: tuple[str, str] = ("point", "camera"),
+) -> str:
     """Return the view with its controls, and the dialog of an image.
 
     Args:
@@ -58,14 +70,16 @@ def scene_section(view: SceneView, num_points: int, *, is_solved: bool, more: st
         num_points: number of points in the reconstruction.
         is_solved: True for a view before and after a solve.
         more: sentence about ellipsoids; "" without ellipsoids.
+        parts: parts that can be hidden, with their names.
+        nouns: singular of points and of cameras.
     """
     states = [
         tag("button", name, type="button", data_state=name.lower(), aria_pressed=str(pressed))
         for name, pressed in (("Before", "false"), ("After", "true"))
     ]
     boxes = [
-        tag("label", tag("input", type="checkbox", checked=True, data_shows=name), f" {name}")
-        for name in ("points", "cameras", *(["ellipsoids"] if more else []))
+        tag("label", tag("input", type="checkbox", checked=True, data_shows=part), f" {name}")
+        for part, name in {**parts, **({"ellipsoids": "ellipsoids"} if more else {})}.items()
     ]
     size = tag("input", type="range", id="point-size", min=1, max=8, step=0.5, value=2,
                aria_label="size of the points")  # fmt: skip
@@ -79,17 +93,19 @@ def scene_section(view: SceneView, num_points: int, *, is_solved: bool, more: st
         tag("button", "Full screen", id="scene-full", type="button"),
     ]  # fmt: skip
     words = (
-        f"{plural(len(view.points), 'point', grouped=True)}, "
-        f"{plural(len(view.centers), 'camera', grouped=True)}"
+        f"{plural(len(view.points), nouns[0], grouped=True)}, "
+        f"{plural(len(view.centers), nouns[1], grouped=True)}"
     )
     if view.step > 1:
-        words += f"; of {num_points:,} points, every {_ordinal(view.step)} is drawn"
+        words += f"; of {num_points:,} {nouns[0]}s, every {_ordinal(view.step)} is drawn"
     if view.num_far:
         words += f"; {view.num_far:,} farther away than 50 half widths of the scene are not drawn"
     words += f". {more}" if more else "."
-    hint = "Drag to turn, wheel to zoom, right button or arrow keys to move; click on a camera"
-    canvas = tag("canvas", tabindex=0, role="img", aria_label="3-D view of cameras and points",
-                 title=hint)  # fmt: skip
+    hint = "Drag to turn, wheel to zoom, right button or arrow keys to move"
+    if parts is PARTS:
+        hint += "; click on a camera"
+    canvas = tag("canvas", tabindex=0, role="img", title=hint,
+                 aria_label=f"3-D view of {nouns[1]}s and {nouns[0]}s")  # fmt: skip
     hover = tag("p", id="hover")
     sorry = tag("p", "This browser has no WebGL 2: the view stays empty.", id="sorry", hidden=True)
     bar = tag("div", tag("strong", id="image-name"),
@@ -108,7 +124,10 @@ def scene_section(view: SceneView, num_points: int, *, is_solved: bool, more: st
 
 
 def scene_data(
-    view: SceneView, before: SceneView | None = None, others: Sequence[Shades] = ()
+    view: SceneView,
+    before: SceneView | None = None,
+    others: Sequence[Shades] = (),
+    error: tuple[str, str] = ("error", "px RMSE"),
 ) -> dict[str, Any]:
     """Return the numbers of the view; arrays are base64 of little-endian 32-bit floats.
 
@@ -116,6 +135,7 @@ def scene_data(
         view: scene to draw.
         before: the scene before a solve; None without a solve.
         others: values per point that may colour the points in place of their errors.
+        error: name and unit of the errors.
     """
     # Many cameras are drawn smaller, so that they do not hide the scene.
     frustum = FRUSTUM * view.reach / max(1.0, (len(view.centers) / MANY) ** 0.5)
@@ -135,10 +155,10 @@ def scene_data(
     }
     for name, state in (("after", view), ("before", before)):
         if state is not None:
-            error = Shades("error", state.point_errors, (0.0, limit), "px RMSE")
+            errors = Shades(error[0], state.point_errors, (0.0, limit), error[1])
             data[name] = {
                 "points": packed(state.points),
-                "error": error.data(),
+                "error": errors.data(),
                 "centers": packed(state.centers),
                 "axes": packed(state.axes),
             }

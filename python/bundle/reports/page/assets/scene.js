@@ -139,7 +139,26 @@ function start() {
   }
   const afterOnly = new THREE.Group();
   afterOnly.add(balls);
-  world.add(points, cameras, afterOnly);
+  // Edges of a graph, between points.
+  const edges = new THREE.Group(), links = [];
+  for (const [kind, name] of [["path", "--c0"], ["others", "--c2"]]) {
+    const pairs = scene3d.edges ? floats(scene3d.edges[kind]) : [];
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(3 * pairs.length), 3));
+    const lines = new THREE.LineSegments(geometry, new THREE.LineBasicMaterial());
+    lines.frustumCulled = false;
+    lines.userData.colour = name;
+    edges.add(lines);
+    links.push([geometry.getAttribute("position"), pairs]);
+  }
+  function join() {
+    for (const [position, pairs] of links) {
+      pairs.forEach((at, k) => position.setXYZ(k, ...state.points.subarray(3 * at, 3 * at + 3)));
+      position.needsUpdate = true;
+    }
+  }
+  join();
+  world.add(points, cameras, edges, afterOnly);
 
   const chooser = find("shade");
   chooser.append(...[state.error, ...scene3d.shades].map((one, k) => new Option(`colour: ${one.name}`, k)));
@@ -162,6 +181,7 @@ function start() {
       colours.setXYZ(i, mixed.r, mixed.g, mixed.b);
     }
     colours.needsUpdate = true;
+    edges.children.forEach((lines) => { lines.material.color = colour(lines.userData.colour); });
     balls.children.forEach((mesh) => { mesh.material.color = colour(mesh.userData.colour); });
     find("legend").textContent = `Blue: ${chosen.ends[0]}; orange: ${chosen.ends[1]}; grey: unknown.`;
     draw();
@@ -213,7 +233,7 @@ function start() {
     canvas.style.cursor = image === undefined ? "" : "pointer";
   });
 
-  const shown = { points, cameras, ellipsoids: balls };
+  const shown = { points, cameras, edges, ellipsoids: balls };
   document.querySelectorAll("[data-shows]").forEach((box) => {
     box.addEventListener("change", () => { shown[box.dataset.shows].visible = box.checked; draw(); });
   });
@@ -226,6 +246,7 @@ function start() {
         geometry.getAttribute("position").copyArray(values);
         geometry.getAttribute("position").needsUpdate = true;
       }
+      join();
       afterOnly.visible = state === states.after;
       paint();
     });
