@@ -60,8 +60,8 @@ def bundle_adjustment(
         reconstruction: the reconstruction to change.
         options: pycolmap's options; None: pycolmap's defaults.
         config: images and points to refine, and constant variables; None: all.
-        cancellation_token: a ``pycolmap.CancellationToken``. Once it is cancelled, the solve stops after
-            its current iteration.
+        cancellation_token: a ``pycolmap.CancellationToken``. Once it is cancelled, the solve stops
+            after its current iteration.
         progress: function called after each iteration, as in :func:`bundle.solve`.
 
     Returns:
