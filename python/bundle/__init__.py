@@ -8,6 +8,7 @@ if TYPE_CHECKING:
 
     from bundle import figures, georeference
     from bundle._core import __version__
+    from bundle.analysis.diagnosis.chi2_kinds import Chi2Kind, chi2_kinds
     from bundle.analysis.diagnosis.diagnose_problem import diagnose
     from bundle.analysis.diagnosis.diagnosis_result import Diagnosis
     from bundle.analysis.diagnosis.graph_diagnosis import GraphDiagnosis
@@ -133,6 +134,7 @@ __all__ = [
     "CameraModelChange",
     "ChangedModels",
     "CheckPointEvaluation",
+    "Chi2Kind",
     "ClosureLoop",
     "Comparison",
     "Constraints",
@@ -223,6 +225,7 @@ __all__ = [
     "check_gradients",
     "check_imu_samples",
     "check_jacobians",
+    "chi2_kinds",
     "close_loops",
     "compare",
     "compare_trajectories",
@@ -276,6 +279,7 @@ __all__ = [
 
 _DEFERRED = {
     "_core": ("__version__",),
+    "analysis.diagnosis.chi2_kinds": ("Chi2Kind", "chi2_kinds"),
     "analysis.diagnosis.diagnose_problem": ("diagnose",),
     "analysis.diagnosis.diagnosis_result": ("Diagnosis",),
     "analysis.diagnosis.graph_diagnosis": ("GraphDiagnosis",),

@@ -21,6 +21,7 @@ NEW = (
     *("graphs.factors.factor_report", "planning.inspection.elimination_costs"),
     *("analysis.uncertainty.factor_graph_covariance", "planning.comparison.graph_runs"),
     "planning.inspection.factor_graph_inspection",
+    "analysis.diagnosis.chi2_kinds",
     *("interface.triage_options", "judging.triage.cause_words", "judging.triage.triage_result"),
     *("interface.evaluate_options", "interface.finding", "judging.evaluation.check_points"),
     *("judging.evaluation.evaluation_result", "judging.validation.validation_result"),

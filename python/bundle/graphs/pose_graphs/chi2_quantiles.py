@@ -7,7 +7,14 @@ is nearly normal, with mean 1 - 2 / (9 k) and variance 2 / (9 k).
 
 from __future__ import annotations
 
-__all__ = ["ONE_IN_2000", "ONE_IN_A_MILLION", "chi2_limit", "chi2_median", "chi2_quantile"]
+__all__ = [
+    "ONE_IN_2000",
+    "ONE_IN_A_MILLION",
+    "chi2_interval",
+    "chi2_limit",
+    "chi2_median",
+    "chi2_quantile",
+]
 
 ONE_IN_2000 = {3: 17.72999622894616, 6: 24.102798994983747}
 """99.95 % quantiles: limit of a squared error that one correct edge in 2000 exceeds."""
@@ -56,8 +63,14 @@ def chi2_median(degrees: int) -> float:
     return _MEDIANS.get(degrees) or _quantile(degrees, 0.0)
 
 
-def _quantile(degrees: int, normal: float) -> float:
+def chi2_interval(degrees: float, is_certain: bool = False) -> tuple[float, float]:
+    """Return the interval of 99.9 % of all values, or of all but 2 in a million."""
+    normal = _NORMAL_ONE_IN_A_MILLION if is_certain else _NORMAL_QUANTILE
+    return _quantile(degrees, -normal), _quantile(degrees, normal)
+
+
+def _quantile(degrees: float, normal: float) -> float:
     if degrees < 1:
         return 0.0
     variance = 2 / (9 * degrees)
-    return float(degrees * (1 - variance + normal * variance**0.5) ** 3)
+    return float(degrees * max(1 - variance + normal * variance**0.5, 0.0) ** 3)

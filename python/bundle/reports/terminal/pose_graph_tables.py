@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bundle.analysis.diagnosis.chi2_kinds import kinds_data
 from bundle.base.words import number, plural
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.densest_set import densest_set
@@ -19,6 +20,7 @@ from bundle.model.content_digests import content_digests
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.reports.sections import Column, Report, Section, Table, records
 from bundle.reports.terminal.graph_headline import degrees_of_freedom, graph_headline
+from bundle.reports.terminal.graph_information import KINDS, about_information, kinds_of
 from bundle.reports.terminal.inputs import about_graph, contents_of_graph, graph_facts, written
 from bundle.reports.terminal.solve_data import factor_fact, solve_options
 from bundle.reports.terminal.timing import WallTime, wall_section
@@ -102,9 +104,11 @@ def refined_graph(
     ]
     rejected = [_Edge(solved, index) for index in solved.rejected]
     left_out = [_Edge(solved, entry.edge, entry) for entry in solved.left_out]
+    kinds = kinds_of(solved)
     details = [
         Section(facts=facts),
         Section(tables=[Table.of(("", "before", "after"), before_and_after)]),
+        *([Section(tables=[Table(KINDS, kinds)])] if kinds else []),
         *_verdicts(solved, rejected, left_out),
         wall_section(summary, wall),
     ]
@@ -112,6 +116,7 @@ def refined_graph(
         command="refine",
         input=about_graph(path, graph) | {"digests": content_digests(graph)},
         headline=graph_headline(solved),
+        findings=about_information(path, kinds),
         warnings=(*_said(graph), *summary.warnings),
         sections=[
             Section(facts=[written(output)]),
@@ -135,6 +140,7 @@ def refined_graph(
                 }
                 for one in left_out
             ],
+            "chi2_by_kind": kinds_data(kinds),
             "structure": {"densest": densest_set(graph.edges)},
             "wall_time": wall,
             "environment": Environment.now().finished(),
