@@ -75,7 +75,7 @@ class Workshop:
         report = self.folder / f"{self._count}.json"
         output = {
             "refine": ["-o", self.folder / f"{self._count}{source.suffix}", "--overwrite"],
-            "vio": ["-o", self.folder / f"{self._count}.tum"],
+            "vio": ["-o", self.folder / f"{self._count}.tum", "--time-budget", 1],
         }.get(command, [])
         words = [command, source, *output, "--quiet", "--json", report, *flags]
         with contextlib.redirect_stdout(io.StringIO()):

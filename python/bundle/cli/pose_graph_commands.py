@@ -8,6 +8,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
+from bundle.base.waiting_time import Waiting, waiting_since
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.flags_by_kind import refuse_flags_of_reconstructions
 from bundle.cli.many_processes import note_alone
@@ -45,8 +46,10 @@ def refine(arguments: argparse.Namespace) -> int:
         load_time = perf_counter() - begun
         check_replaced(target, [source], arguments.overwrite, partial(_has_same_poses, graph))
         progress.stage("building the problem")
+        before = Waiting.now()
         with naming_flags(PoseGraphOptions):
             solved = solve_pose_graph(graph, options, progress=progress.iteration)
+        waiting = waiting_since(before)
         begun = perf_counter()
         saved = solved.summary.is_solution_usable or solved.summary.interrupted
         if saved:
@@ -66,7 +69,7 @@ def refine(arguments: argparse.Namespace) -> int:
         total=perf_counter() - started,
     )
     written = {"path": target, "format": "g2o"} if saved else None
-    publish(refined_graph(source, solved, wall, written), arguments)
+    publish(refined_graph(source, solved, wall, written, waiting), arguments)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE
     if arguments.json == "-":

@@ -9,6 +9,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+from bundle.base.waiting_time import Waiting, waiting_since
 from bundle.cli.carried_georeference import (
     carry_georeference,
     check_georeference,
@@ -101,7 +102,9 @@ def run(arguments: argparse.Namespace) -> int:
         if asked.check_gradients and _has_wrong_jacobians(asked, opened, progress):
             return EXIT_NO_SOLUTION
         closed = _close_loops(asked.loops, opened, progress)
+        before = Waiting.now()
         solved = _with_edits(_solve(asked, opened, closed, progress), opened, closed)
+        waiting = waiting_since(before)
         georeference = None if opened.known is None else opened.known.georeference(solved)
         begun = perf_counter()
         written, lost = _write(opened, solved, georeference, progress)
@@ -120,7 +123,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     told = (asked.source, opened.loaded, solved, wall, written)
     report = refinement(
-        *told, lost, asked.options_beside(), georeference, opened.edits, closed, findings
+        *told, lost, asked.options_beside(), georeference, opened.edits, closed, findings, waiting
     )
     publish(report, asked)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:

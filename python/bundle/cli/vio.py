@@ -9,6 +9,7 @@ from time import perf_counter
 import numpy as np
 
 from bundle.base.paths import as_path
+from bundle.base.waiting_time import Waiting, waiting_since
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import publish
@@ -56,12 +57,14 @@ def run(arguments: argparse.Namespace) -> int:
                 progress.stage(f"image {done} of {count}: {record.alarms[0]}")
             return True
 
+        before = Waiting.now()
         with naming_flags(WindowOptions):
             if arguments.publish is None:
                 loops, result = None, run_odometry(sequence, options, progress=shown_keyframe)
             else:
                 loops = _replayed(arguments, sequence, options)
                 result = loops.odometry
+        waiting = waiting_since(before)
         error = None if truth is None else compare_trajectories(result.trajectory, truth)
         corrected = None
         if truth is not None and loops is not None:
@@ -82,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
     wall = perf_counter() - started
     written = target if result.is_usable else None
     report = odometry_report(
-        source, sequence_format(source), sequence, result, error, written, wall, findings
+        source, sequence_format(source), sequence, result, error, written, wall, findings, waiting
     )
     if loops is not None:
         path = arguments.publish if result.is_usable else None

@@ -23,6 +23,7 @@ def reports(tmp_path_factory):
         content = json.loads(path.read_text())
         content["environment"]["load_before"] = 0.0
         content["environment"]["num_cores"] = 8
+        content["environment"] |= {"waiting": 0.0, "preemptions": 0}
         path.write_text(json.dumps(content))
     return made
 
@@ -124,12 +125,17 @@ def test_time_alone_is_the_machine(reports, kind, time):
     assert causes(old, edited(old, (time, times(1 / 3)))) == ["machine"]
     assert causes(old, edited(old, (time, times(1.3)))) == []
     assert causes(old, edited(old, (time, times(1.3))), time_noise=1.2) == ["machine"]
-    busy = [("environment.load_before", 9.0)]
-    one, other = edited(old, *busy, name="busy"), edited(old, *busy, (time, times(2)))
-    assert causes(one, other) == []  # both times are uncertain
-    found = bundle.triage(old, other).causes
+    busy = [("environment.load_before", 20.0), (time, times(3))]
+    assert causes(old, edited(old, *busy)) == [], "a load of 20 on 8 cores explains a factor of 2.5"
+    busy = [("environment.load_before", 20.0), (time, times(5))]
+    found = bundle.triage(old, edited(old, *busy)).causes
     assert [one.cause for one in found] == ["machine"]
     assert "other processes" in found[0].sentence
+    waited = [("environment.waiting", 3.5), (time, times(3))]
+    assert causes(old, edited(old, *waited)) == [], "4 s, in which others held the cores for 3.5 s"
+    preempted = [("environment.preemptions", 700), (time, times(3))]
+    assert causes(old, edited(old, *preempted)) == []
+    assert causes(edited(old, *preempted, name="late"), old) == []
 
 
 def test_threads_explain_their_times(reports):

@@ -4,7 +4,8 @@ A cost is noise if threads or instruction sets may change it: sums in another or
 elsewhere within its tolerances. Steps of a solve without progress vary more. Times vary most: with
 the load of the machine, its clock, and in short solves with the scheduler, which gives the cores to
 others for some milliseconds. A time is therefore compared with the time that the steps and flops
-explain, and the more tolerantly the shorter it is.
+explain, without the time in which others held the cores, and the more tolerantly the shorter it is
+and the larger the load was.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ THREADS = "num_threads"
 LEAST_STEPS = 2.0
 FLOPS_NOISE, FACTOR_NOISE, NONZEROS_NOISE = 1.1, 1.05, 1.01
 SECONDS_NOISE = 0.02
-BUSY_NOISE, OTHER_HOST_NOISE, MOST_THREADS_NOISE = 1.6, 3.0, 2.0
+OTHER_HOST_NOISE, MOST_THREADS_NOISE = 3.0, 2.0
 FLIGHT_COST_NOISE = 10.0  # times the noise of other costs
+LATE_COST_NOISE = 10.0  # of solves that ended at their time budget, again
 ERROR_NOISE = 0.1
 SAME_COST = 1e-6
 LESS_RADIUS, MORE_REJECTED = 0.2, 0.15
@@ -112,6 +114,8 @@ class Difference:
         old, new = self.pair("final_cost")
         if self.old.initial_cost is None:  # odometry
             noise *= FLIGHT_COST_NOISE
+            if any(solve.warnings.get("out of time") for solve in (self.old, self.new)):
+                noise *= LATE_COST_NOISE
         # a cost that is 0 up to rounding has no relative noise
         floor = 1e-12 * (self.old.initial_cost or 0.0)
         if old is not None and new is not None and abs(new - old) > noise * abs(old) + floor:
@@ -168,16 +172,15 @@ class Difference:
         least, most = min(1.0, steps, work), max(1.0, steps, work)
         noise = self.limits.time_noise + SECONDS_NOISE / min(old, new)
         noise *= self._machine_noise()
+        slowed = [_slowed(environment) for environment in self.environments]
         ratio: float = new / old
-        if ratio > most * noise:
+        if new - self.new.waiting > old * most * noise * slowed[1]:
             return ratio / most
-        return ratio / least if ratio < least / noise else None
+        is_less = new * noise * slowed[0] < (old - self.old.waiting) * least
+        return ratio / least if is_less else None
 
     def _machine_noise(self) -> float:
-        old, new = self.environments
         noise = 1.0
-        if is_busy(old, self.old.num_threads) and is_busy(new, self.new.num_threads):
-            noise *= BUSY_NOISE
         if self.has_other_host:
             noise = max(noise, OTHER_HOST_NOISE / self.limits.time_noise)
         threads = self.ratio("num_threads") or 1.0
@@ -196,6 +199,12 @@ class Difference:
             for kind in kinds
             if self.new.warnings.get(kind) and not self.old.warnings.get(kind)
         ]
+
+
+def _slowed(environment: Entry) -> float:
+    """Return the factor by which the load of the machine may have slowed a solve down."""
+    load, cores = environment.get("load_before"), environment.get("num_cores")
+    return max(load / cores, 1.0) if load and cores else 1.0
 
 
 def is_busy(environment: Entry, num_threads: int | None) -> bool:

@@ -17,6 +17,9 @@ __all__ = ["SolveFacts", "flight_facts", "solve_facts"]
 
 Entry = Mapping[str, Any]
 
+SECONDS_PER_PREEMPTION = 0.005
+"""A time slice, for which a thread waits after an involuntary context switch."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SolveFacts:
@@ -43,6 +46,7 @@ class SolveFacts:
         is_converged: True if a tolerance ended the solve.
         is_usable: True with a usable solution.
         seconds: time in the solver.
+        waiting: seconds in which other processes held the cores, at most.
         num_threads: threads of the solver.
         warnings: number of warnings or alarms by kind.
         error: position error against a ground truth.
@@ -69,6 +73,7 @@ class SolveFacts:
     is_converged: bool = True
     is_usable: bool = True
     seconds: float | None = None
+    waiting: float = 0.0
     num_threads: int | None = None
     warnings: Entry = field(default_factory=dict)
     error: float | None = None
@@ -81,6 +86,7 @@ def solve_facts(
     structure: Entry,
     method: str = "",
     seconds: float | None = None,
+    environment: Entry | None = None,
 ) -> SolveFacts:
     """Return the facts of a solve from the parts of its report.
 
@@ -91,6 +97,7 @@ def solve_facts(
         structure: further facts on the matrix, or empty.
         method: name of the method.
         seconds: time in the solver, if it is not that of the summary.
+        environment: machine, load and waiting of the command.
     """
     rejected = max(
         sum(not step["step_is_successful"] for step in iterations[1:]),
@@ -122,6 +129,7 @@ def solve_facts(
         is_converged=summary["termination_type"] == "CONVERGENCE",
         is_usable=bool(summary["is_solution_usable"]),
         seconds=number("total_time_in_seconds") if seconds is None else seconds,
+        waiting=_waiting(environment or {}),
         num_threads=summary["num_threads_used"],
         warnings=Counter(summary["warning_kinds"]),
     )
@@ -160,6 +168,7 @@ def flight_facts(report: Entry) -> SolveFacts:
         ),
         is_usable=report["summary"]["is_solution_usable"],
         seconds=report["wall_time"]["solve"],
+        waiting=_waiting(report.get("environment") or {}),
         warnings={kind: count for kind, count in alarms.items() if count},
         error=None if error is None else error["ate"],
     )
@@ -167,6 +176,11 @@ def flight_facts(report: Entry) -> SolveFacts:
 
 def _reader(entry: Entry) -> Callable[[str], float | None]:
     return lambda name: _known(entry.get(name))
+
+
+def _waiting(environment: Entry) -> float:
+    preemptions = _known(environment.get("preemptions")) or 0.0
+    return max(_known(environment.get("waiting")) or 0.0, SECONDS_PER_PREEMPTION * preemptions)
 
 
 def _known(value: Any) -> float | None:

@@ -135,7 +135,7 @@ def _report(path: str, report: Entry) -> SolveReport:
 def _refined(report: Entry) -> dict[tuple[int, str], SolveFacts]:
     structure = report.get("structure") or {}
     parts = report["options"], report["summary"], report["iterations"], structure
-    return {(0, ""): solve_facts(*parts)}
+    return {(0, ""): solve_facts(*parts, environment=report.get("environment"))}
 
 
 def _compared_graph(report: Entry) -> dict[tuple[int, str], SolveFacts]:

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from bundle.analysis.diagnosis.chi2_kinds import kinds_data
+from bundle.base.waiting_time import Waiting
 from bundle.base.words import number, plural
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.densest_set import densest_set
 from bundle.graphs.pose_graphs.information import bad_information, describe_information
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.graphs.pose_graphs.solve_pose_graph import pose_graph_chi2
-from bundle.interface.environment import Environment
 from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
 from bundle.model.content_digests import content_digests
 from bundle.model.pose_graph_arrays import PoseGraph
@@ -23,7 +23,7 @@ from bundle.reports.terminal.graph_headline import degrees_of_freedom, graph_hea
 from bundle.reports.terminal.graph_information import KINDS, about_information, kinds_of
 from bundle.reports.terminal.inputs import about_graph, contents_of_graph, graph_facts, written
 from bundle.reports.terminal.solve_data import factor_fact, solve_options
-from bundle.reports.terminal.timing import WallTime, wall_section
+from bundle.reports.terminal.timing import WallTime, environment_data, wall_section
 
 __all__ = ["described_graph", "refined_graph"]
 
@@ -80,7 +80,11 @@ def _said(graph: PoseGraph) -> list[str]:
 
 
 def refined_graph(
-    path: str, solved: PoseGraphResult, wall: WallTime, output: dict[str, str] | None
+    path: str,
+    solved: PoseGraphResult,
+    wall: WallTime,
+    output: dict[str, str] | None,
+    waiting: Waiting | None = None,
 ) -> Report:
     """Return the report on one solve; `output` is None if nothing was written."""
     summary, graph = solved.summary, solved.initial_problem
@@ -143,7 +147,7 @@ def refined_graph(
             "chi2_by_kind": kinds_data(kinds),
             "structure": {"densest": densest_set(graph.edges)},
             "wall_time": wall,
-            "environment": Environment.now().finished(),
+            "environment": environment_data(waiting),
             "output": output,
         },
     )

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from bundle.base.memory_sizes import format_size
+from bundle.base.waiting_time import Waiting
 from bundle.base.words import change, pixels, plural
 from bundle.errors import shown
-from bundle.interface.environment import Environment
 from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary, sizes
 from bundle.model.content_digests import content_digests
@@ -20,7 +20,7 @@ from bundle.reports.terminal.camera_edit_rows import edit_data, edit_rows
 from bundle.reports.terminal.inputs import about_problem, problem_facts, rig_fact, written
 from bundle.reports.terminal.rig_tables import sensor_sections
 from bundle.reports.terminal.solve_data import ERRORS, ROUNDS, factor_fact, result_data
-from bundle.reports.terminal.timing import WallTime, wall_section
+from bundle.reports.terminal.timing import WallTime, environment_data, wall_section
 from bundle.solving.camera_changes import CameraChange, camera_changes
 from bundle.solving.headline import edit_facts, headline
 from bundle.solving.result import Result
@@ -52,6 +52,7 @@ def refinement(
     edits: CameraEdits | None = None,
     closed: LoopClosing | None = None,
     findings: Sequence[Finding] = (),
+    waiting: Waiting | None = None,
 ) -> Report:
     """Return the report on one solve.
 
@@ -67,6 +68,7 @@ def refinement(
         edits: changes of cameras before the solve, or None.
         closed: loop closing before the solve, or None.
         findings: findings about the result.
+        waiting: waiting for cores during the solve.
     """
     summary, changes = solved.summary, camera_changes(solved)
     warnings = (*(edits.warnings if edits else ()), *summary.warnings)
@@ -104,7 +106,7 @@ def refinement(
         "worst_images": solved.worst_images,
         **({} if georeference is None else {"georeference": georeference.asdict()}),
         "wall_time": wall,
-        "environment": Environment.now().finished(),
+        "environment": environment_data(waiting),
         "output": output,
     }
     return Report(

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+from bundle.base.waiting_time import Waiting
 from bundle.base.words import seconds
+from bundle.interface.environment import Environment
 from bundle.interface.summary import Summary, share, solver_phases
-from bundle.reports.sections import Section, Table
+from bundle.reports.sections import Section, Table, fields
 
-__all__ = ["WallTime", "wall_section"]
+__all__ = ["WallTime", "environment_data", "wall_section"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,6 +27,12 @@ class WallTime:
     save: float
     statistics: float = 0.0
     total: float
+
+
+def environment_data(waiting: Waiting | None) -> dict[str, Any]:
+    """Return machine, load and versions at the end of a command, and its waiting for cores."""
+    waited = {} if waiting is None else fields(waiting)
+    return {**fields(Environment.now().finished()), **waited}
 
 
 def wall_section(summary: Summary, wall: WallTime) -> Section:

@@ -7,17 +7,18 @@ from collections import Counter
 
 import numpy as np
 
+from bundle.base.waiting_time import Waiting
 from bundle.base.words import number, plural
 from bundle.errors import shown
 from bundle.inertial.vio.keyframe_record import KeyframeRecord, alarms_by_kind
 from bundle.inertial.vio.odometry import OdometryResult
 from bundle.inertial.vio.trajectory_comparison import TrajectoryError
-from bundle.interface.environment import Environment
 from bundle.model.content_digests import content_digests
 from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.sequence_findings import SequenceFinding
 from bundle.reports.sections import Report, Section, Table, plain
 from bundle.reports.terminal.inputs import about_sequence
+from bundle.reports.terminal.timing import environment_data
 
 __all__ = ["odometry_report", "telemetry_lines"]
 
@@ -31,6 +32,7 @@ def odometry_report(
     written: str | None,
     wall_time: float,
     findings: tuple[SequenceFinding, ...] = (),
+    waiting: Waiting | None = None,
 ) -> Report:
     """Return start, keyframes, times, alarms, and errors if there is a truth.
 
@@ -43,6 +45,7 @@ def odometry_report(
         written: path of the trajectory; None if it was not written.
         wall_time: seconds.
         findings: suspicious properties of the sequence; they precede the alarms.
+        waiting: time in which others held the cores.
     """
     said = _warnings(result, findings)
     return Report(
@@ -74,8 +77,11 @@ def odometry_report(
             "findings": findings,
             "keyframes": [record.asdict() for record in result.keyframes],
             "error": error,
-            "wall_time": {"solve": result.solve_time, "total": wall_time},
-            "environment": Environment.now().finished(),
+            "wall_time": {
+                "solve": result.solve_time,
+                "total": wall_time,
+            },
+            "environment": environment_data(waiting),
             "output": None if written is None else {"path": written, "format": "tum"},
         },
     )
