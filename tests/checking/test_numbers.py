@@ -48,7 +48,7 @@ def test_what_the_reference_does_not_know_is_no_error():
     assert found.error.ravel() == pytest.approx([0.15, 0.0, 0.0])
 
 
-@pytest.mark.parametrize(("doubt", "is_explained"), [(0.05, True), (0.2, False)])
+@pytest.mark.parametrize(("doubt", "is_explained"), [(0.04, True), (0.1, False)])
 def test_a_guess_explains_only_what_stands_clear_of_the_doubt(doubt, is_explained):
     points = np.ones((3, 1))
     wrong = deviations([1.0, 1.0, 1.0], [0.5, 0.5, 0.5], [doubt, doubt, doubt])

@@ -99,7 +99,7 @@ class Evidence:
         deviation = np.linalg.norm(analytic - reference)
         doubt = np.linalg.norm(np.where(known, doubts, 0.0))
         size = min(float(deviation), float(np.linalg.norm(analytic)))
-        return bool(deviation > 4 * doubt and left <= EXPLAINED * size + 2 * doubt)
+        return bool(deviation > 10 * doubt and left <= EXPLAINED * size + 2 * doubt)
 
     def points_wrong_in(self, column: int) -> NDArray[np.intp]:
         """Return the points at which a column is wrong; a mistake may affect one branch only."""

@@ -37,6 +37,8 @@ CLOSE = 1e-6
 """Largest difference of an acquitted entry, relative to its scale."""
 ROUNDING = 8
 """Rounding errors of a difference, in units of the last place of the largest residual."""
+NOISY_STEPS = 8
+"""Number of the smallest steps, at which a residual changes by rounding errors only."""
 SHARE = 1e-2
 """Largest difference of an acquitted entry, relative to its deviation."""
 
@@ -135,8 +137,10 @@ def acquitted(line: Line, analytic: Array, deviation: Array, scale: float) -> ND
     close = np.minimum(CLOSE * scale, SHARE * deviation)
     # At smaller steps rounding alone decides: a residual that does not change has slope 0.
     sides = np.abs(np.concatenate([line.plus, line.minus, line.center[None]]))
-    largest = np.max(np.nan_to_num(sides, posinf=0.0), axis=0)
-    is_clear = ROUNDING * np.finfo(float).eps * largest <= close * line.steps[1:, None]
+    noise = ROUNDING * np.finfo(float).eps * np.max(np.nan_to_num(sides, posinf=0.0), axis=0)
+    smallest = (line.plus - line.minus)[-NOISY_STEPS:]
+    noise += np.max(np.abs(np.nan_to_num(smallest, posinf=0.0, neginf=0.0)), axis=0)
+    is_clear = noise <= close * line.steps[1:, None]
     found = np.zeros(len(analytic), bool)
     for differences, divisor in ((line.central, 3), (line.forward, 1), (line.backward, 1)):
         with np.errstate(invalid="ignore", over="ignore"):

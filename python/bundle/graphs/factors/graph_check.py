@@ -15,7 +15,7 @@ from bundle.graphs.factors.spot_check import code_of
 from bundle.graphs.factors.variables import Variable
 from bundle.interface.option_fields import number
 
-__all__ = ["check_graph", "choose"]
+__all__ = ["check_graph", "choose", "kind_of"]
 
 
 def check_graph(
@@ -29,7 +29,7 @@ def check_graph(
     if most_of_a_kind is not None:
         most_of_a_kind = number("most_of_a_kind", most_of_a_kind, minimum=1, whole=True)
     variables = graph.variables
-    kinds = [_kind(factor, variables) for factor in factors]
+    kinds = [kind_of(factor, variables) for factor in factors]
     positions = {id(factor): i for i, factor in enumerate(graph.factors)}
 
     def make(place: int) -> CheckedFactor:
@@ -69,7 +69,7 @@ def choose(kinds: Sequence[Hashable], most: int | None) -> list[int]:
     return sorted(chosen)
 
 
-def _kind(factor: Factor, variables: Mapping[Hashable, Variable]) -> Hashable:
+def kind_of(factor: Factor, variables: Mapping[Hashable, Variable]) -> Hashable:
     """Return an identifier that factors with the same code and the same manifolds share."""
     code = code_of(factor.function) if isinstance(factor, FunctionFactor) else type(factor)
     own = [variables[key] for key in factor.keys]
