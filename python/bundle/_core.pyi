@@ -142,6 +142,22 @@ def write_bal(
     progress: Callable[[int], None] | None = None,
 ) -> None: ...
 
+# bind_point_tracks.cpp
+def read_point_tracks(
+    path: str | os.PathLike[str],
+    skip: int,
+    num_lines: int,
+    num_images: int,
+    num_points: int,
+    progress: Callable[[int], None] | None = None,
+) -> dict[str, Any]: ...  # PointTracks of core/io/point_tracks.h by name
+def read_tracks_csv(
+    path: str | os.PathLike[str],
+    images: list[bytes],
+    tracks: list[bytes],
+    progress: Callable[[int], None] | None = None,
+) -> dict[str, Any]: ...
+
 # bind_colmap.cpp
 class ColmapModel:
     @property

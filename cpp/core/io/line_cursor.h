@@ -37,6 +37,32 @@ class LineCursor {
     return false;
   }
 
+  /// Moves to the next line, with any content; false at the end of the file.
+  bool NextLine() {
+    const char* stop = nullptr;
+    size_t searched = 0;
+    for (;;) {
+      const auto ahead = static_cast<size_t>(end_ - next_line_);
+      stop = static_cast<const char*>(std::memchr(next_line_ + searched, '\n', ahead - searched));
+      if (stop != nullptr) break;
+      searched = ahead;
+      if (Refill()) continue;
+      if (next_line_ == end_) return false;
+      stop = end_;  // the last line has no line end
+      break;
+    }
+    ++line_;
+    cursor_ = next_line_;
+    end_of_line_ = stop;
+    next_line_ = stop == end_ ? stop : stop + 1;
+    return true;
+  }
+
+  /// The rest of the line without its line end.
+  std::string_view Line() const {
+    return {cursor_, static_cast<size_t>(end_of_line_ - cursor_)};
+  }
+
   /// Number of the current line, from 1.
   int64_t line() const { return line_; }
 
@@ -87,26 +113,6 @@ class LineCursor {
 
  private:
   static constexpr size_t kLongestLine = size_t{1} << 24;
-
-  bool NextLine() {
-    const char* stop = nullptr;
-    size_t searched = 0;
-    for (;;) {
-      const auto ahead = static_cast<size_t>(end_ - next_line_);
-      stop = static_cast<const char*>(std::memchr(next_line_ + searched, '\n', ahead - searched));
-      if (stop != nullptr) break;
-      searched = ahead;
-      if (Refill()) continue;
-      if (next_line_ == end_) return false;
-      stop = end_;  // the last line has no line end
-      break;
-    }
-    ++line_;
-    cursor_ = next_line_;
-    end_of_line_ = stop;
-    next_line_ = stop == end_ ? stop : stop + 1;
-    return true;
-  }
 
   /// Moves the incomplete line to the front and reads more data after it.
   bool Refill() {

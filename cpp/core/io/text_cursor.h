@@ -28,8 +28,9 @@ inline bool IsSpace(char c) { return c == ' ' || (c >= '\t' && c <= '\r'); }
 class TextCursor {
  public:
   /// `on_block` is called between blocks of about a megabyte; it may throw to end the reading.
-  TextCursor(InputFile& file, std::function<void()> on_block)
-      : file_(file), on_block_(std::move(on_block)), buffer_(kReadBlockSize) {
+  /// `line` is the number of the line where the text begins.
+  TextCursor(InputFile& file, std::function<void()> on_block, int64_t line = 1)
+      : file_(file), on_block_(std::move(on_block)), buffer_(kReadBlockSize), line_(line) {
     position_ = end_ = buffer_.data();
   }
 
@@ -51,6 +52,15 @@ class TextCursor {
     SkipSpace();
     return position_ == end_;
   }
+
+  /// The next token, which stays under the cursor; empty at the end of the text.
+  std::string Peek() {
+    SkipSpace();
+    return std::string(Token());
+  }
+
+  /// Number of the line under the cursor.
+  int64_t line() const { return line_; }
 
   /// Throws the InputError `NAME:LINE: expected EXPECTED, found ...` for what is under the cursor.
   [[noreturn]] void Fail(const std::string& expected) {
@@ -121,7 +131,7 @@ class TextCursor {
   std::vector<char> buffer_;
   const char* position_;
   const char* end_;
-  int64_t line_ = 1;
+  int64_t line_;
   bool at_end_ = false;
 };
 

@@ -144,13 +144,25 @@ def contents(of: Counts) -> str:
     return ", ".join(map(plural, counts, ("image", "camera", "point", "observation")))
 
 
-FORMATS = ("bal", "colmap")
-"""Formats of reconstruction files; "-text" is added to a format for its text variant."""
+FORMATS = ("bal", "colmap", "bundler", "opensfm", "nvm", "openmvg")
+"""Formats of files that hold a reconstruction."""
+
+_NAMES = {
+    "bal": "BAL",
+    "colmap": "COLMAP",
+    "colmap-text": "COLMAP text",
+    "bundler": "Bundler",
+    "opensfm": "OpenSfM",
+    "nvm": "NVM",
+    "openmvg": "OpenMVG",
+    "transforms": "transforms.json",
+    "ply": "PLY",
+}
 
 
 def format_name(name: str) -> str:
     """Return the name of a file format in text: "COLMAP", "BAL", "COLMAP text"."""
-    return name.replace("-", " ").replace("colmap", "COLMAP").replace("bal", "BAL")
+    return _NAMES.get(name, name)
 
 
 def named(what: str, ids: Iterable[int | str]) -> str:

@@ -8,7 +8,13 @@ from bundle.cli.dispatch import GRAPH_FILE, SEVERAL, kind_of_input
 from bundle.cli.flags_by_kind import add_pose_graph_flags
 from bundle.cli.option_flags import add_fields, add_options
 from bundle.cli.path_checks import PathArgument, page_path, reconstruction
-from bundle.cli.shared_arguments import add_georeference, add_input, add_rig_config, add_rules
+from bundle.cli.shared_arguments import (
+    add_georeference,
+    add_input,
+    add_input_format,
+    add_rig_config,
+    add_rules,
+)
 from bundle.interface.options import INFORMATION, LINEARIZATION, PATTERN, SolveOptions
 
 __all__ = [
@@ -29,6 +35,7 @@ def add_info(parser: Parser) -> None:
     """Add the arguments of `bundle info`."""
     parser.usage = "bundle info INPUT... [options]"
     add_input(parser, "inputs", nargs="+")
+    add_input_format(parser)
     add_rig_config(parser)
     parser.set_defaults(kind=lambda _: SEVERAL)
 

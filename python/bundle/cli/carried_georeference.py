@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.georeference_file import OWNER, georeference_of, owner_of, path_beside
+from bundle.io.open import is_folder_format
 from bundle.reports.sections import dumps, plain
 
 if TYPE_CHECKING:
@@ -42,12 +43,12 @@ def check_georeference(path: str, format: str) -> None:
         OSError: permission is missing.
     """
     model = Path(path)
-    beside = path_beside(model, is_folder=format != "bal")
+    beside = path_beside(model, is_folder=is_folder_format(format))
     if not beside.parent.is_dir():
         return
     atomic.check_file(beside)
     owner = owner_of(beside)
-    if format != "bal" or owner in (None, model.name):
+    if is_folder_format(format) or owner in (None, model.name):
         return
     if not owner or (beside.parent / owner).exists():
         what = shown(owner) if owner else "the model in its folder"
@@ -107,7 +108,7 @@ def _write(found: dict[str, Any], path: str, format: str) -> None:
 
     model = Path(path)
     content = {name: value for name, value in found.items() if name != OWNER}
-    if format == "bal":
+    if not is_folder_format(format):
         content[OWNER] = model.name
-    beside = path_beside(model, is_folder=format != "bal")
+    beside = path_beside(model, is_folder=is_folder_format(format))
     atomic.write_text(beside, dumps(content))

@@ -38,6 +38,7 @@ from bundle.cli.shared_arguments import (
     add_format,
     add_georeference,
     add_input,
+    add_input_format,
     add_output,
     add_rig_config,
     add_rules,
@@ -52,6 +53,7 @@ def _refine(parser: Parser) -> None:
     parser.usage = "bundle refine INPUT -o OUTPUT [options]"
     add_input(parser)
     add_output(parser, "-o", "--output", required=True)
+    add_input_format(parser)
     add_rig_config(parser)
     add_options(parser, "SolveOptions", "options of the solve")
     parser.add_argument(
@@ -235,6 +237,7 @@ def _vio(parser: Parser) -> None:
 def _convert(parser: Parser) -> None:
     add_input(parser)
     add_output(parser, "output")
+    add_input_format(parser)
     add_rig_config(parser)
     add_options(parser, "LensOptions", "cameras of OUTPUT")
 

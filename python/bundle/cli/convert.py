@@ -14,6 +14,7 @@ from bundle.cli.option_flags import options_given
 from bundle.cli.output import check_replaced, publish, same_images
 from bundle.cli.problem_edits import cameras_edited, with_rigs
 from bundle.cli.progress import Progress
+from bundle.cli.shared_arguments import read_options
 from bundle.errors import shown
 from bundle.interface.camera_edit_options import LensOptions
 from bundle.io.open import check_target, load, output_format, save
@@ -27,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     source, path = arguments.input, arguments.output
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
-        problem = load(source, progress.text)
+        problem = load(source, progress.text, read_options(arguments))
         edits = cameras_edited(options_given(arguments, LensOptions), problem)
         edited = problem if edits is None else edits.problem
         edited = with_rigs(edited, arguments.rig_config)

@@ -141,7 +141,7 @@ def _open(asked: Refinement, progress: Progress) -> Opened:
     sliced = None
     if asked.is_plain:
         sliced = sliced_input(source, asked.target, asked.format, asked.options)
-    loaded = load(source, progress.text) if sliced is None else sliced.cameras
+    loaded = load(source, progress.text, asked.reading) if sliced is None else sliced.cameras
     load_time = perf_counter() - begun
     if loaded.num_observations == 0:
         raise InputError(f"{shown(source)}: expected observations to refine, found 0")

@@ -15,6 +15,7 @@ from bundle.cli.georeference_flags import georeference_given
 from bundle.cli.next_run import repeated_flags
 from bundle.cli.option_flags import options_given
 from bundle.cli.problem_edits import rules_as_options, rules_of
+from bundle.cli.shared_arguments import read_options
 from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
 from bundle.interface.camera_edit_options import LensOptions, RuleOptions
@@ -23,6 +24,7 @@ from bundle.interface.loop_options import LoopOptions
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
 from bundle.interface.validation_options import HoldOutOptions
+from bundle.io.formats.read_options import ReadOptions
 
 if TYPE_CHECKING:
     from bundle.solving.constraints.rule_list import Constraints
@@ -40,6 +42,7 @@ class Refinement:
 
     Attributes:
         source: path of INPUT.
+        reading: what the file of INPUT does not tell.
         target: path of OUTPUT.
         format: format of OUTPUT; None: determined by its name.
         overwrite: True if OUTPUT may replace a model of other images.
@@ -63,6 +66,7 @@ class Refinement:
     """
 
     source: str
+    reading: ReadOptions
     target: str
     format: str | None
     overwrite: bool
@@ -111,6 +115,7 @@ class Refinement:
         constraints = rules_of(rules)
         return Refinement(
             source=arguments.input,
+            reading=read_options(arguments),
             target=arguments.output,
             format=arguments.format,
             overwrite=arguments.overwrite,

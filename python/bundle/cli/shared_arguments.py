@@ -5,8 +5,11 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from bundle.base.words import FORMATS
 from bundle.cli.option_flags import add_options
 from bundle.cli.path_checks import PathArgument, a_path, reconstruction, report_path
+from bundle.errors import InputError
+from bundle.io.formats.read_options import ReadOptions
 from bundle.io.georeference_file import GEOREFERENCE
 from bundle.io.recognition import OUTPUT_FORMATS
 
@@ -15,9 +18,11 @@ __all__ = [
     "add_format",
     "add_georeference",
     "add_input",
+    "add_input_format",
     "add_output",
     "add_rig_config",
     "add_rules",
+    "read_options",
 ]
 
 MOVED = (
@@ -59,7 +64,8 @@ def add_input(
         nargs=nargs,
         type=reconstruction,
         help=(
-            "a BAL file (plain, .gz or .bz2), the folder of a COLMAP model (binary or text) or, "
+            "the folder of a COLMAP model (binary or text), a BAL file, a Bundler, NVM or OpenMVG "
+            "file (all plain, .gz or .bz2), an OpenSfM project or, "
             "for info, refine, compare, inspect, diagnose, covariance and convert, a pose graph "
             "(g2o, plain, .gz or .bz2), or, for info and convert, the folder of a visual-inertial "
             "sequence; the format is detected automatically"
@@ -86,8 +92,9 @@ def add_output(
         metavar="OUTPUT",
         type=PathArgument("output", is_data=True, replaces=replaces),
         help=(
-            "output path, which may be INPUT; NAME.txt, .txt.gz and .txt.bz2 are BAL files, NAME/ "
-            "and existing folders are COLMAP models, other names get the format of INPUT"
+            "output path, which may be INPUT; NAME.txt, .txt.gz and .txt.bz2 are BAL files, .out "
+            "Bundler, .nvm NVM, sfm_data.json OpenMVG, NAME/ and existing folders COLMAP models; "
+            "other names get the format of INPUT"
         ),
         **settings,
     )
@@ -104,6 +111,50 @@ def add_format(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--format", choices=OUTPUT_FORMATS, help="format of OUTPUT (default: by its name)"
     )
+
+
+def add_input_format(parser: argparse.ArgumentParser) -> None:
+    """Add the flags that tell what the file of INPUT does not."""
+    group = parser.add_argument_group("INPUT of another program")
+    group.add_argument(
+        "--input-format",
+        metavar="FORMAT",
+        choices=FORMATS,
+        help=f"format of INPUT: {', '.join(FORMATS)} (default: by its content)",
+    )
+    group.add_argument(
+        "--image-size",
+        metavar="W,H",
+        help="size of all images in pixels, where the file has no sizes (Bundler, NVM), or unknown "
+        "(default: from the photographs)",
+    )
+    group.add_argument(
+        "--image-list",
+        metavar="FILE",
+        type=a_path,
+        help="names of the images of a Bundler model (default: list.txt beside it or in the folder "
+        "above)",
+    )
+    group.add_argument(
+        "--reconstruction",
+        metavar="N",
+        type=int,
+        help="number of the reconstruction in a file with several, from 0 (default: the only one)",
+    )
+
+
+def read_options(given: argparse.Namespace) -> ReadOptions:
+    """Return the values of the flags of :func:`add_input_format`.
+
+    Raises:
+        InputError: a value is invalid.
+    """
+    try:
+        return ReadOptions.of(
+            given.input_format, given.image_size, given.image_list, given.reconstruction
+        )
+    except InputError as error:
+        raise InputError(f"--{str(error).replace('image_size', 'image-size')}") from None
 
 
 def add_rig_config(parser: argparse.ArgumentParser) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from bundle.interface.options import SolveOptions
 from bundle.io.atomic.model_files import is_text_model, missing_model_files
 from bundle.io.open import output_format, recover
+from bundle.io.recognition import imported_format
 from bundle.solving.ranks.launch import current
 
 if TYPE_CHECKING:
@@ -58,6 +59,6 @@ def sliced_input(
 def _format(source: Path) -> str | None:
     """Return "bal" or "colmap" for inputs that can be read in slices, otherwise None."""
     if source.is_file():
-        return "bal"
+        return "bal" if imported_format(source) is None else None
     is_binary = source.is_dir() and not missing_model_files(source) and not is_text_model(source)
     return "colmap" if is_binary else None

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.editing.cameras.exact_image import PERSPECTIVE, focal_and_center
 from bundle.figures.residual_field import (
     MOST_CAMERAS,
     by_observations,
@@ -26,6 +25,7 @@ from bundle.figures.residual_field import (
     principal_point,
 )
 from bundle.model.cameras import camera_models, project
+from bundle.model.lenses.exact_image import PERSPECTIVE, focal_and_center
 from bundle.model.problem import Problem
 
 __all__ = ["LensCurve", "lens_curve", "lens_curves", "most_observed_cameras"]

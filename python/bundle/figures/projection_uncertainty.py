@@ -38,9 +38,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.editing.cameras.pixel_rays import pixel_rays
 from bundle.figures.residual_field import image_box, principal_point
 from bundle.model.cameras import camera_models, project
+from bundle.model.lenses.pixel_rays import pixel_rays
 from bundle.model.losses import evaluate_loss
 from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals, residuals

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from bundle.base.paths import is_path
 from bundle.errors import InputError, brief
 from bundle.io import open as io
+from bundle.io.formats.read_options import ReadOptions
 from bundle.io.recognition import is_pose_graph_file
 from bundle.model import reprojection
 from bundle.model.problem import Problem
@@ -27,12 +28,24 @@ Source: TypeAlias = "Problem | str | os.PathLike[str] | pycolmap.Reconstruction"
 """A problem, the path of a problem, or a reconstruction in memory."""
 
 
-def load(path: str | os.PathLike[str]) -> Any:
-    """Read a reconstruction or a pose graph; the content decides which of the two.
+def load(
+    path: str | os.PathLike[str],
+    *,
+    format: str | None = None,
+    image_size: tuple[int, int] | str | None = None,
+    image_list: str | os.PathLike[str] | None = None,
+    reconstruction: int | None = None,
+) -> Any:
+    """Read a reconstruction or a pose graph; the content decides its format.
 
     Args:
-        path: folder of a COLMAP model (binary or text), a BAL file or a g2o file. BAL and g2o files
-            may be plain, gzip or bzip2.
+        path: folder of a COLMAP model (binary or text) or of an OpenSfM project; a BAL, Bundler,
+            NVM, OpenMVG (sfm_data.json) or g2o file, plain, gzip or bzip2.
+        format: "bundler", "opensfm", "nvm", "openmvg", "colmap" or "bal"; None: by the content.
+        image_size: width and height of all images in pixels, for formats without them, or
+            "unknown"; None: from the photographs.
+        image_list: list.txt of a Bundler model; None: in its folder or the folder above.
+        reconstruction: number of the reconstruction in a file with several, from 0.
 
     Returns:
         A :class:`bundle.Problem`, or a :class:`bundle.PoseGraph` for a g2o file.
@@ -43,7 +56,8 @@ def load(path: str | os.PathLike[str]) -> Any:
         OSError: the path does not exist or cannot be read.
     """
     if not is_pose_graph_file(path):
-        return io.load(path)
+        options = ReadOptions.of(format, image_size, image_list, reconstruction)
+        return io.load(path, options=options)
     from bundle.io.g2o_files import (
         load_g2o,  # late, as in save: refinements of models do not use it
     )
@@ -63,10 +77,11 @@ def save(
 
     Args:
         problem: the reconstruction, or the pose graph, which becomes a g2o file.
-        path: a BAL or g2o file (a name that ends in ".gz" or ".bz2" is compressed) or a COLMAP
-            folder.
-        format: "bal", "colmap" (binary) or "colmap-text" for a reconstruction. None: decided by the
-            path, then by the source of the problem.
+        path: a BAL or g2o file (a name that ends in ".gz" or ".bz2" is compressed), a COLMAP
+            folder, or a file or folder of another format.
+        format: "bal", "colmap" (binary), "colmap-text", "bundler", "opensfm", "nvm", "openmvg",
+            "transforms" or "ply" for a reconstruction. None: decided by the path, then by the
+            source of the problem.
 
     Raises:
         InputError: the format cannot hold the problem, or the path cannot be replaced.

@@ -9,6 +9,9 @@ from pathlib import Path
 
 from bundle.errors import InputError, shown
 from bundle.io.atomic.model_files import is_text_model
+from bundle.io.formats.read_options import ReadOptions
+from bundle.io.formats.registry import file_at
+from bundle.io.recognition import imported_format
 
 __all__ = ["has_same_images"]
 
@@ -26,10 +29,20 @@ def has_same_images(path: Path, names: Sequence[str]) -> bool:
     Raises:
         InputError, OSError: the model cannot be read.
     """
+    imported = imported_format(path, others=False)
+    if imported is not None:
+        problem = imported.functions().read(file_at(path, imported), ReadOptions(image_size=(0, 0)))
+        return _same(list(problem.image_names), names)
     if path.is_file():
         return _bal_images(path) == len(names)
     found = list(_text_names(path) if is_text_model(path) else _binary_names(path))
-    return Counter(found) == Counter(names) if all(names) else len(found) == len(names)
+    return _same(found, names)
+
+
+def _same(found: list[str], names: Sequence[str]) -> bool:
+    if all(names) and all(found):
+        return Counter(found) == Counter(names)
+    return len(found) == len(names)
 
 
 def _binary_names(folder: Path) -> Iterator[str]:

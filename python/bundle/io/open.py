@@ -1,4 +1,4 @@
-"""Reading and writing of problems as COLMAP models and BAL files.
+"""Reading and writing of problems: COLMAP models, BAL files, and formats of other programs.
 
 When reading, the format is detected from the content. Writing is atomic: see
 ``bundle.io.atomic.atomic_write``. If a killed process left a partly replaced model, reading and
@@ -7,6 +7,7 @@ writing first complete the replacement and warn (UserWarning).
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import warnings
 from collections.abc import Callable, Collection
@@ -25,12 +26,20 @@ from bundle.io.atomic.model_files import (
 )
 from bundle.io.atomic.replaced_paths import RecoveryWarning
 from bundle.io.file_names import check_name
+from bundle.io.formats.read_options import ReadOptions
+from bundle.io.formats.registry import FOLDERS, Format, file_at, find_format, format_for_name
 from bundle.io.georeference_file import remove_georeference
-from bundle.io.recognition import OUTPUT_FORMATS, is_pose_graph_file, other_format_at
+from bundle.io.recognition import (
+    OUTPUT_FORMATS,
+    imported_format,
+    is_pose_graph_file,
+    other_format_at,
+)
 from bundle.model.problem import Problem
 
 __all__ = [
     "check_target",
+    "is_folder_format",
     "load",
     "output_format",
     "recover",
@@ -44,12 +53,17 @@ MOST_HINTS = 5
 _BAL_SUFFIXES = (".txt", ".txt.gz", ".txt.bz2")
 
 
-def load(path: str | os.PathLike[str], progress: Callable[[int], None] | None = None) -> Problem:
-    """Read a COLMAP model folder (binary or text) or a BAL file (plain, gzip or bzip2).
+def load(
+    path: str | os.PathLike[str],
+    progress: Callable[[int], None] | None = None,
+    options: ReadOptions | None = None,
+) -> Problem:
+    """Read a COLMAP model folder, a BAL file, or a reconstruction of another program.
 
     Args:
         path: path of the folder or file.
-        progress: called repeatedly while a BAL file is read, with the bytes of text read so far.
+        progress: called repeatedly while text is read, with the bytes read so far.
+        options: information that the file does not have.
 
     Raises:
         InputError: the content violates its format; one line with path, place, expected and actual
@@ -58,6 +72,10 @@ def load(path: str | os.PathLike[str], progress: Callable[[int], None] | None = 
     """
     path = as_path(path)
     recover(path)
+    options = dataclasses.replace(options or ReadOptions(), progress=progress)
+    imported = _imported(path, options)
+    if imported is not None:
+        return imported.functions().read(file_at(path, imported), options)  # type: ignore[no-any-return]
     if path.is_dir():
         _check_model(path)
         return colmap.load(path)
@@ -90,7 +108,7 @@ def save(
     Args:
         problem: the problem to write.
         path: a BAL file (a name that ends in ".gz" or ".bz2" is compressed) or a COLMAP folder.
-        format: "bal", "colmap" (binary) or "colmap-text"; None: see ``output_format``.
+        format: one of ``OUTPUT_FORMATS``, such as "colmap" (binary); None: see ``output_format``.
         progress: called repeatedly while a BAL file is written, with the bytes of text so far.
 
     Raises:
@@ -107,6 +125,9 @@ def save(
             bal.save(problem, temporary, _compression(path), progress)
             remove_georeference(path, is_folder=False)
         return lost
+    imported = find_format(chosen)
+    if imported is not None:
+        return _save_imported(problem, path, imported)
     binary = chosen == "colmap"
     return save_model(path, chosen, lambda folder: colmap.save(problem, folder, binary=binary))
 
@@ -139,13 +160,14 @@ def output_format(
     format: str | None = None,
     source: str | os.PathLike[str] | None = None,
 ) -> str:
-    """Return the format in which ``save`` writes: "bal", "colmap" or "colmap-text".
+    """Return the format in which ``save`` writes, such as "bal", "colmap" or "colmap-text".
 
     The first rule that applies decides:
 
     * An explicit format.
-    * The path. Names in ".txt", ".txt.gz" and ".txt.bz2" mean BAL. An existing folder or a trailing
-      slash means COLMAP: text if the folder holds a text model, binary if it holds a binary model.
+    * The path. Names in ".txt", ".txt.gz" and ".txt.bz2" mean BAL, ".out" Bundler, ".nvm" NVM. An
+      existing folder or a trailing slash means COLMAP: text if the folder holds a text model,
+      binary if it holds a binary model; a folder with reconstruction.json means OpenSfM.
     * The format of the problem; COLMAP for a problem from memory. COLMAP is text
       if the problem was read from a text model at ``source``, otherwise binary.
 
@@ -154,16 +176,24 @@ def output_format(
     """
     folder = as_path(path)
     if format is not None:
-        return choice("format", format, OUTPUT_FORMATS)
+        return format if _is_of_others(format) else choice("format", format, OUTPUT_FORMATS)
     name = os.fspath(path)
     default = "colmap-text" if source is not None and is_text_model(Path(source)) else "colmap"
     if folder.is_dir() and not missing_model_files(folder):
         return "colmap-text" if is_text_model(folder) else "colmap"
+    if folder.is_dir() and (known := imported_format(folder, others=False)) and known.is_folder:
+        return known.name
     if name.endswith("/") or folder.is_dir():
         return default
     if name.lower().endswith(_BAL_SUFFIXES):
         return "bal"
+    by_name = format_for_name(folder)
+    if by_name is not None:
+        return by_name.name
     check_name(path, "a folder or of a BAL file (.txt, .txt.gz, .txt.bz2)", compressed=".txt")
+    own = find_format(source_format)
+    if own is not None and own.writes:
+        return own.name
     return "bal" if source_format == "bal" else default
 
 
@@ -194,6 +224,10 @@ def check_target(
         bal.check_refined(problem, refined, fixed_camera_ids)
         atomic.check_file(Path(path))
         return
+    imported = find_format(chosen)
+    if imported is not None:
+        _check_imported(problem, Path(path), imported)
+        return
     atomic.check_folder(Path(path))
     colmap.check_save(problem, binary=chosen == "colmap")
 
@@ -202,6 +236,64 @@ def recover(path: str | os.PathLike[str]) -> None:
     """Complete an interrupted replacement at a path and warn about it."""
     for sentence in atomic.recover(as_path(path)):
         warnings.warn(sentence, RecoveryWarning, stacklevel=3)
+
+
+def _imported(path: Path, options: ReadOptions) -> Format | None:
+    """Return the format of another program that a path has, or that the user named."""
+    if options.format is None:
+        return imported_format(path)
+    if options.format in ("bal", "colmap", "colmap-text"):
+        return None
+    known = find_format(options.format)
+    if known is None or not known.reads:
+        readable = [f for f in OUTPUT_FORMATS if (g := find_format(f)) is None or g.reads]
+        raise InputError(
+            f"input format: expected one of {', '.join(readable)}, found {brief(options.format)}"
+        )
+    return known
+
+
+def _is_of_others(name: object) -> bool:
+    """Return True for the name of a format of another package."""
+    return isinstance(name, str) and name not in OUTPUT_FORMATS and find_format(name) is not None
+
+
+def _check_imported(problem: Problem, path: Path, known: Format) -> None:
+    """Raise the error that writing this format would raise."""
+    functions = known.functions()
+    if not known.writes:
+        raise InputError(f"format: expected a format that can be written, found {known.name}")
+    if known.is_folder:
+        if path.is_dir() and not missing_model_files(path):
+            raise InputError(
+                f"{shown(path)}: expected {known.what} or a new path, found a COLMAP model"
+            )
+        atomic.check_file(path / "file" if path.is_dir() else path)
+    else:
+        atomic.check_file(path)
+    check = getattr(functions, "check", None)
+    if check is not None:
+        check(problem, path)
+
+
+def _save_imported(problem: Problem, path: Path, known: Format) -> tuple[str, ...]:
+    _check_imported(problem, path, known)
+    write = known.functions().write
+    if known.is_folder:
+        return tuple(write(problem, path))
+    with atomic.replace_file(path) as temporary:
+        lost = tuple(write(problem, temporary))
+        beside = getattr(known.functions(), "write_beside", None)
+        if beside is not None:
+            beside(problem, path)
+        remove_georeference(path, is_folder=False)
+    return lost
+
+
+def is_folder_format(format: str) -> bool:
+    """Return True if the output of a format is a folder."""
+    known = find_format(format)
+    return format in FOLDERS or (known is not None and known.is_folder)
 
 
 def _files_of_other_format(folder: Path, format: str) -> tuple[str, ...]:

@@ -11,12 +11,14 @@ from typing import TypeGuard
 from bundle.base.words import FORMATS
 from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files
 from bundle.io.file_names import format_of_name
+from bundle.io.formats.registry import BUILT_IN, Format, format_at
 from bundle.io.python_objects import is_python_object
 
 __all__ = [
     "OUTPUT_FORMATS",
     "SEQUENCE_FILES",
     "Kind",
+    "imported_format",
     "is_pose_graph_file",
     "other_format_at",
     "recognize",
@@ -25,9 +27,12 @@ __all__ = [
     "sequence_format",
 ]
 
-OUTPUT_FORMATS = (*FORMATS, "colmap-text")
+OUTPUT_FORMATS = (
+    *(name for name in FORMATS if name in ("bal", "colmap")),
+    "colmap-text",
+    *(known.name for known in BUILT_IN if known.writes),
+)
 """Formats in which reconstructions can be written."""
-
 
 _HEADER = re.compile(rb"\s*\d+\s+\d+\s+\d+\s+\d+\s+\d+\s+[-+.\d]")  # counts, first observation
 _RECORD = re.compile(
@@ -36,12 +41,10 @@ _RECORD = re.compile(
     rb"(?:ROBOT|RAW)LASER1\s)"
 )
 _SUFFIXES = (".g2o", ".g2o.gz", ".g2o.bz2")
-_ENOUGH = 512
+_ENOUGH = 4096
 _BEGINNINGS = {
     b"SQLite format 3": "a database, such as COLMAP's of features and matches",
-    b"NVM_V3": "an NVM model",
     b"ply": "a point cloud or mesh (PLY)",
-    b"# Bundle file": "a Bundler model",
     b"# Camera list": "a file of a COLMAP model without the others",
     b"# Image list": "a file of a COLMAP model without the others",
     b"# 3D point list": "a file of a COLMAP model without the others",
@@ -81,14 +84,33 @@ def recognize(path: object) -> Kind:
 
 
 def reconstruction_at(path: Path) -> str | None:
-    """Return "a COLMAP model", "a file of a COLMAP model", "a BAL file", "a pose graph" or None."""
+    """Return the kind of reconstruction at a path, such as "a COLMAP model", or None."""
+    if path.is_dir() and not missing_model_files(path):
+        return "a COLMAP model"
+    imported = imported_format(path, others=False)
+    if imported is not None:
+        return imported.what
     if path.is_dir():
-        return None if missing_model_files(path) else "a COLMAP model"
+        return None
     if path.name in MODEL_FILES and path.exists() and not missing_model_files(path.parent):
         return "a file of a COLMAP model"
     if path.is_file() and _HEADER.match(_beginning(path)):
         return "a BAL file"
     return "a pose graph" if is_pose_graph_file(path) else None
+
+
+def imported_format(path: Path, *, others: bool = True) -> Format | None:
+    """Return the format of a file or folder of another program by its content, or None.
+
+    Pipes are not opened. With ``others``, formats of other packages are asked, too, unless the file
+    begins as a BAL file does.
+    """
+    if path.is_dir():
+        return format_at(path, b"", others=others) if missing_model_files(path) else None
+    if not path.is_file():
+        return None
+    beginning = _beginning(path)
+    return format_at(path, beginning, others=others and not _HEADER.match(beginning))
 
 
 def is_pose_graph_file(path: object) -> TypeGuard[str | os.PathLike[str]]:
@@ -130,7 +152,10 @@ def sequence_at(path: object) -> str | None:
     try:
         place = Path(os.fspath(path))
         if place.is_dir():
-            return "sequence" if any((place / name).is_file() for name in SEQUENCE_FILES) else None
+            found = [name for name in SEQUENCE_FILES if (place / name).is_file()]
+            if found == ["tracks.csv"] and format_at(place, b"", others=False) is not None:
+                return None  # a project of OpenSfM
+            return "sequence" if found else None
         is_table = place.is_file() and _beginning(place).startswith(b"row_type,")
     except (TypeError, ValueError, OSError):
         return None

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from bundle.base.arguments import as_integers
 from bundle.base.display import Display, Displayed
 from bundle.base.words import pixels, plural
-from bundle.editing.cameras.exact_image import exact_params
-from bundle.editing.cameras.lens_fit import fit_lens, lens_region
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice
 from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, project
+from bundle.model.lenses.exact_image import exact_params
+from bundle.model.lenses.lens_fit import fit_lens, lens_region
 from bundle.model.problem import Problem
 
 __all__ = ["CameraModelChange", "ChangedModels", "change_camera_model"]

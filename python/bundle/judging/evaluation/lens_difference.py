@@ -23,8 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.editing.cameras.pixel_rays import pixel_rays
 from bundle.model.cameras import camera_models, project
+from bundle.model.lenses.pixel_rays import pixel_rays
 from bundle.model.pose_errors import ErrorStatistics
 from bundle.model.problem import Problem
 from bundle.model.rotations import (

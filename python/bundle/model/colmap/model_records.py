@@ -19,7 +19,7 @@ from bundle.model.colmap.keypoint_numbers import KeypointNumbers, number_keypoin
 from bundle.model.colmap.rig_records import MAX_ID, check_rigs, edited_rigs
 from bundle.model.colmap.source_records import Contents, Frame, Sensor, SourceRecords
 from bundle.model.problem_arrays import ProblemArrays
-from bundle.model.pycolmap.problem_source import source_records
+from bundle.model.pycolmap.problem_source import is_colmap, source_records
 from bundle.model.rigid_motions import multiply_as_colmap
 
 __all__ = ["ModelRecords", "check", "model_records"]
@@ -145,7 +145,7 @@ def model_records(problem: ProblemArrays, source: Any) -> ModelRecords:
     point_ids = problem.point_ids[by_point]
     rows = _rows_of(point_ids, contents.point_ids)
     colors = np.vstack([contents.point_colors, np.zeros((1, 3), np.uint8)])[rows]
-    names = _names(problem, is_named=records is not None)
+    names = _names(problem, is_named=is_colmap(source))
     return ModelRecords(
         camera_ids=problem.camera_ids[by_camera],
         camera_models=tuple(problem.camera_models[camera] for camera in by_camera),

@@ -2,7 +2,7 @@
 
 ``bundle.model.cameras`` has the projections. COLMAP inverts most models by Newton's method
 (src/colmap/sensor/models.h, CamFromImg).
-``bundle.editing.cameras.pixel_rays`` inverts a model to machine precision but is slower.
+``bundle.model.lenses.pixel_rays`` inverts a model to machine precision but is slower.
 """
 
 from __future__ import annotations

@@ -28,6 +28,7 @@ from bundle.model.colmap.source_records import (
     records_of_model,
 )
 from bundle.model.pycolmap.deferred_source import DeferredSource
+from bundle.model.pycolmap.imported_source import ImportedSource
 
 if TYPE_CHECKING:
     import pycolmap
@@ -64,7 +65,11 @@ class BalSource:
 
 def is_source(source: object) -> bool:
     """Return True if an object can be the source of a problem."""
-    return source is None or isinstance(source, BalSource) or is_reconstruction(source)
+    return (
+        source is None
+        or isinstance(source, BalSource | ImportedSource)
+        or is_reconstruction(source)
+    )
 
 
 def is_colmap(source: object) -> bool:
@@ -82,6 +87,8 @@ def beside_the_problem(source: Any) -> list[str]:
     """Return the kinds of information that a source has and its problem lacks."""
     if source is None or isinstance(source, BalSource):
         return []
+    if isinstance(source, ImportedSource):
+        return ["point colours"] if source.point_colors.any() else []
     is_known = is_reconstruction(source)
     colours = not is_known or any(point.color.any() for point in source.points3D.values())
     without_pose = not is_known or source.num_reg_images() < source.num_images()
@@ -166,7 +173,7 @@ def unpacked(source: Any) -> Any:
 
 
 def source_records(source: Any) -> SourceRecords | None:
-    """Return the records that a COLMAP source has and its problem lacks; None for other sources.
+    """Return the records that a source has and its problem lacks; None for BAL and no source.
 
     Args:
         source: source in the form kept by the problem; may be a model that is not yet converted to
@@ -185,6 +192,8 @@ def source_records(source: Any) -> SourceRecords | None:
             "source: expected a pycolmap.Reconstruction, the source of a problem from a BAL file, "
             f"or None, found {type(source).__name__}"
         )
+    if isinstance(source, ImportedSource):
+        return source.records()
     return _records(packed(source)) if is_reconstruction(source) else None
 
 

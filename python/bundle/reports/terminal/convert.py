@@ -19,6 +19,7 @@ from bundle.reports.terminal.inputs import (
     contents_of_graph,
     contents_of_sequence,
     graph_facts,
+    import_notes,
     problem_facts,
     written,
 )
@@ -44,6 +45,7 @@ def converted(
         warnings=warnings,
         sections=[
             Section(facts=edit_rows(edits), notes=lost),
+            Section(notes=import_notes(problem)),
             Section(facts=facts, is_detail=True),
         ],
         data={**edit_data(edits), "output": output, "lost": lost},

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bundle.base.words import contents, format_name, plural
+from bundle.base.words import contents, format_name, pixels, plural
 from bundle.errors import shown
 from bundle.model.problem import Problem
+from bundle.model.pycolmap.imported_source import ImportedSource
 
 if TYPE_CHECKING:
     from bundle.model.pose_graph_arrays import PoseGraph
@@ -21,6 +22,7 @@ __all__ = [
     "contents_of_graph",
     "contents_of_sequence",
     "graph_facts",
+    "import_notes",
     "problem_facts",
     "rig_fact",
     "written",
@@ -34,6 +36,7 @@ def problem_facts(path: str, problem: Problem, *, rigs: bool = False) -> Facts:
     return [
         ("input", f"{shown(path)} ({format_name(problem.format)})"),
         ("", contents(problem)),
+        *(("", note) for note in import_notes(problem)),
         *(rig_fact(problem) if rigs else []),
     ]
 
@@ -46,7 +49,27 @@ def about_problem(path: str, problem: Problem) -> dict[str, Any]:
         "path": path,
         "format": problem.format,
         **{name: getattr(problem, name) for name in counts},
+        **_about_import(problem),
     }
+
+
+def import_notes(problem: Problem) -> list[str]:
+    """Return sentences about the import from a file of another program; () for other problems."""
+    source = problem.source
+    if not isinstance(source, ImportedSource):
+        return []
+    agreement = (
+        f"RMSE {pixels(source.source_rmse)} px by the formula of {format_name(problem.format)}, "
+        f"{pixels(source.rmse)} px by COLMAP's."
+    )
+    return [agreement, *source.notes]
+
+
+def _about_import(problem: Problem) -> dict[str, Any]:
+    source = problem.source
+    if not isinstance(source, ImportedSource):
+        return {}
+    return {"source_rmse": source.source_rmse, "rmse": source.rmse, "notes": list(source.notes)}
 
 
 def rig_fact(problem: Problem) -> Facts:

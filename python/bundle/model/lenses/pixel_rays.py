@@ -21,8 +21,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.editing.cameras.exact_image import PERSPECTIVE, focal_and_center
 from bundle.model.cameras import project
+from bundle.model.lenses.exact_image import PERSPECTIVE, focal_and_center
 
 __all__ = ["angles", "pixel_rays"]
 

@@ -35,16 +35,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.words import plural
-from bundle.editing.cameras.exact_image import (
+from bundle.errors import InputError
+from bundle.model.cameras import param_kinds, project
+from bundle.model.lenses.exact_image import (
     PERSPECTIVE,
     asymmetric_params,
     extras_of,
     focal_and_center,
     is_symmetric,
 )
-from bundle.editing.cameras.pixel_rays import angles, pixel_rays
-from bundle.errors import InputError
-from bundle.model.cameras import param_kinds, project
+from bundle.model.lenses.pixel_rays import angles, pixel_rays
 
 __all__ = ["LensFit", "LensRegion", "fit_lens", "lens_region"]
 

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from bundle.editing.cameras.exact_image import exact_params
+from bundle.model.lenses.exact_image import exact_params
 from tests.formulas import PARAMS
 from tests.model.cameras.draws import random_params
 from tests.scenes import project

@@ -1,0 +1,1 @@
+"""Reconstructions in files of other programs: their registry, readers and writers."""

@@ -1,0 +1,165 @@
+"""A reconstruction in the arrays of its file, its problem, and the check of the conversion.
+
+Converters between formats are often wrong by a flipped axis, another origin or another meaning of
+distortion. Each reader therefore states the projection of its format a second time, as a few lines
+of NumPy on the numbers of the file (``Imported.project``). The reprojection errors by this formula
+and by the problem must agree to 1e-6 pixels, in the mean square and in the median, or the file is
+refused with both numbers. A lens that was fitted may differ by the error of its fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import bundle._core as _core
+from bundle.errors import InputError, shown
+from bundle.model.problem import Problem
+from bundle.model.pycolmap.imported_source import ImportedSource
+from bundle.model.rotations import quaternion_from_matrix
+
+__all__ = ["Imported", "checked_rotations", "poses_of", "rounded_colors", "unique_keys"]
+
+Array = NDArray[np.float64]
+
+AGREEMENT = 1e-6
+"""Largest difference of reprojection errors: pixels, or relative for errors above a pixel."""
+
+LEAST_ORTHONORMAL = 1e-3
+"""Largest entry of R R^T - I in a file; the nearest rotation is used."""
+
+_CHUNK = 1 << 18
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imported:
+    """A reconstruction in the arrays of its file.
+
+    Attributes:
+        path: file, for messages.
+        fields: fields of the problem by name.
+        colors: (num_points, 3) red, green, blue.
+        project: function of the images (n,) and the world points (n, 3) of observations that
+            returns their projections (n, 2) by the formula and in the unit of the format.
+        measured: (num_observations, 2) measured positions in the unit of the format.
+        unit: (num_images,) pixels per unit of the format.
+        fit_error: largest error of fitted lenses in pixels.
+        notes: sentences about data that the problem lacks or approximates.
+        data: values by name that the writer of the same format uses again.
+    """
+
+    path: Path
+    fields: Mapping[str, Any]
+    colors: NDArray[np.uint8]
+    project: Callable[[NDArray[np.int32], Array], Array]
+    measured: Array
+    unit: Array
+    fit_error: float = 0.0
+    notes: Sequence[str] = ()
+    data: Mapping[str, Any] = field(default_factory=dict)
+
+    def problem(self) -> Problem:
+        """Return the problem of the file.
+
+        Raises:
+            InputError: a value is invalid, or the reprojection errors do not agree.
+        """
+        try:
+            problem = Problem(**self.fields)
+        except InputError as error:
+            raise InputError(f"{shown(self.path)}: {error}") from None
+        theirs, ours = self._errors(problem), _core.reprojection_errors(problem, 0, "auto")[0]
+        defined = np.isfinite(theirs) & np.isfinite(ours)
+        if not defined.all():
+            theirs, ours = theirs[defined], ours[defined]
+        source_rmse, rmse = _rmse(theirs), _rmse(ours)
+        for name, one, other in (("RMSE", source_rmse, rmse), ("median", *_medians(theirs, ours))):
+            if not abs(one - other) <= AGREEMENT * max(1.0, one) + self.fit_error:
+                raise InputError(
+                    f"{shown(self.path)}: expected the same reprojection error ({name}) by the "
+                    f"formula of the format and by COLMAP's, found {one:.9g} px and {other:.9g} px"
+                )
+        source = ImportedSource(
+            point_ids=problem.point_ids,
+            point_colors=self.colors,
+            source_rmse=source_rmse,
+            rmse=rmse,
+            notes=tuple(self.notes),
+            data=self.data,
+        )
+        return problem.replace(source=source)
+
+    def _errors(self, problem: Problem) -> Array:
+        """Return the error of each observation in pixels by the formula of the format."""
+        errors = np.empty(problem.num_observations)
+        with np.errstate(all="ignore"):  # points in the plane of the camera
+            for begin in range(0, len(errors), _CHUNK):
+                part = slice(begin, begin + _CHUNK)
+                image = problem.observation_image[part]
+                points = problem.points[problem.observation_point[part]]
+                residual = self.project(image, points) - self.measured[part]
+                errors[part] = np.hypot(residual[:, 0], residual[:, 1]) * self.unit[image]
+        return errors
+
+
+def _rmse(errors: Array) -> float:
+    with np.errstate(over="ignore"):
+        return float(np.sqrt(np.mean(errors**2))) if len(errors) else 0.0
+
+
+def _medians(one: Array, other: Array) -> tuple[float, float]:
+    if not len(one):
+        return 0.0, 0.0
+    return float(np.median(one)), float(np.median(other))
+
+
+def checked_rotations(matrices: Array, place: Callable[[int], str]) -> Array:
+    """Return the rotations nearest to matrices (n, 3, 3) of a file, whose digits are rounded.
+
+    Args:
+        matrices: the matrices.
+        place: function that returns file and name of the i-th matrix.
+
+    Raises:
+        InputError: a matrix is not a rotation.
+    """
+    with np.errstate(all="ignore"):
+        product = matrices @ matrices.transpose(0, 2, 1)
+        off = np.abs(product - np.eye(3)).max(axis=(1, 2), initial=0.0)
+        wrong = ~((off <= LEAST_ORTHONORMAL) & (np.linalg.det(matrices) > 0))
+    if wrong.any():
+        index = int(np.argmax(wrong))
+        raise InputError(
+            f"{place(index)}: expected a rotation matrix, found one with R R^T - I up to "
+            f"{off[index]:.2g} and determinant {np.linalg.det(matrices[index]):.2g}"
+        )
+    u, _, vt = np.linalg.svd(matrices)
+    nearest: Array = u @ vt
+    return nearest
+
+
+def poses_of(rotations: Array, translations: Array) -> Array:
+    """Return poses (n, 7) of rotations (n, 3, 3) and translations (n, 3)."""
+    return np.column_stack([quaternion_from_matrix(rotations), translations])
+
+
+def unique_keys(image: NDArray[np.int32], key: NDArray[np.int32]) -> NDArray[np.int32] | None:
+    """Return the keypoint indices, or None if the file does not number its keypoints.
+
+    Some programs write the same index, such as 0, for several keypoints of an image.
+    """
+    if not len(key) or key.min() < 0:
+        return None
+    pairs = image.astype(np.int64) << 32 | key
+    pairs.sort()
+    return None if (pairs[1:] == pairs[:-1]).any() else key
+
+
+def rounded_colors(colors: Array) -> NDArray[np.uint8]:
+    """Return colours (n, 3) of numbers from 0 to 255."""
+    return np.rint(np.clip(np.nan_to_num(colors), 0, 255)).astype(np.uint8)

@@ -1,0 +1,225 @@
+"""VisualSFM's NVM files, version 3.
+
+A camera has f, a rotation as quaternion qw qx qy qz, its centre C and a distortion r. The
+projection m of a world point X, x to the right and y down from the centre of the image, solves
+
+    P = R (X - C),    p = (P_x, P_y) / P_z,    (1 + r |m / f|^2) m = f p:
+
+the distortion acts on the measurement. COLMAP has no such lens; with r = 0 it is SIMPLE_PINHOLE,
+otherwise RADIAL is fitted. The sizes of the images are not in the file. They are taken from the
+photographs, if those exist.
+
+Source: http://ccwu.me/vsfm/doc.html#nvm and PBA (C. Wu et al., Multicore Bundle Adjustment, 2011).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import bundle._core as _core
+from bundle.base.words import plural
+from bundle.errors import InputError, brief, shown
+from bundle.io.formats.fitted_lens import NUM_RADII, fitted_lens
+from bundle.io.formats.image_sizes import UNKNOWN_SIZES, image_sizes
+from bundle.io.formats.imported_model import Imported, unique_keys
+from bundle.io.formats.read_options import ReadOptions
+from bundle.io.formats.text_numbers import Head, number_of
+from bundle.model.problem import Problem
+from bundle.model.rotations import quaternion_rotate, rotation_matrices
+
+__all__ = ["read", "undistorted_scale"]
+
+_FIELDS = 10  # f qw qx qy qz cx cy cz r 0
+_MARGIN = 1.05  # of the radius of the farthest observation
+
+
+def read(path: Path, options: ReadOptions) -> Problem:
+    """Read an NVM model.
+
+    Raises:
+        InputError: the file violates its format, or has several models.
+        OSError: a file cannot be read.
+    """
+    names, cameras, num_points, head, center = _head(path)
+    tracks = _core.read_point_tracks(
+        path, head.position, head.num_lines, len(cameras), num_points, options.progress
+    )
+    _check_end(path, tracks)
+    known = all((path.parent / name).is_file() for name in names)
+    sizes = image_sizes(
+        names if known or options.image_size is not None else ("",) * len(names),
+        [path.parent],
+        options,
+        shown(path),
+    )
+    return _imported(path, cameras, tracks, names, sizes, center).problem()
+
+
+def _head(
+    path: Path,
+) -> tuple[list[str], NDArray[np.float64], int, Head, NDArray[np.float64] | None]:
+    """Return names and numbers of cameras, number of points, position after, fixed centre."""
+    head = Head(path)
+    try:
+        first = head.next_line("NVM_V3").split()
+        if first[0] != b"NVM_V3":
+            head.fail("NVM_V3", brief(first[0].decode(errors="replace")))
+        fixed = [number_of(token) for token in first[2:6]] if first[1:2] == [b"FixedK"] else []
+        center = None
+        if len(first) > 1:
+            if len(fixed) < 4 or None in fixed or fixed[0] != fixed[2]:
+                head.fail("NVM_V3, or NVM_V3 FixedK f cx f cy", "another first line")
+            center = np.array([fixed[1], fixed[3]], float)
+        num_cameras = head.count("the number of cameras")
+        names, rows = [], []
+        for camera in range(num_cameras):
+            what = f"camera {camera}: name f qw qx qy qz cx cy cz r 0"
+            words = head.next_line(what).rsplit(None, _FIELDS)
+            numbers = [number_of(word) for word in words[1:]]
+            if len(numbers) < _FIELDS or None in numbers:
+                head.fail(what, "another line")
+            names.append(words[0].decode(errors="surrogateescape"))
+            rows.append(numbers)
+        num_points = head.count("the number of points", 2**31 - 1)
+    finally:
+        head.close()
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"{shown(path)}: expected each image once, found {brief(twice)} twice")
+    return names, np.array(rows, float).reshape(-1, _FIELDS), num_points, head, center
+
+
+def _check_end(path: Path, tracks: dict[str, Any]) -> None:
+    """Refuse a second model; after the models there is 0, or comments and a list of files."""
+    after = tracks["next"].decode(errors="replace")
+    if not after or after.startswith("#") or after == "0":
+        return
+    found = f"another model, of {after} images" if after.isdigit() else brief(after)
+    raise InputError(
+        f"{shown(path)}:{tracks['next_line']}: expected one model, found {found}; "
+        "VisualSFM saves one model by itself (SfM, Save Current Model)"
+    )
+
+
+def _imported(
+    path: Path,
+    cameras: NDArray[np.float64],
+    tracks: dict[str, Any],
+    names: list[str],
+    sizes: NDArray[np.int64],
+    fixed_center: NDArray[np.float64] | None,
+) -> Imported:
+    focal, wxyz, position, distortion = (
+        cameras[:, 0],
+        cameras[:, 1:5],
+        cameras[:, 5:8],
+        cameras[:, 8],
+    )
+    for what, wrong in (
+        ("a focal length above 0", ~(focal > 0)),
+        ("a quaternion of length 1", ~(np.abs(np.linalg.norm(wxyz, axis=1) - 1) < 1e-3)),
+    ):
+        if wrong.any():
+            camera = int(np.argmax(wrong))
+            raise InputError(f"{shown(path)}: camera {camera}: expected {what}, found another")
+    q = wxyz[:, [1, 2, 3, 0]] / np.linalg.norm(wxyz, axis=1)[:, None]
+    image, xy = tracks["image"], tracks["xy"]
+    center = sizes / 2 if fixed_center is None else np.tile(fixed_center, (len(cameras), 1))
+    notes = []
+    if fixed_center is None and not sizes.all() and len(cameras):
+        notes.append(UNKNOWN_SIZES)
+    key = unique_keys(image, tracks["key"])
+    if key is None and len(image):
+        notes.append("Keypoints are not numbered in the file: an index occurs twice in an image.")
+    params = np.zeros((len(cameras), 5))
+    params[:, 0], params[:, 1:3] = focal, center
+    error = _fit(path, params, distortion, image, xy, notes)
+    rotations = rotation_matrices(q)
+
+    def project(i: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.float64]:
+        inside = np.einsum("nij,nj->ni", rotations[i], points - position[i])
+        p = inside[:, :2] / inside[:, 2:]
+        scale = undistorted_scale(np.hypot(p[:, 0], p[:, 1]), distortion[i])
+        projected: NDArray[np.float64] = (focal[i] * scale)[:, None] * p
+        return projected
+
+    return Imported(
+        path=path,
+        fields={
+            "cam_from_world": np.column_stack([q, -quaternion_rotate(q, position)]),
+            "image_names": tuple(names),
+            "image_camera": np.arange(len(cameras), dtype=np.int32),
+            "camera_models": tuple("RADIAL" if r else "SIMPLE_PINHOLE" for r in distortion),
+            "camera_params": params,
+            "camera_sizes": sizes,
+            "points": tracks["points"],
+            "observation_image": image,
+            "observation_point": tracks["point"],
+            "observation_xy": center[image] + xy,
+            **({} if key is None else {"observation_keypoint": key}),
+            "format": "nvm",
+        },
+        colors=tracks["colors"],
+        project=project,
+        measured=xy,
+        unit=np.ones(len(cameras)),
+        fit_error=error,
+        notes=notes,
+        data={"distortion": distortion},
+    )
+
+
+def undistorted_scale(
+    radius: NDArray[np.float64], distortion: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return s / radius, where s solves s (1 + r s^2) = radius on the branch from 0."""
+    s = radius.copy()
+    for _ in range(30):
+        step = (s * (1 + distortion * s * s) - radius) / (1 + 3 * distortion * s * s)
+        s -= step
+        if not (np.abs(step) > 1e-15 * np.abs(s)).any():
+            break
+    folded = 1 + 3 * distortion * s * s <= 0
+    return np.where(folded, np.nan, np.divide(s, radius, out=np.ones_like(s), where=radius > 0))
+
+
+def _fit(
+    path: Path,
+    params: NDArray[np.float64],
+    distortion: NDArray[np.float64],
+    image: NDArray[np.int32],
+    xy: NDArray[np.float64],
+    notes: list[str],
+) -> float:
+    """Fit RADIAL to each distorted lens, in place; return the largest error in pixels."""
+    distorted = np.flatnonzero(distortion)
+    if not len(distorted):
+        return 0.0
+    farthest = np.zeros(len(params))
+    np.maximum.at(farthest, image, np.sqrt((xy * xy).sum(axis=1)))
+    worst = 0.0
+    for camera in distorted.tolist():
+        focal, r = params[camera, 0], distortion[camera]
+        radius = _MARGIN * farthest[camera] if farthest[camera] else focal / 2
+        s = np.linspace(0, radius / focal, NUM_RADII + 1)[1:]
+        fit = None
+        if (1 + 3 * r * s * s > 0).all():  # otherwise the lens is folded
+            fit = fitted_lens(
+                "RADIAL", focal, params[camera, 1:3], np.arctan(s * (1 + r * s * s)), s * focal
+            )
+        if fit is None:
+            raise InputError(
+                f"{shown(path)}: camera {camera}: expected a distortion without a fold within "
+                f"{radius:.4g} px, found r = {r:g}"
+            )
+        params[camera] = fit.params
+        worst = max(worst, fit.error)
+    notes.append(
+        f"RADIAL was fitted to the {plural(len(distorted), 'lens', 'lenses')} with distortion, "
+        f"which acts on the measurement in NVM; the largest error is {worst:.2g} px."
+    )
+    return worst

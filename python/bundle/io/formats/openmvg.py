@@ -1,0 +1,249 @@
+"""OpenMVG's scenes, sfm_data.json.
+
+A view names its photograph, intrinsics and pose; a pose is a rotation R and a centre C, and a world
+point X is R (X - C) in the camera frame, x right, y down, z forward. Pixels are kept as they are in
+the file, as OpenMVG's own export to COLMAP does. The file is cereal's JSON: an entry of a map is
+``{"key": k, "value": v}``, and the name of a polymorphic type is written at its first occurrence
+only, with its number + 2^31.
+
+Source: openMVG/sfm/sfm_data_io_cereal.cpp, https://openmvg.readthedocs.io.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.words import plural
+from bundle.errors import InputError, brief, shown
+from bundle.io.formats.imported_model import Imported, checked_rotations, poses_of, unique_keys
+from bundle.io.formats.json_fields import Node, read_json
+from bundle.io.formats.openmvg_cameras import KINDS, MvgCamera, as_model, project, read_camera
+from bundle.io.formats.read_options import ReadOptions
+from bundle.model.problem import Problem
+
+__all__ = ["FIRST", "read"]
+
+Array = NDArray[np.float64]
+FIRST = 1 << 31
+"""Added to the number of a polymorphic type where its name is written."""
+_MOST_ID = 2**32 - 1
+
+
+class _View(NamedTuple):
+    name: str
+    intrinsic: int
+    pose: int
+
+
+class _Structure(NamedTuple):
+    ids: list[int]
+    points: Array
+    point: NDArray[np.int32]
+    view: list[int]
+    key: list[int]
+    xy: Array
+
+
+def read(path: Path, options: ReadOptions) -> Problem:
+    """Read an OpenMVG scene.
+
+    Raises:
+        InputError: the file violates its format.
+        OSError: the file cannot be read.
+    """
+    node = read_json(path)
+    views = {key: _view(value) for key, value in _map(node.get("views"))}
+    cameras = dict(_intrinsics(node.get("intrinsics")))
+    poses = dict(_map(node.get("extrinsics")))
+    structure = _structure(node.find("structure") or Node([], node.place))
+    if options.progress is not None:
+        options.progress(path.stat().st_size)
+    return _imported(path, node, views, cameras, poses, structure).problem()
+
+
+def _map(node: Node) -> Iterator[tuple[int, Node]]:
+    """Yield keys and values of a map.
+
+    Raises:
+        InputError: an entry is invalid, or a key occurs twice.
+    """
+    seen = set()
+    for entry in node.entries():
+        key = entry.get("key").whole(_MOST_ID)
+        if key in seen:
+            entry.get("key").fail("each key once")
+        seen.add(key)
+        yield key, entry.get("value")
+
+
+def _view(value: Node) -> _View:
+    data = value.get("ptr_wrapper").get("data")
+    data = data.find("View") or data
+    return _View(
+        name=data.get("local_path").text() + data.get("filename").text()
+        if data.find("local_path") is not None and data.get("local_path").value
+        else data.get("filename").text(),
+        intrinsic=data.get("id_intrinsic").whole(_MOST_ID),
+        pose=data.get("id_pose").whole(_MOST_ID),
+    )
+
+
+def _intrinsics(node: Node) -> Iterator[tuple[int, MvgCamera]]:
+    kinds: dict[int, str] = {}
+    for key, value in _map(node):
+        number = value.get("polymorphic_id").whole(_MOST_ID)
+        if value.find("polymorphic_name") is not None:
+            kinds[number % FIRST] = value.get("polymorphic_name").text()
+        kind = kinds.get(number % FIRST)
+        if kind not in KINDS:
+            place = value.find("polymorphic_name") or value.get("polymorphic_id")
+            place.fail(f"one of {', '.join(KINDS)}")
+        assert kind is not None
+        yield key, read_camera(kind, value.get("ptr_wrapper").get("data"))
+
+
+def _structure(node: Node) -> _Structure:
+    """Return points and observations; fast if all entries are valid."""
+    try:
+        landmarks = [(entry["key"], entry["value"]) for entry in node.value]
+        ids = [key for key, _ in landmarks]
+        flat = [number for _, value in landmarks for number in value["X"]]
+        counts = [len(value["observations"]) for _, value in landmarks]
+        seen = [one for _, value in landmarks for one in value["observations"]]
+        views = [one["key"] for one in seen]
+        values = [one["value"] for one in seen]
+        keys = [value["id_feat"] for value in values]
+        pixels = [number for value in values for number in value["x"]]
+        if not all(type(n) is int and 0 <= n <= _MOST_ID for n in (*ids, *views, *keys)):
+            raise ValueError
+        if not all(type(n) in (float, int) for numbers in (flat, pixels) for n in numbers):
+            raise ValueError
+        points = np.array(flat, float).reshape(len(ids), 3)
+        xy = np.array(pixels, float).reshape(len(views), 2)
+        if not (np.isfinite(points).all() and np.isfinite(xy).all()):
+            raise ValueError
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError):
+        _explain(node)
+        raise
+    if len(set(ids)) < len(ids):
+        _explain(node)
+    point = np.repeat(np.arange(len(ids), dtype=np.int32), counts)
+    return _Structure(ids, points, point, views, keys, xy)
+
+
+def _explain(node: Node) -> None:
+    """Raise the InputError for the first invalid entry of the structure."""
+    for _, value in _map(node):
+        value.get("X").numbers(3)
+        for observation in value.get("observations").entries():
+            observation.get("key").whole(_MOST_ID)
+            seen = observation.get("value")
+            seen.get("id_feat").whole(_MOST_ID)
+            seen.get("x").numbers(2)
+
+
+def _imported(
+    path: Path,
+    node: Node,
+    views: dict[int, _View],
+    cameras: dict[int, MvgCamera],
+    poses: dict[int, Node],
+    structure: _Structure,
+) -> Imported:
+    posed = {
+        key: view for key, view in views.items() if view.pose in poses and view.intrinsic in cameras
+    }
+    names = [view.name for view in posed.values()]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(
+            f"{node.place}: views: expected each file once, found {brief(twice)} twice"
+        )
+    image = _image_of(path, posed, views, structure)
+    camera_ids = list(cameras)
+    place = {key: index for index, key in enumerate(camera_ids)}
+    image_camera = np.array([place[view.intrinsic] for view in posed.values()], np.int32)
+    rotations = np.array(
+        [poses[view.pose].get("rotation").numbers(3, 3) for view in posed.values()]
+    ).reshape(-1, 3, 3)
+    centers = np.array(
+        [poses[view.pose].get("center").numbers(3) for view in posed.values()]
+    ).reshape(-1, 3)
+    nearest = checked_rotations(rotations, lambda k: poses[list(posed.values())[k].pose].place)
+    models = [as_model(camera) for camera in cameras.values()]
+    params = np.zeros((len(models), max((len(p) for _, p in models), default=1)))
+    for row, (_, values) in enumerate(models):
+        params[row, : len(values)] = values
+    key = np.array(structure.key, np.int64)
+    keys = unique_keys(image, key.astype(np.int32)) if (key < 2**31).all() else None
+    missing = len(views) - len(posed)
+    notes = []
+    if missing:
+        is_or_are = "is" if missing == 1 else "are"
+        notes.append(f"{plural(missing, 'view')} of {len(views)} {is_or_are} not registered.")
+    if keys is None and len(image):
+        notes.append("Features are not numbered in the file: an index occurs twice in a view.")
+
+    def projection(i: NDArray[np.int32], world: Array) -> Array:
+        inside = np.einsum("nij,nj->ni", rotations[i], world - centers[i])
+        result = np.empty((len(i), 2))
+        for row, camera in enumerate(cameras.values()):
+            mine = image_camera[i] == row
+            if mine.any():
+                result[mine] = project(camera, inside[mine])
+        return result
+
+    return Imported(
+        path=path,
+        fields={
+            "cam_from_world": poses_of(nearest, -np.einsum("nij,nj->ni", nearest, centers)),
+            "image_ids": np.array(list(posed), np.int64),
+            "image_names": tuple(names),
+            "image_camera": image_camera,
+            "camera_ids": np.array(camera_ids, np.int64),
+            "camera_models": tuple(model for model, _ in models),
+            "camera_params": params,
+            "camera_sizes": np.array(
+                [(c.width, c.height) for c in cameras.values()], np.int64
+            ).reshape(-1, 2),
+            "points": structure.points,
+            "point_ids": np.array(structure.ids, np.int64),
+            "observation_image": image,
+            "observation_point": structure.point,
+            "observation_xy": structure.xy,
+            **({} if keys is None else {"observation_keypoint": keys}),
+            "format": "openmvg",
+        },
+        colors=np.zeros((len(structure.ids), 3), np.uint8),
+        project=projection,
+        measured=structure.xy,
+        unit=np.ones(len(posed)),
+        notes=notes,
+        data={"root_path": node.value.get("root_path", "")},
+    )
+
+
+def _image_of(
+    path: Path, posed: dict[int, _View], views: dict[int, _View], structure: _Structure
+) -> NDArray[np.int32]:
+    """Return the index of the image of each observation.
+
+    Raises:
+        InputError: a view is unknown or has no pose.
+    """
+    place = {key: index for index, key in enumerate(posed)}
+    image = np.array([place.get(key, -1) for key in structure.view], np.int32)
+    if (image < 0).any():
+        first = int(np.argmax(image < 0))
+        view = structure.view[first]
+        why = "has no pose or intrinsics" if view in views else "does not exist"
+        raise InputError(
+            f"{shown(path)}: structure: {structure.ids[structure.point[first]]}: expected "
+            f"observations in views with a pose, found one in view {view}, which {why}"
+        )
+    return image

@@ -1,0 +1,231 @@
+"""OpenSfM's reconstruction.json with tracks.csv, versions 0, 1 and 2.
+
+A shot has a rotation vector and a translation cam_from_world, or, in a rig, the poses
+rig_camera_from_instance and instance_from_world, whose product they are. tracks.csv is in the
+folder of reconstruction.json or in the folder above; its lines for shots of the reconstruction and
+tracks with a point are the observations. Positions by GPS and the reference of the coordinates are
+kept for the writer.
+
+Source: https://opensfm.org/docs/dataset.html and opensfm/io.py.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import bundle._core as _core
+from bundle.base.words import plural
+from bundle.errors import InputError, shown
+from bundle.io.formats.imported_model import Imported, rounded_colors, unique_keys
+from bundle.io.formats.json_fields import Node, read_json
+from bundle.io.formats.opensfm_cameras import SfmCamera, as_model, project, read_camera
+from bundle.io.formats.opensfm_rigs import rig_fields
+from bundle.io.formats.read_options import ReadOptions
+from bundle.model.problem import Problem
+from bundle.model.rotations import quaternion_from_vector, quaternion_rotate
+
+__all__ = ["TRACKS", "chosen_reconstruction", "read"]
+
+TRACKS = "tracks.csv"
+Array = NDArray[np.float64]
+
+
+def read(path: Path, options: ReadOptions) -> Problem:
+    """Read an OpenSfM reconstruction.
+
+    Raises:
+        InputError: a file violates its format, or the file has several reconstructions and none is
+            chosen.
+        OSError: a file cannot be read.
+    """
+    node = chosen_reconstruction(read_json(path), options.reconstruction)
+    cameras = {name: read_camera(camera) for name, camera in node.get("cameras").items()}
+    shots = dict(node.get("shots").items())
+    points = node.find("points") or Node({}, node.place)
+    table = _tracks_file(path)
+    tracks = _core.read_tracks_csv(
+        table,
+        [name.encode(errors="surrogateescape") for name in shots],
+        [name.encode(errors="surrogateescape") for name, _ in points.items()],
+        options.progress,
+    )
+    if shots and points.value and not len(tracks["image"]):
+        raise InputError(
+            f"{shown(table)}: expected observations of the {plural(len(shots), 'shot')} of "
+            f"{shown(path)}, found 0"
+        )
+    return _imported(path, node, cameras, shots, points, tracks).problem()
+
+
+def chosen_reconstruction(node: Node, number: int | None) -> Node:
+    """Return the reconstruction with a number, or the only one of the file.
+
+    Raises:
+        InputError: the file has no reconstruction, or several and none is chosen.
+    """
+    found = list(node.entries())
+    if not found:
+        raise InputError(f"{node.place}: expected a reconstruction, found an empty list")
+    if number is not None:
+        if not 0 <= number < len(found):
+            raise InputError(
+                f"{node.place}: expected --reconstruction from 0 to {len(found) - 1}, "
+                f"found {number}"
+            )
+        return found[number]
+    if len(found) > 1:
+        sizes = ", ".join(str(len(list(one.get("shots").items()))) for one in found)
+        raise InputError(
+            f"{node.place}: expected one reconstruction, found {len(found)} (of {sizes} images); "
+            f"choose by --reconstruction 0 to {len(found) - 1}"
+        )
+    return found[0]
+
+
+def _tracks_file(path: Path) -> Path:
+    folders = (path.parent, path.parent.parent)
+    found = next((folder / TRACKS for folder in folders if (folder / TRACKS).is_file()), None)
+    if found is None:
+        raise InputError(
+            f"{shown(path)}: expected {TRACKS}, which has the observations, in its folder or the "
+            "folder above, found no such file"
+        )
+    return found
+
+
+def _imported(
+    path: Path,
+    node: Node,
+    cameras: dict[str, SfmCamera],
+    shots: dict[str, Node],
+    points: Node,
+    tracks: dict[str, Any],
+) -> Imported:
+    names = list(cameras)
+    models = [
+        as_model(camera, f"{node.place}: cameras: {name}") for name, camera in cameras.items()
+    ]
+    image_camera = np.array([_camera_of(shot, names) for shot in shots.values()], np.int32)
+    poses = np.array([_pose(shot) for shot in shots.values()]).reshape(-1, 7)
+    rigs = rig_fields(node, list(shots), image_camera, poses)
+    coordinates, colors = _points(points)
+    image, xy, key = tracks["image"], tracks["xy"], unique_keys(tracks["image"], tracks["key"])
+    unit = np.array([cameras[names[camera]].size for camera in image_camera], float)
+    sizes = np.array([(c.width, c.height) for c in cameras.values()], np.int64).reshape(-1, 2)
+    notes = list(rigs.notes)
+    fitted = [model for model in models if model.error]
+    if fitted:
+        notes.append(
+            f"RADIAL was fitted to {plural(len(fitted), 'dual lens', 'dual lenses')}; the largest "
+            f"error is {max(model.error for model in fitted):.2g} px."
+        )
+    if key is None and len(image):
+        notes.append("Features are not numbered in tracks.csv: an index occurs twice in an image.")
+    width = max((len(model.params) for model in models), default=1)
+    params = np.zeros((len(models), width))
+    for row, model in enumerate(models):
+        params[row, : len(model.params)] = model.params
+
+    def projection(i: NDArray[np.int32], world: Array) -> Array:
+        inside = quaternion_rotate(poses[i, :4], world) + poses[i, 4:]
+        result = np.empty((len(i), 2))
+        for row, camera in enumerate(cameras.values()):
+            mine = image_camera[i] == row
+            if mine.any():
+                result[mine] = project(camera, inside[mine])
+        return result
+
+    center = sizes[image_camera] / 2
+    camera_of_model = rigs.camera  # rigs with a shared lens have a copy of it per sensor
+    return Imported(
+        path=path,
+        fields={
+            "image_names": tuple(shots),
+            "image_camera": rigs.image_camera,
+            "camera_models": tuple(models[row].model for row in camera_of_model),
+            "camera_params": params[camera_of_model],
+            "camera_sizes": sizes[camera_of_model],
+            "points": coordinates,
+            **_point_ids([name for name, _ in points.items()]),
+            "observation_image": image,
+            "observation_point": tracks["point"],
+            "observation_xy": xy * unit[image][:, None] + center[image],
+            **({} if key is None else {"observation_keypoint": key}),
+            "format": "opensfm",
+            **rigs.fields,
+        },
+        colors=colors,
+        project=projection,
+        measured=xy,
+        unit=unit,
+        fit_error=max((model.error for model in models), default=0.0),
+        notes=notes,
+        data=_kept(node, [names[row] for row in camera_of_model], shots, tracks),
+    )
+
+
+def _kept(
+    node: Node, cameras: list[str], shots: dict[str, Node], tracks: dict[str, Any]
+) -> dict[str, Any]:
+    """Return what the writer uses again: names of cameras, GPS, reference, scales."""
+    gps = {
+        name: {key: shot.value[key] for key in _OF_SHOT if key in shot.value}
+        for name, shot in shots.items()
+    }
+    reference = node.find("reference_lla")
+    return {
+        "camera_names": cameras,
+        "shots": gps,
+        "reference_lla": None if reference is None else reference.value,
+        "scale": (tracks["image"], tracks["key"], tracks["scale"]),
+    }
+
+
+_OF_SHOT = ("orientation", "capture_time", "gps_dop", "gps_position", "compass", "skey")
+
+
+def _camera_of(shot: Node, names: list[str]) -> int:
+    name = shot.get("camera").text()
+    if name not in names:
+        shot.get("camera").fail("one of the cameras")
+    return names.index(name)
+
+
+def _pose(shot: Node) -> Array:
+    rotation, translation = (shot.get(name).numbers(3) for name in ("rotation", "translation"))
+    if np.abs(rotation).max() > 1e6:
+        shot.get("rotation").fail("a rotation vector in radians")
+    return np.concatenate([quaternion_from_vector(rotation[None])[0], translation])
+
+
+def _points(points: Node) -> tuple[Array, NDArray[np.uint8]]:
+    """Return coordinates and colours; fast if all points are valid."""
+    values = points.value.values()
+    try:
+        flat = [number for point in values for number in point["coordinates"]]
+        coordinates = np.array(flat, float).reshape(len(values), 3)
+        if not np.isfinite(coordinates).all() or not all(type(n) in (float, int) for n in flat):
+            raise ValueError
+    except (KeyError, TypeError, ValueError, OverflowError):
+        for _, point in points.items():
+            point.get("coordinates").numbers(3)
+        raise
+    try:
+        colors = np.array([point["color"] for point in values], float).reshape(-1, 3)
+        if len(colors) != len(values):
+            raise ValueError
+    except (KeyError, TypeError, ValueError, OverflowError):
+        colors = np.zeros((len(values), 3))
+    return coordinates, rounded_colors(colors)
+
+
+def _point_ids(names: list[str]) -> dict[str, NDArray[np.int64]]:
+    """Return the names as ids if they are different whole numbers, otherwise nothing."""
+    if not all(name.isascii() and name.isdigit() and len(name) < 18 for name in names):
+        return {}
+    ids = np.array(names, dtype=np.int64) if names else np.empty(0, np.int64)
+    return {"point_ids": ids} if len(np.unique(ids)) == len(ids) else {}

@@ -1,0 +1,177 @@
+"""The registry of formats of other programs: names, recognition by content, reader and writer.
+
+Another package adds a format by an entry point of the group ``bundle.formats``: an object of the
+class :class:`Format` whose ``module`` has the functions that the format supports::
+
+    read(path, options) -> bundle.Problem
+    write(problem, path) -> sentences on information that is lost
+    check(problem, path)                     # optional: raise what ``write`` would raise
+
+``write`` gets a temporary path, or for a format with ``is_folder`` the folder itself. COLMAP models
+and BAL files do not go through the registry: they are rewritten in place and read in slices.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bundle.errors import InputError, shown
+
+__all__ = ["FOLDERS", "Format", "file_at", "find_format", "format_at", "format_for_name"]
+
+GROUP = "bundle.formats"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """A format of reconstructions.
+
+    Attributes:
+        name: name for ``--format``.
+        what: kind of content for messages, such as "a Bundler model".
+        module: module (or its dotted name) with ``read`` and ``write``, or one of them.
+        pattern: regular expression that matches the first 4096 bytes of a file; empty: none.
+        members: names of files that make a folder a project of this format.
+        suffixes: ends of names of output files.
+        is_folder: True if the output is a folder.
+        reads: True if the format has a reader.
+        writes: True if it has a writer.
+    """
+
+    name: str
+    what: str
+    module: Any
+    pattern: bytes = b""
+    members: tuple[str, ...] = ()
+    suffixes: tuple[str, ...] = ()
+    is_folder: bool = False
+    reads: bool = True
+    writes: bool = True
+
+    def functions(self) -> Any:
+        """Return the module."""
+        return importlib.import_module(self.module) if isinstance(self.module, str) else self.module
+
+    def matches(self, beginning: bytes) -> bool:
+        """Return True if a file with these first bytes has this format."""
+        return bool(self.pattern and re.match(self.pattern, beginning, re.DOTALL))
+
+
+_HERE = "bundle.io.formats"
+BUILT_IN = (
+    Format(
+        name="bundler",
+        what="a Bundler model",
+        module=f"{_HERE}.bundler",
+        writes=False,
+        pattern=rb"\s*#\s*Bundle file",
+        members=("bundle.out", "bundle/bundle.out"),
+        suffixes=(".out",),
+    ),
+    Format(
+        name="nvm",
+        what="an NVM model",
+        module=f"{_HERE}.nvm",
+        writes=False,
+        pattern=rb"\s*NVM_V3",
+        members=("model.nvm",),
+        suffixes=(".nvm",),
+    ),
+    Format(
+        name="openmvg",
+        what="an OpenMVG scene",
+        module=f"{_HERE}.openmvg",
+        writes=False,
+        pattern=rb'\s*\{.{,2000}"(sfm_data_version|root_path)"\s*:',
+        members=("sfm_data.json",),
+        suffixes=("sfm_data.json",),
+    ),
+    Format(
+        name="opensfm",
+        what="an OpenSfM reconstruction",
+        module=f"{_HERE}.opensfm",
+        writes=False,
+        pattern=rb'\s*\[\s*(\{\s*"(cameras|shots|points|reference_lla|biases|rig_\w+)"\s*:|\]\s*$)',
+        members=("reconstruction.json",),
+        is_folder=True,
+    ),
+)
+
+FOLDERS = frozenset({"colmap", "colmap-text", "opensfm"})
+"""Formats whose output is a folder."""
+
+
+def _all(*, others: bool = True) -> Iterator[Format]:
+    yield from BUILT_IN
+    if others:  # late: reading the metadata of all packages takes time
+        from importlib.metadata import entry_points
+
+        for entry in entry_points(group=GROUP):
+            try:
+                found = entry.load()
+            except Exception as error:
+                raise InputError(f"entry point {GROUP}: {entry.name}: {error}") from error
+            if not isinstance(found, Format):
+                raise InputError(
+                    f"entry point {GROUP}: {entry.name}: expected a bundle.Format, found "
+                    f"{type(found).__name__}"
+                )
+            yield found
+
+
+def find_format(name: str) -> Format | None:
+    """Return the format of a name; None if it is unknown, and for COLMAP and BAL."""
+    built_in = next((known for known in BUILT_IN if known.name == name), None)
+    if built_in is not None or name in FOLDERS or name == "bal":
+        return built_in
+    return next((known for known in _all() if known.name == name), None)
+
+
+def file_at(path: Path, known: Format) -> Path:
+    """Return the file to read: the path, or the first member of a folder that exists.
+
+    Raises:
+        InputError: the folder has no such file.
+    """
+    if not path.is_dir():
+        return path
+    for name in known.members:
+        if (path / name).is_file():
+            return path / name
+    raise InputError(
+        f"{shown(path)}: expected {known.what}, found a folder without {' or '.join(known.members)}"
+    )
+
+
+def format_at(path: Path, beginning: bytes, *, others: bool = True) -> Format | None:
+    """Return the format of a file or folder by its content; None if no format matches.
+
+    Args:
+        path: path of the file or folder.
+        beginning: first bytes of a file.
+        others: also ask the formats of other packages.
+    """
+    is_folder = path.is_dir()
+    for known in _all(others=others):
+        if not known.reads:
+            continue
+        if (
+            any((path / name).is_file() for name in known.members)
+            if is_folder
+            else (known.matches(beginning))
+        ):
+            return known
+    return None
+
+
+def format_for_name(path: Path) -> Format | None:
+    """Return the built-in format with a writer that the name of an output means, or None."""
+    name = path.name.lower()
+    return next(
+        (f for f in BUILT_IN if f.writes and f.suffixes and name.endswith(f.suffixes)), None
+    )

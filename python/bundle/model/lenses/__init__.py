@@ -1,0 +1,1 @@
+"""Lenses across camera models: exact conversions, fits, and rays of pixels."""
