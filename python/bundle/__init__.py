@@ -79,6 +79,7 @@ if TYPE_CHECKING:
     from bundle.interface.triage_options import TriageOptions
     from bundle.interface.window_options import WindowOptions
     from bundle.io.files import load, reprojection_errors, save
+    from bundle.io.formats.registry import Format
     from bundle.io.pose_files import load_poses
     from bundle.io.sequences.sequence_folder import load_sequence, save_sequence
     from bundle.io.sequences.trajectory_files import Trajectory, load_trajectory
@@ -150,6 +151,7 @@ __all__ = [
     "FactorGraphInspection",
     "Filtered",
     "FlightOptions",
+    "Format",
     "FrameTracks",
     "FunctionFactor",
     "GaugeFreedom",
@@ -343,6 +345,7 @@ _DEFERRED = {
     "interface.triage_options": ("TriageOptions",),
     "interface.window_options": ("WindowOptions",),
     "io.files": ("load", "reprojection_errors", "save"),
+    "io.formats.registry": ("Format",),
     "io.pose_files": ("load_poses",),
     "io.sequences.sequence_folder": ("load_sequence", "save_sequence"),
     "io.sequences.trajectory_files": ("Trajectory", "load_trajectory"),

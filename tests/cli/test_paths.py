@@ -120,7 +120,7 @@ def test_what_may_be_the_same():
 
 
 FOREIGN = (
-    "m.ply", "m.nvm", "m.out", "m.json", "m.sfm", "m.xml", "m.pdf", "M.PLY", "m.v1.ply", "m.ply.gz",
+    "m.obj", "m.json", "m.sfm", "m.xml", "m.pdf", "M.LAS", "m.v1.las", "m.ply.gz", "m.out.gz",
     "m.npz", "m.jpg", "m.csv", "m.zip", "m.html", "m.g2o", "m.tum", "m.bin", "m.db",
 )  # fmt: skip
 

@@ -152,7 +152,7 @@ def _source_rotations(problem: Problem) -> tuple[NDArray[np.float64], NDArray[np
     return rotations, keeps
 
 
-def radial_params(problem: Problem) -> NDArray[np.float64]:
+def radial_params(problem: Problem, what: str = "a BAL file") -> NDArray[np.float64]:
     """Return f, cx, cy, k1, k2 of each image, in pixels: (num_images, 5).
 
     Raises:
@@ -163,7 +163,7 @@ def radial_params(problem: Problem) -> NDArray[np.float64]:
     for model in sorted(set(models)):
         images = np.flatnonzero(models == model)
         if model not in _LAYOUTS:
-            raise _unsupported(problem, images[0], f"expected one of {', '.join(_LAYOUTS)}")
+            raise _unsupported(problem, images[0], f"expected one of {', '.join(_LAYOUTS)}", what)
         layout = _LAYOUTS[model]
         source = problem.camera_params[problem.image_camera[images]]
         focal = source[:, list(layout.focal)]
@@ -171,7 +171,7 @@ def radial_params(problem: Problem) -> NDArray[np.float64]:
         beyond |= (source[:, list(layout.zero)] != 0).any(axis=1)
         if beyond.any():
             expected = "expected fx = fy and no tangential distortion"
-            raise _unsupported(problem, images[np.argmax(beyond)], expected)
+            raise _unsupported(problem, images[np.argmax(beyond)], expected, what)
         params[images, 0] = focal[:, 0]
         for column, parameter in enumerate(layout.principal_point + layout.distortion, start=1):
             params[images, column] = source[:, parameter]
@@ -204,11 +204,13 @@ def check_refined(
             raise _unsupported(problem, image, expected)
 
 
-def _unsupported(problem: Problem, image: int, expected: str) -> InputError:
+def _unsupported(
+    problem: Problem, image: int, expected: str, what: str = "a BAL file"
+) -> InputError:
     camera = problem.image_camera[image]
     name = problem.image_names[image]
     return InputError(
-        f"image {problem.image_ids[image]}{f' ({shown(name)})' if name else ''}: a BAL file cannot "
+        f"image {problem.image_ids[image]}{f' ({shown(name)})' if name else ''}: {what} cannot "
         f"hold its camera: {expected}, found {problem.camera_models[camera]} "
         f"(camera {problem.camera_ids[camera]})"
     )

@@ -31,7 +31,7 @@ def has_same_images(path: Path, names: Sequence[str]) -> bool:
     """
     imported = imported_format(path, others=False)
     if imported is not None:
-        problem = imported.functions().read(file_at(path, imported), ReadOptions(image_size=(0, 0)))
+        problem = imported.reading().read(file_at(path, imported), ReadOptions(image_size=(0, 0)))
         return _same(list(problem.image_names), names)
     if path.is_file():
         return _bal_images(path) == len(names)

@@ -75,7 +75,7 @@ def load(
     options = dataclasses.replace(options or ReadOptions(), progress=progress)
     imported = _imported(path, options)
     if imported is not None:
-        return imported.functions().read(file_at(path, imported), options)  # type: ignore[no-any-return]
+        return imported.reading().read(file_at(path, imported), options)  # type: ignore[no-any-return]
     if path.is_dir():
         _check_model(path)
         return colmap.load(path)
@@ -260,7 +260,7 @@ def _is_of_others(name: object) -> bool:
 
 def _check_imported(problem: Problem, path: Path, known: Format) -> None:
     """Raise the error that writing this format would raise."""
-    functions = known.functions()
+    functions = known.writing()
     if not known.writes:
         raise InputError(f"format: expected a format that can be written, found {known.name}")
     if known.is_folder:
@@ -278,12 +278,12 @@ def _check_imported(problem: Problem, path: Path, known: Format) -> None:
 
 def _save_imported(problem: Problem, path: Path, known: Format) -> tuple[str, ...]:
     _check_imported(problem, path, known)
-    write = known.functions().write
+    write = known.writing().write
     if known.is_folder:
         return tuple(write(problem, path))
     with atomic.replace_file(path) as temporary:
         lost = tuple(write(problem, temporary))
-        beside = getattr(known.functions(), "write_beside", None)
+        beside = getattr(known.writing(), "write_beside", None)
         if beside is not None:
             beside(problem, path)
         remove_georeference(path, is_folder=False)

@@ -169,7 +169,7 @@ def _imported(
         unit=np.ones(len(cameras)),
         fit_error=error,
         notes=notes,
-        data={"distortion": distortion},
+        data={"distortion": distortion, "params": params},
     )
 
 

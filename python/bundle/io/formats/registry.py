@@ -5,7 +5,8 @@ class :class:`Format` whose ``module`` has the functions that the format support
 
     read(path, options) -> bundle.Problem
     write(problem, path) -> sentences on information that is lost
-    check(problem, path)                     # optional: raise what ``write`` would raise
+    check(problem, path)           # optional: raises what ``write`` would raise
+    write_beside(problem, path)    # optional: writes further files beside the output
 
 ``write`` gets a temporary path, or for a format with ``is_folder`` the folder itself. COLMAP models
 and BAL files do not go through the registry: they are rewritten in place and read in slices.
@@ -35,6 +36,7 @@ class Format:
         name: name for ``--format``.
         what: kind of content for messages, such as "a Bundler model".
         module: module (or its dotted name) with ``read`` and ``write``, or one of them.
+        writer: module with ``write`` and ``check``; None: ``module``.
         pattern: regular expression that matches the first 4096 bytes of a file; empty: none.
         members: names of files that make a folder a project of this format.
         suffixes: ends of names of output files.
@@ -46,6 +48,7 @@ class Format:
     name: str
     what: str
     module: Any
+    writer: Any = None
     pattern: bytes = b""
     members: tuple[str, ...] = ()
     suffixes: tuple[str, ...] = ()
@@ -53,13 +56,21 @@ class Format:
     reads: bool = True
     writes: bool = True
 
-    def functions(self) -> Any:
-        """Return the module."""
-        return importlib.import_module(self.module) if isinstance(self.module, str) else self.module
+    def reading(self) -> Any:
+        """Return the module with ``read``."""
+        return _module(self.module)
+
+    def writing(self) -> Any:
+        """Return the module with ``write``."""
+        return _module(self.module if self.writer is None else self.writer)
 
     def matches(self, beginning: bytes) -> bool:
         """Return True if a file with these first bytes has this format."""
         return bool(self.pattern and re.match(self.pattern, beginning, re.DOTALL))
+
+
+def _module(given: Any) -> Any:
+    return importlib.import_module(given) if isinstance(given, str) else given
 
 
 _HERE = "bundle.io.formats"
@@ -68,7 +79,7 @@ BUILT_IN = (
         name="bundler",
         what="a Bundler model",
         module=f"{_HERE}.bundler",
-        writes=False,
+        writer=f"{_HERE}.bundler_writer",
         pattern=rb"\s*#\s*Bundle file",
         members=("bundle.out", "bundle/bundle.out"),
         suffixes=(".out",),
@@ -77,7 +88,7 @@ BUILT_IN = (
         name="nvm",
         what="an NVM model",
         module=f"{_HERE}.nvm",
-        writes=False,
+        writer=f"{_HERE}.nvm_writer",
         pattern=rb"\s*NVM_V3",
         members=("model.nvm",),
         suffixes=(".nvm",),
@@ -86,7 +97,7 @@ BUILT_IN = (
         name="openmvg",
         what="an OpenMVG scene",
         module=f"{_HERE}.openmvg",
-        writes=False,
+        writer=f"{_HERE}.openmvg_writer",
         pattern=rb'\s*\{.{,2000}"(sfm_data_version|root_path)"\s*:',
         members=("sfm_data.json",),
         suffixes=("sfm_data.json",),
@@ -95,10 +106,24 @@ BUILT_IN = (
         name="opensfm",
         what="an OpenSfM reconstruction",
         module=f"{_HERE}.opensfm",
-        writes=False,
+        writer=f"{_HERE}.opensfm_writer",
         pattern=rb'\s*\[\s*(\{\s*"(cameras|shots|points|reference_lla|biases|rig_\w+)"\s*:|\]\s*$)',
         members=("reconstruction.json",),
         is_folder=True,
+    ),
+    Format(
+        name="transforms",
+        what="nerfstudio's transforms.json",
+        module=f"{_HERE}.transforms",
+        suffixes=("transforms.json",),
+        reads=False,
+    ),
+    Format(
+        name="ply",
+        what="a point cloud (PLY)",
+        module=f"{_HERE}.ply",
+        suffixes=(".ply",),
+        reads=False,
     ),
 )
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bundle.model.colmap.source_records import SourceRecords
 
-__all__ = ["ImportedSource"]
+__all__ = ["ImportedSource", "imported_source"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,3 +51,12 @@ class ImportedSource:
             )
 
         return SourceRecords(contents=contents)
+
+
+def imported_source(problem: Any) -> ImportedSource | None:
+    """Return the source of a problem that was read from a file of another program, or None.
+
+    Unlike ``problem.source``, this does not convert a COLMAP model to a reconstruction.
+    """
+    source = vars(problem)["source"]
+    return source if isinstance(source, ImportedSource) else None

@@ -44,8 +44,7 @@ def converted(
         headline=[_wrote(output, contents(content), lost)],
         warnings=warnings,
         sections=[
-            Section(facts=edit_rows(edits), notes=lost),
-            Section(notes=import_notes(problem)),
+            Section(facts=edit_rows(edits), notes=[*lost, *import_notes(problem)]),
             Section(facts=facts, is_detail=True),
         ],
         data={**edit_data(edits), "output": output, "lost": lost},

@@ -15,7 +15,7 @@ from bundle.base.words import contents, format_name, number, pixels, plural
 from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.model.problem import Problem
-from bundle.model.pycolmap.imported_source import ImportedSource
+from bundle.model.pycolmap.imported_source import imported_source
 from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_problem, problem_facts
 from bundle.reports.terminal.refine import worst_sections
@@ -77,8 +77,9 @@ def _headline(path: str, problem: Problem, description: Description, count: int)
     rmse = "Reprojection error unknown"
     if error is not None and error.num_observations:
         rmse = f"RMSE {pixels(error.rmse)} px, median {pixels(error.median)} px"
-    if isinstance(problem.source, ImportedSource):
-        source = pixels(problem.source.source_rmse)
+    imported = imported_source(problem)
+    if imported is not None:
+        source = pixels(imported.source_rmse)
         rmse += f" (RMSE by the formula of {format_name(problem.format)}: {source} px)"
     pieces = plural(len(description.covisibility.component_sizes), "connected piece")
     return [

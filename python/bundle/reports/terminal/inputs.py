@@ -9,7 +9,7 @@ import numpy as np
 from bundle.base.words import contents, format_name, pixels, plural
 from bundle.errors import shown
 from bundle.model.problem import Problem
-from bundle.model.pycolmap.imported_source import ImportedSource
+from bundle.model.pycolmap.imported_source import imported_source
 
 if TYPE_CHECKING:
     from bundle.model.pose_graph_arrays import PoseGraph
@@ -55,8 +55,8 @@ def about_problem(path: str, problem: Problem) -> dict[str, Any]:
 
 def import_notes(problem: Problem) -> list[str]:
     """Return sentences about the import from a file of another program; () for other problems."""
-    source = problem.source
-    if not isinstance(source, ImportedSource):
+    source = imported_source(problem)
+    if source is None:
         return []
     agreement = (
         f"RMSE {pixels(source.source_rmse)} px by the formula of {format_name(problem.format)}, "
@@ -66,8 +66,8 @@ def import_notes(problem: Problem) -> list[str]:
 
 
 def _about_import(problem: Problem) -> dict[str, Any]:
-    source = problem.source
-    if not isinstance(source, ImportedSource):
+    source = imported_source(problem)
+    if source is None:
         return {}
     return {"source_rmse": source.source_rmse, "rmse": source.rmse, "notes": list(source.notes)}
 

@@ -1,0 +1,207 @@
+"""Writer of OpenSfM's reconstruction.json and tracks.csv; ``opensfm`` derives the conventions."""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.io.atomic import atomic_write as atomic
+from bundle.io.formats.opensfm import TRACKS
+from bundle.io.formats.written_tracks import (
+    camera_error,
+    check_names,
+    colors_of,
+    common_losses,
+    keys_of,
+    names_of,
+    write_rows,
+)
+from bundle.model.cameras import camera_models
+from bundle.model.lenses.exact_image import exact_params
+from bundle.model.problem import Problem
+from bundle.model.pycolmap.imported_source import imported_source
+from bundle.model.rotations import vector_from_quaternion
+
+__all__ = ["check", "write"]
+
+_SCALE = 0.004
+"""Scale of a feature, relative to the image, where it is unknown."""
+
+
+def check(problem: Problem, path: Path) -> None:  # noqa: ARG001
+    """Raise the error that :func:`write` would raise.
+
+    Raises:
+        InputError: OpenSfM has no such camera, a size is unknown, or a name cannot be written.
+    """
+    for camera in range(problem.num_cameras):
+        _camera(problem, camera)
+    check_names(problem, TRACKS)
+
+
+def write(problem: Problem, path: Path) -> tuple[str, ...]:
+    """Write the files of an OpenSfM project into a folder; return sentences on what is lost."""
+    content = _reconstruction(problem)
+    path.mkdir(exist_ok=True)
+    with ExitStack() as stack:  # both files are complete before either replaces an old one
+        tracks = stack.enter_context(atomic.replace_file(path / TRACKS))
+        model = stack.enter_context(atomic.replace_file(path / "reconstruction.json"))
+        _write_tracks(problem, tracks)
+        text = json.dumps([content], indent=1, ensure_ascii=False)
+        model.write_text(text + "\n", "utf-8", errors="surrogateescape")
+    keeps = ("rigs", "colors", "sharing", "names", "sizes", "point ids")
+    return common_losses(problem, keeps=(*keeps, "ids"))
+
+
+def _reconstruction(problem: Problem) -> dict[str, Any]:
+    source = imported_source(problem)
+    data = source.data if source is not None and "shots" in source.data else {}
+    known = data.get("camera_names", [])
+    cameras = [_camera_name(problem, camera, known) for camera in range(problem.num_cameras)]
+    names = names_of(problem)
+    shots = {
+        name: {
+            **_pose(problem.cam_from_world[image]),
+            "camera": cameras[problem.image_camera[image]],
+            **data.get("shots", {}).get(name, {}),
+        }
+        for image, name in enumerate(names)
+    }
+    colors = colors_of(problem).astype(float).tolist()
+    points = {
+        str(number): {"color": color, "coordinates": coordinates}
+        for number, color, coordinates in zip(
+            problem.point_ids.tolist(), colors, problem.points.tolist(), strict=True
+        )
+    }
+    lla = data.get("reference_lla") or {"latitude": 0.0, "longitude": 0.0, "altitude": 0.0}
+    return {
+        "cameras": {name: _camera(problem, camera) for camera, name in enumerate(cameras)},
+        "shots": shots,
+        "points": points,
+        "biases": {},
+        **_rigs(problem, names),
+        "reference_lla": lla,
+    }
+
+
+def _camera_name(problem: Problem, camera: int, known: list[str]) -> str:
+    """Return the name of the file for a camera that was read from it, otherwise one by its id."""
+    camera_id = int(problem.camera_ids[camera])
+    name = known[camera_id] if 0 <= camera_id < len(known) else f"camera {camera_id}"
+    is_copy = known.count(name) > 1 and known.index(name) != camera_id
+    return f"{name} {camera_id}" if is_copy else name
+
+
+def _pose(pose: NDArray[np.float64]) -> dict[str, list[float]]:
+    unit = pose[:4] / np.linalg.norm(pose[:4])
+    rotation = vector_from_quaternion(unit[None])[0]
+    return {"rotation": rotation.tolist(), "translation": pose[4:].tolist()}
+
+
+def _rigs(problem: Problem, names: list[str]) -> dict[str, Any]:
+    identity = {"rotation": [0.0, 0.0, 0.0], "translation": [0.0, 0.0, 0.0]}
+    rig_cameras: dict[str, Any] = {}
+    instances: dict[str, Any] = {}
+    for image, name in enumerate(names):
+        frame = int(problem.image_frame[image]) if problem.num_frames else -1
+        if frame < 0:
+            rig_cameras["rig_camera"] = identity
+            pose = _pose(problem.cam_from_world[image])
+            instances[name] = pose | {"rig_camera_ids": {name: "rig_camera"}}
+            continue
+        sensor = int(problem.image_sensor[image])
+        rig = int(problem.frame_rig_ids[frame])
+        own = f"rig {rig} camera {problem.camera_ids[problem.image_camera[image]]}"
+        rig_cameras[own] = identity if sensor < 0 else _pose(problem.sensor_from_rig[sensor])
+        key = f"frame {problem.frame_ids[frame]}"
+        if key not in instances:
+            instances[key] = _pose(problem.rig_from_world[frame]) | {"rig_camera_ids": {}}
+        instances[key]["rig_camera_ids"][name] = own
+    return {"rig_cameras": rig_cameras, "rig_instances": instances}
+
+
+def _camera(problem: Problem, camera: int) -> dict[str, Any]:
+    """Return a camera in OpenSfM's JSON.
+
+    Raises:
+        InputError: OpenSfM has no such camera, or its size is unknown.
+    """
+    model = problem.camera_models[camera]
+    width, height = problem.camera_sizes[camera].tolist()
+    if not width or not height:
+        expected = "a known image size (--image-size W,H)"
+        raise camera_error(problem, camera, "an OpenSfM project", expected)
+    size = max(width, height)
+    found = {"projection_type": "spherical", "width": width, "height": height}
+    if model == "EQUIRECTANGULAR":
+        return found
+    params = problem.camera_params[camera, : len(camera_models()[model])]
+    for target, kind in (("RADIAL", "perspective"), ("RADIAL_FISHEYE", "fisheye")):
+        values = exact_params(model, params, target)
+        if values is None or values[1] != width / 2 or values[2] != height / 2:
+            continue
+        k1, k2 = values[3:].tolist()
+        return found | {"projection_type": kind, "focal": values[0] / size, "k1": k1, "k2": k2}
+    for target, kind in (
+        ("OPENCV", "brown"),
+        ("FULL_OPENCV", "brown"),
+        ("OPENCV_FISHEYE", "fisheye_opencv"),
+    ):
+        values = exact_params(model, params, target)
+        if values is None or (target == "FULL_OPENCV" and values[9:].any()):
+            continue
+        fx, fy, cx, cy, *k = values.tolist()
+        two = {"focal_x": fx / size, "focal_y": fy / size}
+        two |= {"c_x": (cx - width / 2) / size, "c_y": (cy - height / 2) / size}
+        names = ("k1", "k2", "k3", "k4") if kind != "brown" else ("k1", "k2", "p1", "p2", "k3")
+        terms = dict.fromkeys(names, 0.0) | dict(zip(names, k, strict=False))
+        return found | {"projection_type": kind} | two | terms
+    expected = "a lens of OpenSfM (perspective, brown, fisheye, fisheye_opencv or spherical)"
+    raise camera_error(problem, camera, "an OpenSfM project", expected)
+
+
+def _write_tracks(problem: Problem, path: Path) -> None:
+    """Write tracks.csv, version 2, image by image."""
+    names = names_of(problem)
+    image = problem.observation_image
+    order = np.argsort(image, kind="stable")
+    ends = np.searchsorted(image[order], np.arange(problem.num_images + 1))
+    sizes = problem.camera_sizes[problem.image_camera]
+    colors, keys, scales = colors_of(problem), keys_of(problem), _scales(problem)
+    with path.open("w", encoding="utf-8", errors="surrogateescape") as file:
+        file.write("OPENSFM_TRACKS_VERSION_v2\n")
+        for row, name in enumerate(names):
+            mine = order[ends[row] : ends[row + 1]]
+            point = problem.observation_point[mine]
+            xy = (problem.observation_xy[mine] - sizes[row] / 2) / sizes[row].max(initial=1)
+            columns = np.column_stack(
+                [problem.point_ids[point], keys[mine], xy, scales[mine], colors[point]]
+            )
+            literal = name.replace("%", "%%")
+            template = f"{literal}\t%d\t%d\t%r\t%r\t%r\t%d\t%d\t%d\t-1\t-1\n"
+            write_rows(file, template, columns)
+
+
+def _scales(problem: Problem) -> NDArray[np.float64]:
+    """Return the scale of each feature as it was read, if it was."""
+    scales = np.full(problem.num_observations, _SCALE)
+    source = imported_source(problem)
+    if source is None or "scale" not in source.data:
+        return scales
+    image, key, known = source.data["scale"]
+    if not len(known) or not (problem.observation_keypoint >= 0).all():
+        return scales
+    table = image.astype(np.int64) << 32 | key
+    order = np.argsort(table)
+    ids = problem.image_ids[problem.observation_image]
+    wanted = ids << 32 | problem.observation_keypoint
+    place = np.minimum(np.searchsorted(table[order], wanted), len(order) - 1)
+    found = table[order[place]] == wanted
+    scales[found] = known[order[place[found]]]
+    return scales
