@@ -130,7 +130,7 @@ def test_the_name_chooses_the_compression(tmp_path: Path, problem, name: str, ma
 
 def test_an_unknown_format_is_named(tmp_path: Path, problem) -> None:
     with pytest.raises(
-        bundle.InputError, match="expected one of bal, colmap, colmap-text, bundler, .*found 'obj'"
+        bundle.InputError, match=r"expected one of bal, colmap, colmap-text, bundler, .*found 'obj'"
     ):
         bundle.save(problem, tmp_path / "out", "obj")
 

@@ -59,9 +59,7 @@ class LineCursor {
   }
 
   /// The rest of the line without its line end.
-  std::string_view Line() const {
-    return {cursor_, static_cast<size_t>(end_of_line_ - cursor_)};
-  }
+  std::string_view Line() const { return {cursor_, static_cast<size_t>(end_of_line_ - cursor_)}; }
 
   /// Number of the current line, from 1.
   int64_t line() const { return line_; }
