@@ -239,3 +239,12 @@ def test_no_false_alarm_on_real_data(bundle_data, name):
     report = bundle.check_jacobians(problem, samples_per_image=300)
     assert report, report
     assert report.num_checked > 0
+
+
+def test_the_command_writes_the_page(run, tmp_path):
+    problem = make_problem(model="PINHOLE", num_images=2, num_points=8)
+    bundle.save(problem, tmp_path / "model")
+    page = tmp_path / "check.html"
+    code, _, _ = run("check", tmp_path / "model", "--html", page, "--quiet")
+    assert code == 0
+    assert "Against the step size" in page.read_text()

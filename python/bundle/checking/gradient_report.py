@@ -11,6 +11,7 @@ from typing import Any
 from bundle.base.display import Display
 from bundle.base.tables import Bar, Block, Columns, columns, facts, notes, render
 from bundle.base.words import plural
+from bundle.checking.check_details import CheckDetails
 from bundle.checking.evidence import Finding
 
 __all__ = [
@@ -144,6 +145,8 @@ class GradientReport:
         worst: entries with the largest errors, worst first.
         histogram: (low, high, count) of the relative errors of all entries, by decades.
         gradient_checker: results of ceres::GradientChecker.
+        details: errors of all entries and curves against the step size, of each kind of residual;
+            None unless requested.
     """
 
     ok: bool
@@ -160,6 +163,7 @@ class GradientReport:
     histogram: tuple[tuple[float, float, int], ...]
     gradient_checker: GradientCheckerSummary
     undecided: tuple[Undecided, ...] = ()
+    details: tuple[CheckDetails, ...] | None = None
 
     @property
     def num_undecided(self) -> int:

@@ -14,7 +14,8 @@ from bundle.checking.gradient_report import GradientReport
 from bundle.checking.jacobian_deviation import Array
 from bundle.checking.manifolds import ManifoldLike
 from bundle.checking.residual_blocks import Layout, Name, sample
-from bundle.checking.sample_check import SamplePoint, check_samples
+from bundle.checking.sample_check import check_samples
+from bundle.checking.sample_points import SamplePoint
 from bundle.errors import InputError, brief
 from bundle.interface.check_options import TOLERANCE
 from bundle.interface.option_fields import number
@@ -33,6 +34,7 @@ def check_function_at(
     seed: int = 0,
     tolerance: float = TOLERANCE,
     ambient: bool = True,
+    details: bool = False,
 ) -> GradientReport:
     """Check the Jacobians of a function; see :func:`bundle.check_gradients`."""
     if not callable(function):
@@ -61,4 +63,6 @@ def check_function_at(
             for manifold, block in zip(layout.manifolds, start, strict=True)
         ]
         samples.append(SamplePoint(user, around))
-    return check_samples(samples, layout, tolerance=tolerance, ambient=ambient)
+    return check_samples(
+        samples, layout, tolerance=tolerance, ambient=ambient, details=as_flag("details", details)
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.arguments import check_function
 from bundle.checking.assemble import CHECKER_PRECISION, make_report, undecided_points
+from bundle.checking.check_details import CheckDetails, make_details
 from bundle.checking.classify import classify, float_precision
 from bundle.checking.evidence import Evidence, Finding
 from bundle.checking.gradient_report import GradientCheckerSummary, GradientReport, Offender
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.model_check import ModelCheck
+from bundle.checking.reprojection_lines import ReprojectionLines
 from bundle.checking.tally import Worst
 from bundle.errors import InputError
 from bundle.interface.check_options import SAMPLES_PER_IMAGE, TOLERANCE
@@ -34,6 +36,8 @@ ROUNDING_UNITS = 16
 """Number of rounding errors that accumulate in a residual and its Jacobian."""
 CLOSE_UNITS = 1024
 """Factor by which differences over a fraction of the depth amplify rounding errors."""
+MOST_DRAWN = 500
+"""Number of observations of a camera model of which a page shows the errors."""
 TURN = 0.3
 """Rotation [rad] from the origin of its chart at which every other observation is checked."""
 
@@ -48,6 +52,7 @@ def check_problem(
     tolerance: float = TOLERANCE,
     cheirality: str = "auto",
     num_threads: int = 0,
+    details: bool = False,
     progress: Progress | None = None,
 ) -> GradientReport:
     """Check the Jacobians of a reconstruction; see :func:`bundle.check_jacobians`."""
@@ -68,7 +73,10 @@ def check_problem(
         check.add(observations[chunk], offsets[chunk])
         if progress is not None:
             progress(min(begin + CHUNK, len(observations)), len(observations))
-    return check.report()
+    report = check.report()
+    if not details:
+        return report
+    return replace(report, details=check.details(observations, offsets))
 
 
 _Answer = tuple[
@@ -125,6 +133,7 @@ class _Check:
             kept = np.flatnonzero(decided | ~close[rows])
             rows, deviations = rows[kept], deviations.take(kept)
             found = model.tally.add(deviations, observations[rows].astype(np.intp))
+            model.look_at(observations[rows[found]], observations[rows[~found]])
             for row in rows[found]:
                 model.offsets[int(observations[row])] = offsets[row]
             if not found.any() and self.settings.tolerance <= TOLERANCE:
@@ -168,6 +177,33 @@ class _Check:
             gradient_checker=GradientCheckerSummary(*map(int, self.probes)),
             undecided=undecided_points("observation", self.undecided, self._place),
         )
+
+    def details(self, observations: NDArray[np.int64], offsets: Array) -> tuple[CheckDetails, ...]:
+        """Return errors of all entries and curves of some, of each camera model.
+
+        The residual along a column is computed here by :func:`bundle.project`, not by the core.
+        """
+        found = []
+        for model in self.models.values():
+            points = np.unique(model.looked_at)[:MOST_DRAWN].astype(np.int64)
+            if not len(points):
+                continue
+            turns = offsets[np.searchsorted(observations, points)]
+            answer = self._ask(self.problem, points, turns)
+            analytic, reference, uncertainty = (part[..., model.source] for part in answer[:3])
+            uncertainty = uncertainty + _rounding_errors(reference, answer[4])
+            lines = ReprojectionLines(self.problem, points, turns)
+            found.append(
+                make_details(
+                    [column.name for column in model.tally.columns],
+                    [column.group for column in model.tally.columns],
+                    JacobianDeviation(analytic, reference, uncertainty),
+                    self.settings.tolerance,
+                    lines.line,
+                    lambda k, points=points: self._place(int(points[k])),  # type: ignore[misc]
+                )
+            )
+        return tuple(found)
 
     def _decide(self, deviations: JacobianDeviation) -> NDArray[np.bool_]:
         """Return the mask of points with a mistake, or with most entries known to be correct."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bundle.checking.columns import Block, Column
 from bundle.checking.evidence import Finding
 from bundle.checking.jacobian_deviation import Array
-from bundle.checking.tally import Tally
+from bundle.checking.tally import MOST_KEPT, Tally
 from bundle.model.cameras import camera_models, param_kinds
 
 __all__ = ["ModelCheck"]
@@ -29,6 +29,8 @@ class ModelCheck:
         tally: statistics of its Jacobians.
         offsets: by observation, the rotation vector at which it was checked.
         findings: mistakes found so far.
+        wrong: observations with a mistake, at most MOST_KEPT.
+        right: observations without a mistake, at most MOST_KEPT.
     """
 
     name: str
@@ -36,6 +38,8 @@ class ModelCheck:
     tally: Tally
     offsets: dict[int, Array] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
+    wrong: list[int] = field(default_factory=list)
+    right: list[int] = field(default_factory=list)
 
     @staticmethod
     def make(name: str, tolerance: float) -> ModelCheck:
@@ -50,6 +54,16 @@ class ModelCheck:
         source = np.arange(len(columns))
         source[-3:] = [-3, -2, -1]  # after columns of other models
         return ModelCheck(name, source, Tally(columns, tolerance))
+
+    def look_at(self, wrong: NDArray[np.int64], right: NDArray[np.int64]) -> None:
+        """Keep some observations for a page."""
+        for kept, new in ((self.wrong, wrong), (self.right, right)):
+            kept += new[: max(MOST_KEPT - len(kept), 0)].tolist()
+
+    @property
+    def looked_at(self) -> list[int]:
+        """Observations of which a page shows the errors."""
+        return self.wrong + self.right
 
     @property
     def blocks(self) -> list[Block]:

@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-import bundle._core as _core
 from bundle.base.words import plural
-from bundle.checking.assemble import CHECKER_PRECISION, make_report, undecided_points
+from bundle.checking.assemble import make_report, undecided_points
+from bundle.checking.check_details import CheckDetails, make_details
 from bundle.checking.classify import classify, float_precision, is_single, stale
 from bundle.checking.columns import Block, Column
 from bundle.checking.evidence import Evidence, Finding, join_names
-from bundle.checking.function import UserFunction
 from bundle.checking.gradient_report import GradientCheckerSummary, GradientReport, Offender
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.padding import padded
 from bundle.checking.residual_blocks import Layout
-from bundle.checking.step_curve import Line, acquitted, walk
+from bundle.checking.sample_points import Probe, SampleLines, SamplePoint
 from bundle.checking.tally import Tally
 from bundle.interface.check_options import TOLERANCE
 
-__all__ = ["SamplePoint", "check_samples"]
+__all__ = ["check_samples"]
 
 SAME_RESIDUAL = 1e-9
 """Largest difference between residuals of two calls at one point, relative to the largest entry."""
@@ -36,45 +34,19 @@ SINGLE_TOLERANCE = 1e-4
 ROUGH = 1e-3
 """Largest relative uncertainty of the reference that rounding can cause at the given point."""
 
-_Probe = tuple[bool, Array | None, Array | None, str]
-
-
-@dataclass(frozen=True, eq=False)
-class SamplePoint:
-    """Values of the blocks at which a function is checked; each point may have its own function."""
-
-    user: UserFunction
-    blocks: list[Array]
-
-    def evaluate(self) -> tuple[Array, Array]:
-        """Return the residual (R,) and the Jacobians of all blocks, concatenated to (R, N)."""
-        return self.user.evaluate(self.blocks)
-
-    def reference(self, manifolds: list[tuple[str, list[int]]]) -> Any:
-        """Return the result of Richardson extrapolation."""
-        return _core.richardson_jacobian(
-            self.user.core, self.user.num_residuals, self.blocks, manifolds
-        )
-
-    def probe(self, manifolds: list[tuple[str, list[int]]]) -> _Probe:
-        """Return the result of ceres::GradientChecker."""
-        return _core.gradient_checker(
-            self.user.core, self.user.num_residuals, self.blocks, manifolds, CHECKER_PRECISION
-        )
-
-    def without(self, parameter: int) -> SamplePoint | None:
-        """Return the point with one parameter set to zero; None if it has no residual."""
-        flat = np.concatenate(self.blocks)
-        flat[parameter] = 0.0
-        blocks = np.split(flat, np.cumsum(self.user.sizes)[:-1])
-        return None if self.user.core(blocks, False) is None else SamplePoint(self.user, blocks)
-
 
 def check_samples(
-    samples: Sequence[SamplePoint], layout: Layout, *, tolerance: float, ambient: bool = True
+    samples: Sequence[SamplePoint],
+    layout: Layout,
+    *,
+    tolerance: float,
+    ambient: bool = True,
+    details: bool = False,
 ) -> GradientReport:
     """Check Jacobians at sample points; the first sample is the point given by the user."""
-    return _Check(samples, layout, tolerance, ambient).run()
+    check = _Check(samples, layout, tolerance, ambient)
+    report = check.run()
+    return replace(report, details=check.details()) if details else report
 
 
 class _Check:
@@ -84,6 +56,7 @@ class _Check:
         self, samples: Sequence[SamplePoint], layout: Layout, tolerance: float, ambient: bool
     ) -> None:
         self.layout, self.tolerance = layout, tolerance
+        self.watched: tuple[JacobianDeviation, Sequence[int]] | None = None
         self.user = samples[0].user
         self.ambient = ambient or not layout.is_curved
         # Evaluate the samples in sequence and before all else, to detect a stale cache.
@@ -122,10 +95,11 @@ class _Check:
                 tangents[projected],
                 tangent_doubts[projected],
             )
-        space = self._appealed(space, range(len(space)), along_manifold=False)
+        lines = SampleLines(self.samples, self.residuals, self.layout)
+        space = lines.appealed(space, range(len(space)), self.tolerance, along_manifold=False)
         repeated = JacobianDeviation(repeated.analytic, space.reference, space.uncertainty)
         tangent = (
-            self._appealed(tangent, projected, along_manifold=True)
+            lines.appealed(tangent, projected, self.tolerance, along_manifold=True)
             if self.layout.is_curved
             else space
         )
@@ -135,46 +109,25 @@ class _Check:
         if not findings:
             findings = self._undecided_start(watched, numbers)
         undecided = self._undecided(watched, numbers)
+        self.watched = watched, numbers
         return self._report(tallies, findings, self._summary(space, checker), undecided)
 
-    def _appealed(
-        self, deviations: JacobianDeviation, samples: Sequence[int], *, along_manifold: bool
-    ) -> JacobianDeviation:
-        """Return the deviations with entries undecided that are a derivative at another scale."""
-        wrong = deviations.error > self.tolerance
-        if not wrong.any():
-            return deviations
-        uncertainty = deviations.uncertainty.copy()
-        off = np.abs(deviations.analytic - deviations.reference)
-        for k, j in zip(*np.nonzero(wrong.any(axis=1)), strict=True):
-            if not np.isfinite(deviations.analytic[k, :, j]).all():
-                continue
-            line = self.line(samples[k], int(j), along_manifold=along_manifold)
-            scale = float(deviations.scale[k, 0, j])
-            found = acquitted(line, deviations.analytic[k, :, j], off[k, :, j], scale)
-            found &= wrong[k, :, j]
-            uncertainty[k, found, j] += off[k, found, j]
-        return JacobianDeviation(deviations.analytic, deviations.reference, uncertainty)
-
-    def line(self, sample: int, column: int, *, along_manifold: bool) -> Line:
-        """Return the residuals at steps along a column of the Jacobian."""
-        at = self.samples[sample]
-        manifolds = self.layout.manifolds
-        sizes = [m.tangent_size if along_manifold else m.size for m in manifolds]
-        b = int(np.searchsorted(np.cumsum(sizes), column, side="right"))
-        direction = np.zeros(sizes[b])
-        direction[column - sum(sizes[:b])] = 1.0
-        is_curved = along_manifold and manifolds[b].is_curved
-
-        def values(step: float) -> Array | None:
-            blocks = [block.copy() for block in at.blocks]
-            move = step * direction
-            blocks[b] = manifolds[b].plus(blocks[b], move) if is_curved else blocks[b] + move
-            answer = at.user.core(blocks, False)
-            return None if answer is None else answer[0]
-
-        size = 1.0 if is_curved else float(at.blocks[b] @ direction)
-        return walk(values, self.residuals[sample], size)
+    def details(self) -> tuple[CheckDetails, ...]:
+        """Return the errors of all entries and curves of some; () if nothing was compared."""
+        if self.watched is None:
+            return ()
+        deviations, numbers = self.watched
+        lines = SampleLines(self.samples, self.residuals, self.layout)
+        columns = self.layout.columns if self.ambient else self.layout.tangent_columns
+        details = make_details(
+            [column.name for column in columns],
+            [column.group for column in columns],
+            deviations,
+            self.tolerance,
+            lambda k, j: lines.line(numbers[k], j, along_manifold=not self.ambient),
+            lambda k: f"sample {numbers[k]}",
+        )
+        return (details,)
 
     def _undecided_start(
         self, deviations: JacobianDeviation, samples: Sequence[int]
@@ -302,7 +255,7 @@ class _Check:
         )
 
     def _summary(
-        self, space: JacobianDeviation, checker: Sequence[_Probe]
+        self, space: JacobianDeviation, checker: Sequence[Probe]
     ) -> GradientCheckerSummary:
         wrong = (space.error > self.tolerance).any(axis=(1, 2))
         agreed = np.array([bool(probe[0]) for probe in checker])

@@ -116,6 +116,12 @@ def add_check(parser: Parser) -> None:
         "--all", action="store_true", help="check every observation, or every factor of a graph"
     )
     add_fields(group, "CheckOptions", ("seed", "tolerance", "num_threads"))
+    group.add_argument(
+        "--html",
+        metavar="FILE",
+        type=page_path(),
+        help="also write a page: wrong entries, and curves against the step size",
+    )
     add_pose_graph_flags(parser, ("error",), "pose graphs (.g2o)")
 
 

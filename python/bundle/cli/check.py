@@ -33,8 +33,13 @@ def run(arguments: argparse.Namespace) -> int:
         report = check_problem(
             problem,
             **options,
+            details=arguments.html is not None,
             progress=lambda done, total: progress.stage(f"checked {done} of {total} observations"),
         )
+    if arguments.html is not None:
+        from bundle.reports.page.check_page import write_check  # only for a page
+
+        write_check(report, arguments.html, str(arguments.input))
     wall = perf_counter() - started
     publish(checked(arguments.input, problem, report, options, wall), arguments)
     if report.ok:

@@ -36,7 +36,7 @@ from bundle.reports.terminal.inputs import about_graph, graph_facts
 
 __all__ = ["check_edges_of_file", "check_object"]
 
-FLAGS = ("samples_per_image", "all", "seed", "tolerance", "num_threads")
+FLAGS = ("samples_per_image", "all", "seed", "tolerance", "num_threads", "html")
 
 
 def check_edges_of_file(arguments: argparse.Namespace) -> int:
@@ -85,14 +85,20 @@ def check_object(arguments: argparse.Namespace) -> int:
 def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
     options = options_given(arguments, CheckOptions)
     most = None if arguments.all else options.samples_per_image
-    return {"most_of_a_kind": most, "seed": options.seed, "tolerance": options.tolerance}
+    return {
+        "most_of_a_kind": most,
+        "seed": options.seed,
+        "tolerance": options.tolerance,
+        "details": arguments.html is not None,
+    }
 
 
 def _check(
     source: str, thing: Any, settings: dict[str, Any], progress: Callable[[int], None]
 ) -> GradientReport | FactorCheck:
     """Check what a user's file holds."""
-    most, each = settings["most_of_a_kind"], {k: settings[k] for k in ("seed", "tolerance")}
+    most = settings["most_of_a_kind"]
+    each = {name: settings[name] for name in ("seed", "tolerance", "details")}
     if isinstance(thing, FactorGraph):
         return thing.check_gradients(progress=progress, **settings)
     if isinstance(thing, PoseGraph):
@@ -131,6 +137,10 @@ def _counting(progress: Progress, noun: str) -> Callable[[int], None]:
 def _publish(
     report: Report, found: GradientReport | FactorCheck, arguments: argparse.Namespace
 ) -> int:
+    if arguments.html is not None:
+        from bundle.reports.page.check_page import write_check  # only for a page
+
+        write_check(found, arguments.html, str(arguments.input))
     publish(report, arguments)
     if found.ok:
         return EXIT_DONE

@@ -44,6 +44,7 @@ def check_jacobians(
     cheirality: str = "auto",
     error: str = "log",
     num_threads: int = 0,
+    details: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> GradientReport | FactorCheck:
     """Check the analytic Jacobians that a solve of this input would use.
@@ -63,6 +64,7 @@ def check_jacobians(
         cheirality: as in a solve; observations that do not count are skipped.
         error: error of the edges of a pose graph, as in a solve.
         num_threads: number of threads; 0: all cores. Graphs are checked on one thread.
+        details: also compute what ``bundle.html.write_check`` draws.
         progress: called with the number of finished and the total number of observations.
 
     Returns:
@@ -84,6 +86,7 @@ def check_jacobians(
             tolerance=tolerance,
             cheirality=cheirality,
             num_threads=num_threads,
+            details=details,
             progress=progress,
         )
     check_function("progress", progress)
@@ -94,6 +97,7 @@ def check_jacobians(
         "progress": None if progress is None else lambda done: progress(done, total),
         "seed": seed,
         "tolerance": tolerance,
+        "details": details,
     }
     if isinstance(problem, PoseGraph):
         return check_edges(problem, error, **settings)
@@ -113,6 +117,7 @@ def check_gradients(
     tolerance: float = TOLERANCE,
     ambient: bool = True,
     tangent: str | None = None,
+    details: bool = False,
 ) -> GradientReport | FactorCheck:
     """Check analytic Jacobians, and identify the mistake in wrong ones.
 
@@ -150,6 +155,8 @@ def check_gradients(
             graph), "manif" (also Sophus), "g2o", "g2o_expmap" (VertexSE3Expmap, as ORB-SLAM). The
             manifolds are then those of a factor graph, and Jacobian i has their tangent size. None:
             Jacobians by all numbers of the blocks, as Ceres; of a factor "gtsam".
+        details: also compute what ``bundle.html.write_check`` draws: errors of all entries, and
+            curves against the step size.
 
     Returns:
         Report; its truth value is True if all Jacobians are correct. Print it for details.
@@ -158,7 +165,12 @@ def check_gradients(
         InputError: blocks, manifolds or names do not match, or the function returns wrong shapes.
             Exceptions of the function are passed on.
     """
-    settings: dict[str, Any] = {"radius": radius, "seed": seed, "tolerance": tolerance}
+    settings: dict[str, Any] = {
+        "radius": radius,
+        "seed": seed,
+        "tolerance": tolerance,
+        "details": details,
+    }
     if tangent is not None:
         settings["tangent"] = tangent
     if not isinstance(function, FactorGraph | Factor):
@@ -179,6 +191,7 @@ def check_gradients(
             seed=seed,
             tolerance=tolerance,
             ambient=ambient,
+            details=details,
         )
     if names is not None:
         raise InputError("names: expected None for factors, whose names are their keys")

@@ -21,12 +21,14 @@ from typing import Any
 import numpy as np
 
 import bundle._core as _core
+from bundle.base.arguments import as_flag
 from bundle.checking.columns import Block
 from bundle.checking.function import UserFunction
 from bundle.checking.gradient_report import GradientReport
 from bundle.checking.manifolds import Manifold
 from bundle.checking.residual_blocks import Layout, sample
-from bundle.checking.sample_check import SamplePoint, check_samples
+from bundle.checking.sample_check import check_samples
+from bundle.checking.sample_points import SamplePoint
 from bundle.errors import InputError, brief, check_keywords
 from bundle.graphs.factors.factor_report import FactorCheck, Member
 from bundle.graphs.factors.tangent_conventions import TANGENTS, other_coordinates, tangent_of
@@ -43,6 +45,7 @@ _SETTINGS = {
     "seed": 0,
     "tolerance": TOLERANCE,
     "tangent": "gtsam",
+    "details": False,
 }
 """Default settings of the check."""
 
@@ -82,7 +85,7 @@ def check_each(
 
     Args:
         factors: factors to check.
-        settings: num_samples, radius, seed, tolerance and tangent.
+        settings: num_samples, radius, seed, tolerance, tangent and details.
         num_factors: number of factors of the graph; None: all are checked.
         progress: called with the number of checked factors.
 
@@ -95,6 +98,7 @@ def check_each(
     radius = number("radius", given["radius"], minimum=0)
     seed = number("seed", given["seed"], minimum=0, maximum=math.inf, whole=True)
     tolerance = number("tolerance", given["tolerance"], above=0)
+    details = as_flag("details", given["details"])
     tangent = choice("tangent", given["tangent"], TANGENTS)
     reports, members = {}, {}
     kinds: dict[Hashable, int] = {}  # numbers, because code cannot be pickled
@@ -105,7 +109,7 @@ def check_each(
             values.append([_sample(variable, radius, rng) for variable in factor.variables])
         by = tangent if factor.is_own else TANGENTS[0]
         layout = _layout(factor.variables, values, by)
-        reports[factor.name] = _check(factor, values, layout, by, tolerance)
+        reports[factor.name] = _check(factor, values, layout, by, tolerance, details)
         members[factor.name] = Member(
             kinds.setdefault(factor.kind, len(kinds)),
             factor.label,
@@ -126,13 +130,14 @@ def _check(
     layout: Layout,
     tangent: str,
     tolerance: float,
+    details: bool,
 ) -> GradientReport:
     points: list[SamplePoint] = []
     for at in values:
         size = points[0].user.num_residuals if points else 0
         here = _InTangentCoordinates(factor, at, tangent, size)
         points.append(SamplePoint(UserFunction(here, here.origins, size), here.origins))
-    return check_samples(points, layout, tolerance=tolerance)
+    return check_samples(points, layout, tolerance=tolerance, details=details)
 
 
 def _owners(variables: Sequence[Variable]) -> list[int]:

@@ -110,8 +110,9 @@ def _sections(facts: list[tuple[str, str]], found: GradientReport) -> list[Secti
 
 def _data(found: GradientReport, options: dict[str, Any], wall_time: float) -> dict[str, Any]:
     histogram = [{"low": low, "high": high, "count": count} for low, high, count in found.histogram]
+    data = fields(found) | {"histogram": histogram}
     return {
         "options": options,
-        **(fields(found) | {"histogram": histogram}),
+        **{name: value for name, value in data.items() if name != "details"},
         "wall_time": {"total": wall_time},
     }
