@@ -23,6 +23,7 @@ void BindSymbolic(py::module_& m);
 void BindGraph(py::module_& m);
 void BindInertial(py::module_& m);
 void BindPoseGraph(py::module_& m);
+void BindCertificate(py::module_& m);
 void BindGraphCertainty(py::module_& m);
 void BindWindow(py::module_& m);
 void BindProcess(py::module_& m);
@@ -52,6 +53,7 @@ PYBIND11_MODULE(_core, m) {
   BindGraph(m);
   BindInertial(m);
   BindPoseGraph(m);
+  BindCertificate(m);
   BindGraphCertainty(m);
   BindWindow(m);
   BindProcess(m);

@@ -51,6 +51,8 @@ if TYPE_CHECKING:
     from bundle.graphs.factors.spectrum import PriorSpectrum
     from bundle.graphs.loops.loop_closing import LoopClosing, LoopClosure
     from bundle.graphs.loops.loop_graph import close_loops
+    from bundle.graphs.pose_graphs.certificate import Certificate, Staircase
+    from bundle.graphs.pose_graphs.certify import certify
     from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult, PoseGraphSummary
     from bundle.graphs.pose_graphs.solve_pose_graph import initial_poses, pose_graph_chi2
     from bundle.inertial import two_loops
@@ -133,6 +135,7 @@ __all__ = [
     "BiasWalkFactor",
     "Calibration",
     "CameraModelChange",
+    "Certificate",
     "ChangedModels",
     "CheckPointEvaluation",
     "Chi2Kind",
@@ -203,6 +206,7 @@ __all__ = [
     "SolveOptions",
     "Solver",
     "SquareRootPrior",
+    "Staircase",
     "Summary",
     "SyntheticFlight",
     "SyntheticScene",
@@ -222,6 +226,7 @@ __all__ = [
     "apply_rig_config",
     "bundle_adjustment",
     "camera_models",
+    "certify",
     "change_camera_model",
     "check_factors",
     "check_gradients",
@@ -319,6 +324,8 @@ _DEFERRED = {
     "graphs.factors.spectrum": ("PriorSpectrum",),
     "graphs.loops.loop_closing": ("LoopClosing", "LoopClosure"),
     "graphs.loops.loop_graph": ("close_loops",),
+    "graphs.pose_graphs.certificate": ("Certificate", "Staircase"),
+    "graphs.pose_graphs.certify": ("certify",),
     "graphs.pose_graphs.pose_graph_result": ("PoseGraphResult", "PoseGraphSummary"),
     "graphs.pose_graphs.solve_pose_graph": ("initial_poses", "pose_graph_chi2"),
     "inertial.preintegration.imu_factors": ("BiasWalkFactor", "ImuFactor"),

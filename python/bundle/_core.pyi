@@ -627,6 +627,19 @@ def initial_poses(
     num_threads: int,
     order: PoseOrder | None = None,
 ) -> NDArray[np.float64]: ...
+
+# bind_certificate.cpp
+def certify_graph(
+    graph: _PoseGraph,
+    kappa: NDArray[np.float64],
+    tau: NDArray[np.float64],
+    *,
+    max_rank: int,
+    max_steps: int,
+    num_eigenvalues: int,
+    explicit_form: bool,
+    num_threads: int,
+) -> dict[str, Any]: ...
 def odometry_gap(graph: _PoseGraph) -> tuple[int, int]: ...
 def solve_edge_system(
     edges: NDArray[np.int32],

@@ -29,6 +29,7 @@ from tests.documents import workspace
 ROOT = workspace.REPOSITORY
 WITH_DATA: dict[str, Callable[[Path, Path], None]] = {
     "docs/compare.md": workspace.measured,
+    "docs/certificates.md": workspace.graphs,
     "docs/pose-graphs.md": workspace.graphs,
     "docs/triage.md": workspace.graphs,
     "docs/vio.md": workspace.sequence,

@@ -94,7 +94,8 @@ def graphs(folder: Path, data: Path) -> None:
     for name in ("sphere2500", "MIT"):
         packed = (data / "g2o" / f"{name}.g2o.bz2").read_bytes()
         (folder / f"{name}.g2o").write_bytes(bz2.decompress(packed))
-    shutil.copy(data / "g2o" / "parking-garage.g2o.bz2", folder)
+    for name in ("parking-garage", "smallGrid3D"):
+        shutil.copy(data / "g2o" / f"{name}.g2o.bz2", folder)
     truth, drifted, scales = drifted_street(num_images=40, num_points=600)
     bundle.save(drifted, folder / "drifted", "colmap")
     bundle.save(closures_of(truth, scales), folder / "closures.g2o")

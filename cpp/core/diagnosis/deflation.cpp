@@ -4,7 +4,7 @@
 #include <numeric>
 
 #include "core/dense/decompositions.h"
-#include "core/diagnosis/krylov.h"
+#include "core/dense/krylov.h"
 
 namespace bundle {
 

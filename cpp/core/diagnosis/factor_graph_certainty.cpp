@@ -31,7 +31,7 @@
 
 #include "core/dense/decompositions.h"
 #include "core/diagnosis/graph_normal_equations.h"
-#include "core/diagnosis/krylov.h"
+#include "core/dense/krylov.h"
 
 namespace bundle {
 namespace {

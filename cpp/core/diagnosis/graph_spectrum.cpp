@@ -18,7 +18,7 @@
 #include <stdexcept>
 
 #include "core/dense/decompositions.h"
-#include "core/diagnosis/krylov.h"
+#include "core/dense/krylov.h"
 #include "core/linear/symmetric_product.h"
 #include "core/pose_graph/pose_graph_problem.h"
 

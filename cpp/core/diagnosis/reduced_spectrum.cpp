@@ -32,7 +32,7 @@
 
 #include "core/dense/decompositions.h"
 #include "core/diagnosis/deflation.h"
-#include "core/diagnosis/krylov.h"
+#include "core/dense/krylov.h"
 #include "core/diagnosis/scaled_system.h"
 #include "core/model/gauge.h"
 #include "core/model/gauge_count.h"

@@ -57,6 +57,7 @@ class PoseGraphKeywords(TypedDict, total=False):
     loss_scale: float  # 1.0
     loss_on: str  # 'closures'
     consistency: bool  # False
+    certify: bool  # False
     trust_region_strategy_type: str  # 'gauss_newton'
     ordering: str  # 'auto'
     max_num_iterations: int  # 100

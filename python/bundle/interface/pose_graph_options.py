@@ -85,6 +85,13 @@ class PoseGraphOptions(Options):
         "before the solve, find the largest set of closures that agree pairwise along the "
         "odometry, and leave out all others (needs SciPy)",
     )
+    certify: bool = option(
+        False,
+        "--certify",
+        "after the solve, test whether it is globally optimal, with a lower bound of chi2; if not, "
+        "look for a lower minimum by a convex relaxation, and solve again from there "
+        "(docs/certificates.md)",
+    )
     trust_region_strategy_type: str = option(
         "gauss_newton",
         "--trust-region",

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <vector>
 
-#include "core/diagnosis/krylov.h"
+#include "core/dense/krylov.h"
 
 namespace bundle {
 namespace {

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from bundle.base.display import Display
 from bundle.base.words import change, plural, seconds
+from bundle.graphs.pose_graphs.certificate import Certificate
 from bundle.graphs.pose_graphs.consistency import LeftOutEdge
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.solve_record import SolveRecord
@@ -25,7 +26,7 @@ class PoseGraphSummary(Summary):
     Attributes:
         chi2_initial: sum r^T Omega r at the start, without 1/2, loss and left-out edges.
         chi2_final: the same sum at the end.
-        init: start of the solve: "file", "odometry", "spanning_tree" or "chordal".
+        init: start of the solve: "file", "odometry", "spanning_tree", "chordal" or "staircase".
         init_choice: reason for that start; "" if it was requested.
         loss: loss of the final solve; the chosen loss for "auto".
         loss_choice: reason for that loss; "" if it was requested.
@@ -67,6 +68,9 @@ class PoseGraphResult(SolveRecord):
         rejected: indices of edges that the loss has rejected, worst first. Their weight is below
             1/2 and their chi2 is exceeded by one correct edge in a million (gnc_tls: weight 0).
         left_out: closures that ``consistency`` has left out, by descending chi2 of a pair.
+        certificate: certificate of the first minimum that the solve found, with ``certify``;
+            otherwise None. The poses are those of ``certificate.staircase``, refined, if these are
+            lower (``summary.init`` is "staircase").
         build_time_in_seconds: time outside the solver.
         solve_time_in_seconds: time inside the solver.
     """
@@ -80,6 +84,7 @@ class PoseGraphResult(SolveRecord):
     weights: NDArray[np.float64]
     rejected: tuple[int, ...]
     left_out: tuple[LeftOutEdge, ...] = ()
+    certificate: Certificate | None = None
 
     def _display(self) -> Display:
         summary, graph = self.summary, self.problem

@@ -15,6 +15,7 @@ from bundle.base.arguments import check_function, check_type
 from bundle.base.arrays import freeze
 from bundle.base.words import plural
 from bundle.errors import InputError
+from bundle.graphs.pose_graphs.certified_solve import certified
 from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000, ONE_IN_A_MILLION
 from bundle.graphs.pose_graphs.consistency import ClosureConsistency, closure_consistency
 from bundle.graphs.pose_graphs.gnc_solve import Proposal, solve_gnc
@@ -113,7 +114,6 @@ SUSPICIOUS_STEPS = "suspicious_steps"
 SEVERAL_COMPONENTS = "several_components"
 LOCAL_MINIMUM = "local_minimum"
 BETTER_START = "better_start"
-
 MOST_CHECKED = 2500
 """Largest number of closures for which ``auto`` checks consistency: three million pairs, some
 seconds."""
@@ -140,7 +140,8 @@ def solve_pose_graph(
 
     Raises:
         InputError: an information matrix is asymmetric or indefinite (the message names the edge),
-            odometry or ``consistency`` was requested but the chain has gaps, or an option is wrong.
+            odometry or ``consistency`` was requested but the chain has gaps, ``certify`` with a
+            loss or several components, or an option is wrong.
         KeyboardInterrupt: Ctrl-C before the start was evaluated.
     """
     check_type("graph", graph, PoseGraph)
@@ -148,9 +149,13 @@ def solve_pose_graph(
     check_function("progress", progress)
     cores = _core.hardware_threads()
     options = options.replace(num_threads=min(options.num_threads or cores, cores))
-    if options.consistency:
-        return solve_consistent(graph, options, lambda kept, how: _refined(kept, how, progress))
-    return _refined(graph, options, progress)[0]
+
+    def solve(given: PoseGraph, how: PoseGraphOptions) -> PoseGraphResult:
+        if how.consistency:
+            return solve_consistent(given, how, lambda kept, how: _refined(kept, how, progress))
+        return _refined(given, how, progress)[0]
+
+    return certified(graph, options, solve) if options.certify else solve(graph, options)
 
 
 def _refined(

@@ -11,10 +11,12 @@ import numpy as np
 
 from bundle.base.words import number, plural, rounded
 from bundle.errors import InputError
+from bundle.graphs.pose_graphs.certified_solve import STAIRCASE
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.graphs.pose_graphs.solve_pose_graph import pose_graph_chi2
 from bundle.interface.termination import short_outcome
 from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.reports.terminal.certificate_facts import certificate_sentences
 
 __all__ = ["degrees_of_freedom", "graph_headline"]
 
@@ -37,6 +39,7 @@ def graph_headline(solved: PoseGraphResult) -> list[str]:
     chi2 = f"chi2 {number(before)} -> {number(summary.chi2_final)}"
     return [
         f"{done}: {chi2} on {all_edges}{_per_degree(solved)}.",
+        *certificate_sentences(solved),
         *_start(summary.init, given, start),
         *_rejected(solved),
         *_movement(solved),
@@ -62,7 +65,7 @@ def _per_degree(solved: PoseGraphResult) -> str:
 
 
 def _start(init: str, given: float | None, start: float) -> list[str]:
-    if init == "file":
+    if init in ("file", STAIRCASE):
         return []
     name = init.replace("_", " ")
     other = "the file has no poses" if given is None else f"chi2 {number(given)} -> {number(start)}"

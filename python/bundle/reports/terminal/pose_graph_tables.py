@@ -19,6 +19,7 @@ from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
 from bundle.model.content_digests import content_digests
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.reports.sections import Column, Report, Section, Table, records
+from bundle.reports.terminal.certificate_facts import certificate_data, certificate_section
 from bundle.reports.terminal.graph_headline import degrees_of_freedom, graph_headline
 from bundle.reports.terminal.graph_information import KINDS, about_information, kinds_of
 from bundle.reports.terminal.inputs import about_graph, contents_of_graph, graph_facts, written
@@ -113,6 +114,7 @@ def refined_graph(
         Section(facts=facts),
         Section(tables=[Table.of(("", "before", "after"), before_and_after)]),
         *([Section(tables=[Table(KINDS, kinds)])] if kinds else []),
+        *certificate_section(solved),
         *_verdicts(solved, rejected, left_out),
         wall_section(summary, wall),
     ]
@@ -129,6 +131,7 @@ def refined_graph(
         data={
             "options": solve_options(solved.options),
             "summary": summary,
+            **certificate_data(solved.certificate),
             "iterations": records(solved.iterations),
             "rejected_edges": [
                 {"edge": one.ids, "line": one.line, "chi2": one.chi2, "weight": one.weight}

@@ -1,4 +1,4 @@
-#include "core/diagnosis/krylov.h"
+#include "core/dense/krylov.h"
 
 /// Block Lanczos with full orthogonalisation (Golub and Underwood 1977): the space
 ///

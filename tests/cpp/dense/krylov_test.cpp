@@ -1,4 +1,4 @@
-#include "core/diagnosis/krylov.h"
+#include "core/dense/krylov.h"
 
 #include <gtest/gtest.h>
 

@@ -1,0 +1,261 @@
+"""Certificates of pose graphs: global optimality of a chordal cost, and bounds of chi2.
+
+The core moves the given poses to a critical point of the chordal cost by Newton's method and tests
+its dual certificate (``cpp/core/pose_graph/dual_certificate.cpp``). A minimum of another cost (chi2
+with the logarithm, or with anisotropic information) is no critical point, but near one.
+
+The verdict "not-a-minimum" avoids a statement about poses that are no minimum at all. Poses are a
+minimum if Newton's method lowers F by at most a tenth, or if three steps of a solve lower chi2 by
+at most a hundredth.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+import bundle._core as _core
+from bundle.base.arguments import check_type
+from bundle.base.arrays import freeze
+from bundle.base.paths import as_path, is_path
+from bundle.errors import InputError
+from bundle.graphs.pose_graphs.certificate import (
+    CERTIFIED,
+    NOT_A_MINIMUM,
+    NOT_CERTIFIED,
+    Certificate,
+    Staircase,
+)
+from bundle.graphs.pose_graphs.chordal_weights import (
+    CHORDAL_WEIGHTS,
+    ChordalWeights,
+    bound_weights,
+    chordal_weights,
+)
+from bundle.graphs.pose_graphs.information import checked_information
+from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.interface.option_fields import choice, number
+from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
+from bundle.io.g2o_files import load_g2o
+from bundle.model.pose_graph_arrays import PoseGraph
+
+__all__ = ["certify", "check_certifiable"]
+
+MOST_RANK = 10
+MOST_STEPS = 150
+NUM_EIGENVALUES = 3
+
+NEAR_COST = 0.1
+"""Relative decrease of F by Newton's method from poses that are near a minimum of F."""
+
+NEAR_CHI2 = 0.01
+"""Relative decrease of chi2 in three steps from poses that are near a minimum of chi2."""
+
+ZERO_COST = 1e-9
+"""F and chi2 below this share of the sum of all weights are those of exact measurements."""
+
+
+def certify(
+    graph: PoseGraph | PoseGraphResult | str | os.PathLike[str],
+    *,
+    error: str | None = None,
+    information: str | None = None,
+    weights: str = "mean",
+    max_rank: int = MOST_RANK,
+    num_threads: int = 0,
+) -> Certificate:
+    """Test whether the poses of a graph are globally optimal.
+
+    The test is about the chordal cost, with one weight for the rotation and one for the translation
+    of an edge. The result also has a lower bound of chi2 with the full information, for any error.
+    If the test fails, the Riemannian staircase looks for lower poses.
+
+    Args:
+        graph: pose graph at its poses, the path of its file, or the result of a solve without a
+            loss.
+        error: error of the edges, as in a solve; by default that of the result, otherwise "log".
+        information: "file" or "isotropic", as in a solve.
+        weights: weights of an edge: "mean", the means of the information's diagonals, or "se-sync",
+            those of SE-Sync (harmonic means).
+        max_rank: largest rank of the staircase, up to 10; 0: no staircase.
+        num_threads: number of threads; 0: all cores.
+
+    Raises:
+        InputError: the graph has several components or several fixed poses, an edge has no
+            information, or the result has a robust loss.
+    """
+    options, loss = PoseGraphOptions(), "trivial"
+    if isinstance(graph, PoseGraphResult):
+        options = graph.options
+        loss = graph.summary.loss
+        graph = _kept(graph)
+    elif is_path(graph):
+        graph = load_g2o(as_path(graph))
+    check_type("graph", graph, PoseGraph)
+    assert isinstance(graph, PoseGraph)
+    error = choice("error", options.error if error is None else error, POSE_ERRORS)
+    information = choice(
+        "information", options.information if information is None else information,
+        ("file", "isotropic"),
+    )  # fmt: skip
+    weights = choice("weights", weights, CHORDAL_WEIGHTS)
+    max_rank = number("max_rank", max_rank, minimum=0, maximum=MOST_RANK, whole=True)
+    num_threads = number("num_threads", num_threads, minimum=0, whole=True)
+    check_certifiable(graph, loss)
+    cores = _core.hardware_threads()
+    threads = min(int(num_threads) or cores, cores)
+    weighed = checked_information(graph, information)
+    return _certificate(graph, weighed, error, weights, int(max_rank), threads)
+
+
+def check_certifiable(graph: PoseGraph, loss: str) -> None:
+    """Refuse graphs and losses without a certificate.
+
+    Raises:
+        InputError: the loss is robust, or the graph has no edges, several components, or several
+            fixed poses.
+    """
+    if loss != "trivial":
+        raise InputError(
+            f"certify: expected no loss, found {loss.replace('_', '-')}: the dual problem bounds a "
+            "quadratic cost, and a robust cost may have lower minima"
+        )
+    if graph.num_edges == 0:
+        raise InputError("certify: expected at least one edge, found a graph without edges")
+    if graph.num_components > 1:
+        raise InputError(
+            f"certify: expected a connected graph, found {graph.num_components} components: no "
+            "edge bounds their relative placement"
+        )
+    fixed = int(graph.fixed.sum())
+    if fixed > 1:
+        raise InputError(
+            f"certify: expected at most 1 fixed pose, found {fixed}: the dual problem has all "
+            "poses free"
+        )
+
+
+def _kept(solved: PoseGraphResult) -> PoseGraph:
+    """Return the solved graph without the closures that the test of consistency left out."""
+    graph = solved.problem
+    kept = np.ones(graph.num_edges, bool)
+    kept[[entry.edge for entry in solved.left_out]] = False
+    if kept.all():
+        return graph
+    return graph.replace(
+        edges=graph.edges[kept],
+        measurements=graph.measurements[kept],
+        information=graph.information[kept],
+        edge_lines=graph.edge_lines[kept],
+    )
+
+
+def _certificate(
+    graph: PoseGraph, weighed: PoseGraph, error: str, weights: str, max_rank: int, threads: int
+) -> Certificate:
+    used = chordal_weights(weighed, weights, error)
+    found = _run(weighed, used, max_rank, threads)
+    below = bound_weights(weighed, error)
+    staircase = _staircase(graph, found)
+    bounds = [found["bound"]]
+    if staircase is not None:
+        bounds.append(staircase.lower_bound)
+    is_isotropic = below is not None and used.equals(below)
+    chi2_bound = max(bounds)
+    if not is_isotropic:
+        chi2_bound = _chi2_bound(weighed, below, staircase, threads)
+    chi2 = float(_core.edge_chi2(weighed, error).sum())
+    return Certificate(
+        verdict=_verdict(weighed, found, used, error, chi2, threads),
+        cost=found["cost"],
+        initial_cost=found["initial_cost"],
+        lower_bound=found["bound"],
+        min_eigenvalue=_smallest(found),
+        eigenvalues=freeze(np.array(found["eigenvalues"])),
+        num_steps=found["num_steps"],
+        weights=weights,
+        error=error,
+        is_isotropic=is_isotropic,
+        chi2=chi2,
+        chi2_lower_bound=max(chi2_bound, 0.0),
+        problem=graph.replace(poses=found["poses"], has_poses=True),
+        staircase=staircase,
+    )
+
+
+def _run(
+    graph: PoseGraph, weights: ChordalWeights, max_rank: int, threads: int, explicit: bool = False
+) -> dict[str, Any]:
+    return _core.certify_graph(
+        graph,
+        weights.kappa,
+        weights.tau,
+        max_rank=max_rank,
+        max_steps=MOST_STEPS,
+        num_eigenvalues=NUM_EIGENVALUES,
+        explicit_form=explicit,
+        num_threads=threads,
+    )
+
+
+def _smallest(found: dict[str, Any]) -> float:
+    smallest: float = min([found["eigenvalue_of_rows"], *found["eigenvalues"][:1]])
+    return smallest
+
+
+def _staircase(graph: PoseGraph, found: dict[str, Any]) -> Staircase | None:
+    if not found["rank"]:
+        return None
+    after = found["staircase"]
+    bound = max(found["bound"], after["relaxed_bound"], after["bound"])
+    return Staircase(
+        verdict=CERTIFIED if after["holds"] else NOT_CERTIFIED,
+        rank=found["rank"],
+        relaxed_cost=after["relaxed_cost"],
+        cost=after["cost"],
+        lower_bound=bound,
+        min_eigenvalue=_smallest(after),
+        eigenvalues=freeze(np.array(after["eigenvalues"])),
+        problem=graph.replace(poses=after["poses"], has_poses=True),
+    )
+
+
+def _chi2_bound(
+    graph: PoseGraph, below: ChordalWeights | None, staircase: Staircase | None, threads: int
+) -> float:
+    """Return a lower bound of chi2, by the weights with F <= chi2; nan without such weights."""
+    if below is None:
+        return float("nan")
+    start = graph if staircase is None else graph.replace(poses=staircase.problem.poses)
+    return float(_run(start, below, 0, threads)["bound"])
+
+
+def _verdict(
+    graph: PoseGraph,
+    found: dict[str, Any],
+    weights: ChordalWeights,
+    error: str,
+    chi2: float,
+    threads: int,
+) -> str:
+    zero = ZERO_COST * float(weights.kappa.sum())
+    is_critical = found["holds"] or (found["converged"] and found["is_minimum"])
+    is_near = found["initial_cost"] <= (1 + NEAR_COST) * found["cost"] + zero
+    if not is_critical or not (is_near or _is_settled(graph, error, chi2, zero, threads)):
+        return NOT_A_MINIMUM
+    return CERTIFIED if found["holds"] else NOT_CERTIFIED
+
+
+def _is_settled(graph: PoseGraph, error: str, chi2: float, zero: float, threads: int) -> bool:
+    """Tell whether three steps of a solve lower chi2 by at most a hundredth."""
+    held, _, _ = _core.hold_poses(graph)
+    options = PoseGraphOptions(error=error, max_num_iterations=3, num_threads=threads)
+    nothing = np.zeros(graph.num_edges, bool)
+    after = _core.solve_pose_graph(graph, held, nothing, options.asdict(), None)
+    summary = after["summary"]
+    # Rejected steps lower nothing either, far from a minimum.
+    if summary["num_unsuccessful_steps"] and summary["termination_type"] != "CONVERGENCE":
+        return False
+    return bool(chi2 - float(after["chi2_after"].sum()) <= NEAR_CHI2 * chi2 + zero)
