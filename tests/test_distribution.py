@@ -9,7 +9,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 from packaging.licenses import canonicalize_license_expression
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tools"))
@@ -117,3 +119,69 @@ def test_the_trial_of_a_wheel_passes_on_this_installation() -> None:
     done = subprocess.run(["bash", script, folder, ROOT / "data"], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.splitlines()[-1] == "tried: all well"
+
+
+def requirement(name: str) -> Requirement:
+    found = [Requirement(text) for text in PROJECT["dependencies"]]
+    return next(one for one in found if one.name == name)
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "required"),
+    [
+        ("Linux", "x86_64", True),
+        ("Linux", "aarch64", False),
+        ("Darwin", "arm64", True),
+        ("Darwin", "x86_64", False),
+        ("Windows", "AMD64", True),
+        ("Windows", "ARM64", False),
+    ],
+)
+def test_pycolmap_is_required_where_its_wheels_exist(
+    system: str, machine: str, required: bool
+) -> None:
+    marker = requirement("pycolmap").marker
+    assert marker is not None
+    assert marker.evaluate({"platform_system": system, "platform_machine": machine}) is required
+    assert PROJECT["optional-dependencies"]["pycolmap"] == ["pycolmap>=4.0"]
+
+
+def test_metadata_names_authors_and_every_python_and_no_url() -> None:
+    assert PROJECT["authors"] == [{"name": "the bundle authors"}]
+    assert "urls" not in PROJECT
+    text = (ROOT / "pyproject.toml").read_text()
+    for minor in (11, 12, 13, 14):
+        assert f"Programming Language :: Python :: 3.{minor}" in PROJECT["classifiers"]
+        assert f"cp3{minor}-manylinux_*" in text
+    assert not [c for c in PROJECT["classifiers"] if c.startswith("License")]
+
+
+def test_citation_agrees_with_the_project() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == PROJECT["version"]
+    assert citation["authors"] == PROJECT["authors"]
+    assert " AND ".join(citation["license"]) == PROJECT["license"]
+
+
+def test_recipe_of_conda_lists_the_dependencies_of_the_project() -> None:
+    text = (ROOT / "packaging" / "conda" / "meta.yaml").read_text()
+    text = re.sub(r"^\{%.*%\}$", "", text, flags=re.MULTILINE)
+    recipe = yaml.safe_load(re.sub(r"\{\{.*?\}\}", "x", text))
+    run = {entry.split()[0] for entry in recipe["requirements"]["run"]} - {"python"}
+    constrained = {entry.split()[0] for entry in recipe["requirements"]["run_constrained"]}
+    assert run | constrained == {Requirement(text).name for text in PROJECT["dependencies"]}
+    assert f'"{PROJECT["version"]}"' in (ROOT / "packaging" / "conda" / "meta.yaml").read_text()
+
+
+def test_hooks_run_the_tools_of_the_project() -> None:
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
+    tools = {hook["entry"].split()[0] for hook in hooks}
+    names = {Requirement(text).name for text in PROJECT["optional-dependencies"]["lint"]}
+    assert {f".venv/bin/{name}" for name in names} <= tools
+
+
+def test_image_installs_extras_of_the_project() -> None:
+    text = (ROOT / "packaging" / "Dockerfile").read_text()
+    extras = re.search(r"/source\[([\w,]+)\]", text)
+    assert extras is not None
+    assert set(extras[1].split(",")) <= set(PROJECT["optional-dependencies"])

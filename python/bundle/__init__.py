@@ -76,6 +76,7 @@ if TYPE_CHECKING:
     from bundle.interface.flight_options import FlightOptions
     from bundle.interface.options import SolveOptions
     from bundle.interface.pose_graph_options import PoseGraphOptions
+    from bundle.interface.progress_bar import ProgressBar
     from bundle.interface.scene_options import SceneOptions
     from bundle.interface.summary import Summary
     from bundle.interface.triage_options import TriageOptions
@@ -193,6 +194,7 @@ __all__ = [
     "PriorFactor",
     "PriorSpectrum",
     "Problem",
+    "ProgressBar",
     "RelativePoseFactor",
     "ReprojectionError",
     "ReprojectionFactor",
@@ -347,6 +349,7 @@ _DEFERRED = {
     "interface.flight_options": ("FlightOptions",),
     "interface.options": ("SolveOptions",),
     "interface.pose_graph_options": ("PoseGraphOptions",),
+    "interface.progress_bar": ("ProgressBar",),
     "interface.scene_options": ("SceneOptions",),
     "interface.summary": ("Summary",),
     "interface.triage_options": ("TriageOptions",),

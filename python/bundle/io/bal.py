@@ -143,11 +143,12 @@ def _source_rotations(problem: Problem) -> tuple[NDArray[np.float64], NDArray[np
     """Return the source's rotation of each image, and a mask of images with unchanged rotation."""
     rotations = np.zeros((problem.num_images, 3))
     keeps = np.zeros(problem.num_images, bool)
-    if isinstance(problem.source, BalSource):
+    source = vars(problem)["source"]  # the attribute would load pycolmap
+    if isinstance(source, BalSource):
         ids = problem.image_ids  # in a BAL file, ids are positions
-        known = np.flatnonzero((ids >= 0) & (ids < len(problem.source.rotations)))
-        rotations[known] = problem.source.rotations[ids[known]]
-        before = problem.source.cam_from_world[ids[known], :4]
+        known = np.flatnonzero((ids >= 0) & (ids < len(source.rotations)))
+        rotations[known] = source.rotations[ids[known]]
+        before = source.cam_from_world[ids[known], :4]
         keeps[known] = (problem.cam_from_world[known, :4] == before).all(axis=1)
     return rotations, keeps
 
@@ -235,7 +236,7 @@ def losses(problem: Problem) -> tuple[str, ...]:
         )
         if not np.array_equal(ids, np.arange(len(ids)))
     ]
-    beside = problem_source.beside_the_problem(problem.source)
+    beside = problem_source.beside_the_problem(vars(problem)["source"])
     found = (
         (models, f"Cameras of model {', '.join(models)} come back as RADIAL."),
         (

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 import bundle._core as _core
 from bundle.base.arrays import distinct, immutable
 from bundle.base.display import Display, Displayed
+from bundle.base.optional_packages import require_pycolmap
 from bundle.base.words import FORMATS, contents, format_name, plural
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice
@@ -222,11 +223,11 @@ class Problem(Displayed):
         return self
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        return dataclasses.replace(self, source=copy.deepcopy(self.source, memo))
+        return dataclasses.replace(self, source=copy.deepcopy(vars(self)["source"], memo))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return _unpacked, (type(self), fields | {"source": packed(self.source)})
+        fields = {field.name: vars(self)[field.name] for field in dataclasses.fields(self)}
+        return _unpacked, (type(self), fields | {"source": packed(fields["source"])})
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some arrays replaced; the others are shared, not copied.
@@ -288,6 +289,7 @@ class Problem(Displayed):
         Raises:
             InputError: a camera with images has no sensor_from_rig, or references are invalid.
         """
+        require_pycolmap("Problem.from_pycolmap")
         from bundle.model.pycolmap.reconstruction import fields_of
 
         return Problem(**fields_of(reconstruction))
@@ -299,6 +301,7 @@ class Problem(Displayed):
         come from COLMAP gives a new reconstruction. In it, each image without a rig gets a trivial
         rig and frame.
         """
+        require_pycolmap("Problem.to_pycolmap")
         from bundle.model.pycolmap.write_back import to_pycolmap
 
         return to_pycolmap(self)

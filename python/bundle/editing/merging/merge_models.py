@@ -19,6 +19,7 @@ from collections import Counter, defaultdict
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.optional_packages import require_pycolmap
 from bundle.base.words import plural
 from bundle.editing.merging.frame_of_a import DEGREES, find_similarity
 from bundle.editing.merging.merge_result import Merge
@@ -28,8 +29,6 @@ from bundle.interface.option_fields import number
 from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, project
 from bundle.model.problem import Problem
-from bundle.model.pycolmap.joining import join
-from bundle.model.pycolmap.shared_keypoints import shared_keypoints
 from bundle.model.rotations import rotation_matrices
 
 __all__ = ["MAX_ERROR", "disagreements", "merge"]
@@ -122,6 +121,10 @@ def merge(a: Source, b: Source, *, max_error: float = MAX_ERROR) -> Merge:
         >>> bundle.save(result.problem, "sparse/merged")
     """
     limit = number("max_error", max_error, above=0)
+    require_pycolmap("merge")
+    from bundle.model.pycolmap.joining import join  # slow: load pycolmap
+    from bundle.model.pycolmap.shared_keypoints import shared_keypoints
+
     first, second = as_problem(a, "a"), as_problem(b, "b")
     rows = _shared_images(_rows("a", first), _rows("b", second))
     images = np.array(rows, np.int64).reshape(-1, 2)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bundle.base.display import Display, Displayed
 from bundle.base.words import number, pixels, plural
 from bundle.georeference.similarity import Similarity
 from bundle.model.problem import Problem
-from bundle.model.pycolmap.joining import Joined
+
+if TYPE_CHECKING:
+    from bundle.model.pycolmap.joining import Joined
 
 __all__ = ["Merge"]
 

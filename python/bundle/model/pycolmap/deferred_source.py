@@ -7,6 +7,7 @@ problem lacks from the bytes of the files, which are kept in memory.
 
 from __future__ import annotations
 
+import copy
 import threading
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import bundle._core as _core
 from bundle.base import address_space
 from bundle.base.interrupts import interrupts_deferred
+from bundle.base.optional_packages import require_pycolmap
 from bundle.errors import InputError, first_line
 
 if TYPE_CHECKING:
@@ -39,10 +41,22 @@ class DeferredSource:
         self._reconstruction: pycolmap.Reconstruction | None = None
         self._lock = threading.Lock()
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
+        """Return an independent source: callers may edit the reconstruction of each."""
+        with self._lock:
+            if self._model is None:
+                return copy.deepcopy(self._reconstruction, memo)
+            return DeferredSource(self._model, self._fields, self._folder)
+
     @property
     def fields(self) -> Mapping[str, Any]:
         """Fields of the problem of this model, by name."""
         return self._fields
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the files, for messages."""
+        return self._folder
 
     @property
     def model(self) -> _core.ColmapModel | None:
@@ -67,6 +81,7 @@ class DeferredSource:
 
 def _read_by_pycolmap(model: _core.ColmapModel, folder: Path) -> pycolmap.Reconstruction:
     """Return the reconstruction that pycolmap builds from the bytes of the files in memory."""
+    require_pycolmap("the source of a problem as a pycolmap.Reconstruction")
     address_space.require("pycolmap", address_space.PYCOLMAP)
     import tempfile  # slow to import
 

@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.optional_packages import require_pycolmap
 from bundle.errors import InputError
+from bundle.model import rig_arrays
 from bundle.model.colmap.source_records import (
     CAMERA,
     Contents,
@@ -89,6 +91,11 @@ def beside_the_problem(source: Any) -> list[str]:
         return []
     if isinstance(source, ImportedSource):
         return ["point colours"] if source.point_colors.any() else []
+    if isinstance(source, DeferredSource):
+        if source.model is not None:  # files have no images without a pose
+            colours = _core.colmap_contents(source.model)["point_colors"].any()
+            return [*(["point colours"] if colours else []), "rigs", "frames"]
+        source = source.reconstruction()
     is_known = is_reconstruction(source)
     colours = not is_known or any(point.color.any() for point in source.points3D.values())
     without_pose = not is_known or source.num_reg_images() < source.num_images()
@@ -127,8 +134,19 @@ class Packed(NamedTuple):
     cameras_with_prior_focal_length: list[int]
 
 
+class PackedModel(NamedTuple):
+    """The files of a COLMAP model that was not converted to a reconstruction."""
+
+    files: dict[str, bytes]
+    folder: str
+
+
 def packed(source: Any) -> Any:
     """Return a picklable copy of a source; see :func:`unpacked`."""
+    if isinstance(source, DeferredSource):
+        if source.model is not None:
+            return PackedModel(source.model.files(), str(source.folder))
+        source = source.reconstruction()
     if not is_reconstruction(source):
         return source
     with _written({}) as folder:
@@ -149,8 +167,14 @@ def packed(source: Any) -> Any:
 
 def unpacked(source: Any) -> Any:
     """Return the source that :func:`packed` made picklable."""
+    if isinstance(source, PackedModel):
+        with _written(source.files) as folder:
+            model, fields = _core.read_colmap_model(folder, may_be_empty=True)
+        fields["cam_from_world"] = rig_arrays.placed(fields)
+        return DeferredSource(model, fields, Path(source.folder))
     if not isinstance(source, Packed):
         return source
+    require_pycolmap("a problem made from a pycolmap.Reconstruction")
     import pycolmap  # not at start-up: takes longer than solving a small problem
 
     reconstruction = pycolmap.Reconstruction()

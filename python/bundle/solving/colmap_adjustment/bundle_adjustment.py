@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bundle.base.log_messages import log
+from bundle.base.optional_packages import require_pycolmap
 from bundle.interface.colmap_options import colmap_adjustment
 from bundle.interface.solve_record import Progress
 from bundle.interface.summary import Summary
@@ -72,6 +73,7 @@ def bundle_adjustment(
         InputError: an option that bundle cannot honour, or an id that does not exist; the message
             names it. The reconstruction is unchanged.
     """
+    require_pycolmap("bundle_adjustment")
     from bundle.model.pycolmap import (  # slow: load pycolmap
         adjustment_objects,
         changed_reconstruction,
