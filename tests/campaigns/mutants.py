@@ -18,6 +18,7 @@ import bundle
 from bundle.analysis.statistics.description import describe
 from tests import scenes
 from tests.campaigns import jobs
+from tests.io.formats import foreign_files as foreign
 from tests.io.mutations import BYTE_MUTATORS, TOKEN_MUTATORS, mutate
 
 STEPS = 2
@@ -35,7 +36,20 @@ def sources(folder: Path) -> list[tuple[Path, Path, bool]]:
     bundle.save(scenes.scene(num_images=4, num_points=15), bal)
     found = [(binary, path, False) for path in sorted(binary.glob("*.bin"))]
     found += [(text, path, True) for path in sorted(text.glob("*.txt"))]
-    return [*found, (bal, bal, True)]
+    return [*found, (bal, bal, True), *foreign_sources(folder)]
+
+
+def foreign_sources(folder: Path) -> list[tuple[Path, Path, bool]]:
+    """The same for files of other programs."""
+    own, shared = foreign.small(num_points=15), foreign.small(num_points=15, shared=True)
+    bundler, nvm, openmvg = (folder / name for name in ("bundle.out", "model.nvm", "sfm.json"))
+    foreign.write_bundler(own, bundler, unregistered=(1,))
+    foreign.write_nvm(foreign.small("SIMPLE_PINHOLE", num_points=15), nvm)
+    foreign.write_openmvg(shared, openmvg)
+    opensfm = folder / "opensfm"
+    foreign.write_opensfm(shared, opensfm)
+    single = [(path, path, True) for path in (bundler, nvm, openmvg)]
+    return single + [(opensfm, path, True) for path in sorted(opensfm.iterdir())]
 
 
 def write_mutants(folder: Path, count: int, seed: int) -> list[str]:

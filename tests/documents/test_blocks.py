@@ -28,6 +28,7 @@ from tests.documents import workspace
 
 ROOT = workspace.REPOSITORY
 WITH_DATA: dict[str, Callable[[Path, Path], None]] = {
+    "docs/from_your_tool.md": workspace.other_programs,
     "docs/compare.md": workspace.measured,
     "docs/certificates.md": workspace.graphs,
     "docs/pose-graphs.md": workspace.graphs,

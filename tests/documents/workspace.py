@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 import bundle
 from bundle.georeference.local_frame import LocalFrame
@@ -20,6 +21,7 @@ from tests.editing.merging.halves import halves, whole
 from tests.figures.matplotlib.comparisons import comparison
 from tests.georeference.test_exif_gps import photo
 from tests.graphs.loops.drift import closures_of, drifted_street
+from tests.io.formats import foreign_files as foreign
 
 REPOSITORY = Path(__file__).parents[2]
 FRAME = LocalFrame(45.15, 9.0, 100.0)
@@ -75,6 +77,20 @@ def targets(truth: bundle.Problem) -> list[str]:
             name = truth.image_names[truth.observation_image[row]]
             lines.append(f"{lon!r} {lat!r} {h!r} {x!r} {y!r} {name} gcp{number:02}")
     return lines
+
+
+def other_programs(folder: Path, _data: Path) -> None:
+    """Files of Bundler with its photographs, VisualSFM, OpenSfM and OpenMVG."""
+    own = foreign.small(num_points=60)
+    names = [f"photos/{index}.jpg" for index in range(4)]
+    for name in ("bundler/photos", "nerf", "mvg_out"):
+        (folder / name).mkdir(parents=True)
+    for name in names:
+        Image.new("L", (800, 600)).save(folder / "bundler" / name)
+    foreign.write_bundler(own, folder / "bundler" / "bundle.out", names=names)
+    foreign.write_nvm(foreign.small("SIMPLE_PINHOLE", num_points=60), folder / "model.nvm")
+    foreign.write_opensfm(own, folder / "opensfm")
+    foreign.write_openmvg(own, folder / "sfm_data.json")
 
 
 def measured(folder: Path, _data: Path) -> None:

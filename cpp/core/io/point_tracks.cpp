@@ -21,10 +21,12 @@ bool IsFiniteNumber(double value) { return std::isfinite(value); }
 class PointTracksReader {
  public:
   PointTracksReader(InputFile& file, int64_t num_lines, const std::function<void()>& on_block)
-      : cursor_(file, on_block, num_lines + 1) {}
+      : cursor_(file, on_block, num_lines + 1),
+        most_(static_cast<double>(file.stored_size()) / 4) {}
 
   PointTracks Read(int64_t num_images, int64_t num_points) {
     for (int64_t point = 0; point < num_points; ++point) {
+      if (point == kSample) ReserveLike(static_cast<double>(num_points) / kSample);
       for (int k = 0; k < 3; ++k) tracks_.points.push_back(Number("a coordinate of", point));
       for (int k = 0; k < 3; ++k) {
         const double value = Number("a colour of", point);
@@ -47,6 +49,21 @@ class PointTracksReader {
 
  private:
   static constexpr int32_t kMost = std::numeric_limits<int32_t>::max();
+  static constexpr int64_t kSample = 4096;  ///< points from which the size is extrapolated
+  static constexpr double kMargin = 1.02;   ///< of the extrapolation
+
+  /// Reserves space for `factor` times the points and observations so far.
+  void ReserveLike(double factor) {
+    const auto scaled = [&](size_t size) {
+      return static_cast<size_t>(std::min(most_, kMargin * factor * static_cast<double>(size)));
+    };
+    tracks_.points.reserve(scaled(tracks_.points.size()));
+    tracks_.colors.reserve(scaled(tracks_.colors.size()));
+    tracks_.image.reserve(scaled(tracks_.image.size()));
+    tracks_.point.reserve(scaled(tracks_.point.size()));
+    tracks_.key.reserve(scaled(tracks_.key.size()));
+    tracks_.xy.reserve(scaled(tracks_.xy.size()));
+  }
 
   double Number(const char* what, int64_t point) {
     double value = 0;
@@ -68,6 +85,7 @@ class PointTracksReader {
   }
 
   TextCursor cursor_;
+  double most_;  ///< numbers that the stored bytes make plausible
   PointTracks tracks_;
 };
 

@@ -92,7 +92,7 @@ class Imported:
             notes=tuple(self.notes),
             data=self.data,
         )
-        return problem.replace(source=source)
+        return problem._moved(source=source)
 
     def _errors(self, problem: Problem) -> Array:
         """Return the error of each observation in pixels by the formula of the format."""
@@ -109,7 +109,7 @@ class Imported:
 
 def _rmse(errors: Array) -> float:
     with np.errstate(over="ignore"):
-        return float(np.sqrt(np.mean(errors**2))) if len(errors) else 0.0
+        return float(np.sqrt(errors @ errors / len(errors))) if len(errors) else 0.0
 
 
 def _medians(one: Array, other: Array) -> tuple[float, float]:

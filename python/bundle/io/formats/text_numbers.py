@@ -113,9 +113,8 @@ class Head:
 
     def fail(self, expected: str, found: str) -> NoReturn:
         """Raise an InputError with file and line."""
-        raise InputError(
-            f"{shown(self.path)}:{self.num_lines + 1}: expected {expected}, found {found}"
-        )
+        line = self._text.count(b"\n", 0, max(self.position - 1, 0)) + 1
+        raise InputError(f"{shown(self.path)}:{line}: expected {expected}, found {found}")
 
     def _more(self) -> bool:
         try:

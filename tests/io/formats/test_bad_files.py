@@ -1,0 +1,156 @@
+"""Bad input of other programs' files: one line with the place, and nothing is written."""
+
+import json
+
+import numpy as np
+import pytest
+
+import bundle
+from bundle.cli.main import main
+from tests.io.formats import foreign_files as foreign
+from tests.io.formats.foreign_files import small
+
+
+@pytest.fixture(scope="module")
+def texts(tmp_path_factory) -> dict[str, str]:
+    folder = tmp_path_factory.mktemp("good")
+    problem = small(shared=True)
+    foreign.write_bundler(small(), folder / "b.out")
+    foreign.write_nvm(small("SIMPLE_PINHOLE"), folder / "n.nvm")
+    foreign.write_openmvg(problem, folder / "m.json")
+    foreign.write_opensfm(problem, folder)
+    return {path.name: path.read_text() for path in folder.iterdir()}
+
+
+def first(text: str, old: str, new: str) -> str:
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+BUNDLER = {
+    "truncated": (lambda t: t[: len(t) // 2], r"b.out:\d+: expected .* found"),
+    "version": (lambda t: first(t, "v0.3", "v0.9"), "b.out:1: expected # Bundle file v0.3"),
+    "count": (lambda t: first(t, "4 30", "4 99"), "end of the file"),
+    "huge": (lambda t: first(t, "4 30", "99999999 30"), "whole number from 0 to 10000000"),
+    "more": (lambda t: t + "1 2 3\n", "expected the end of the file after 30 points, found '1'"),
+    "nan": (lambda t: first(t, "800.0", "nan"), r"b.out:3: expected .*finite number"),
+    "underscores": (lambda t: first(t, "800.0", "8_00.0"), r"found '8_00.0'"),
+    "image": (lambda t: first(t, "\n3 0 ", "\n3 9 "), r"whole number from 0 to 3\), found '9'"),
+    "rotation": (lambda t: first(t, "\n0.8264", "\n0.1264"), "expected a rotation matrix"),
+    "binary": (lambda t: t[:40] + "\0\0\0" + t[40:], "expected"),
+}
+NVM = {
+    "truncated": (lambda t: t[: len(t) // 3], r"n.nvm:\d+: expected"),
+    "second model": (
+        lambda t: t.replace("\n\n0\n", "\n\n4\nx 1 1 0 0 0 0 0 0 0 0"),
+        "another model",
+    ),
+    "camera": (lambda t: first(t, "\t800.0", "\tfoo"), "name f qw qx qy qz"),
+    "focal": (lambda t: first(t, "\t800.0", "\t-800.0"), "focal length above 0"),
+    "twice": (lambda t: first(t, "image1.jpg", "image0.jpg"), "each image once"),
+}
+OPENMVG = {
+    "truncated": (lambda t: t[: len(t) // 2], r"m.json:\d+: expected JSON"),
+    "key": (lambda t: first(t, '"center"', '"centre"'), "expected a member center, found"),
+    "kind": (lambda t: first(t, "pinhole_radial_k3", "pinhole_x"), "one of pinhole, "),
+    "nan": (lambda t: first(t, '"focal_length": 800.0', '"focal_length": NaN'), "finite number"),
+    "text": (lambda t: first(t, '"focal_length": 800.0', '"focal_length": "8"'), "a number, found"),
+    "deep": (lambda t: first(t, '"control_points": []', '"c": ' + "[" * 99999), "expected JSON"),
+    "pose": (lambda t: json.dumps({**json.loads(t), "extrinsics": []}), "has no pose"),
+    "bool": (lambda t: first(t, '"id_feat": 0', '"id_feat": true'), "whole number"),
+}
+OPENSFM = {
+    "truncated": (lambda t: t[: len(t) // 2], r"expected JSON"),
+    "camera": (lambda t: first(t, '"camera": "camera 0"', '"camera": "x"'), "one of the cameras"),
+    "type": (lambda t: first(t, '"perspective"', '"cubist"'), "one of perspective"),
+    "focal": (lambda t: first(t, '"focal": 1', '"focal": -1'), "a number above 0"),
+    "size": (lambda t: first(t, '"width": 800', '"width": 0'), "width and a height above 0"),
+    "point": (lambda t: first(t, '"coordinates": [', '"coordinates": [1,'), "3 finite numbers"),
+    "empty": (lambda _: "[]", "an empty list"),
+}
+TRACKS = {
+    "version": (lambda t: first(t, "_v2", "_v3"), "tracks.csv:1: expected version 1 or 2"),
+    "mixed": (lambda t: first(t, "_v2", "_v1"), "9 fields between tabs"),
+    "word": (lambda t: first(t, "\t0.004", "\tx"), "the scale"),
+    "foreign": (lambda _: "a,b,c\n", "8 fields between tabs"),
+    "empty": (lambda _: "", "expected observations of the 4 shots"),
+}
+CASES = [
+    (name, fault, *case)
+    for name, table in (
+        ("b.out", BUNDLER),
+        ("n.nvm", NVM),
+        ("m.json", OPENMVG),
+        ("reconstruction.json", OPENSFM),
+        ("tracks.csv", TRACKS),
+    )
+    for fault, case in table.items()
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "fault", "damage", "message"), CASES, ids=[f"{c[0]}-{c[1]}" for c in CASES]
+)
+def test_one_line_and_nothing_is_written(
+    tmp_path, capsys, texts, name, fault, damage, message
+) -> None:
+    for other in ("reconstruction.json", "tracks.csv") if name in texts else ():
+        (tmp_path / other).write_text(texts[other])
+    path = tmp_path / name
+    path.write_text(damage(texts[name]))
+    source = path if name.endswith(("out", "nvm", "m.json")) else tmp_path
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(bundle.InputError, match=message) as caught:
+        bundle.load(source)
+    assert "\n" not in str(caught.value), fault
+    assert main(["convert", str(source), str(tmp_path / "out") + "/", "--quiet"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_empty_and_foreign_files(tmp_path) -> None:
+    for name, content in (("a.out", b""), ("b.nvm", b"\x89PNG"), ("c.json", b'{"a": 1}')):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(
+            bundle.InputError, match=r"expected (a BAL file or|the number of cameras)"
+        ):
+            bundle.load(tmp_path / name)
+        for format in ("bundler", "nvm", "openmvg", "opensfm"):
+            with pytest.raises(bundle.InputError):
+                bundle.load(tmp_path / name, format=format)
+    with pytest.raises(bundle.InputError, match=r"format: expected one of .*found 'ply'"):
+        bundle.load(tmp_path / "a.out", format="ply")
+    with pytest.raises(bundle.InputError, match=r'width,height in pixels or "unknown"'):
+        bundle.load(tmp_path / "a.out", image_size="8x")
+
+
+def test_a_project_without_tracks(tmp_path, texts) -> None:
+    (tmp_path / "reconstruction.json").write_text(texts["reconstruction.json"])
+    with pytest.raises(bundle.InputError, match=r"expected tracks.csv, which has the observations"):
+        bundle.load(tmp_path)
+
+
+def test_a_view_of_an_image_that_is_not_registered(tmp_path) -> None:
+    problem = small()
+    foreign.write_bundler(problem, tmp_path / "a.out", unregistered=(1,))
+    text = (tmp_path / "a.out").read_text()
+    lines = text.split("\n")
+    row = next(i for i, line in enumerate(lines) if line.startswith("3 ") and i > 27)
+    words = lines[row].split()
+    words[1] = "1"
+    lines[row] = " ".join(words)
+    (tmp_path / "a.out").write_text("\n".join(lines))
+    with pytest.raises(bundle.InputError, match="expected views in registered images"):
+        bundle.load(tmp_path / "a.out")
+
+
+def test_points_behind_the_camera_do_not_hide_a_difference(tmp_path) -> None:
+    """Errors of points behind and in the plane of the camera are compared, too."""
+    problem = small()
+    points = problem.points.copy()
+    points[0] = problem.projection_centers[0]
+    points[1] = 3 * problem.projection_centers[1]
+    foreign.write_bundler(problem.replace(points=points), tmp_path / "a.out")
+    loaded = bundle.load(tmp_path / "a.out")
+    assert np.isfinite(loaded.source.source_rmse)
+    assert loaded.source.rmse == pytest.approx(loaded.source.source_rmse, rel=1e-6)
