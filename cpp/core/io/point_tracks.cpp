@@ -50,7 +50,7 @@ class PointTracksReader {
  private:
   static constexpr int32_t kMost = std::numeric_limits<int32_t>::max();
   static constexpr int64_t kSample = 4096;  ///< points from which the size is extrapolated
-  static constexpr double kMargin = 1.02;   ///< of the extrapolation
+  static constexpr double kMargin = 1.02;   ///< factor on the extrapolation
 
   /// Reserves space for `factor` times the points and observations so far.
   void ReserveLike(double factor) {
