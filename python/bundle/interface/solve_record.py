@@ -37,6 +37,10 @@ class SolveRecord(Displayed):
     build_time_in_seconds: float
     solve_time_in_seconds: float
 
+    def __post_init__(self) -> None:
+        # full_report() of the summary has the table of the iterations
+        object.__setattr__(self.summary, "_iterations", self.iterations)
+
     @property
     def outcome(self) -> str:
         """Outcome of the solve in one sentence."""

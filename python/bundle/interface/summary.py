@@ -143,8 +143,16 @@ class Summary(Displayed):
     processes: ProcessRecord | None = None
 
     def full_report(self) -> str:
-        """Return all fields as lines of text, in the order of Ceres' FullReport."""
-        return _full_report(self)
+        """Return all fields as lines of text, in the order of Ceres' FullReport.
+
+        The summary of a result ends with the table of its iterations, with the damping lambda = 1 /
+        radius of each step.
+        """
+        from bundle.interface.full_report import full_report  # when it is read
+
+        groups = self.linear_solver_ordering_given, self.linear_solver_ordering_used
+        orderings = sizes(groups[0]), sizes(groups[1])
+        return full_report(self, solver_table(self), orderings, vars(self).get("_iterations"))
 
     def breakdown(self) -> str:
         """Return a table of the solver's phases with times and percentages."""
@@ -228,118 +236,3 @@ def share(time: float, total: float) -> str:
 def sizes(groups: Sequence[int]) -> str:
     """Return the sizes of elimination groups, "22106, 16", or AUTOMATIC if Ceres chose them."""
     return ", ".join(map(str, groups)) if groups else "AUTOMATIC"
-
-
-def _full_report(summary: Summary) -> str:
-    from bundle.base.tables import columns, facts, notes, render
-
-    cost = [
-        ("initial", f"{summary.initial_cost:.9e}"),
-        ("final", f"{summary.final_cost:.9e}"),
-        ("change", f"{summary.initial_cost - summary.final_cost:.9e}"),
-        ("fixed", f"{summary.fixed_cost:.9e}"),
-        *([("held", f"{summary.held_cost:.9e}")] if summary.held_cost else []),
-    ]
-    steps = summary.num_successful_steps + summary.num_unsuccessful_steps
-    iterations = [
-        ("minimizer iterations", str(steps)),
-        ("successful steps", str(summary.num_successful_steps)),
-        ("unsuccessful steps", str(summary.num_unsuccessful_steps)),
-        ("residual evaluations", str(summary.num_residual_evaluations)),
-        ("Jacobian evaluations", str(summary.num_jacobian_evaluations)),
-        ("linear solves", str(summary.num_linear_solves)),
-    ]
-    warnings = notes(summary.warnings)
-    return render(
-        columns(("size", "original", "reduced"), _problem_size(summary)),
-        "",
-        columns(("solver", "given", "used"), _solver(summary), left=3),
-        facts(
-            [
-                ("why this backend", summary.backend_choice or "it was asked for"),
-                ("why this solver", summary.linear_solver_choice or "it was asked for"),
-            ]
-        ),
-        "",
-        columns(("factor", ""), _factor(summary)),
-        "",
-        columns(("cost", ""), cost),
-        "",
-        columns(("count", ""), iterations),
-        "",
-        solver_table(summary),
-        "",
-        facts([("termination", f"{summary.termination_type}: {summary.message}")]),
-        *([""] if warnings else []),
-        *warnings,
-    )
-
-
-def _problem_size(summary: Summary) -> list[tuple[str, str, str]]:
-    names = ("parameter_blocks", "parameters", "residual_blocks", "residuals")
-    return [
-        (
-            name.replace("_", " "),
-            str(getattr(summary, f"num_{name}")),
-            str(getattr(summary, f"num_{name}_reduced")),
-        )
-        for name in names
-    ]
-
-
-def _solver(summary: Summary) -> list[tuple[str, str, str]]:
-    strategy = summary.trust_region_strategy_type
-    if strategy == "DOGLEG":
-        strategy += f" ({summary.dogleg_type})"
-    rows = [
-        ("backend", summary.backend_given, summary.backend_used),
-        ("trust region", strategy, strategy),
-        ("linear solver", summary.linear_solver_type_given, summary.linear_solver_type_used),
-    ]
-    if summary.linear_solver_type_used in ("ITERATIVE_SCHUR", "CGNR"):
-        rows.append(
-            (
-                "preconditioner",
-                summary.preconditioner_type_given,
-                summary.preconditioner_type_used,
-            )
-        )
-    library = _library(summary)
-    rows += [
-        (
-            "ordering",
-            sizes(summary.linear_solver_ordering_given),
-            sizes(summary.linear_solver_ordering_used),
-        ),
-        ("Schur structure", summary.schur_structure_given, summary.schur_structure_used),
-        ("linear algebra", library, library),
-        ("threads", str(summary.num_threads_given), str(summary.num_threads_used)),
-    ]
-    if summary.instruction_set:
-        rows.append(("instruction set", summary.instruction_set, summary.instruction_set))
-    return rows
-
-
-def _factor(summary: Summary) -> list[tuple[str, str]]:
-    flops, time = summary.factor_flops, summary.symbolic_time_in_seconds
-    return [
-        ("elimination order", summary.factor_ordering or "-"),
-        ("columns", _count(summary.num_factor_columns)),
-        ("nonzeros of the information matrix", _count(summary.num_information_nonzeros)),
-        ("nonzeros of the reduced system", _count(summary.num_reduced_nonzeros)),
-        ("nonzeros of the factor", _count(summary.num_factor_nonzeros)),
-        ("flops", "-" if flops is None else f"{flops:.4e}"),
-        ("symbolic time [s]", "-" if time is None else f"{time:.6f}"),
-    ]
-
-
-def _count(value: int | None) -> str:
-    return "-" if value is None else str(value)
-
-
-def _library(summary: Summary) -> str:
-    if summary.linear_solver_type_used.startswith("DENSE"):
-        return summary.dense_linear_algebra_library_type
-    if summary.linear_solver_type_used.startswith("SPARSE"):
-        return summary.sparse_linear_algebra_library_type
-    return "EIGEN"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -25,6 +26,7 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison.command_line import command_line
+from bundle.planning.comparison.graph_distance import graph_distance
 from bundle.planning.comparison.graph_runs import GraphRun, best_cost, measure, recommend_run
 from bundle.planning.comparison.method import as_tuple, thread_counts
 
@@ -126,6 +128,17 @@ class GraphComparison(Displayed):
         """Return the relative distance of a run's final cost to the best one."""
         best = best_cost(self.runs)
         return (run.final_cost - best) / best if best > 0 else run.final_cost - best
+
+    def distance_in_sigmas(self, run: GraphRun) -> float:
+        """Return the distance to the solution of the lowest cost, in sigmas of its covariance.
+
+        NaN for a failed run, and for a factor graph.
+        """
+        usable = [one for one in self.runs if not one.failure]
+        if run.failure or not isinstance(run.result, PoseGraphResult):
+            return math.nan
+        best = min(usable, key=lambda one: one.final_cost)
+        return graph_distance(run.result, best.result)
 
     def _display(self) -> Display:
         facts = [

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from bundle.base.memory_sizes import format_size
-from bundle.base.words import number, plural, seconds
+from bundle.base.words import amount, number, plural, seconds
 from bundle.graphs.pose_graphs.densest_set import densest_set
 from bundle.model.content_digests import content_digests
 from bundle.model.pose_graph_arrays import PoseGraph
@@ -97,6 +97,9 @@ def compared_graph(
         Column("threads", "method.num_threads"),
         Column("chi2", lambda run: run.failure or f"{run.chi2_final:.9g}"),
         Column("gap of the cost", measured(lambda run: f"{found.gap(run):.1e}")),
+        Column("sigmas", measured(lambda run: number(found.distance_in_sigmas(run)))),
+        Column("nnz(L)", measured(_factor("num_factor_nonzeros", amount))),
+        Column("flops", measured(_factor("factor_flops", number))),
         Column("steps", measured(lambda run: str(run.num_steps))),
         Column("seconds", measured(lambda run: seconds(run.time_in_seconds))),
     )
@@ -130,6 +133,16 @@ def compared_graph(
     )
 
 
+def _factor(name: str, write: Callable[[float], str]) -> Callable[[GraphRun], str]:
+    """Return a function that writes the size of a run's factor; "-" if it is unknown."""
+
+    def cell(run: GraphRun) -> str:
+        value = getattr(run.result.summary, name)
+        return "-" if value is None else write(value)
+
+    return cell
+
+
 def _run(found: GraphComparison, run: GraphRun) -> dict[str, Any]:
     names = ("times_in_seconds", "time_in_seconds", "final_cost", "chi2_final")
     return {
@@ -137,6 +150,7 @@ def _run(found: GraphComparison, run: GraphRun) -> dict[str, Any]:
         "name": run.method.name,
         **{name: getattr(run, name) for name in names},
         "gap": found.gap(run),
+        "distance_in_sigmas": found.distance_in_sigmas(run),
         "num_steps": run.num_steps,
         "termination_type": run.termination_type,
         "failure": run.failure,
