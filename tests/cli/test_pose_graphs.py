@@ -7,6 +7,7 @@ import pytest
 
 import bundle
 from tests.graphs.pose_graphs import graphs
+from tests.graphs.pose_graphs.chordal_oracle import ring
 
 
 @pytest.fixture
@@ -145,3 +146,56 @@ def test_a_graph_that_is_not_there_is_said_to_be_missing(run, tmp_path, command)
     assert done.code == 2
     assert done.err.strip().endswith(f"error: {tmp_path / 'x.g2o'}: No such file or directory")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_certify_states_verdict_gap_and_bound(run, source, tmp_path):
+    report = tmp_path / "report.json"
+    done = run("refine", source, "-o", tmp_path / "y.g2o", "--certify", "--json", report)
+    found = json.loads(report.read_text())
+    certificate = found["certificate"]
+    assert done.code == 0 and certificate["verdict"] == "certified"
+    assert certificate["staircase"] is None and abs(certificate["min_eigenvalue"]) < 1e-9
+    assert 0 <= certificate["gap"] < 1e-6 * certificate["cost"]
+    expected = bundle.certify(bundle.solve(bundle.load(source)))
+    np.testing.assert_allclose(certificate["cost"], expected.cost, rtol=1e-9)
+    assert certificate["chi2_lower_bound"] <= found["summary"]["chi2_final"]
+    assert "globally optimal within" in " ".join(found["headline"])
+    # without the flag nothing is said
+    run("refine", source, "-o", tmp_path / "z.g2o", "--json", report)
+    assert "certificate" not in json.loads(report.read_text())
+
+
+def test_certify_leaves_a_local_minimum(run, tmp_path):
+    wound = ring(np.random.default_rng(1), 16, 2, turns=1)
+    bundle.save(wound, tmp_path / "x.g2o")
+    report, target = tmp_path / "report.json", tmp_path / "y.g2o"
+    command = ("refine", tmp_path / "x.g2o", "-o", target, "--certify", "--init", "file")
+    assert run(*command, "--json", report).code == 0
+    found = json.loads(report.read_text())
+    first, stairs = found["certificate"], found["certificate"]["staircase"]
+    assert first["verdict"] == "not-certified" and first["min_eigenvalue"] < -1
+    assert stairs["verdict"] == "certified" and stairs["cost"] < 0.01 * first["cost"]
+    assert found["summary"]["init"] == "staircase"
+    assert found["summary"]["chi2_final"] < 1.01 * stairs["cost"]
+    # OUTPUT has the better poses
+    np.testing.assert_allclose(
+        bundle.pose_graph_chi2(bundle.load(target)).sum(), found["summary"]["chi2_final"], rtol=1e-9
+    )
+
+
+def test_certify_refuses_losses_and_pieces_in_one_line(run, source, tmp_path):
+    target = tmp_path / "y.g2o"
+    done = run("refine", source, "-o", target, "--certify", "--loss", "cauchy", "--quiet")
+    assert done.code == 2 and done.err.count("\n") == 1
+    assert done.err.startswith("error: --certify: expected no loss, found cauchy")
+    graph = bundle.load(source)
+    pieces = graph.replace(
+        edges=graph.edges[:5],
+        measurements=graph.measurements[:5],
+        information=graph.information[:5],
+        edge_lines=graph.edge_lines[:5],
+    )
+    bundle.save(pieces, tmp_path / "pieces.g2o")
+    done = run("refine", tmp_path / "pieces.g2o", "-o", target, "--certify")
+    assert done.code == 2 and "expected a connected graph, found 7 components" in done.err
+    assert not target.exists()

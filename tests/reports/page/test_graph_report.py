@@ -12,6 +12,7 @@ from bundle.reports.page.graph_report import error_kinds
 from tests.analysis.uncertainty.test_factor_graph_covariance import landmarks
 from tests.graphs.factors import both_ways
 from tests.graphs.pose_graphs import graphs
+from tests.graphs.pose_graphs.chordal_oracle import ring
 from tests.reports.page.browser import check_nothing_is_clipped
 from tests.reports.page.reader import Page, check_self_contained
 
@@ -145,3 +146,20 @@ def test_the_view_draws_edges_and_hides_them(browser, tmp_path):
     browser.wait_for(f"Number(document.querySelector('.scene').dataset.drawn) > {before}")
     assert browser.complaints() == []
     assert all(url.startswith("file:") for url in browser.requested())
+
+
+def test_a_certificate_has_its_section(browser, tmp_path):
+    path = tmp_path / "x.html"
+    bundle.report(bundle.solve(loop(2), certify=True), path)
+    rows = [row for row in Page(path).rows if row and row[0] == "minimum of the solve"]
+    assert [row[1] for row in rows] == ["certified"]
+    assert "globally optimal within" in Page(path).text
+    wound = ring(np.random.default_rng(1), 16, 2, turns=1)
+    bundle.report(bundle.solve(wound, init="file", certify=True), path)
+    verdicts = {row[0]: row[1] for row in Page(path).rows if row and "certified" in row[1]}
+    assert verdicts == {"minimum of the solve": "not-certified", "after the staircase": "certified"}
+    assert "The first minimum" in Page(path).text
+    for width in (400, 1200):
+        check_nothing_is_clipped(browser, path, width)
+    bundle.report(bundle.solve(loop(2)), path)
+    assert "Certificate" not in Page(path).text

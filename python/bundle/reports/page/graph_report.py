@@ -20,6 +20,7 @@ from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.finding import Finding
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.inspection.elimination_costs import CONVENTION
+from bundle.reports.page.certificate_section import certificate_sections
 from bundle.reports.page.graph_facts import (
     CLOSURE,
     GraphFacts,
@@ -77,6 +78,7 @@ def write_graph_report(
         findings_list(problems),
         Section(title="Trajectory", figures=plan_figures(drawn)),
         scene,
+        *certificate_sections(source),
         *_errors(facts),
         *_diagnosis(facts, notes),
         *_convergence(facts),
