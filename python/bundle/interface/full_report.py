@@ -167,7 +167,7 @@ def _count(value: int | None) -> str:
 
 def _library(summary: Any) -> str:
     if summary.linear_solver_type_used.startswith("DENSE"):
-        return summary.dense_linear_algebra_library_type
+        return str(summary.dense_linear_algebra_library_type)
     if summary.linear_solver_type_used.startswith("SPARSE"):
-        return summary.sparse_linear_algebra_library_type
+        return str(summary.sparse_linear_algebra_library_type)
     return "EIGEN"
