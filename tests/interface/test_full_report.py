@@ -52,7 +52,8 @@ def test_rejected_steps_are_marked_and_counted():
 
 def test_a_summary_alone_has_no_table():
     summary = bundle.solve(scenes.make_problem()).summary
-    alone = bundle.Summary(**{k: v for k, v in vars(summary).items() if not k.startswith("_")})
+    alone = bundle.Summary(**vars(summary))
     assert alone == summary
+    assert pickle.loads(pickle.dumps(alone)) == alone
     assert "lambda" not in alone.full_report()
     assert "lambda" in summary.full_report()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bundle.base.display import Display, Displayed
 from bundle.base.words import change, number, plural, seconds
@@ -79,6 +79,9 @@ class Summary(Displayed):
     system, and its residual evaluation time includes the back-substitution.
     """
 
+    # Iterations of the result, for full_report(). A slot is no field: vars() has the fields alone.
+    __slots__ = ("_iterations",)
+
     initial_cost: float
     final_cost: float
     fixed_cost: float
@@ -142,6 +145,13 @@ class Summary(Displayed):
     num_processes: int = 1
     processes: ProcessRecord | None = None
 
+    def __setstate__(self, state: Any) -> None:
+        """Restore a pickle: the fields, and the iterations if it has them."""
+        fields, slots = state if isinstance(state, tuple) else (state, {})
+        vars(self).update(fields)
+        for name, value in (slots or {}).items():
+            object.__setattr__(self, name, value)
+
     def full_report(self) -> str:
         """Return all fields as lines of text, in the order of Ceres' FullReport.
 
@@ -152,7 +162,7 @@ class Summary(Displayed):
 
         groups = self.linear_solver_ordering_given, self.linear_solver_ordering_used
         orderings = sizes(groups[0]), sizes(groups[1])
-        return full_report(self, solver_table(self), orderings, vars(self).get("_iterations"))
+        return full_report(self, solver_table(self), orderings, getattr(self, "_iterations", None))
 
     def breakdown(self) -> str:
         """Return a table of the solver's phases with times and percentages."""
