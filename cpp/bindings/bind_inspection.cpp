@@ -12,6 +12,7 @@
 #include "core/interface/options.h"
 #include "core/prepare/choose_solver.h"
 #include "core/prepare/memory.h"
+#include "core/prepare/panel_work.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/schur_setup.h"
@@ -89,6 +90,27 @@ double PanelValues(const Ints& sizes, const Int64s& column_begin, const Ints& ro
   return bundle::CountPanelValues(pattern, blocks);
 }
 
+py::dict CountPanelWork(const Ints& sizes, const Int64s& column_begin, const Ints& rows,
+                        const Ints& order) {
+  const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);
+  const std::vector<int> blocks(order.data(), order.data() + order.size());
+  bundle::PanelWork work;
+  {
+    const py::gil_scoped_release release;
+    work = bundle::CountPanelWork(pattern, blocks);
+  }
+  py::dict result;
+  result["panels"] = work.panels;
+  result["updates"] = work.updates;
+  result["stored"] = work.stored;
+  result["products"] = work.products;
+  result["reads"] = work.reads;
+  result["update_flops"] = work.update_flops;
+  result["factor_flops"] = work.factor_flops;
+  result["row_blocks"] = work.row_blocks;
+  return result;
+}
+
 /// The linear solver that the fused backend's `auto` chooses, in upper case.
 std::string AutoChoice(const Ints& sizes, const Int64s& column_begin, const Ints& rows,
                        int num_threads) {
@@ -117,6 +139,8 @@ void BindInspection(py::module_& m) {
   m.def("available_memory", [] { return bundle::AvailableMemoryBytes(); });
   m.def("parameter_blocks", &ParameterBlocks, py::arg("problem"), py::arg("options"));
   m.def("panel_values", &PanelValues, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
+        py::arg("order"));
+  m.def("panel_work", &CountPanelWork, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
         py::arg("order"));
   m.def("auto_choice", &AutoChoice, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
         py::arg("num_threads"));

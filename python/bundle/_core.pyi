@@ -460,6 +460,16 @@ def panel_values(
 # bind_graph.cpp
 # A variable: (name, manifold, value, held, lower, upper), the last three empty for none. A factor:
 # (kind, name, places of its variables, loss, scale, what the kind takes).
+def panel_work(
+    sizes: NDArray[np.int32],
+    column_begin: NDArray[np.int64],
+    rows: NDArray[np.int32],
+    order: NDArray[np.int32],
+) -> dict[str, float]: ...
+
+# bind_graph.cpp
+# A variable: (name, manifold, value, held, lower, upper), the last three empty for none. A factor:
+# (kind, name, places of its variables, loss, scale, what the kind takes).
 def solve_graph(
     variables: list[Any],
     factors: list[Any],

@@ -32,13 +32,14 @@ def inspect_graph(arguments: argparse.Namespace) -> int:
     started = perf_counter()
     if options_given(arguments, RankOptions).ranks is not None:
         raise InputError("--ranks: expected a bundle adjustment problem, found a pose graph")
-    refuse_flags_of_reconstructions(arguments, ("num_threads",))
+    refuse_flags_of_reconstructions(arguments, ("num_threads", "recalibrate"))
+    threads = options_given(arguments, PoseGraphOptions).num_threads
     source = arguments.input
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         graph = load_g2o(source)
         progress.stage("inspecting")
-        found = inspect(graph)
+        found = inspect(graph, num_threads=threads, recalibrate=arguments.recalibrate)
     wall = perf_counter() - started
     publish(inspected_graph(source, graph, found, wall), arguments)
     return EXIT_DONE

@@ -93,8 +93,8 @@ def test_repeated_edges_and_held_poses():
     assert bundle.inspect(twice).nnz == bundle.inspect(graph).nnz
     with pytest.raises(bundle.InputError, match=r"^graph: expected a free pose"):
         bundle.inspect(graph.replace(fixed=np.ones(6, bool)))
-    with pytest.raises(bundle.InputError, match=r"^recalibrate: "):
-        bundle.inspect(graph, recalibrate=True)
+    with pytest.raises(bundle.InputError, match=r"^loss: "):
+        bundle.inspect(graph, loss="huber")
 
 
 def test_the_command(tmp_path, capsys):

@@ -29,6 +29,7 @@ from bundle.planning.comparison.command_line import command_line
 from bundle.planning.comparison.graph_distance import graph_distance
 from bundle.planning.comparison.graph_runs import GraphRun, best_cost, measure, recommend_run
 from bundle.planning.comparison.method import as_tuple, thread_counts
+from bundle.planning.inspection.pose_graph_inspection import inspect_pose_graph
 
 __all__ = ["FactorGraphMethod", "GraphComparison", "GraphMethod", "GraphRun", "compare_graph"]
 
@@ -192,11 +193,13 @@ def compare_graph(
     # The start is computed once, because all methods must share it.
     started = solve_pose_graph(source, options.replace(max_num_iterations=0)).problem
     base = options.replace(init="file")
+    predicted = _predicted(started, methods)
     runs = []
     for method in methods:
         if progress is not None:
             progress(method.name)
-        runs.append(measure(method, _solver(started, method.options(base)), repeat, timeout))
+        solve = _solver(started, method.options(base))
+        runs.append(measure(method, solve, repeat, timeout, predicted.get(method, math.nan)))
     best, reason = recommend_run(runs)
     return GraphComparison(
         graph=started,
@@ -210,6 +213,21 @@ def compare_graph(
         timeout=timeout,
         environment=environment.finished(),
     )
+
+
+def _predicted(graph: PoseGraph, methods: Iterable[GraphMethod]) -> dict[GraphMethod, float]:
+    """Return the predicted time of a step of the methods of the fused backend."""
+    times: dict[int, dict[str, float]] = {}
+    found = {}
+    for method in methods:
+        if method.backend == "fused":
+            if method.num_threads not in times:
+                costs = inspect_pose_graph(graph, method.num_threads).costs
+                times[method.num_threads] = {
+                    cost.ordering: cost.time_per_step_in_seconds for cost in costs
+                }
+            found[method] = times[method.num_threads][method.ordering]
+    return found
 
 
 def _solver(

@@ -38,6 +38,7 @@ class GraphRun:
         failure: reason for a missing solution, as a sentence; "" with a solution.
         warnings: warnings of the solve.
         result: the last solve; None after a failure.
+        predicted_time_per_step_in_seconds: prediction of :func:`bundle.inspect`; NaN without one.
     """
 
     method: Any
@@ -49,6 +50,15 @@ class GraphRun:
     failure: str = ""
     warnings: tuple[str, ...] = ()
     result: Any = None
+    predicted_time_per_step_in_seconds: float = math.nan
+
+    @property
+    def time_per_step_in_seconds(self) -> float:
+        """Median time of the steps of the last solve; NaN without a step."""
+        if self.result is None or self.num_steps < 1:
+            return math.nan
+        times = self.result.iterations["iteration_time_in_seconds"][1:].tolist()
+        return float(statistics.median(times))
 
     @property
     def time_in_seconds(self) -> float:
@@ -61,6 +71,7 @@ def measure(
     solve: Callable[[Callable[[Any], None]], tuple[Any, float]],
     repeat: int,
     timeout: float,
+    predicted: float = math.nan,
 ) -> GraphRun:
     """Solve several times by one method.
 
@@ -69,6 +80,7 @@ def measure(
         solve: function of a progress callback that returns the result and its chi2.
         repeat: number of solves.
         timeout: seconds after which a solve is stopped.
+        predicted: predicted time of a step in seconds.
     """
     times: list[float] = []
     for _ in range(repeat):
@@ -103,6 +115,7 @@ def measure(
         termination_type=summary.termination_type,
         warnings=tuple(summary.warnings),
         result=result,
+        predicted_time_per_step_in_seconds=predicted,
     )
 
 

@@ -8,8 +8,9 @@ the sum of c^2 + 3 c over the columns of L with c entries below the diagonal
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.words import number
 from bundle.planning.inspection.graph_inspection import pattern_of_edges
+from bundle.planning.inspection.peak_memory import Terms, total
 from bundle.planning.inspection.problem_pattern import count_dense
 
 __all__ = ["CONVENTION", "ORDERINGS", "EliminationCost", "advise", "elimination_costs"]
@@ -47,6 +49,8 @@ class EliminationCost:
         tree_height: variables on the longest path of the elimination tree.
         memory_in_bytes: memory of the values of L, of a dense matrix with both triangles.
         is_taken: True if an option of the solve selects the order.
+        time_per_step_in_seconds: predicted time of a step with this order; NaN if unknown.
+        time_terms: parts of this time.
     """
 
     ordering: str
@@ -56,10 +60,15 @@ class EliminationCost:
     tree_height: int
     memory_in_bytes: int
     is_taken: bool = True
+    time_per_step_in_seconds: float = math.nan
+    time_terms: Mapping[str, float] = field(default_factory=dict)
 
 
 def elimination_costs(
-    sizes: NDArray[np.int32], pairs: NDArray[np.int64], taken: Sequence[str]
+    sizes: NDArray[np.int32],
+    pairs: NDArray[np.int64],
+    taken: Sequence[str],
+    predict: Callable[[Mapping[str, float]], Terms] | None = None,
 ) -> tuple[EliminationCost, ...]:
     """Return the cost of each order, then of the dense matrix.
 
@@ -67,11 +76,14 @@ def elimination_costs(
         sizes: (n,) scalars of each variable.
         pairs: distinct pairs (smaller, larger) of variables with a nonzero block.
         taken: orders that a solve offers.
+        predict: function from ``_core.panel_work`` to the parts of a step's time; None: unknown.
     """
     pattern = pattern_of_edges(sizes, pairs)
     costs = []
     for name in ORDERINGS:
-        counts: dict[str, Any] = _core.count_factor(*pattern, _core.order_blocks(*pattern, name))
+        order = _core.order_blocks(*pattern, name)
+        counts: dict[str, Any] = _core.count_factor(*pattern, order)
+        terms = {} if predict is None else predict(_core.panel_work(*pattern, order))
         costs.append(
             EliminationCost(
                 ordering=name,
@@ -81,6 +93,8 @@ def elimination_costs(
                 tree_height=int(counts["tree_height"]),
                 memory_in_bytes=BYTES * int(counts["entries"]),
                 is_taken=name in taken,
+                time_per_step_in_seconds=total(terms) if terms else math.nan,
+                time_terms=terms,
             )
         )
     n, columns = len(sizes), int(sizes.sum(dtype=np.int64))

@@ -1,7 +1,8 @@
 """Rates of this machine, measured once and cached.
 
 Each rate is measured on real solves of small problems by the solver that it predicts. It therefore
-includes the instruction set, caches, BLAS and threads of the machine (``calibrate``).
+includes the instruction set, caches, BLAS and threads of the machine (``calibrate``;
+``graph_rates`` for pose graphs).
 
 The cache folder has one file per version and number of threads.
 """
@@ -15,14 +16,19 @@ import json
 import math
 import os
 import platform
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import bundle._core as _core
 from bundle.base.cache_folder import cache_folder, write_cached
 from bundle.planning.inspection.calibrate import calibrate
+from bundle.planning.inspection.graph_rates import FEATURES, GraphRates, calibrate_graphs
 from bundle.planning.inspection.rates import FactorRate, Rates, implausible
 
-__all__ = ["cache_path", "machine_rates"]
+__all__ = ["cache_path", "graph_rates", "machine_rates"]
+
+RATE_NAMES = tuple(field.name for field in dataclasses.fields(Rates))
 
 ATTEMPTS = 3
 """Number of calibrations after which implausible rates are used once, without caching them."""
@@ -37,7 +43,23 @@ def machine_rates(num_threads: int, *, recalibrate: bool = False) -> Rates:
         if implausible(rates):  # used once, not cached
             return rates
         with contextlib.suppress(OSError):  # if they cannot be cached, the next call measures again
-            _write(path, rates)
+            _write(path, dataclasses.asdict(rates))
+    return rates
+
+
+def graph_rates(num_threads: int, *, recalibrate: bool = False) -> GraphRates:
+    """Return the rates of pose graphs on ``num_threads`` threads; measure them unless cached."""
+    path = cache_path(num_threads, "graph-rates", FEATURES)
+    try:
+        given = {} if recalibrate else json.loads(path.read_text(encoding="ascii"))
+        numbers = [given["speedup"], *given["seconds"].values()]
+        if set(given["seconds"]) == {*FEATURES} and all(map(math.isfinite, numbers)):
+            return GraphRates(num_threads=num_threads, **given)
+    except (OSError, ValueError, TypeError, KeyError):
+        pass
+    rates = calibrate_graphs(num_threads)
+    with contextlib.suppress(OSError):
+        _write(path, {"seconds": dict(rates.seconds), "speedup": rates.speedup})
     return rates
 
 
@@ -51,8 +73,8 @@ def _measure(num_threads: int) -> Rates:
     return min(attempts, key=lambda rates: len(implausible(rates)))
 
 
-def cache_path(num_threads: int) -> Path:
-    """Return the path of the cached rates."""
+def cache_path(num_threads: int, kind: str = "rates", names: Sequence[str] = RATE_NAMES) -> Path:
+    """Return the path of the cached rates of a kind, which have these names."""
     # Machines may share a home folder, and one processor may offer several instruction sets.
     machine = (
         _core.__version__,
@@ -63,10 +85,10 @@ def cache_path(num_threads: int) -> Path:
         _blas(),
         os.environ.get("BUNDLE_INSTRUCTION_SET", ""),
         _core.hardware_threads(),
-        [field.name for field in dataclasses.fields(Rates)],
+        list(names),
     )
     digest = hashlib.sha256(repr(machine).encode()).hexdigest()[:12]
-    return cache_folder() / f"rates-{digest}-{num_threads}.json"
+    return cache_folder() / f"{kind}-{digest}-{num_threads}.json"
 
 
 def _processor() -> tuple[str, ...]:
@@ -113,5 +135,5 @@ def _read(path: Path) -> Rates | None:
     return rates if sound and not implausible(rates) else None
 
 
-def _write(path: Path, rates: Rates) -> None:
-    write_cached(path, json.dumps(dataclasses.asdict(rates), indent=2) + "\n")
+def _write(path: Path, rates: dict[str, Any]) -> None:
+    write_cached(path, json.dumps(rates, indent=2) + "\n")

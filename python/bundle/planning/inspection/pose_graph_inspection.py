@@ -11,7 +11,7 @@ import bundle._core as _core
 from bundle.base.arguments import check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path, is_path
-from bundle.base.words import number, plural
+from bundle.base.words import number, plural, span
 from bundle.graphs.pose_graphs.edge_weights import check_free_pose
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.io.g2o_files import load_g2o
@@ -21,6 +21,8 @@ from bundle.planning.inspection.elimination_costs import (
     advise,
     elimination_costs,
 )
+from bundle.planning.inspection.graph_rates import free_pairs, step_terms
+from bundle.planning.inspection.machine_rates import graph_rates
 
 __all__ = ["PoseGraphInspection", "inspect_pose_graph"]
 
@@ -42,6 +44,7 @@ class PoseGraphInspection(Displayed):
         nnz_free: nonzeros of the information matrix over the free poses.
         costs: one per order, then the dense matrix.
         auto_ordering: order that ``auto`` selects.
+        num_threads: threads of the predicted times.
     """
 
     num_poses: int
@@ -53,6 +56,7 @@ class PoseGraphInspection(Displayed):
     nnz_free: int
     costs: tuple[EliminationCost, ...]
     auto_ordering: str
+    num_threads: int
 
     @property
     def recommendation(self) -> str:
@@ -63,7 +67,11 @@ class PoseGraphInspection(Displayed):
         facts = [
             ("matrix", f"{self.nnz} nonzeros, {100 * self.density:.4g} %"),
             *(
-                (cost.ordering, f"{cost.nnz_factor} nonzeros of L, {number(cost.flops)} flops")
+                (
+                    cost.ordering,
+                    f"{cost.nnz_factor} nonzeros of L, {number(cost.flops)} flops, "
+                    f"{span(cost.time_per_step_in_seconds)} per step",
+                )
                 for cost in self.costs
             ),
             ("advice", self.recommendation),
@@ -72,8 +80,15 @@ class PoseGraphInspection(Displayed):
         return Display(title=f"PoseGraphInspection: {poses}", facts=tuple(facts))
 
 
-def inspect_pose_graph(source: Any) -> PoseGraphInspection:
+def inspect_pose_graph(
+    source: Any, num_threads: int = 0, *, recalibrate: bool = False
+) -> PoseGraphInspection:
     """Count the cost of a step of a pose graph's solve; see :func:`bundle.inspect`.
+
+    Args:
+        source: graph, result of a solve or path.
+        num_threads: number of threads of the predicted solve; 0: all cores.
+        recalibrate: measure the rates of this machine again.
 
     Raises:
         InputError: the source is not a pose graph, or all poses are constant.
@@ -88,11 +103,16 @@ def inspect_pose_graph(source: Any) -> PoseGraphInspection:
     check_free_pose(graph)
     d = graph.tangent_size
     held, _, _ = _core.hold_poses(graph)
-    pairs = np.unique(np.sort(graph.edges.astype(np.int64), axis=1), axis=0).reshape(-1, 2)
-    free = np.cumsum(~held) - 1
-    kept = free[pairs[~held[pairs].any(axis=1)]]
-    num_free = int((~held).sum())
-    costs = elimination_costs(np.full(num_free, d, np.int32), kept, ORDERINGS)
+    pairs = np.unique(np.sort(graph.edges, axis=1), axis=0)
+    kept, num_free = free_pairs(graph)
+    threads = min(num_threads or _core.hardware_threads(), _core.hardware_threads())
+    rates = graph_rates(threads, recalibrate=recalibrate)
+    costs = elimination_costs(
+        np.full(num_free, d, np.int32),
+        kept,
+        ORDERINGS,
+        lambda work: step_terms(rates, graph, work),
+    )
     nnz = d * d * (graph.num_poses + 2 * len(pairs))
     return PoseGraphInspection(
         num_poses=graph.num_poses,
@@ -104,4 +124,5 @@ def inspect_pose_graph(source: Any) -> PoseGraphInspection:
         nnz_free=d * d * (num_free + 2 * len(kept)),
         costs=costs,
         auto_ordering=_core.auto_ordering(graph, held),
+        num_threads=threads,
     )

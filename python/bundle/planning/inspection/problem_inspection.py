@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Unpack, overload
+from collections.abc import Mapping, Sequence
+from typing import Any, Unpack, overload
 
 import bundle._core as _core
 from bundle.base.arguments import as_flag
@@ -43,7 +43,9 @@ __all__ = ["explain", "inspect", "recommend"]
 
 
 @overload
-def inspect(problem: PoseGraph | PoseGraphResult) -> PoseGraphInspection: ...
+def inspect(
+    problem: PoseGraph | PoseGraphResult, *, recalibrate: bool = False, num_threads: int = 0
+) -> PoseGraphInspection: ...
 
 
 @overload
@@ -82,7 +84,8 @@ def inspect(
 
     For a pose graph, the result of its solve, or a g2o file, the result is a
     :class:`PoseGraphInspection`: nonzeros of the normal equations, and fill-in, flops and memory of
-    their factor in each elimination order. Pose graphs take no options.
+    their factor in each elimination order, with the predicted time of a step. Of the options, pose
+    graphs take only ``num_threads``.
 
     A :class:`FactorGraph` of reprojections is inspected as the problem that it states, one of
     relative poses as the pose graph that it states; the result is equal. For any other factor graph
@@ -103,8 +106,8 @@ def inspect(
     if isinstance(problem, FactorGraph):
         return _inspect_factor_graph(problem, options, recalibrate=recalibrate, **changes)
     if is_graph(problem):
-        refuse_for_graphs(options=options, recalibrate=recalibrate or None, **changes)
-        return inspect_pose_graph(problem)
+        threads = _only_threads(options, changes)
+        return inspect_pose_graph(problem, threads, recalibrate=as_flag("recalibrate", recalibrate))
     problem = as_problem(problem)  # type: ignore[arg-type]
     recalibrate = as_flag("recalibrate", recalibrate)
     chosen = resolve_defaults(problem, SolveOptions.of(options, changes, "inspect"))
@@ -141,9 +144,18 @@ def _inspect_factor_graph(
     if (same := problem_of(graph)) is not None:
         asked = options_of_graph(same, SolveOptions.of(options, changes, "inspect"))
         return inspect(same.problem, asked, recalibrate=recalibrate)
-    refuse_for_graphs(options=options, recalibrate=recalibrate or None, **changes)
+    threads = _only_threads(options, changes)
     poses = pose_graph_of(graph)
-    return inspect_factor_graph(graph) if poses is None else inspect_pose_graph(poses.graph)
+    if poses is None:
+        return inspect_factor_graph(graph)
+    return inspect_pose_graph(poses.graph, threads, recalibrate=recalibrate)
+
+
+def _only_threads(options: SolveOptions | None, changes: Mapping[str, Any]) -> int:
+    """Return the number of threads; refuse all other options, which a graph does not have."""
+    others = {name: value for name, value in changes.items() if name != "num_threads"}
+    refuse_for_graphs(options=options, **others)
+    return SolveOptions.of(None, changes, "inspect").num_threads
 
 
 class _Inspector:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from bundle.base.memory_sizes import format_size
-from bundle.base.words import amount, number, plural, seconds
+from bundle.base.words import amount, number, plural, seconds, span
 from bundle.graphs.pose_graphs.densest_set import densest_set
 from bundle.model.content_digests import content_digests
 from bundle.model.pose_graph_arrays import PoseGraph
@@ -35,6 +35,7 @@ def inspected_graph(
         Column("flops", "flops", number),
         Column("height", "tree_height"),
         Column("memory", "memory_in_bytes", format_size),
+        Column("a step", "time_per_step_in_seconds", lambda time: span(time)),
     )
     facts = [
         *graph_facts(path, graph),
@@ -46,7 +47,7 @@ def inspected_graph(
     return Report(
         command="inspect",
         input=about_graph(path, graph),
-        headline=[found.recommendation],
+        headline=[found.recommendation, _predicted(found)],
         sections=[
             Section(tables=[Table(columns, found.costs, legend=LEGEND)]),
             Section(facts=facts, is_detail=True),
@@ -57,6 +58,15 @@ def inspected_graph(
             "nonzeros": CONVENTION,
             "wall_time": {"total": wall_time},
         },
+    )
+
+
+def _predicted(found: PoseGraphInspection) -> str:
+    chosen = next(cost for cost in found.costs if cost.ordering == found.auto_ordering)
+    return (
+        f"Predicted: {span(chosen.time_per_step_in_seconds)} per step and "
+        f"{format_size(chosen.memory_in_bytes)} on {plural(found.num_threads, 'thread')}, for "
+        f"{plural(found.block_size * found.num_free_poses, 'unknown', grouped=True)}."
     )
 
 
@@ -102,6 +112,8 @@ def compared_graph(
         Column("flops", measured(_factor("factor_flops", number))),
         Column("steps", measured(lambda run: str(run.num_steps))),
         Column("seconds", measured(lambda run: seconds(run.time_in_seconds))),
+        Column("a step", measured(lambda run: span(run.time_per_step_in_seconds))),
+        Column("predicted", measured(lambda run: span(run.predicted_time_per_step_in_seconds))),
     )
     advice = [("advice", found.reason), *([("", found.command)] if found.command else [])]
     recommendation = None
@@ -144,7 +156,10 @@ def _factor(name: str, write: Callable[[float], str]) -> Callable[[GraphRun], st
 
 
 def _run(found: GraphComparison, run: GraphRun) -> dict[str, Any]:
-    names = ("times_in_seconds", "time_in_seconds", "final_cost", "chi2_final")
+    names = (
+        *("times_in_seconds", "time_in_seconds", "final_cost", "chi2_final"),
+        *("time_per_step_in_seconds", "predicted_time_per_step_in_seconds"),
+    )
     return {
         **fields(run.method),
         "name": run.method.name,

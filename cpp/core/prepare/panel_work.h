@@ -1,0 +1,28 @@
+#pragma once
+
+/// Operations of a supernodal factorisation, by which its time is predicted.
+
+#include <vector>
+
+#include "core/symbolic/block_pattern.h"
+
+namespace bundle {
+
+/// Sums over the panels of a factor (linear/supernodes.h) and over the updates of one panel by
+/// another. A panel has w own columns and r rows below them. An update of another panel by q of
+/// these rows computes a product of q columns and of the p rows from the first of them on.
+struct PanelWork {
+  double panels = 0;
+  double updates = 0;
+  double stored = 0;        ///< values of all panels
+  double products = 0;      ///< sum of q p: values that updates add
+  double reads = 0;         ///< sum of p w: values of panels that updates read
+  double update_flops = 0;  ///< sum of 2 q p w
+  double factor_flops = 0;  ///< sum of w^3 / 3 + w^2 r, of the panels' own columns
+  double row_blocks = 0;    ///< block rows below the panels' own columns, once per update
+};
+
+/// Counts the work for an order of elimination, which is a permutation of the blocks.
+PanelWork CountPanelWork(const BlockPatternView& pattern, const std::vector<int>& order);
+
+}  // namespace bundle

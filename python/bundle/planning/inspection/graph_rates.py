@@ -1,0 +1,294 @@
+"""Time of a step of a pose graph: counts multiplied by rates, which small solves of it measure.
+
+A Gauss-Newton step linearises the edges, factorises the normal equations panel by panel
+(``cpp/core/linear/supernodal_cholesky.cpp``) and moves the poses. Its time is a sum of
+
+- a constant, and times per edge and per pose, each in the plane and in space;
+- a time per update of a panel by another one, and per block row that an update has to locate;
+- flops of the updates and flops of the panels' own columns, at two rates;
+- bytes of edges and poses beyond the second-level cache, and values of panels that updates read
+  beyond it and beyond half of a third-level cache.
+
+A narrow panel has many updates of few flops, so that its effective rate is low without a table of
+rates by size. The times follow from solves of graphs whose counts differ: the least squares of the
+relative errors under the condition that no time is negative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from time import perf_counter, process_time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import bundle._core as _core
+from bundle.graphs.pose_graphs.lie_groups import compose, inverse
+from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.planning.inspection.graph_inspection import pattern_of_edges
+from bundle.planning.inspection.peak_memory import Terms
+
+__all__ = [
+    "GraphRates",
+    "calibrate_graphs",
+    "free_pairs",
+    "made_graph",
+    "step_terms",
+    "step_time",
+]
+
+NEAR_CACHE, FAR_CACHE = 1e6, 16e6
+"""Bytes from which data leave the second-level cache, and the share of the third-level cache that a
+solve may expect."""
+
+EDGE_BYTES, POSE_BYTES = {3: 100.0, 6: 290.0}, {3: 100.0, 6: 250.0}
+"""Bytes of an edge and of a pose, by tangent size."""
+
+EDGES_OF_A_THREAD = 70_000
+"""Edges, weighted by the square of their coordinates, that are worth a thread
+(``pose_graph_problem.cpp``)."""
+
+FEATURES = (
+    *("step", "edge_3", "edge_6", "pose_3", "pose_6", "update", "row_block"),
+    *("update_flop", "factor_flop", "far_byte", "read_value", "far_value"),
+)
+
+SHOWN = {
+    "edges": ("edge_3", "edge_6", "far_byte"),
+    "poses": ("pose_3", "pose_6"),
+    "updates of panels": ("update", "row_block", "read_value", "far_value"),
+    "flops": ("update_flop", "factor_flop"),
+    "other": ("step",),
+}
+"""Terms of a time, with the features that they add up."""
+
+ENOUGH_SECONDS, LEAST_REPEATS = 0.04, 3
+LONG = 1e-3
+"""Seconds of a step that counts as long."""
+
+STEPS = 3
+
+CASES = (
+    *(("chain", 150, d, "natural") for d in (3, 6)),
+    *(("chain", 2500, d, "natural") for d in (3, 6)),
+    ("chain", 20000, 3, "natural"),
+    *(("grid", 100, d, "natural") for d in (3, 6)),
+    *(("grid", 400, d, order) for d in (3, 6) for order in ("natural", "amd")),
+    *(("near", 400, d, order) for d in (3, 6) for order in ("natural", "metis")),
+    *(("near", 2500, d, order) for d in (3, 6) for order in ("natural", "amd")),
+    ("grid", 1600, 3, "metis"),
+    *(("grid", 900, 6, order) for order in ("natural", "amd")),
+    ("grid", 1600, 6, "metis"),
+    *(("loops", 1500, d, "natural") for d in (3, 6)),
+    ("hubs", 8000, 3, "amd"),
+    ("grid", 2000, 6, "natural"),
+    ("near", 10000, 6, "amd"),
+)
+"""Graphs and orders of the calibration: kind, poses, tangent size, order."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphRates:
+    """Seconds per feature on this machine.
+
+    Attributes:
+        num_threads: threads of the timed solves.
+        seconds: seconds per unit, by the names of ``FEATURES``.
+        speedup: quotient of the times of one thread and of all threads on a large graph.
+    """
+
+    num_threads: int
+    seconds: Mapping[str, float]
+    speedup: float = 1.0
+
+
+def free_pairs(graph: PoseGraph) -> tuple[NDArray[np.int64], int]:
+    """Return distinct pairs of free poses with an edge, by their numbers, and the free poses."""
+    held, _, _ = _core.hold_poses(graph)
+    pairs = np.unique(np.sort(graph.edges.astype(np.int64), axis=1), axis=0).reshape(-1, 2)
+    number = np.cumsum(~held) - 1
+    return number[pairs[~held[pairs].any(axis=1)]], int((~held).sum())
+
+
+def step_terms(rates: GraphRates, graph: PoseGraph, work: Mapping[str, float]) -> Terms:
+    """Return the predicted time of a step, by its parts.
+
+    Args:
+        rates: rates of the machine.
+        graph: the graph.
+        work: ``_core.panel_work`` of its free poses in the order of the elimination.
+    """
+    size = graph.num_edges * graph.tangent_size**2
+    threads = min(rates.num_threads, max(1, size // EDGES_OF_A_THREAD))
+    share = (threads - 1) / max(rates.num_threads - 1, 1)
+    speedup = 1 + (rates.speedup - 1) * share
+    counts = dict(zip(FEATURES, _features(graph, work).tolist(), strict=True))
+    return {
+        name: sum(rates.seconds[feature] * counts[feature] for feature in features)
+        / (speedup if name != "other" else 1.0)
+        for name, features in SHOWN.items()
+    }
+
+
+def calibrate_graphs(num_threads: int) -> GraphRates:
+    """Measure the rates by solves of small graphs, about two seconds in total."""
+    rows, times = [], []
+    for k, (kind, count, size, ordering) in enumerate(CASES):
+        graph = made_graph(kind, count, size, seed=k)
+        time = step_time(graph, ordering, 1)
+        if np.isfinite(time):
+            rows.append(_features(graph, _work(graph, ordering)))
+            times.append(time)
+    seconds = dict(zip(FEATURES, _fit(np.array(rows), np.array(times)).tolist(), strict=True))
+    speedup = 1.0
+    if num_threads > 1:
+        graph = made_graph("near", 5000 * num_threads, 6, seed=99)
+        one, all_threads = (step_time(graph, "amd", threads) for threads in (1, num_threads))
+        if np.isfinite(one) and np.isfinite(all_threads):
+            speedup = float(np.clip(one / all_threads, 1.0, num_threads))
+    return GraphRates(num_threads=num_threads, seconds=seconds, speedup=speedup)
+
+
+def made_graph(kind: str, num_poses: int, tangent_size: int, *, seed: int) -> PoseGraph:
+    """Return a seeded graph near its minimum: a chain, with more edges for other kinds.
+
+    "grid": rows of equal length, poses of neighbouring rows joined; "near": closures within a
+    fiftieth of the chain; "loops": closures anywhere; "hubs": closures to three poses.
+    """
+    rng = np.random.default_rng(seed)
+    first = np.arange(num_poses - 1)
+    edges = [np.stack([first, first + 1], axis=1)]
+    if kind == "grid":
+        width = int(np.sqrt(num_poses))
+        edges.append(np.stack([np.arange(num_poses - width), np.arange(width, num_poses)], axis=1))
+    elif kind == "near":
+        a = rng.integers(0, num_poses - 2, max(1, num_poses // 4))
+        step = rng.integers(2, max(3, num_poses // 50), len(a))
+        edges.append(np.stack([a, np.minimum(a + step, num_poses - 1)], axis=1))
+    elif kind == "loops":
+        edges.append(rng.integers(0, num_poses, (max(1, num_poses // 20), 2)))
+    elif kind == "hubs":
+        a = rng.integers(0, num_poses, num_poses // 5)
+        edges.append(np.stack([a, rng.integers(0, num_poses, 3)[rng.integers(0, 3, len(a))]], 1))
+    pairs = np.sort(np.concatenate(edges), axis=1)
+    pairs = np.unique(pairs[pairs[:, 0] < pairs[:, 1]], axis=0)
+    t = 0.05 * np.arange(num_poses)
+    xy = np.stack([10 * np.cos(t / 7), 10 * np.sin(t / 5)], axis=1)
+    noise = 0.01
+    if tangent_size == 3:
+        poses = np.concatenate([xy, np.mod(0.1 * t, 6)[:, None] - 3], axis=1)
+        measured = compose(inverse(poses[pairs[:, 0]]), poses[pairs[:, 1]])
+        measured += noise * rng.normal(size=measured.shape)
+        start = poses + 2 * noise * rng.normal(size=poses.shape)
+    else:
+        turns = 0.2 * rng.normal(size=(num_poses, 4)) + [0, 0, 0, 1]
+        turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+        poses = np.concatenate([turns, xy, 0.1 * t[:, None]], axis=1)
+        measured = compose(inverse(poses[pairs[:, 0]]), poses[pairs[:, 1]])
+        measured += 0.5 * noise * rng.normal(size=measured.shape)
+        start = poses + noise * rng.normal(size=poses.shape)
+    return PoseGraph(
+        poses=start,
+        edges=pairs.astype(np.int32),
+        measurements=measured,
+        information=np.tile(100 * np.eye(tangent_size), (len(pairs), 1, 1)),
+    )
+
+
+def _work(graph: PoseGraph, ordering: str) -> dict[str, float]:
+    pairs, free = free_pairs(graph)
+    pattern = pattern_of_edges(np.full(free, graph.tangent_size, np.int32), pairs)
+    return _core.panel_work(*pattern, _core.order_blocks(*pattern, ordering))
+
+
+def _features(graph: PoseGraph, work: Mapping[str, float]) -> Floats:
+    """Return the counts of a step in the order of ``FEATURES``."""
+    d, edges, poses = graph.tangent_size, graph.num_edges, graph.num_poses
+    of_graph = EDGE_BYTES[d] * edges + POSE_BYTES[d] * poses
+    total = of_graph + 8 * work["stored"]
+
+    def beyond(cache: float) -> float:
+        """Return the share of the data that a cache does not hold, from 0 to 1."""
+        return float(np.clip((total - cache) / cache, 0, 1))
+
+    traffic = work["reads"] + 2 * work["stored"]
+    values = {
+        "step": 1.0,
+        f"edge_{d}": edges,
+        f"pose_{d}": poses,
+        "update": work["updates"],
+        "row_block": work["row_blocks"],
+        "update_flop": work["update_flops"],
+        "factor_flop": work["factor_flops"],
+        "far_byte": of_graph * beyond(NEAR_CACHE),
+        "read_value": traffic * beyond(NEAR_CACHE),
+        "far_value": traffic * beyond(FAR_CACHE),
+    }
+    return np.array([float(values.get(name, 0.0)) for name in FEATURES])
+
+
+def step_time(graph: PoseGraph, ordering: str, num_threads: int) -> float:
+    """Return the shortest step of several solves; NaN without a successful step.
+
+    Other load only adds time. Of a long step on one thread the processor time counts, which other
+    load changes little; for a short step the calls that read it would take too long.
+    """
+    found: list[float] = []
+    begun = perf_counter()
+    repeats = 0
+    while repeats < LEAST_REPEATS or perf_counter() - begun < ENOUGH_SECONDS:
+        repeats += 1
+        clock: list[float] = []
+        is_long = bool(found) and min(found) > LONG and num_threads == 1
+
+        def read(_: Any, clock: list[float] = clock) -> None:
+            clock.append(process_time())
+
+        result: Any = solve_pose_graph(
+            graph,
+            ordering=ordering,
+            init="file",
+            num_threads=num_threads,
+            max_num_iterations=STEPS,
+            function_tolerance=0.0,
+            gradient_tolerance=0.0,
+            parameter_tolerance=0.0,
+            progress=read if is_long else None,
+        )
+        taken = np.asarray(result.iterations["step_is_successful"], bool)[1:]
+        times = np.asarray(result.iterations["iteration_time_in_seconds"])[1:]
+        if is_long and len(clock) == len(times) + 1:
+            times = np.diff(clock)
+        found += times[taken].tolist()
+    return min(found, default=float("nan"))
+
+
+def _fit(rows: Floats, times: Floats) -> Floats:
+    """Return the nonnegative times per feature with the least squares of the relative errors.
+
+    Cyclic coordinate descent: each time in turn takes its best value, at least 0, with all others
+    unchanged.
+    """
+    relative = rows / times[:, None]
+    scale = np.linalg.norm(relative, axis=0)
+    used = scale > 0
+    matrix = relative[:, used] / scale[used]
+    found = np.zeros(matrix.shape[1])
+    residual = np.ones(len(times))
+    for _ in range(20_000):
+        change = 0.0
+        for k in range(len(found)):
+            new = max(0.0, found[k] + float(matrix[:, k] @ residual))
+            residual -= (new - found[k]) * matrix[:, k]
+            change = max(change, abs(new - found[k]))
+            found[k] = new
+        if change < 1e-10:
+            break
+    result = np.zeros(rows.shape[1])
+    result[used] = found / scale[used]
+    return result
