@@ -30,6 +30,7 @@ from bundle.model.pycolmap.problem_source import packed, unpacked
 from bundle.model.selection import select
 
 if TYPE_CHECKING:
+    import pandas
     import pycolmap
 
     from bundle.model.selection import Selection
@@ -305,6 +306,24 @@ class Problem(Displayed):
         from bundle.model.pycolmap.write_back import to_pycolmap
 
         return to_pycolmap(self)
+
+    def to_dataframe(self, table: str = "observations") -> pandas.DataFrame:
+        """Return a table as a pandas.DataFrame; pandas is the extra ``tables``.
+
+        Args:
+            table: "observations" (ids, position, residual in pixels), "points" (coordinates,
+                number of observations, errors), "images" (pose, centre, errors) or "cameras"
+                (parameters, errors).
+
+        Raises:
+            InputError: the table is unknown, or pandas is not installed.
+
+        Example:
+            >>> problem.to_dataframe("images").sort_values("rmse").to_csv("images.csv")
+        """
+        from bundle.model import problem_tables  # late: most programs use no tables
+
+        return problem_tables.frame_of(problem_tables.table(self, table))
 
     def __repr__(self) -> str:
         return f"Problem({self.format}: {contents(self)}{self._rigs(', ')})"

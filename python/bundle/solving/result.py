@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from bundle.base.display import Display
 from bundle.base.words import change, contents, plural, seconds
 from bundle.interface.summary import held_facts
 from bundle.solving.headline import edit_facts, headline
 from bundle.solving.measured_result import MeasuredResult
+
+if TYPE_CHECKING:
+    import pandas
 
 __all__ = ["Result"]
 
@@ -47,6 +51,22 @@ class Result(MeasuredResult):
         edits: changes of the input before the solve, in order.
         observation_mask: mask of the observations of the input that the output has; None: all.
     """
+
+    def to_dataframe(self, table: str = "iterations") -> pandas.DataFrame:
+        """Return a table as a pandas.DataFrame; pandas is the extra ``tables``.
+
+        Args:
+            table: "iterations", or a table of the refined problem: see
+                :meth:`bundle.Problem.to_dataframe`.
+
+        Raises:
+            InputError: the table is unknown, or pandas is not installed.
+        """
+        from bundle.model.problem_tables import frame_of  # late: most programs use no tables
+
+        if table == "iterations":
+            return frame_of(self.iterations)
+        return self.problem.to_dataframe(table)
 
     def _factor_facts(self) -> tuple[tuple[str, str], ...]:
         count = self.summary.num_factors

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,16 @@ from bundle.base.arrays import refrozen
 from bundle.base.display import Display, Displayed
 from bundle.base.words import number, plural
 from bundle.errors import InputError, brief
+from bundle.interface.option_fields import choice
 from bundle.io.atomic import atomic_write as atomic
 
+if TYPE_CHECKING:
+    import pandas
+
 __all__ = ["Covariance"]
+
+_ID_COLUMNS = {"sensor": ("rig_id", "camera_id"), "relative": ("image_id_a", "image_id_b")}
+_AXES = {3: ("x", "y", "z"), 6: ("wx", "wy", "wz", "tx", "ty", "tz")}
 
 _Floats = NDArray[np.float64]
 _Ids = NDArray[np.int64]
@@ -124,6 +131,34 @@ class Covariance(Displayed):
             raise InputError(f"relative: expected a pair of {self.relative_ids.tolist()}")
         alone: _Floats = self._relative([(id_a, id_b)]).relative_covariance[0]
         return alone
+
+    def to_dataframe(self, block: str = "points") -> pandas.DataFrame:
+        """Return standard deviations as a pandas.DataFrame; pandas is the extra ``tables``.
+
+        Args:
+            block: "points", "poses", "cameras", "frames", "sensors" or "relative"; one row per
+                block, with its ids and one column per coordinate, named as in the class.
+
+        Raises:
+            InputError: the block is unknown, or pandas is not installed.
+        """
+        from bundle.model.problem_tables import frame_of  # late: most programs use no tables
+
+        names = ("points", "poses", "cameras", "frames", "sensors", "relative")
+        one = choice("block", block, names).removesuffix("s")
+        ids = np.asarray(getattr(self, f"{one}_ids"))
+        covariance = np.asarray(getattr(self, f"{one}_covariance"))
+        with np.errstate(invalid="ignore"):
+            sigmas = np.sqrt(np.einsum("nii->ni", covariance))
+        columns = _ID_COLUMNS.get(one, (f"{'image' if one == 'pose' else one}_id",))
+        axes = tuple(f"param_{k}" for k in range(sigmas.shape[1]))
+        if one != "camera":
+            axes = _AXES[sigmas.shape[1]]
+        keys = ids.reshape(len(ids), len(columns)).T
+        return frame_of(
+            dict(zip(columns, keys, strict=True))
+            | {f"sigma_{axis}": sigmas[:, k] for k, axis in enumerate(axes)}
+        )
 
     def save(self, path: str | Path) -> None:
         """Write all arrays and settings to an .npz file; a failed write leaves no partial file.

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.errors import InputError
 from bundle.io import bal
 from bundle.io.formats.bundler_writer import moved_centers
 from bundle.io.formats.written_tracks import (
@@ -30,13 +31,22 @@ __all__ = ["check", "write"]
 _NUM_RADII = 64
 
 
+MOST_ERROR = 2.0
+"""Largest error of a fitted distortion in pixels; lenses with a larger one are refused."""
+
+
 def check(problem: Problem, path: Path) -> None:  # noqa: ARG001
     """Raise the error that :func:`write` would raise.
 
     Raises:
         InputError: a camera or a name cannot be written.
     """
-    bal.radial_params(problem, "an NVM file")
+    _, error = _distortion(problem, bal.radial_params(problem, "an NVM file"))
+    if error > MOST_ERROR:
+        raise InputError(
+            "camera_params: an NVM file cannot hold them: expected lenses that its one coefficient "
+            f"of distortion fits to {MOST_ERROR:g} px, found an error of {error:.3g} px"
+        )
     check_names(problem, "an NVM file", "\n\r\t ")
 
 
