@@ -93,6 +93,7 @@ docs: $(READY_TO_DOCUMENT)  ## build the documentation, build/site/index.html; a
 quotes: $(READY)  ## rewrite what documents quote from the code
 	$(VENV)/bin/python tools/camera_table.py --update
 	$(VENV)/bin/python tools/quoted_outputs.py --update
+	$(VENV)/bin/python tools/json_schema.py
 	$(VENV)/bin/python tools/readme_picture.py
 	$(VENV)/bin/python tools/page_picture.py
 

@@ -1,0 +1,119 @@
+"""Every report validates against the published schema, which describes each of its entries."""
+
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+import bundle
+from bundle.cli.main import COMMANDS, main
+from bundle.reports.json_schema import described_entries, report_schema
+
+PUBLISHED = Path(__file__).parents[2] / "docs" / "reference" / "report.schema.json"
+VALIDATOR = jsonschema.Draft202012Validator(report_schema())
+RUNS = {
+    "info": "info IN",
+    "inspect": "inspect IN",
+    "diagnose": "diagnose IN",
+    "check": "check IN",
+    "convert": "convert IN OUT.txt",
+    "refine": "refine IN -o OUT",
+    "refine in rounds": "refine IN -o OUT --rounds 2 --hold-out 20 --loss huber",
+    "refine that fails": "refine BEHIND -o OUT",
+    "covariance": "covariance IN -o OUT.npz",
+    "report": "report IN -o OUT.html",
+    "evaluate": "evaluate IN --reference IN",
+    "merge": "merge IN PART -o OUT",
+    "validate": "validate IN --folds 2 --camera-models SIMPLE_RADIAL",
+    "align": "align IN -o OUT --reference IN",
+    "synth": "synth OUT --scene orbit",
+    "compare": "compare IN --repeat 1",
+    "graph": "refine GRAPH.g2o -o OUT.g2o",
+    "info of a graph": "info GRAPH.g2o",
+    "diagnose a graph": "diagnose GRAPH.g2o",
+}
+OF_GRAPHS = {"graph", "info of a graph", "diagnose a graph"}
+"""Reports with entries of pose graphs that the schema leaves open."""
+
+SQUARE = """VERTEX_SE2 0 0 0 0
+VERTEX_SE2 1 1.1 0 0
+VERTEX_SE2 2 1 1.2 0
+EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1
+EDGE_SE2 1 2 0 1 0 1 0 0 1 0 1
+EDGE_SE2 2 0 -1 -1 0 1 0 0 1 0 1
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("json")
+    problem = bundle.synthesize(num_images=6, num_points=60, seed=3).problem
+    bundle.save(problem, folder / "IN", "colmap")
+    bundle.save(problem.select(images=[1, 2, 3, 4, 5]).problem, folder / "PART", "colmap")
+    turned = problem.cam_from_world.copy()
+    turned[:, :4] = [0, 1, 0, 0]
+    bundle.save(problem.replace(cam_from_world=turned), folder / "BEHIND", "colmap")
+    (folder / "GRAPH.g2o").write_text(SQUARE)
+    return folder
+
+
+def report_of(folder, words, target):
+    names = ("IN", "PART", "BEHIND", "GRAPH.g2o", "OUT")
+    line = []
+    for word in words.split():
+        path = folder if word.split(".")[0] in ("IN", "PART", "BEHIND", "GRAPH") else target
+        is_path = word.split(".")[0] in {name.split(".")[0] for name in names}
+        line.append(str(path / word) if is_path else word)
+    main([*line, "--quiet", "--json", str(target / "report.json")])
+    return json.loads((target / "report.json").read_text())
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_reports_of_commands(folder, tmp_path, name, capsys):
+    report = report_of(folder, RUNS[name], tmp_path)
+    VALIDATOR.validate(report)
+    command = RUNS[name].split()[0]
+    if name not in OF_GRAPHS:
+        assert set(report) <= described_entries()[command]
+    capsys.readouterr()
+
+
+def test_triage_vio_and_reports_of_solves_in_python(folder, tmp_path, capsys):
+    result = bundle.solve(folder / "IN")
+    bundle.save_report(result, tmp_path / "a.json", name="a")
+    bundle.save_report(bundle.solve(folder / "IN", loss="huber"), tmp_path / "b.json", name="a")
+    places = {name: str(tmp_path / name) for name in ("a.json", "b.json", "s", "p.tum")}
+    for command, words in {
+        "triage": "a.json b.json",
+        "synth": "s --scene flight --duration 3 --quiet",
+        "vio": "s -o p.tum --quiet",
+    }.items():
+        line = [places.get(word, word) for word in words.split()]
+        main([command, *line, "--json", str(tmp_path / f"{command}.json")])
+    for name in ("a", "b", "triage", "synth", "vio"):
+        VALIDATOR.validate(json.loads((tmp_path / f"{name}.json").read_text()))
+    capsys.readouterr()
+
+
+def test_a_wrong_report_is_refused(folder, tmp_path, capsys):
+    report = report_of(folder, RUNS["refine"], tmp_path)
+    for change in (
+        {"headline": "good"},
+        {"schema": 2},
+        {"summary": {**report["summary"], "final_cost": "small"}},
+        {"findings": [{"kind": "outliers"}]},
+        {"options": {**report["options"], "max_num_iterations": "many"}},
+    ):
+        with pytest.raises(jsonschema.ValidationError):
+            VALIDATOR.validate(report | change)
+    for missing in ("summary", "version", "findings"):
+        with pytest.raises(jsonschema.ValidationError):
+            VALIDATOR.validate({key: report[key] for key in report if key != missing})
+    capsys.readouterr()
+
+
+def test_the_published_schema_is_that_of_the_code_and_names_every_command():
+    assert json.loads(PUBLISHED.read_text()) == report_schema(), "run `make quotes`"
+    jsonschema.Draft202012Validator.check_schema(report_schema())
+    assert set(described_entries()) == set(COMMANDS)
