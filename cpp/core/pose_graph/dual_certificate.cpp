@@ -41,10 +41,12 @@ using Eigen::VectorXd;
 
 namespace {
 
-/// Relative gap at which a point counts as optimal; smaller ones are tried for the bound.
+/// Relative gap at which a point counts as optimal. Tenths of it are tried for the bound.
 constexpr double kRelativeGap = 1e-6;
-constexpr double kSmallerGap = 1e-3;
-/// Shifts below this share of the largest diagonal entry of S are rounding.
+constexpr int kSmallerShifts = 3;
+/// Shifts below this share of the mean diagonal entry of S at the rotations are rounding. The error
+/// E of a factorisation has |E_ij| up to about 1e-16 sqrt(S_ii S_jj), so that tr(Z E Z^T) is up to
+/// about that share of the sum of these entries, as a shift of this size is in (1).
 constexpr double kSmallestShift = 4e-15;
 constexpr int kBlock = 2;
 constexpr int kMostDimensions = 160;
@@ -71,7 +73,9 @@ DualCertificate::DualCertificate(const ChordalProblem& problem, const MatrixXd& 
     const SmallMatrix y = point.middleCols(i * b_, d_);
     residual_.middleCols(i * b_, d_) -= y.lazyProduct(lambda);
     diagonal_.middleCols(i * b_, b_).topLeftCorner(d_, d_) -= lambda;
-    scale_ = std::max(scale_, diagonal_.middleCols(i * b_, b_).diagonal().cwiseAbs().maxCoeff());
+    const Eigen::VectorXd sizes = diagonal_.middleCols(i * b_, b_).diagonal().cwiseAbs();
+    scale_ = std::max(scale_, sizes.maxCoeff());
+    mean_ += sizes.head(d_).mean() / static_cast<double>(problem.num_poses());
   }
 }
 
@@ -101,13 +105,16 @@ DualBound DualCertificate::Bound() {
   DualBound found;
   found.trace = trace_;
   const double count = static_cast<double>(problem_.num_poses()) * d_;
-  const double floor = kSmallestShift * scale_;
+  const double floor = kSmallestShift * mean_;
   const double largest = std::max({kRelativeGap * cost_ / count, floor, rounding_ / count});
   found.holds = Factorize(largest);
   if (found.holds) {
     found.shift = largest;
-    const double smaller = std::max(kSmallerGap * largest, floor);
-    if (smaller < largest && Factorize(smaller)) found.shift = smaller;
+    for (int k = 0; k < kSmallerShifts && found.shift > floor; ++k) {
+      const double smaller = std::max(0.1 * found.shift, floor);
+      if (!Factorize(smaller)) break;
+      found.shift = smaller;
+    }
   } else {
     found.shift = SmallestPositiveShift(largest);
   }
@@ -125,7 +132,7 @@ double DualCertificate::SmallestPositiveShift(double shift) {
   double closest = shift;
   for (int round = 0; round < 4; ++round) {
     const double lambda = Spectrum(1.2 * closest, 1).eigenvalues.front();
-    const double closer = -lambda * (1 + 1e-7) + kSmallestShift * scale_;
+    const double closer = -lambda * (1 + 1e-7) + kSmallestShift * mean_;
     if (!(closer < closest * (1 - 1e-6)) || !Factorize(closer)) break;
     closest = closer;
   }

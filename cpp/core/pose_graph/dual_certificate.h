@@ -44,7 +44,9 @@ class DualCertificate {
   const Eigen::MatrixXd& point_;
   const int d_, b_;
   const bool explicit_;
-  double cost_, trace_, rounding_, scale_ = 0;
+  double cost_, trace_, rounding_;
+  double scale_ = 0;          ///< largest diagonal entry of S
+  double mean_ = 0;           ///< mean diagonal entry at the rotations
   Eigen::MatrixXd diagonal_;  ///< diagonal blocks of S
   Eigen::MatrixXd residual_;  ///< X S
   EdgeMatrix matrix_;
