@@ -1,6 +1,7 @@
 """Bad input of other programs' files: one line with the place, and nothing is written."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -25,6 +26,13 @@ def texts(tmp_path_factory) -> dict[str, str]:
 def first(text: str, old: str, new: str) -> str:
     assert old in text
     return text.replace(old, new, 1)
+
+
+def moved(text: str, start: str) -> str:
+    """The first list of numbers gets a number that the next such list loses."""
+    found = [m.end() for m in re.finditer(re.escape(start), text)][:2]
+    second = text[found[1] :].split(",", 1)
+    return text[: found[0]] + "0.5," + text[found[0] : found[1]] + second[1]
 
 
 BUNDLER = {
@@ -57,6 +65,7 @@ OPENMVG = {
     "text": (lambda t: first(t, '"focal_length": 800.0', '"focal_length": "8"'), "a number, found"),
     "deep": (lambda t: first(t, '"control_points": []', '"c": ' + "[" * 99999), "expected JSON"),
     "pose": (lambda t: json.dumps({**json.loads(t), "extrinsics": []}), "has no pose"),
+    "moved": (lambda t: moved(t, '"X": ['), r"X: expected 3 finite numbers"),
     "bool": (lambda t: first(t, '"id_feat": 0', '"id_feat": true'), "whole number"),
 }
 OPENSFM = {
@@ -67,6 +76,10 @@ OPENSFM = {
     "size": (lambda t: first(t, '"width": 800', '"width": 0'), "width and a height above 0"),
     "point": (lambda t: first(t, '"coordinates": [', '"coordinates": [1,'), "3 finite numbers"),
     "empty": (lambda _: "[]", "an empty list"),
+    "moved": (
+        lambda t: moved(t, '"coordinates": ['),
+        "points: 1: coordinates: expected 3 finite numbers",
+    ),
 }
 TRACKS = {
     "version": (lambda t: first(t, "_v2", "_v3"), "tracks.csv:1: expected version 1 or 2"),

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -14,7 +17,7 @@ from numpy.typing import NDArray
 from bundle.errors import InputError, brief, shown
 from bundle.io.formats.text_numbers import open_binary
 
-__all__ = ["Node", "read_json"]
+__all__ = ["Node", "read_json", "rows_of", "uncollected", "whole_numbers"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +56,12 @@ class Node:
             self.fail("an object")
         for key, value in self.value.items():
             yield key, Node(value, f"{self.place}: {key}")
+
+    def keys(self) -> list[str]:
+        """Return the names of the members of an object."""
+        if not isinstance(self.value, dict):
+            self.fail("an object")
+        return list(self.value)
 
     def entries(self) -> Iterator[Node]:
         """Yield the entries of an array."""
@@ -98,6 +107,36 @@ def _keys(value: dict[str, Any]) -> str:
     return brief(", ".join(value)) if value else "an empty object"
 
 
+def rows_of(rows: Iterable[Any], width: int) -> NDArray[np.float64]:
+    """Return (n, width) finite numbers of lists.
+
+    Raises:
+        ValueError, TypeError, OverflowError: a list has another length, or other values.
+    """
+    lists = list(rows)
+    flat = list(chain.from_iterable(lists))
+    array = np.array(flat, float).reshape(-1, width)
+    if not (set(map(len, lists)) <= {width} and set(map(type, flat)) <= {int, float}):
+        raise ValueError
+    if not np.isfinite(array).all():
+        raise ValueError
+    return array
+
+
+def whole_numbers(values: Iterable[Any], most: int) -> list[int]:
+    """Return whole numbers from 0 to ``most``.
+
+    Raises:
+        ValueError: a value is another.
+    """
+    numbers = list(values)
+    if not set(map(type, numbers)) <= {int} or not (
+        min(numbers, default=0) >= 0 and max(numbers, default=0) <= most
+    ):
+        raise ValueError
+    return numbers
+
+
 def _flat(value: Any, shape: tuple[int, ...]) -> list[float] | None:
     """Return the numbers of nested lists of a shape; None for other values."""
     if not shape:
@@ -107,6 +146,18 @@ def _flat(value: Any, shape: tuple[int, ...]) -> list[float] | None:
         return None
     parts = [_flat(entry, shape[1:]) for entry in value]
     return None if None in parts else [number for part in parts for number in part or ()]
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Pause the collection of cycles: millions of new objects without cycles would trigger it."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def read_json(path: Path) -> Node:
@@ -122,7 +173,8 @@ def read_json(path: Path) -> Node:
     except EOFError as error:
         raise InputError(f"{shown(path)}: expected complete data, found {error}") from None
     try:
-        return Node(json.loads(text), shown(path))
+        with uncollected():
+            return Node(json.loads(text), shown(path))
     except json.JSONDecodeError as error:
         raise InputError(
             f"{shown(path)}:{error.lineno}: expected JSON, found an error in column "

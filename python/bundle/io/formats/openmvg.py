@@ -12,6 +12,8 @@ Source: openMVG/sfm/sfm_data_io_cereal.cpp, https://openmvg.readthedocs.io.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +23,7 @@ from numpy.typing import NDArray
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.io.formats.imported_model import Imported, checked_rotations, poses_of, unique_keys
-from bundle.io.formats.json_fields import Node, read_json
+from bundle.io.formats.json_fields import Node, read_json, rows_of, uncollected, whole_numbers
 from bundle.io.formats.openmvg_cameras import KINDS, MvgCamera, as_model, project, read_camera
 from bundle.io.formats.read_options import ReadOptions
 from bundle.model.problem import Problem
@@ -60,7 +62,8 @@ def read(path: Path, options: ReadOptions) -> Problem:
     views = {key: _view(value) for key, value in _map(node.get("views"))}
     cameras = dict(_intrinsics(node.get("intrinsics")))
     poses = dict(_map(node.get("extrinsics")))
-    structure = _structure(node.find("structure") or Node([], node.place))
+    with uncollected():
+        structure = _structure(node.find("structure") or Node([], node.place))
     if options.progress is not None:
         options.progress(path.stat().st_size)
     return _imported(path, node, views, cameras, poses, structure).problem()
@@ -110,23 +113,16 @@ def _intrinsics(node: Node) -> Iterator[tuple[int, MvgCamera]]:
 def _structure(node: Node) -> _Structure:
     """Return points and observations; fast if all entries are valid."""
     try:
-        landmarks = [(entry["key"], entry["value"]) for entry in node.value]
-        ids = [key for key, _ in landmarks]
-        flat = [number for _, value in landmarks for number in value["X"]]
-        counts = [len(value["observations"]) for _, value in landmarks]
-        seen = [one for _, value in landmarks for one in value["observations"]]
-        views = [one["key"] for one in seen]
-        values = [one["value"] for one in seen]
-        keys = [value["id_feat"] for value in values]
-        pixels = [number for value in values for number in value["x"]]
-        if not all(type(n) is int and 0 <= n <= _MOST_ID for n in (*ids, *views, *keys)):
-            raise ValueError
-        if not all(type(n) in (float, int) for numbers in (flat, pixels) for n in numbers):
-            raise ValueError
-        points = np.array(flat, float).reshape(len(ids), 3)
-        xy = np.array(pixels, float).reshape(len(views), 2)
-        if not (np.isfinite(points).all() and np.isfinite(xy).all()):
-            raise ValueError
+        landmarks = list(map(itemgetter("value"), node.value))
+        ids = whole_numbers(map(itemgetter("key"), node.value), _MOST_ID)
+        points = rows_of(map(itemgetter("X"), landmarks), 3)
+        seen = list(map(itemgetter("observations"), landmarks))
+        counts = list(map(len, seen))
+        flat = list(chain.from_iterable(seen))
+        views = whole_numbers(map(itemgetter("key"), flat), _MOST_ID)
+        values = list(map(itemgetter("value"), flat))
+        keys = whole_numbers(map(itemgetter("id_feat"), values), _MOST_ID)
+        xy = rows_of(map(itemgetter("x"), values), 2)
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError):
         _explain(node)
         raise

@@ -11,6 +11,7 @@ Source: https://opensfm.org/docs/dataset.html and opensfm/io.py.
 
 from __future__ import annotations
 
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ import bundle._core as _core
 from bundle.base.words import plural
 from bundle.errors import InputError, shown
 from bundle.io.formats.imported_model import Imported, rounded_colors, unique_keys
-from bundle.io.formats.json_fields import Node, read_json
+from bundle.io.formats.json_fields import Node, read_json, rows_of
 from bundle.io.formats.opensfm_cameras import SfmCamera, as_model, project, read_camera
 from bundle.io.formats.opensfm_rigs import rig_fields
 from bundle.io.formats.read_options import ReadOptions
@@ -50,7 +51,7 @@ def read(path: Path, options: ReadOptions) -> Problem:
     tracks = _core.read_tracks_csv(
         table,
         [name.encode(errors="surrogateescape") for name in shots],
-        [name.encode(errors="surrogateescape") for name, _ in points.items()],
+        [name.encode(errors="surrogateescape") for name in points.keys()],  # noqa: SIM118
         options.progress,
     )
     if shots and points.value and not len(tracks["image"]):
@@ -150,7 +151,7 @@ def _imported(
             "camera_params": params[camera_of_model],
             "camera_sizes": sizes[camera_of_model],
             "points": coordinates,
-            **_point_ids([name for name, _ in points.items()]),
+            **_point_ids(points.keys()),
             "observation_image": image,
             "observation_point": tracks["point"],
             "observation_xy": xy * unit[image][:, None] + center[image],
@@ -206,10 +207,7 @@ def _points(points: Node) -> tuple[Array, NDArray[np.uint8]]:
     """Return coordinates and colours; fast if all points are valid."""
     values = points.value.values()
     try:
-        flat = [number for point in values for number in point["coordinates"]]
-        coordinates = np.array(flat, float).reshape(len(values), 3)
-        if not np.isfinite(coordinates).all() or not all(type(n) in (float, int) for n in flat):
-            raise ValueError
+        coordinates = rows_of(map(itemgetter("coordinates"), values), 3)
     except (KeyError, TypeError, ValueError, OverflowError):
         for _, point in points.items():
             point.get("coordinates").numbers(3)
