@@ -44,6 +44,12 @@ namespace {
 /// Relative gap at which a point counts as optimal. Tenths of it are tried for the bound.
 constexpr double kRelativeGap = 1e-6;
 constexpr int kSmallerShifts = 3;
+/// F below this share of the sum of all kappa has errors of 1e-6 rad: it is 0, its bound.
+constexpr double kExactEdges = 1e-12;
+/// Long chains amplify rounding: a shift of so many times the smallest one passes if its gap is
+/// this share of F.
+constexpr double kMostRounding = 1e3;
+constexpr double kRoundedGap = 1e-3;
 /// Shifts below this share of the mean diagonal entry of S at the rotations are rounding. The error
 /// E of a factorisation has |E_ij| up to about 1e-16 sqrt(S_ii S_jj), so that tr(Z E Z^T) is up to
 /// about that share of the sum of these entries, as a shift of this size is in (1).
@@ -67,6 +73,7 @@ DualCertificate::DualCertificate(const ChordalProblem& problem, const MatrixXd& 
   cost_ = ChordalCost(problem, point, &residual_);
   const MatrixXd multipliers = Multipliers(problem, point, residual_);
   trace_ = 0;
+  for (const double kappa : problem.kappa) sum_kappa_ += kappa;
   for (int64_t i = 0; i < problem.num_poses(); ++i) {
     const SmallMatrix lambda = multipliers.middleCols(i * d_, d_);
     trace_ += lambda.trace();
@@ -117,6 +124,10 @@ DualBound DualCertificate::Bound() {
     }
   } else {
     found.shift = SmallestPositiveShift(largest);
+    const bool is_exact = cost_ <= std::max(rounding_, kExactEdges * sum_kappa_);
+    const bool is_rounding =
+        found.shift <= kMostRounding * floor && found.shift * count <= kRoundedGap * cost_;
+    found.holds = is_exact || is_rounding;
   }
   found.bound = trace_ - found.shift * count;
   return found;

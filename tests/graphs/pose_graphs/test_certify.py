@@ -85,9 +85,12 @@ def test_ring_without_noise_has_the_eigenvalue_of_the_closed_form():
     assert found.verdict == "not-certified"
     assert found.cost == pytest.approx(4 * size * kappa * step, rel=1e-9)
     assert found.min_eigenvalue == pytest.approx(-2 * kappa * step, rel=1e-9)
-    true = bundle.certify(ring(np.random.default_rng(0), size, 2, noise=0.0))
-    assert (true.verdict, true.staircase) == ("certified", None)
-    assert true.gap <= true.cost < 1e-20
+    for many, dimension in ((3, 3), (size, 2), (500, 2), (500, 3)):
+        true = bundle.certify(ring(np.random.default_rng(0), many, dimension, noise=0.0))
+        assert (true.verdict, true.staircase) == ("certified", None)
+        assert true.gap <= true.cost < 1e-20
+    tiny = bundle.solve(ring(np.random.default_rng(0), 500, 2, noise=1e-6))
+    assert bundle.certify(tiny).verdict == "certified"
 
 
 @pytest.mark.parametrize("seed", range(8))
