@@ -10,7 +10,7 @@ from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.output import publish
 from bundle.cli.problem_edits import with_rigs
 from bundle.cli.progress import Progress
-from bundle.cli.shared_arguments import read_options
+from bundle.cli.shared_arguments import READING, given_of, read_options
 from bundle.errors import shown
 from bundle.io.open import load
 from bundle.io.recognition import recognize
@@ -38,6 +38,6 @@ def describe_reconstruction(path: str, arguments: argparse.Namespace, progress: 
     problem = with_rigs(load(path, progress.text, read_options(arguments)), arguments.rig_config)
     progress.stage("counting")
     description = describe(problem)
-    given = () if arguments.rig_config is None else ("--rig-config", arguments.rig_config)
+    given = given_of(arguments, "rig_config", *READING)
     found = find(problem, source=path, given=given)
     return information(path, problem, description, one_list(description.suspicions, found))

@@ -14,6 +14,7 @@ from bundle.io.georeference_file import GEOREFERENCE
 from bundle.io.recognition import OUTPUT_FORMATS
 
 __all__ = [
+    "READING",
     "add_common",
     "add_format",
     "add_georeference",
@@ -22,6 +23,7 @@ __all__ = [
     "add_output",
     "add_rig_config",
     "add_rules",
+    "given_of",
     "read_options",
 ]
 
@@ -33,6 +35,8 @@ MOVED = (
 
 POSITIONS = ("gps", "images", "gps_sigma", "antenna")
 CONTROL_POINTS = ("gcp", "gcp_sigma", "gcp_pixel_sigma", "check_points")
+READING = ("input_format", "image_size", "image_list", "reconstruction")
+"""Destinations of the flags of :func:`add_input_format`."""
 ROBUSTNESS = ("prior_loss", "prior_loss_scale")
 
 
@@ -140,6 +144,17 @@ def add_input_format(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         type=int,
         help="number of the reconstruction in a file with several, from 0 (default: the only one)",
+    )
+
+
+def given_of(arguments: argparse.Namespace, *names: str) -> tuple[str, ...]:
+    """Return flags with their values, for those of ``names`` that were given."""
+    values = {name: getattr(arguments, name) for name in names}
+    return tuple(
+        word
+        for name, value in values.items()
+        if value is not None
+        for word in (f"--{name.replace('_', '-')}", str(value))
     )
 
 

@@ -167,3 +167,16 @@ def test_points_behind_the_camera_do_not_hide_a_difference(tmp_path) -> None:
     loaded = bundle.load(tmp_path / "a.out")
     assert np.isfinite(loaded.source.source_rmse)
     assert loaded.source.rmse == pytest.approx(loaded.source.source_rmse, rel=1e-6)
+
+
+def test_the_next_command_repeats_what_the_file_lacks(tmp_path) -> None:
+    problem = small(num_points=200)
+    xy = problem.observation_xy.copy()
+    xy[::40] += 60  # outliers
+    foreign.write_bundler(problem.replace(observation_xy=xy), tmp_path / "a.out")
+    report = tmp_path / "info.json"
+    words = ["info", str(tmp_path / "a.out"), "--image-size", "800,600", "--quiet"]
+    assert main([*words, "--json", str(report)]) == 0
+    found = json.loads(report.read_text())["findings"]
+    commands = [finding["command"] for finding in found if finding["command"]]
+    assert commands and all("--image-size 800,600" in command for command in commands)
