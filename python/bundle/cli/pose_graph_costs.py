@@ -32,7 +32,7 @@ def inspect_graph(arguments: argparse.Namespace) -> int:
     started = perf_counter()
     if options_given(arguments, RankOptions).ranks is not None:
         raise InputError("--ranks: expected a bundle adjustment problem, found a pose graph")
-    refuse_flags_of_reconstructions(arguments, ("num_threads", "recalibrate"))
+    refuse_flags_of_reconstructions(arguments, ("num_threads", "recalibrate", "html"))
     threads = options_given(arguments, PoseGraphOptions).num_threads
     source = arguments.input
     with Progress(quiet=arguments.quiet) as progress:
@@ -40,6 +40,11 @@ def inspect_graph(arguments: argparse.Namespace) -> int:
         graph = load_g2o(source)
         progress.stage("inspecting")
         found = inspect(graph, num_threads=threads, recalibrate=arguments.recalibrate)
+        if arguments.html is not None:
+            from bundle.reports.page.graph_structure_page import write_graph_structure
+
+            progress.stage(f"writing {shown(arguments.html)}")
+            write_graph_structure(found, graph, arguments.html, name=str(source))
     wall = perf_counter() - started
     publish(inspected_graph(source, graph, found, wall), arguments)
     return EXIT_DONE

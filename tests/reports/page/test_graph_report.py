@@ -163,3 +163,32 @@ def test_a_certificate_has_its_section(browser, tmp_path):
         check_nothing_is_clipped(browser, path, width)
     bundle.report(bundle.solve(loop(2)), path)
     assert "Certificate" not in Page(path).text
+
+
+@pytest.mark.parametrize("count", [16, 300])
+def test_inspect_writes_the_page_of_a_structure(count, tmp_path, capsys):
+    graph = graphs.loop(2, num_poses=count, num_closures=6)
+    bundle.save(graph, tmp_path / "x.g2o")
+    page = str(tmp_path / "x.html")
+    assert main(["inspect", str(tmp_path / "x.g2o"), "--html", page, "--quiet"]) == 0
+    read = Page(tmp_path / "x.html")
+    check_self_contained(read)
+    found = bundle.inspect(graph)
+    (row,) = [row for row in read.rows if row and row[0] == "metis"]
+    cost = next(cost for cost in found.costs if cost.ordering == "metis")
+    assert row[1] == str(cost.nnz_factor) and row[6].endswith("ms")
+    assert "Matrix and factor" in read.text
+    # small graphs can be stepped through in every order
+    assert ("Elimination step by step" in read.text) == (count <= 120)
+    if count <= 120:
+        orders = json.loads(read.scripts[0])["elimination"]
+        assert "nesdis" in json.dumps(orders) and "minimum" in json.dumps(orders)
+    capsys.readouterr()
+
+
+def test_the_page_of_a_structure_is_not_clipped(browser, tmp_path):
+    bundle.save(loop(3), tmp_path / "x.g2o")
+    assert main(["inspect", str(tmp_path / "x.g2o"), "--html", str(tmp_path / "x.html")]) == 0
+    for width in (400, 1200):
+        check_nothing_is_clipped(browser, tmp_path / "x.html", width)
+    assert browser.complaints() == []

@@ -12,7 +12,7 @@ import numpy as np
 
 from bundle.base.memory_sizes import format_size
 from bundle.base.paths import as_path
-from bundle.base.words import number, plural
+from bundle.base.words import amount, number, plural, span
 from bundle.figures.cost_figures import iteration_figure
 from bundle.figures.graph_figures import DrawnGraph, error_figure, plan_figures
 from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
@@ -20,6 +20,8 @@ from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.finding import Finding
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.inspection.elimination_costs import CONVENTION
+from bundle.planning.inspection.factor_graph_inspection import FactorGraphInspection
+from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
 from bundle.reports.page.certificate_section import certificate_sections
 from bundle.reports.page.graph_facts import (
     CLOSURE,
@@ -33,7 +35,7 @@ from bundle.reports.page.scene_section import scene_script
 from bundle.reports.page.section_markup import findings_list, rendered
 from bundle.reports.sections import Section, Table
 
-__all__ = ["error_kinds", "write_graph_report"]
+__all__ = ["error_kinds", "structure_section", "write_graph_report"]
 
 MOST_EDGES = 15
 """Number of edges with the largest chi2 in the table."""
@@ -82,7 +84,7 @@ def write_graph_report(
         *_errors(facts),
         *_diagnosis(facts, notes),
         *_convergence(facts),
-        *_structure(facts),
+        *([] if facts.inspection is None else [structure_section(facts.inspection)]),
     ]
     short = "/".join(Path(name).parts[-2:]) or f"A graph of {facts.noun}s"
     write_page(
@@ -225,11 +227,9 @@ def _convergence(facts: GraphFacts) -> list[Section]:
     return [Section(title="Convergence", figures=[iteration_figure(facts.costs)])]
 
 
-def _structure(facts: GraphFacts) -> list[Section]:
-    found = facts.inspection
-    if found is None:
-        return []
-    head = ["order", "nonzeros of L", "fill [pairs]", "flops", "height", "memory"]
+def structure_section(found: PoseGraphInspection | FactorGraphInspection) -> Section:
+    """Return the table of the elimination orders."""
+    head = ["order", "nonzeros of L", "fill [pairs]", "flops", "height", "memory", "a step"]
     names = [cost.ordering for cost in found.costs]
     rows = [
         [
@@ -239,23 +239,13 @@ def _structure(facts: GraphFacts) -> list[Section]:
             number(cost.flops),
             number(cost.tree_height),
             format_size(cost.memory_in_bytes),
+            span(cost.time_per_step_in_seconds),
         ]
         for cost in found.costs
     ]
-    nnz = number(found.nnz)
-    words = f"{plural(found.num_edges, 'pair', grouped=True)} of variables, {nnz} nonzeros "
-    words += f"({100 * found.density:.3g} %). {found.recommendation}"
-    return [
-        Section(
-            title="Structure",
-            text=[escape(words)],
-            tables=[
-                Table.of(
-                    head,
-                    rows,
-                    best=names.index(found.auto_ordering),
-                    legend=f"{CONVENTION} Orders in brackets are not offered by a solve.",
-                )
-            ],
-        )
-    ]
+    nnz = found.nnz_free if isinstance(found, PoseGraphInspection) else found.nnz
+    words = f"{plural(found.num_edges, 'pair', grouped=True)} of variables; without constant ones "
+    words += f"the matrix has {amount(nnz)} nonzeros. {found.recommendation}"
+    legend = f"{CONVENTION} Orders in brackets are not offered by a solve."
+    table = Table.of(head, rows, best=names.index(found.auto_ordering), legend=legend)
+    return Section(title="Structure", text=[escape(words)], tables=[table])
