@@ -271,3 +271,26 @@ def test_real_models(bundle_data, name):
     assert mine.num_points3D() == theirs.num_points3D()
     colours = [p.color.tolist() for _, p in sorted(mine.points3D.items())]
     assert colours == [p.color.tolist() for _, p in sorted(theirs.points3D.items())]
+
+
+@pytest.mark.parametrize("part", [False, True])
+def test_images_all_around_with_cameras_of_their_own(part):
+    """The scale is pycolmap's, and a camera of neighbours only is constant."""
+    scene = bundle.synthesize(
+        scene="orbit", num_images=8, num_points=80, seed=4, cameras="individual"
+    )
+    mine, theirs = scene.problem.to_pycolmap(), scene.problem.to_pycolmap()
+    options, config = request(mine, ["HUBER 2.0"])
+    if part:
+        config.fix_gauge(Gauge.UNSPECIFIED)
+        for image_id in sorted(config.images)[3:]:
+            config.remove_image(image_id)
+        for point_id in sorted(mine.points3D):
+            config.add_variable_point(point_id)
+    start = values(mine)
+    bundle.bundle_adjustment(mine, options, config)
+    pycolmap.create_default_bundle_adjuster(options, config, theirs).solve()
+    for name, value in values(mine).items():
+        assert value == pytest.approx(values(theirs)[name], rel=1e-4, abs=1e-5), name
+    still = (values(mine)["cameras"] == start["cameras"]).all(axis=1)
+    assert still.tolist() == [False] * 3 + [True] * 5 if part else not still.any()
