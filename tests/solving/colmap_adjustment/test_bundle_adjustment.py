@@ -5,8 +5,10 @@ import pycolmap
 import pycolmap.pyceres
 import pytest
 from pycolmap import BundleAdjustmentGauge as Gauge
+from scipy.spatial.transform import Rotation
 
 import bundle
+from tests.scenes import make_problem
 from tests.solving.colmap_adjustment.option_space import (
     CHANGES,
     EARLY,
@@ -294,3 +296,23 @@ def test_images_all_around_with_cameras_of_their_own(part):
         assert value == pytest.approx(values(theirs)[name], rel=1e-4, abs=1e-5), name
     still = (values(mine)["cameras"] == start["cameras"]).all(axis=1)
     assert still.tolist() == [False] * 3 + [True] * 5 if part else not still.any()
+
+
+def test_the_scale_is_kept_by_the_coordinate_that_pycolmap_keeps():
+    """The second image is rolled by 90 degrees: its largest coordinate is not that of the first."""
+    problem = make_problem(num_images=6, num_points=60, seed=2)
+    roll = np.array([[0.0, -1.0], [1.0, 0.0]])
+    poses, xy = problem.cam_from_world.copy(), problem.observation_xy.copy()
+    turned = Rotation.from_euler("z", 90, degrees=True) * Rotation.from_quat(poses[1, :4])
+    poses[1, :4] = turned.as_quat()
+    poses[1, 4:6] = roll @ poses[1, 4:6]
+    seen = problem.observation_image == 1
+    centre = problem.camera_params[1, 1:3]
+    xy[seen] = (xy[seen] - centre) @ roll.T + centre
+    problem = problem.replace(cam_from_world=poses, observation_xy=xy)
+    mine, theirs = problem.to_pycolmap(), problem.to_pycolmap()
+    options, config = request(mine, ())
+    bundle.bundle_adjustment(mine, options, config)
+    pycolmap.create_default_bundle_adjuster(options, config, theirs).solve()
+    for name, value in values(mine).items():
+        assert value == pytest.approx(values(theirs)[name], rel=1e-5, abs=1e-6), name
