@@ -1,4 +1,4 @@
-#include <bundle/check.h>
+#include <bundle/checkable.h>
 #include <ceres/sized_cost_function.h>
 
 #include <Eigen/Core>

@@ -93,3 +93,14 @@ def test_a_residual_in_single_precision_is_judged_at_its_own():
 def test_a_residual_of_plain_numbers_is_not_in_single_precision():
     report = bundle.check_gradients(lambda b: (b[0], [np.eye(2)]), [[0.5, 3.0]], num_samples=1)
     assert (report.verdict, report.tolerance) == ("correct", 1e-7)
+
+
+def test_a_function_that_fails_at_zero_is_still_named():
+    """Signatures try parameters at zero, where a function of its users may divide by them."""
+
+    def inverse(blocks):
+        (x, y), (z,) = blocks
+        return [1 / float(x) + y * z], [np.array([[-1 / x**2, 2.5 * z + x]]), np.array([[y]])]
+
+    report = bundle.check_gradients(inverse, [[2.0, 3.0], [1.5]])
+    assert report.verdict == "wrong"

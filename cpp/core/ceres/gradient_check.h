@@ -7,9 +7,11 @@
 /// the parameter), which it reduces at most a thousandfold. If one side is exactly zero, it
 /// compares absolutely. The check returns its derivatives and only counts its verdicts.
 ///
-/// The second reference is Richardson extrapolation (checking/richardson.h). It differentiates in
-/// the ambient space, parameter by parameter, and along the manifolds' Plus, without their
+/// The second reference is Richardson extrapolation (bundle/numeric_jacobian.h). It differentiates
+/// in the ambient space, parameter by parameter, and along the manifolds' Plus, without their
 /// PlusJacobian. It bounds its own error.
+
+#include <bundle/check_types.h>
 
 #include <functional>
 #include <string>
@@ -23,18 +25,6 @@ class Manifold;
 }  // namespace ceres
 
 namespace bundle {
-
-/// A Jacobian of all blocks, concatenated, row-major, num_residuals x columns, and for each entry a
-/// bound on its error. The bound is infinite where there is no derivative.
-struct NumericJacobian {
-  std::vector<double> values;
-  std::vector<double> uncertainty;
-};
-
-struct ReferenceJacobians {
-  NumericJacobian ambient;
-  NumericJacobian tangent;
-};
 
 /// Result of ceres::GradientChecker. Matrices are num_residuals x tangent columns, row-major; empty
 /// if the cost function has no value at one of the points that it needs.
@@ -76,23 +66,6 @@ std::vector<double> ManifoldPlus(const ManifoldSpec& spec, const std::vector<dou
 
 /// Manifolds of a cost function's blocks, one per block; nullptr: Euclidean.
 using Manifolds = std::vector<const ceres::Manifold*>;
-
-int AmbientSize(const ceres::CostFunction& cost);
-int TangentSize(const ceres::CostFunction& cost, const Manifolds& manifolds);
-
-/// Known scales of a cost function.
-struct KnownScales {
-  /// Bounds of the first step of each ambient column, unless empty: the distance to a singularity.
-  std::vector<double> largest_steps;
-  /// Size of the numbers whose difference is a residual: their rounding errors are also those of
-  /// the residual.
-  double minuend = 0;
-};
-
-ReferenceJacobians DifferentiateByRichardson(const ceres::CostFunction& cost,
-                                             const Manifolds& manifolds,
-                                             const std::vector<const double*>& parameters,
-                                             const KnownScales& known = {});
 
 GradientCheckerProbe RunGradientChecker(const ceres::CostFunction& cost, const Manifolds& manifolds,
                                         const std::vector<const double*>& parameters,

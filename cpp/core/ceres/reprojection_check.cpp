@@ -12,6 +12,8 @@
 /// so that every derivative by pose and point has the relative error delta / L. If this is large,
 /// as for points that an earlier solve left at a camera's centre, no comparison is possible.
 
+#include <bundle/numeric_jacobian.h>
+
 #include <algorithm>
 #include <cmath>
 #include <limits>

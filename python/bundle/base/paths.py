@@ -65,6 +65,7 @@ def numbered_lines(path: str | os.PathLike[str]) -> list[tuple[int, str]]:
 def get_include() -> str:
     """Return the include folder with which a compiler finds ``#include <bundle/check.h>``.
 
-    With this header, ``bundle.check_gradients`` can check compiled Ceres cost functions.
+    This header checks Ceres cost functions in C++ tests. With ``bundle/checkable.h``,
+    ``bundle.check_gradients`` checks them in Python.
     """
     return str(Path(__file__).resolve().parents[1] / "include")

@@ -48,7 +48,11 @@ class SamplePoint:
         flat = np.concatenate(self.blocks)
         flat[parameter] = 0.0
         blocks = np.split(flat, np.cumsum(self.user.sizes)[:-1])
-        return None if self.user.core(blocks, False) is None else SamplePoint(self.user, blocks)
+        try:
+            has_value = self.user.core(blocks, False) is not None
+        except Exception:  # the user's function may fail at a zero that it never meets
+            return None
+        return SamplePoint(self.user, blocks) if has_value else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,4 @@
-#include "core/checking/richardson.h"
-
+#include <bundle/richardson.h>
 #include <gtest/gtest.h>
 
 #include <cmath>

@@ -1,5 +1,6 @@
 #include "core/model/problem_factors.h"
 
+#include <bundle/richardson.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -7,7 +8,6 @@
 #include <random>
 #include <vector>
 
-#include "core/checking/richardson.h"
 #include "core/model/scene_frame.h"
 #include "support/some_factors.h"
 

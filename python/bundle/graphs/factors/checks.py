@@ -132,8 +132,8 @@ def check_gradients(
     Args:
         function: function from a list of arrays, one per block, to (residual, list of Jacobians),
             Jacobian i of shape (num_residuals, size of block i). It is called some hundred times
-            per sample and block. The C++ header bundle/check.h (``bundle.get_include()``) converts
-            a compiled ceres cost function to such a function. Or a factor, or a whole
+            per sample and block. The C++ header bundle/checkable.h (``bundle.get_include()``)
+            converts a compiled ceres cost function to such a function. Or a factor, or a whole
             :class:`bundle.FactorGraph`.
         blocks: parameters, one array per block; of a factor the values of its variables, by key or
             in the order of its keys; None for a graph.

@@ -1,25 +1,60 @@
-#include "core/checking/richardson.h"
+#pragma once
+
+/// Derivatives by central differences with Richardson extrapolation, and bounds on their errors.
+///
+/// With D(h) = (f(h) - f(-h)) / 2h = f' + c2 h^2 + c4 h^4 + ..., halving h and combining removes
+/// one power of h^2 after the other:
+///
+///   T(k, 0) = D(h0 / 2^k),     T(k, m) = T(k, m-1) + (T(k, m-1) - T(k-1, m-1)) / (4^m - 1).
+///
+/// The difference of T(k, m) to its two parents estimates its error, both truncation and rounding.
+/// The entry with the least estimate is used (Ridders, "Accurate computation of F'(x) and
+/// F'(x)F''(x)", 1982). Ceres stops its tableau by an absolute threshold and drops the estimate.
+/// Here the step shrinks further, by orders of magnitude if necessary (a point close to the camera,
+/// a parameter near a singularity), until the estimate is small relative to the derivative. The
+/// estimate is returned, so that a comparison can subtract the uncertainty of the reference.
+///
+/// A bound from one range of steps is valid only if f is smooth on that range. Close to a pole, for
+/// instance 1 / (x + d) with steps h far above d, D(h) = 1 / (h^2 - d^2) seems to converge to zero.
+/// So settled values are compared with D at steps that are smaller by powers of 64:
+///
+/// - if they agree up to rounding errors, the bound is kept;
+/// - if finer steps settle on another value, that is the derivative;
+/// - if they do not settle, the bound grows by the disagreement.
+///
+/// At a kink at the point itself, D(h) stays smooth. The kink is visible in half the difference of
+/// the slopes on both sides, s(h) = |f(h) - 2 f(0) + f(-h)| / 2h. It decreases with h for a smooth
+/// f and is constant at a kink. There, any number within s of D is a slope of f, and the bound is
+/// at least s.
+///
+/// The core of the package and its users' C++ tests (bundle/check.h) share this file.
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <vector>
 
 namespace bundle {
-namespace {
 
-constexpr int kRows = 8;            ///< rows of a tableau
-constexpr int kTableaux = 5;        ///< maximum number of tableaux
-constexpr double kRestart = 64;     ///< ratio of first steps of consecutive tableaux
-constexpr double kEnough = 1e-10;   ///< relative error that needs no further step
-constexpr double kErrorSafety = 4;  ///< on the estimated error
-constexpr int kProbes = 4;          ///< number of smaller steps that verify a settled result
-constexpr double kNoise =
+/// f(step, values): num_values values at `step` along a line; returns false if there is no value.
+using LineFunction = std::function<bool(double step, double* values)>;
+
+namespace richardson_internal {
+
+inline constexpr int kRows = 8;            ///< rows of a tableau
+inline constexpr int kTableaux = 5;        ///< maximum number of tableaux
+inline constexpr double kRestart = 64;     ///< ratio of first steps of consecutive tableaux
+inline constexpr double kEnough = 1e-10;   ///< relative error that needs no further step
+inline constexpr double kErrorSafety = 4;  ///< on the estimated error
+inline constexpr int kProbes = 4;          ///< number of smaller steps that verify a settled result
+inline constexpr double kNoise =
     8;  ///< disagreement explained by rounding, in units of the estimated rounding
-constexpr double kSameSlopes = 0.1;  ///< relative change of s(h) from scale to scale at a kink
-constexpr int kKinkScales = 3;       ///< number of scales with equal s(h) that prove a kink
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+inline constexpr double kSameSlopes =
+    0.1;                               ///< relative change of s(h) from scale to scale at a kink
+inline constexpr int kKinkScales = 3;  ///< number of scales with equal s(h) that prove a kink
+inline constexpr double kInfinity = std::numeric_limits<double>::infinity();
+inline constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 
 /// A derivative of each value, and the estimates of its error.
 struct Estimate {
@@ -280,14 +315,18 @@ class Search {
   std::vector<double> differences_;  ///< D(h) of each row of a tableau; kNone if f did not change
 };
 
-}  // namespace
+}  // namespace richardson_internal
 
-void RichardsonDerivative(const LineFunction& f, int num_values, double first_step,
-                          const double* noise, double* derivative, double* uncertainty) {
-  Search search(f, num_values, noise);
+/// The derivative of each value at step 0 and a bound on its error, which is infinite if no
+/// derivative was found. The search begins at `first_step` > 0. `noise` is the size of the rounding
+/// errors of each value.
+inline void RichardsonDerivative(const LineFunction& f, int num_values, double first_step,
+                                 const double* noise, double* derivative, double* uncertainty) {
+  richardson_internal::Search search(f, num_values, noise);
   search.FindResolution(first_step);
   double h = first_step;
-  for (int tableau = 0; tableau < kTableaux; ++tableau, h /= kRestart) {
+  for (int tableau = 0; tableau < richardson_internal::kTableaux;
+       ++tableau, h /= richardson_internal::kRestart) {
     search.Run(h);
     if (!search.Enough(h)) continue;
     search.Confirm(h);
@@ -296,29 +335,6 @@ void RichardsonDerivative(const LineFunction& f, int num_values, double first_st
   search.AddKinks();
   std::copy_n(search.best().derivative.begin(), num_values, derivative);
   std::copy_n(search.best().uncertainty.begin(), num_values, uncertainty);
-}
-
-void RaiseToScatter(const LineFunction& f, int num_values, double step, double* noise) {
-  constexpr int kOrder = 6, kDifferences = 10;
-  constexpr double kVariance = 924, kLargest = 3;  // of a few errors, in standard deviations
-  constexpr int kValues = kOrder + kDifferences;
-  std::vector<double> values(static_cast<size_t>(kValues) * num_values);
-  for (int k = 0; k < kValues; ++k) {
-    if (!f((k - kValues / 2) * step, &values[k * num_values])) return;
-  }
-  for (int order = 1; order <= kOrder; ++order) {
-    for (int k = 0; k < (kValues - order) * num_values; ++k) {
-      values[k] = values[k + num_values] - values[k];
-    }
-  }
-  for (int i = 0; i < num_values; ++i) {
-    double sum = 0;
-    for (int k = 0; k < kDifferences; ++k) {
-      sum += values[k * num_values + i] * values[k * num_values + i];
-    }
-    const double scatter = kLargest * std::sqrt(sum / (kDifferences * kVariance));
-    if (std::isfinite(scatter)) noise[i] = std::max(noise[i], scatter);
-  }
 }
 
 }  // namespace bundle

@@ -1,0 +1,178 @@
+"""The example that checks cost functions in a C++ test: built as a user does, and run."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bundle
+from tests.examples.test_check_cost_function import WARNINGS, run
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "check_in_cpp"
+
+MORE = r"""
+#include <bundle/check.h>
+#include <ceres/dynamic_cost_function.h>
+
+#include <cmath>
+#include <cstring>
+#include <iostream>
+#include <stdexcept>
+
+struct Spoiled final : ceres::DynamicCostFunction {
+  explicit Spoiled(const char* how) : how_(how) {
+    AddParameterBlock(2);
+    AddParameterBlock(1);
+    SetNumResiduals(2);
+  }
+  bool Evaluate(double const* const* p, double* r, double** j) const override {
+    const double a = p[0][0], b = p[0][1], c = p[1][0];
+    if (Is("behind") && a > 0) return false;
+    r[0] = a * b + std::sin(c);
+    r[1] = std::exp(0.1 * a) * c;
+    if (Is("kink")) r[1] = std::abs(c - 0.5);
+    if (j == nullptr) return true;
+    double first[4] = {b, a, 0.1 * r[1], 0}, second[2] = {std::cos(c), std::exp(0.1 * a)};
+    if (Is("kink")) first[2] = 0, second[1] = c > 0.5 ? 1 : -1;
+    if (Is("sign")) first[1] *= -1, first[3] *= -1;
+    if (Is("factor")) second[0] *= 2, second[1] *= 2;
+    if (Is("degrees")) second[0] *= M_PI / 180, second[1] *= M_PI / 180;
+    if (Is("zero")) first[0] = first[2] = 0;
+    if (Is("not_finite")) first[0] = NAN;
+    if (Is("float_precision")) first[1] *= 1 + 1e-6, first[0] *= 1 - 2e-6 * b;
+    if (j[0] != nullptr) std::memcpy(j[0], first, sizeof(first));
+    if (j[1] != nullptr) std::memcpy(j[1], second, sizeof(second));
+    return true;
+  }
+  bool Is(const char* how) const { return std::strcmp(how, how_) == 0; }
+  const char* how_;
+};
+
+int main(int argc, char** argv) {
+  const double x[2] = {1.3, -0.7}, y[1] = {0.5};
+  const ceres::QuaternionManifold quaternion;
+  bundle::CheckOptions options;
+  if (argc > 2) options.num_samples = std::atoi(argv[2]);
+  try {
+    const std::string how = argv[1];
+    const Spoiled cost(argv[1]);
+    if (how == "too few") bundle::CheckGradients(cost, {x});
+    if (how == "manifold") bundle::CheckGradients(cost, {x, y}, {&quaternion, nullptr});
+    if (how == "names") options.names = {"x"};
+    const bundle::GradientCheck check = bundle::CheckGradients(cost, {x, y}, {}, options);
+    std::cout << check.verdict() << "|" << check.num_checked() << "|";
+    for (const auto& finding : check.findings()) std::cout << finding.kind << "=" <<
+        finding.sentence << "|";
+  } catch (const std::invalid_argument& error) {
+    std::cout << "refused|" << error.what();
+  }
+}
+"""
+
+
+def build(project: Path, folder: Path, target: str) -> Path:
+    """Build a project with our warnings as errors."""
+    run(
+        *("cmake", "-S", project, "-B", folder, "-G", "Ninja", "-DCMAKE_BUILD_TYPE=Debug"),
+        *(f"-DPython_EXECUTABLE={sys.executable}", f"-DCMAKE_CXX_FLAGS={WARNINGS}"),
+    )
+    run("cmake", "--build", folder)
+    return folder / target
+
+
+def test_the_example_runs(tmp_path: Path) -> None:
+    build(EXAMPLE, tmp_path, "check_jacobians")
+    out = run("ctest", "--test-dir", tmp_path, "--verbose", "--no-tests=error")
+    words = " ".join(out.split())
+    assert "100% tests passed" in words
+    assert "position [1]: the sign is flipped" in words
+    assert "Jet: expected 5 derivatives, one per parameter, found 4" in words
+    assert "zero, although the residual depends on it" in words
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    project = tmp_path_factory.mktemp("more")
+    recipe = (EXAMPLE / "CMakeLists.txt").read_text()
+    (project / "CMakeLists.txt").write_text(recipe.replace("check_jacobians.cpp", "more.cpp"))
+    (project / "more.cpp").write_text(MORE)
+    return build(project, project / "build", "check_jacobians")
+
+
+def in_python(how: str, num_samples: int) -> bundle.GradientReport:
+    """The same function and mistake, by the checker in Python."""
+
+    def function(blocks):
+        (a, b), (c,) = blocks
+        r = np.array([a * b + np.sin(c), np.exp(0.1 * a) * c])
+        first, second = (
+            np.array([[b, a], [0.1 * r[1], 0]]),
+            np.array([[np.cos(c)], [np.exp(0.1 * a)]]),
+        )
+        if how == "kink":
+            r[1], first[1, 0], second[1] = abs(c - 0.5), 0, 1 if c > 0.5 else -1
+        if how == "sign":
+            first[:, 1] *= -1
+        if how == "factor":
+            second *= 2
+        if how == "degrees":
+            second *= np.pi / 180
+        if how == "zero":
+            first[:, 0] = 0
+        if how == "not_finite":
+            first[0, 0] = np.nan
+        if how == "float_precision":
+            first[0] *= [1 - 2e-6 * b, 1 + 1e-6]
+        return r, [first, second]
+
+    return bundle.check_gradients(function, [[1.3, -0.7], [0.5]], num_samples=num_samples)
+
+
+@pytest.mark.parametrize(
+    "how", ["right", "sign", "factor", "degrees", "zero", "not_finite", "float_precision"]
+)
+def test_verdicts_and_words_are_those_of_python(program: Path, how: str) -> None:
+    verdict, count, *found = run(program, how).rstrip("|").split("|")
+    report = in_python(how, 10)
+    assert (verdict, int(count)) == (report.verdict, report.num_checked)
+    if how == "float_precision":  # two columns, of which one has a constant factor
+        assert verdict == "wrong"
+        return
+    kinds = {finding.kind: finding.sentence for finding in report.findings}
+    assert dict(entry.split("=", 1) for entry in found) == kinds
+
+
+def test_undecided_and_skipped_points(program: Path) -> None:
+    assert run(program, "kink", "1").startswith("undecided|1|")
+    assert run(program, "behind").startswith("undecided|0|")
+
+
+@pytest.mark.parametrize(
+    ("how", "line"),
+    [
+        ("too few", "parameters: expected 2, one per parameter block, found 1"),
+        ("manifold", "manifolds: expected one of 2 parameters for block 0, found 4"),
+        ("names", "names: expected 2, one per parameter block, found 1"),
+    ],
+)
+def test_bad_arguments_are_one_line(program: Path, how: str, line: str) -> None:
+    assert run(program, how) == f"refused|{line}"
+
+
+@pytest.mark.skipif(shutil.which("clang++") is None, reason="no clang++")
+@pytest.mark.parametrize("header", ["check.h", "jet_cost.h", "numeric_jacobian.h", "richardson.h"])
+def test_clang_accepts_the_headers(header: str, tmp_path: Path) -> None:
+    (tmp_path / "x.cpp").write_text(f"#include <bundle/{header}>\n")
+    done = subprocess.run(
+        ["clang++", "-std=c++17", "-fsyntax-only", *WARNINGS.split(), f"-I{bundle.get_include()}",
+         "-isystem", "/usr/include/eigen3", tmp_path / "x.cpp"],
+        env=os.environ, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
