@@ -121,6 +121,18 @@ OPTIONS = {
     "function_tolerance": tuple(value for value in OF_A_NUMBER if value != "2**70"),
     "loss_scale": OF_A_NUMBER,
     "initial_trust_region_radius": OF_A_NUMBER,
+    **dict.fromkeys(
+        (
+            "max_trust_region_radius", "min_trust_region_radius", "min_relative_decrease",
+            "min_lm_diagonal", "max_lm_diagonal",
+        ),
+        ("nan", "word", "-1"),
+    ),
+    **dict.fromkeys(
+        ("max_num_consecutive_invalid_steps", "max_consecutive_nonmonotonic_steps"),
+        ("-1", "1.5", "word"),
+    ),
+    "use_nonmonotonic_steps": OF_A_FLAG,
     **dict.fromkeys(("gradient_tolerance", "parameter_tolerance"), ("nan", "word", "-1")),
     **dict.fromkeys(("backend", "loss", "gauge"), OF_A_WORD),
     **dict.fromkeys(

@@ -218,10 +218,17 @@ ceres::Solver::Options TranslateOptions(const SolveOptions& options) {
   result.parameter_tolerance = options.parameter_tolerance;
   result.initial_trust_region_radius = options.initial_trust_region_radius;
   result.num_threads = EffectiveNumThreads(options.num_threads);
+  result.max_trust_region_radius = options.max_trust_region_radius;
+  result.min_trust_region_radius = options.min_trust_region_radius;
+  result.min_relative_decrease = options.min_relative_decrease;
+  result.min_lm_diagonal = options.min_lm_diagonal;
+  result.max_lm_diagonal = options.max_lm_diagonal;
+  result.use_nonmonotonic_steps = options.use_nonmonotonic_steps;
+  result.max_consecutive_nonmonotonic_steps = options.max_consecutive_nonmonotonic_steps;
   // If a factorisation fails because the damping has become too small, it is repeated with a radius
   // 2, 4, 8, ... times smaller. Ceres gives up the solve after five failures, COLMAP after ten. Ten
   // reduce the radius by 2^55, after which rounding cannot be the cause.
-  result.max_num_consecutive_invalid_steps = 10;
+  result.max_num_consecutive_invalid_steps = options.max_num_consecutive_invalid_steps;
   SetLinearSolver(options, &result);
   CheckTrustRegion(options);
   SetTrustRegion(options, &result);

@@ -94,6 +94,14 @@ struct SolveOptions {
   PreconditionerType preconditioner_type = PreconditionerType::kAuto;
   TrustRegionStrategy trust_region_strategy_type = TrustRegionStrategy::kLevenbergMarquardt;
   double initial_trust_region_radius = 1e4;
+  double max_trust_region_radius = 1e16;
+  double min_trust_region_radius = 1e-32;
+  double min_relative_decrease = 1e-3;
+  int max_num_consecutive_invalid_steps = 10;
+  double min_lm_diagonal = 1e-6;  ///< other values with Ceres only, as the three that follow
+  double max_lm_diagonal = 1e32;
+  bool use_nonmonotonic_steps = false;
+  int max_consecutive_nonmonotonic_steps = 5;
   LossType loss = LossType::kTrivial;
   double loss_scale = 1.0;  ///< pixels
   int max_num_iterations = 100;
@@ -134,6 +142,16 @@ void VisitOptions(const Visitor& visit) {
   visit(kNever, "trust_region_strategy_type", &Options::trust_region_strategy_type,
         kTrustRegionStrategies);
   visit(kBetweenSolves, "initial_trust_region_radius", &Options::initial_trust_region_radius);
+  visit(kBetweenSolves, "max_trust_region_radius", &Options::max_trust_region_radius);
+  visit(kBetweenSolves, "min_trust_region_radius", &Options::min_trust_region_radius);
+  visit(kBetweenSolves, "min_relative_decrease", &Options::min_relative_decrease);
+  visit(kBetweenSolves, "max_num_consecutive_invalid_steps",
+        &Options::max_num_consecutive_invalid_steps);
+  visit(kNever, "min_lm_diagonal", &Options::min_lm_diagonal);
+  visit(kNever, "max_lm_diagonal", &Options::max_lm_diagonal);
+  visit(kNever, "use_nonmonotonic_steps", &Options::use_nonmonotonic_steps);
+  visit(kNever, "max_consecutive_nonmonotonic_steps",
+        &Options::max_consecutive_nonmonotonic_steps);
   visit(kBetweenSolves, "loss", &Options::loss, kLossTypes);
   visit(kBetweenSolves, "loss_scale", &Options::loss_scale);
   visit(kBetweenSolves, "max_num_iterations", &Options::max_num_iterations);

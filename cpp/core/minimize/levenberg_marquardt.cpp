@@ -22,7 +22,6 @@ namespace bundle {
 
 namespace {
 
-constexpr double kMaxRadius = 1e16;
 constexpr double kForcingTerm = 0.1;  // Ceres' eta
 
 }  // namespace
@@ -37,7 +36,7 @@ Step LevenbergMarquardt::ComputeStep(LeastSquares* problem) {
 }
 
 void LevenbergMarquardt::StepAccepted(double quality) {
-  radius_ = std::min(kMaxRadius, radius_ / std::max(1.0 / 3, 1 - std::pow(2 * quality - 1, 3)));
+  radius_ = std::min(max_radius_, radius_ / std::max(1.0 / 3, 1 - std::pow(2 * quality - 1, 3)));
   decrease_factor_ = 2;
 }
 
@@ -48,8 +47,9 @@ void LevenbergMarquardt::StepRejected() {
 }
 
 bool LevenbergMarquardt::Widen() {
-  if (radius_ >= kWideRadius) return false;
-  radius_ = kWideRadius;
+  const double wide = std::min(kWideRadius, max_radius_);
+  if (radius_ >= wide) return false;
+  radius_ = wide;
   damping_has_changed_ = true;
   return true;
 }

@@ -9,7 +9,8 @@ namespace bundle {
 
 class LevenbergMarquardt final : public Strategy {
  public:
-  explicit LevenbergMarquardt(double initial_radius) : radius_(initial_radius) {}
+  LevenbergMarquardt(double initial_radius, double max_radius)
+      : max_radius_(max_radius), radius_(initial_radius) {}
 
   double Damping() const override { return 1 / radius_; }
   Step ComputeStep(LeastSquares* problem) override;
@@ -20,6 +21,7 @@ class LevenbergMarquardt final : public Strategy {
   bool Widen() override;
 
  private:
+  const double max_radius_;
   double radius_;
   double decrease_factor_ = 2;
   bool damping_has_changed_ = false;  ///< since the last linearisation

@@ -37,11 +37,6 @@
 namespace bundle {
 namespace {
 
-// Ceres' defaults, except for the third: see ceres/translate_options.cpp.
-constexpr double kMinRelativeDecrease = 1e-3;
-constexpr double kMinRadius = 1e-32;
-constexpr int kMaxConsecutiveInvalidSteps = 10;
-
 constexpr double kNoCost = std::numeric_limits<double>::max();
 
 using Clock = std::chrono::steady_clock;
@@ -66,10 +61,12 @@ std::string AtMost(double value, double bound) {
   return text.data();
 }
 
-std::unique_ptr<Strategy> MakeStrategy(TrustRegionStrategy type, double initial_radius) {
-  switch (type) {
+std::unique_ptr<Strategy> MakeStrategy(const SolveOptions& options) {
+  const double initial_radius = options.initial_trust_region_radius;
+  switch (options.trust_region_strategy_type) {
     case TrustRegionStrategy::kLevenbergMarquardt:
-      return std::make_unique<LevenbergMarquardt>(initial_radius);
+      return std::make_unique<LevenbergMarquardt>(initial_radius,
+                                                  options.max_trust_region_radius);
     case TrustRegionStrategy::kDogleg:
       return std::make_unique<Dogleg>(TraditionalDogleg, initial_radius);
     case TrustRegionStrategy::kSubspaceDogleg:
@@ -86,8 +83,7 @@ class TrustRegion {
         progress_(progress),
         minimum_(std::move(before)),
         problem_(problem, &minimum_),
-        strategy_(MakeStrategy(options.trust_region_strategy_type,
-                               options.initial_trust_region_radius)) {}
+        strategy_(MakeStrategy(options)) {}
 
   MinimizerSummary Run() {
     bool has_iteration = IterationZero();
@@ -157,7 +153,7 @@ class TrustRegion {
     num_consecutive_invalid_steps_ = 0;
 
     Candidate& candidate = step.candidate;
-    if (problem_.HasBounds() && !(RelativeDecrease(candidate) > kMinRelativeDecrease)) {
+    if (problem_.HasBounds() && !(RelativeDecrease(candidate) > options_.min_relative_decrease)) {
       SearchAlongStep(x_.cost + x_.held, &problem_, &candidate);
     }
     if (!std::isfinite(candidate.cost)) candidate.cost = kNoCost;
@@ -176,7 +172,7 @@ class TrustRegion {
     }
 
     record_.relative_decrease = RelativeDecrease(candidate);
-    if (record_.relative_decrease > kMinRelativeDecrease) {
+    if (record_.relative_decrease > options_.min_relative_decrease) {
       factors_are_settled_ = is_settling_ && FunctionToleranceIsMet() &&
                              candidate.factors_change <= options_.function_tolerance;
       return HandleSuccessfulStep(candidate);
@@ -187,11 +183,11 @@ class TrustRegion {
   }
 
   bool HandleInvalidStep() {
-    if (++num_consecutive_invalid_steps_ >= kMaxConsecutiveInvalidSteps) {
+    if (++num_consecutive_invalid_steps_ >= options_.max_num_consecutive_invalid_steps) {
       return Terminate("FAILURE",
                        "Number of consecutive invalid steps more than "
                        "Solver::Options::max_num_consecutive_invalid_steps: " +
-                           std::to_string(kMaxConsecutiveInvalidSteps));
+                           std::to_string(options_.max_num_consecutive_invalid_steps));
     }
     record_.cost = x_.cost;
     strategy_->StepIsInvalid();
@@ -270,9 +266,9 @@ class TrustRegion {
   }
 
   bool MinRadiusReached() {
-    if (record_.trust_region_radius > kMinRadius) return false;
+    if (record_.trust_region_radius > options_.min_trust_region_radius) return false;
     return Converge("Minimum trust region radius reached. Trust region radius: " +
-                    AtMost(record_.trust_region_radius, kMinRadius));
+                    AtMost(record_.trust_region_radius, options_.min_trust_region_radius));
   }
 
   double StateSize() const { return problem_.StateNorm() + options_.parameter_tolerance; }

@@ -71,6 +71,21 @@ Unsupported NothingBesidePoints() {
   return {"refine", "poses or intrinsics in addition to points", "only points"};
 }
 
+/// The kernels damp by constants (minimize/damping.h), and every accepted step lowers the cost.
+std::optional<Unsupported> FindUnsupportedSteps(const SolveOptions& options) {
+  const SolveOptions usual;
+  if (options.min_lm_diagonal != usual.min_lm_diagonal) {
+    return Unsupported{"min_lm_diagonal", "1e-6", "another value"};
+  }
+  if (options.max_lm_diagonal != usual.max_lm_diagonal) {
+    return Unsupported{"max_lm_diagonal", "1e32", "another value"};
+  }
+  if (options.use_nonmonotonic_steps) {
+    return Unsupported{"use_nonmonotonic_steps", "false", "true"};
+  }
+  return std::nullopt;
+}
+
 std::optional<Unsupported> FindUnsupported(const SolveOptions& options) {
   if (!IsSupported(options.linear_solver_type)) {
     return Unsupported{"linear_solver_type", "auto, dense_schur, sparse_schur or iterative_schur",
@@ -87,7 +102,7 @@ std::optional<Unsupported> FindUnsupported(const SolveOptions& options) {
   }
   if (!options.refine_points) return NoFreePoints();
   if (!RefinesBesidePoints(options)) return NothingBesidePoints();
-  return std::nullopt;
+  return FindUnsupportedSteps(options);
 }
 
 std::optional<Unsupported> FindUnsupported(const SolveOptions& options,

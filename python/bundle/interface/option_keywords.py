@@ -27,6 +27,14 @@ class SolveKeywords(TypedDict, total=False):
     preconditioner_type: str  # 'auto'
     trust_region_strategy_type: str  # 'levenberg_marquardt'
     initial_trust_region_radius: float  # 10000.0
+    max_trust_region_radius: float  # 1e+16
+    min_trust_region_radius: float  # 1e-32
+    min_relative_decrease: float  # 0.001
+    max_num_consecutive_invalid_steps: int  # 10
+    min_lm_diagonal: float  # 1e-06
+    max_lm_diagonal: float  # 1e+32
+    use_nonmonotonic_steps: bool  # False
+    max_consecutive_nonmonotonic_steps: int  # 5
     loss: str  # 'trivial'
     loss_scale: float  # 1.0
     max_num_iterations: int  # 100

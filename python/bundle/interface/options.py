@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from bundle.errors import InputError, brief
+from bundle.interface import trust_region_fields as trust_region
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import checked, choice, option
 
@@ -46,8 +47,6 @@ AUTO_PRECONDITIONER = {
     ("ceres", "cgnr"): "jacobi",
 }
 TRUST_REGION_STRATEGIES = ("levenberg_marquardt", "dogleg", "subspace_dogleg")
-LARGEST_RADIUS = 1e16
-"""Largest trust region radius of both backends, with negligible damping."""
 LOSSES = ("trivial", "huber", "soft_l1", "cauchy", "arctan", "tukey")
 SENSORS = "sensor_from_rig"
 """Additional name in ``refine``, for ``refine_sensor_from_rig``."""
@@ -123,17 +122,15 @@ class SolveOptions(Options):
         "trust region strategy",
         choices=TRUST_REGION_STRATEGIES,
     )
-    initial_trust_region_radius: float = option(
-        1e4,
-        "--initial-trust-region-radius",
-        "trust region radius of the first step: the reciprocal of Levenberg-Marquardt's damping, "
-        "or the length of a dogleg's step, both relative to the columns of the Jacobian. A good "
-        "start needs fewer steps with 1e6, a bad start may need more or end at a higher cost",
-        above=0.0,
-        maximum=LARGEST_RADIUS,
-        metavar="X",
-        only_with=("trust_region_strategy_type", TRUST_REGION_STRATEGIES),
-    )
+    initial_trust_region_radius: float = trust_region.initial_radius()
+    max_trust_region_radius: float = trust_region.largest_radius()
+    min_trust_region_radius: float = trust_region.smallest_radius()
+    min_relative_decrease: float = trust_region.relative_decrease()
+    max_num_consecutive_invalid_steps: int = trust_region.most_invalid_steps()
+    min_lm_diagonal: float = trust_region.lm_diagonal("min", 1e-6)
+    max_lm_diagonal: float = trust_region.lm_diagonal("max", 1e32)
+    use_nonmonotonic_steps: bool = trust_region.nonmonotonic_steps()
+    max_consecutive_nonmonotonic_steps: int = trust_region.most_nonmonotonic_steps()
     loss: str = option("trivial", "--loss", "robust loss of a reprojection error", choices=LOSSES)
     loss_scale: float = option(
         1.0,
@@ -247,6 +244,7 @@ class SolveOptions(Options):
 
     def _check(self, fields: Iterable[dataclasses.Field[Any]]) -> None:
         super()._check(fields)
+        trust_region.check_order(self)
         if SENSORS in self.refine:
             refine = tuple(name for name in self.refine if name != SENSORS)
             object.__setattr__(self, "refine", refine)

@@ -144,7 +144,8 @@ class Solver(Displayed):
                 the constructor. Its poses, camera parameters, points and observed pixels may
                 differ; all other inputs of a solve must be the same.
             progress: as in :func:`bundle.solve`.
-            **changes: options for this solve only: ``initial_trust_region_radius``, ``loss``,
+            **changes: options for this solve only: radii, ``min_relative_decrease`` and
+                ``max_num_consecutive_invalid_steps`` of the trust region, ``loss``,
                 ``loss_scale``, ``max_num_iterations``, ``function_tolerance``,
                 ``gradient_tolerance``, ``parameter_tolerance``, ``check_solution``.
 

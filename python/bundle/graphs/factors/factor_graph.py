@@ -25,6 +25,7 @@ from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import GraphOptions, SolveOptions
 from bundle.interface.solve_record import Progress, SolveRecord, record_fields
+from bundle.interface.trust_region_fields import CERES_ONLY
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 
@@ -273,12 +274,19 @@ class FactorGraph(GraphMarginals):
                         f"{option}: expected auto with square_root, "
                         f"found {getattr(options, option)}"
                     )
+            for option in CERES_ONLY if by_root else ():
+                if getattr(options, option) != getattr(SolveOptions(), option):
+                    raise InputError(
+                        f"{option}: expected the default with square_root, "
+                        f"found {getattr(options, option)}"
+                    )
             return by_root, "", None
         variables = self._variables.values()
         free = sum(len(v.coordinates) - sum(v.held) for v in variables)
         if (
             not 0 < free <= _MOST_COLUMNS_LOOKED_AT
             or not options.backend == options.linear_solver_type == "auto"
+            or set(options.changed()) & set(CERES_ONLY)
             or any(len(v.lower) for v in variables)
             or any(factor.kind == "function" for factor in factors)
         ):

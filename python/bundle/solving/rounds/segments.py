@@ -22,9 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from bundle.interface.options import LARGEST_RADIUS, SolveOptions
+from bundle.interface.options import SolveOptions
 from bundle.interface.solve_record import Progress
 from bundle.interface.summary import Summary
+from bundle.interface.trust_region_fields import LARGEST_RADIUS
 from bundle.model.problem import Problem
 from bundle.solving.result import Result
 
