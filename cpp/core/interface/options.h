@@ -145,13 +145,13 @@ void VisitOptions(const Visitor& visit) {
   visit(kBetweenSolves, "max_trust_region_radius", &Options::max_trust_region_radius);
   visit(kBetweenSolves, "min_trust_region_radius", &Options::min_trust_region_radius);
   visit(kBetweenSolves, "min_relative_decrease", &Options::min_relative_decrease);
-  visit(kBetweenSolves, "max_num_consecutive_invalid_steps",
-        &Options::max_num_consecutive_invalid_steps);
+  // clang-format off
+  visit(kBetweenSolves, "max_num_consecutive_invalid_steps", &Options::max_num_consecutive_invalid_steps);
+  visit(kNever, "max_consecutive_nonmonotonic_steps", &Options::max_consecutive_nonmonotonic_steps);
+  // clang-format on
   visit(kNever, "min_lm_diagonal", &Options::min_lm_diagonal);
   visit(kNever, "max_lm_diagonal", &Options::max_lm_diagonal);
   visit(kNever, "use_nonmonotonic_steps", &Options::use_nonmonotonic_steps);
-  visit(kNever, "max_consecutive_nonmonotonic_steps",
-        &Options::max_consecutive_nonmonotonic_steps);
   visit(kBetweenSolves, "loss", &Options::loss, kLossTypes);
   visit(kBetweenSolves, "loss_scale", &Options::loss_scale);
   visit(kBetweenSolves, "max_num_iterations", &Options::max_num_iterations);

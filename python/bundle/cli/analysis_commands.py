@@ -92,6 +92,14 @@ def add_compare(parser: Parser) -> None:
     )
     compared = ("solvers", "backends", "preconditioners", "orderings", "trust_regions", "threads")
     add_options(parser, "CompareOptions", "what is compared: every combination of", compared)
+    parser.add_argument(
+        "--ordering",
+        dest="orders",
+        choices=("all",),
+        help="compare every elimination order: of a pose graph natural, AMD and METIS, with flops, "
+        "nonzeros, predicted and measured times of the factorisations; of a model those of "
+        "--orderings",
+    )
     group = parser.add_argument_group("options of the comparison")
     add_fields(group, "CompareOptions", ("perturb", "seed", "repeat", "timeout", "memory_cap"))
     group.add_argument(

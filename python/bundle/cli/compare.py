@@ -12,7 +12,7 @@ from bundle.cli.output import publish
 from bundle.cli.progress import Progress
 from bundle.errors import shown
 from bundle.interface.compare_options import COMPARED, CompareOptions
-from bundle.interface.options import SolveOptions
+from bundle.interface.options import ORDERINGS, SolveOptions
 from bundle.planning.comparison.compare_methods import compare
 from bundle.reports.terminal.compare import compared
 
@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
             options,
             solvers=asked.solvers,
             preconditioners=asked.preconditioners,
-            orderings=asked.orderings,
+            orderings=ORDERINGS if arguments.orders == "all" else asked.orderings,
             backends=asked.backends,
             trust_regions=asked.trust_regions,
             threads=asked.threads,

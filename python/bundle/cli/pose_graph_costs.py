@@ -14,7 +14,7 @@ from bundle.errors import InputError, shown
 from bundle.interface.inspect_options import RankOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.g2o_files import load_g2o
-from bundle.planning.comparison.compare_methods import compare
+from bundle.planning.comparison.graph_comparison import compare_graph as compare_graph_methods
 from bundle.planning.inspection.problem_inspection import inspect
 from bundle.reports.terminal.graph_costs import compared_graph, inspected_graph
 
@@ -56,7 +56,8 @@ def compare_graph(arguments: argparse.Namespace) -> int:
     if len(arguments.inputs) > 1:
         raise InputError(f"expected one INPUT with a pose graph, found {len(arguments.inputs)}")
     own = ("backends", "threads", "repeat", "timeout")
-    refuse_flags_of_reconstructions(arguments, (*OPTIONS, *own))
+    refuse_flags_of_reconstructions(arguments, (*OPTIONS, *own, "orders"))
+    orders_only = arguments.orders == "all"
     options = options_given(arguments, PoseGraphOptions)
     given = {name: getattr(arguments, name) for name in own}
     source = arguments.inputs[0]
@@ -66,13 +67,14 @@ def compare_graph(arguments: argparse.Namespace) -> int:
         graph = load_g2o(source)
         progress.stage("finding the start")
         with naming_flags(PoseGraphOptions, **flags):
-            found = compare(
+            found = compare_graph_methods(
                 graph,
                 options,
                 **{name: value for name, value in given.items() if value is not None},
                 progress=progress.stage,
+                orders_only=orders_only,
             )
     asked = {name: getattr(options, name) for name in OPTIONS}
     wall = perf_counter() - started
-    publish(compared_graph(source, graph, found, asked, wall), arguments)
+    publish(compared_graph(source, graph, found, asked, wall, orders_only), arguments)
     return EXIT_DONE if found.recommended is not None else EXIT_NO_SOLUTION

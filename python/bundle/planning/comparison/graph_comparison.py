@@ -162,9 +162,12 @@ def compare_graph(
     repeat: int = REPEAT,
     timeout: float = TIMEOUT,
     progress: Callable[[str], None] | None = None,
+    orders_only: bool = False,
     **changes: Any,
 ) -> GraphComparison:
     """Solve a pose graph from one start by every method; see :func:`bundle.compare`.
+
+    With ``orders_only`` the methods differ in the elimination order alone.
 
     Raises:
         InputError: an argument is invalid, an option is compared, or all poses are constant.
@@ -188,7 +191,12 @@ def compare_graph(
     repeat = checked_number("repeat", repeat, whole=True, minimum=1)
     timeout = checked_number("timeout", timeout, above=0)
     check_function("progress", progress)
-    methods = _methods(_listed("backends", backends), _listed("threads", threads), options.loss)
+    methods = _methods(
+        ("fused",) if orders_only else _listed("backends", backends),
+        _listed("threads", threads),
+        options.loss,
+        TRUST_REGIONS[:1] if orders_only else TRUST_REGIONS,
+    )
     environment = Environment.now()
     # The start is computed once, because all methods must share it.
     started = solve_pose_graph(source, options.replace(max_num_iterations=0)).problem
@@ -240,13 +248,15 @@ def _solver(
     return solve
 
 
-def _methods(backends: tuple[Any, ...], threads: tuple[Any, ...], loss: str) -> list[GraphMethod]:
+def _methods(
+    backends: tuple[Any, ...], threads: tuple[Any, ...], loss: str, regions: tuple[str, ...]
+) -> list[GraphMethod]:
     counts = thread_counts("threads", threads)
     found = []
     for backend in [choice("backends", name, BACKENDS) for name in backends]:
         if backend == "ceres" and loss in ("geman_mcclure", "switchable", "dcs"):
             continue  # Ceres does not have these losses
-        pairs = [(region, "amd") for region in TRUST_REGIONS]
+        pairs = [(region, "amd") for region in regions]
         pairs += [(TRUST_REGIONS[0], ordering) for ordering in ORDERINGS[1:]]
         for count in counts:
             for region, ordering in pairs:

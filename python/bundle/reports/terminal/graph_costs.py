@@ -82,6 +82,7 @@ def compared_graph(
     found: GraphComparison,
     options: Mapping[str, Any],
     wall_time: float,
+    orders_only: bool = False,
 ) -> Report:
     """Return a row for each run, and a recommendation.
 
@@ -91,26 +92,32 @@ def compared_graph(
         found: result of the comparison.
         options: options of every solve.
         wall_time: seconds.
+        orders_only: True if the methods differ in the elimination order alone.
     """
 
     def measured(write: Any) -> Any:
         return lambda run: "" if run.failure else write(run)
 
-    columns = (
-        Column(
-            "method",
-            lambda run: (
-                run.method.name
-                + (" *" if run.method == found.recommended and not run.failure else "")
-            ),
-        ),
-        Column("threads", "method.num_threads"),
-        Column("chi2", lambda run: run.failure or f"{run.chi2_final:.9g}"),
-        Column("gap of the cost", measured(lambda run: f"{found.gap(run):.1e}")),
-        Column("sigmas", measured(lambda run: number(found.distance_in_sigmas(run)))),
+    def name(run: GraphRun) -> str:
+        mark = " *" if run.method == found.recommended and not run.failure else ""
+        return f"{run.method.ordering if orders_only else run.method.name}{mark}"
+
+    of_orders = (
         Column("nnz(L)", measured(_factor("num_factor_nonzeros", amount))),
         Column("flops", measured(_factor("factor_flops", number))),
+    )
+    columns = (
+        Column("order" if orders_only else "method", name),
+        *(() if orders_only else (Column("threads", "method.num_threads"),)),
+        Column("chi2", lambda run: run.failure or f"{run.chi2_final:.9g}"),
+        *(
+            ()
+            if orders_only
+            else (Column("gap of the cost", measured(lambda run: f"{found.gap(run):.1e}")),)
+        ),
+        Column("sigmas", measured(lambda run: f"{found.distance_in_sigmas(run):.1e}")),
         Column("steps", measured(lambda run: str(run.num_steps))),
+        *(of_orders if orders_only else ()),
         Column("seconds", measured(lambda run: seconds(run.time_in_seconds))),
         Column("a step", measured(lambda run: span(run.time_per_step_in_seconds))),
         Column("predicted", measured(lambda run: span(run.predicted_time_per_step_in_seconds))),
