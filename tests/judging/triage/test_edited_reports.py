@@ -152,6 +152,13 @@ def test_threads_explain_their_times(reports):
     assert causes(old, edited(old, *one)) == ["options"]
 
 
+def test_a_slower_option_is_no_machine(reports):
+    time = "summary.total_time_in_seconds"
+    old = edited(reports["model"], (time, 2.0), name="base")
+    new = edited(old, (time, times(4)), ("options.linear_solver_type", "DENSE_QR"))
+    assert causes(old, new) == ["options"]
+
+
 def test_a_median_method_decides_about_the_machine(reports):
     runs = range(len(json.loads(reports["graphs"].read_text())["runs"]))
     old = edited(
