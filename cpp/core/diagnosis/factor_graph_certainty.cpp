@@ -30,8 +30,8 @@
 #include <stdexcept>
 
 #include "core/dense/decompositions.h"
-#include "core/diagnosis/graph_normal_equations.h"
 #include "core/dense/krylov.h"
+#include "core/diagnosis/graph_normal_equations.h"
 
 namespace bundle {
 namespace {
@@ -43,7 +43,8 @@ using Eigen::VectorXd;
 constexpr double kUncheckedError = 1e-6, kCancelledDigits = 1e-13, kLostDigits = 1e-2;
 constexpr int kColumnsAtATime = 64;
 constexpr int kModes = 4;
-constexpr double kSettled = 1e-8;
+/// Tolerances of eigenvectors, and of condition numbers.
+constexpr double kSettled = 1e-8, kEnoughDigits = 1e-4;
 /// Eigenvalues of the inverse below this share of the largest are left to the next round.
 constexpr double kSimilar = 1e-5, kShiftBeside = 1e-11;
 constexpr int64_t kNumbersOfBasis = 20'000'000;
@@ -257,10 +258,10 @@ FactorGraphSpectrum FindFactorGraphSpectrum(const FactorGraph& graph, const Line
     }
   }
   const VectorXd& d = system.scale();
-  const auto largest = [&](int wanted, int block, const BlockOperator& apply) {
+  const auto largest = [&](int count, int block, double accuracy, const BlockOperator& apply) {
     const auto most =
-        static_cast<int>(std::clamp<int64_t>(kNumbersOfBasis / size, 24 + wanted, 160 + wanted));
-    return FindLargest(size, wanted, block, most, kSettled, apply);
+        static_cast<int>(std::clamp<int64_t>(kNumbersOfBasis / size, 24 + count, 160 + count));
+    return FindLargest(size, count, block, most, accuracy, apply);
   };
   const auto scaled = [&](const MatrixXd& x) {
     return MatrixXd(d.asDiagonal() * system.Product(d.asDiagonal() * x));
@@ -268,6 +269,7 @@ FactorGraphSpectrum FindFactorGraphSpectrum(const FactorGraph& graph, const Line
   // The lowest eigenvalues may differ by many powers of ten: a round finds those of similar size,
   // the next round searches beside them. A shift then limits the rounding errors that they cause.
   const int wanted = std::min(num_null + kModes, size);
+  const double tolerance = num_null > 0 ? kSettled : kEnoughDigits;
   MatrixXd lowest(size, 0);
   std::vector<double> values;
   while (lowest.cols() < wanted) {
@@ -282,9 +284,9 @@ FactorGraphSpectrum FindFactorGraphSpectrum(const FactorGraph& graph, const Line
       return x;
     };
     const int missing = wanted - static_cast<int>(lowest.cols());
-    const EigenPairs found = largest(missing, std::max(missing, 2), [&](const MatrixXd& x) {
-      return beside(system.Solve(beside(x)));
-    });
+    const EigenPairs found =
+        largest(missing, std::max(missing, 2), tolerance,
+                [&](const MatrixXd& x) { return beside(system.Solve(beside(x))); });
     const double limit = kSimilar * (found.values.empty() ? 0 : found.values.front());
     const auto count = std::count_if(found.values.begin(), found.values.end(),
                                      [limit](double value) { return value > limit; });
@@ -308,18 +310,20 @@ FactorGraphSpectrum FindFactorGraphSpectrum(const FactorGraph& graph, const Line
   result.condition_number = result.condition_number_unscaled =
       std::numeric_limits<double>::quiet_NaN();
   if (result.eigenvalues.empty()) return result;
-  result.condition_number = largest(1, 2, scaled).values.front() / result.eigenvalues.front();
+  result.condition_number =
+      largest(1, 2, kEnoughDigits, scaled).values.front() / result.eigenvalues.front();
   const MatrixXd basis =
       null > 0 ? OrthonormalColumns(d.asDiagonal() * z) : MatrixXd(MatrixXd::Zero(size, 0));
   const auto without = [&](MatrixXd x) {
     for (int twice = 0; twice < 2 && null > 0; ++twice) x -= basis * (basis.transpose() * x);
     return x;
   };
-  const double highest =
-      largest(1, 2, [&](const MatrixXd& x) { return system.Product(x); }).values.front();
+  const double highest = largest(1, 2, kEnoughDigits, [&](const MatrixXd& x) {
+                           return system.Product(x);
+                         }).values.front();
   // H^-1 = D S^-1 D
   const double inverse_of_lowest =
-      largest(1, 2, [&](const MatrixXd& x) {
+      largest(1, 2, kEnoughDigits, [&](const MatrixXd& x) {
         return without(d.asDiagonal() * system.Solve(d.asDiagonal() * without(x)));
       }).values.front();
   result.condition_number_unscaled = highest * inverse_of_lowest;

@@ -170,16 +170,20 @@ MatrixXd GraphNormalEquations::Solve(const MatrixXd& x) {
 MatrixXd GraphNormalEquations::Product(const MatrixXd& x) const {
   MatrixXd result = MatrixXd::Zero(x.rows(), x.cols());
   const auto num_rows = static_cast<int64_t>(linear_.residual.size());
-  for (int64_t r = 0; r < num_rows; ++r) {
-    Eigen::RowVectorXd along = Eigen::RowVectorXd::Zero(x.cols());
-    const int64_t begin = linear_.row_begin[r], end = linear_.row_begin[r + 1];
-    for (int64_t k = begin; k < end; ++k) {
-      const int column = column_[linear_.columns[k]];
-      if (column >= 0) along += linear_.values[k] * x.row(column);
-    }
-    for (int64_t k = begin; k < end; ++k) {
-      const int column = column_[linear_.columns[k]];
-      if (column >= 0) result.row(column) += linear_.values[k] * along;
+  for (Eigen::Index c = 0; c < x.cols(); ++c) {
+    const double* const from = x.col(c).data();
+    double* const to = result.col(c).data();
+    for (int64_t r = 0; r < num_rows; ++r) {
+      const int64_t begin = linear_.row_begin[r], end = linear_.row_begin[r + 1];
+      double along = 0;
+      for (int64_t k = begin; k < end; ++k) {
+        const int column = column_[linear_.columns[k]];
+        if (column >= 0) along += linear_.values[k] * from[column];
+      }
+      for (int64_t k = begin; k < end; ++k) {
+        const int column = column_[linear_.columns[k]];
+        if (column >= 0) to[column] += linear_.values[k] * along;
+      }
     }
   }
   return result;

@@ -68,6 +68,9 @@ class FactorGraphInspection(Displayed):
     @property
     def recommendation(self) -> str:
         """Advice on the order, in one sentence."""
+        if self.auto_ordering == "dense":
+            unknowns = plural(self.num_columns, "free coordinate")
+            return f"A solve takes dense matrices, which are the fastest for {unknowns}."
         return advise(self.costs, self.auto_ordering, "")
 
     def _display(self) -> Display:
