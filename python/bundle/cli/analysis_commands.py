@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from bundle.cli.dispatch import GRAPH_FILE, SEVERAL, kind_of_input
+from bundle.cli.dispatch import GRAPH_FILE, SEVERAL, SHAPE, kind_of_input
 from bundle.cli.flags_by_kind import add_pose_graph_flags
 from bundle.cli.option_flags import add_fields, add_options
 from bundle.cli.path_checks import PathArgument, page_path, reconstruction
@@ -70,9 +70,14 @@ def add_inspect(parser: Parser) -> None:
     add_options(parser, "SolveOptions", "what is refined", PATTERN)
     add_options(parser, "RankOptions", "several processes (docs/mpi.md)")
     add_options(parser, "GraphFileOptions", "a graph in place of a problem")
-    parser.set_defaults(
-        kind=lambda given: GRAPH_FILE if given.graph or not given.input else kind_of_input(given)
-    )
+    add_options(parser, "ShapeOptions", "numbers in place of a problem")
+    parser.set_defaults(kind=_kind_of_inspection)
+
+
+def _kind_of_inspection(given: argparse.Namespace) -> str:
+    if given.shape is not None:
+        return SHAPE
+    return GRAPH_FILE if given.graph or not given.input else kind_of_input(given)
 
 
 def add_compare(parser: Parser) -> None:

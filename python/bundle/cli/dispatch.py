@@ -18,6 +18,7 @@ __all__ = [
     "GRAPH_FILE",
     "HANDLERS",
     "SEVERAL",
+    "SHAPE",
     "find_handler",
     "kind_of_input",
 ]
@@ -52,6 +53,7 @@ COMMANDS = {
 
 SEVERAL = "several inputs"
 GRAPH_FILE = "file of a graph"
+SHAPE = "numbers of cameras and points"
 FLIGHT = "flight"
 
 HANDLERS = {
@@ -62,6 +64,7 @@ HANDLERS = {
     ("inspect", Kind.RECONSTRUCTION): "inspect:run",
     ("inspect", Kind.POSE_GRAPH): "pose_graph_costs:inspect_graph",
     ("inspect", GRAPH_FILE): "inspect_graph_file:run",
+    ("inspect", SHAPE): "inspect_shape:run",
     ("refine", Kind.RECONSTRUCTION): "refine:run",
     ("refine", Kind.POSE_GRAPH): "pose_graph_commands:refine",
     ("compare", Kind.RECONSTRUCTION): "compare:run",

@@ -8,7 +8,7 @@ from bundle.errors import InputError
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 
-__all__ = ["GRAPH_ORDERINGS", "GraphFileOptions", "RankOptions"]
+__all__ = ["GRAPH_ORDERINGS", "GraphFileOptions", "RankOptions", "ShapeOptions"]
 
 GRAPH_ORDERINGS = (
     "natural",
@@ -21,6 +21,10 @@ GRAPH_ORDERINGS = (
     "nesdis",
 )
 """Orders in which :func:`bundle.inspect_graph` eliminates the variables of a graph."""
+
+
+MOST = 10**9
+"""Largest number of cameras or points of a shape."""
 
 
 @documented
@@ -109,3 +113,38 @@ class GraphFileOptions(Options):
         needs=("graph",),
         late=True,
     )
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ShapeOptions(Options):
+    """Counts of a problem that does not exist yet, for a textbook estimate."""
+
+    shape: str | None = option(
+        None,
+        "--shape",
+        "textbook flops of a step with and without eliminating the points first, of a problem with "
+        "these numbers of cameras, of points, and of cameras that see a point, such as 100,20000,4",
+        metavar="CAMERAS,POINTS,TRACK",
+    )
+
+    def counts(self) -> tuple[int, int, int]:
+        """Return the numbers of cameras and points, and the length of a track.
+
+        Raises:
+            InputError: they cannot be read, or a point is seen by more cameras than there are.
+        """
+        try:
+            cameras, points, track = (int(count) for count in str(self.shape).split(","))
+        except ValueError:
+            raise InputError(
+                f"--shape: expected three whole numbers such as 100,20000,4, found {self.shape}"
+            ) from None
+        for name, count, most in (
+            ("cameras", cameras, MOST),
+            ("points", points, MOST),
+            ("cameras of a point", track, cameras),
+        ):
+            if not 1 <= count <= most:
+                raise InputError(f"--shape: {name}: expected 1 to {most}, found {count}")
+        return cameras, points, track

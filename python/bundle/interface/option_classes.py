@@ -31,6 +31,7 @@ OPTION_CLASSES = {
     "RoundOptions": "round_options",
     "RuleOptions": "camera_edit_options",
     "SceneOptions": "scene_options",
+    "ShapeOptions": "inspect_options",
     "SolveOptions": "options",
     "TriageOptions": "triage_options",
     "ValidationOptions": "validation_options",

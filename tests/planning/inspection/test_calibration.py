@@ -6,7 +6,7 @@ from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import splu
 
 from bundle import inspect_graph
-from bundle.planning.inspection.schur_counts import count_schur_by_hand
+from bundle.planning.inspection.schur_counts import count_schur
 from tests.planning.inspection.graphs import chain, cycle, random_closures, revisited_aisles, star
 
 
@@ -81,16 +81,17 @@ def test_three_cameras_and_four_points():
     assert reduced == {(0, 1), (0, 2), (1, 2)}
     assert inspect_graph(reduced, 3, block_size=6).nnz == 18 * 18  # S is full
 
-    counts = count_schur_by_hand(3, [len(track) for track in tracks])
-    assert (counts.num_unknowns, counts.num_reduced_unknowns) == (30, 18)
-    assert counts.num_block_products == 21
-    assert (counts.points, counts.products, counts.reduced) == (108, 3402, 1944)
-    assert counts.schur == 5454  # about 5,450
-    assert counts.dense == 9000
+    # Of 4 points, three are seen by 2 cameras and one by 3.
+    pairs, triple, cameras = count_schur(3, 3, 2), count_schur(3, 1, 3), 3
+    assert pairs.num_block_products + triple.num_block_products == 21
+    assert (pairs.points + triple.points, pairs.products + triple.products) == (108, 3402)
+    assert pairs.reduced == triple.reduced == (6 * cameras) ** 3 / 3 == 1944
+    assert count_schur(3, 4, 2).num_unknowns == 30
+    assert count_schur(3, 4, 2).dense == 9000
 
 
 def test_hundred_cameras_and_twenty_thousand_points():
-    counts = count_schur_by_hand(100, [4] * 20_000)
+    counts = count_schur(100, 20_000, 4)
     assert counts.num_unknowns == 60_600
     assert counts.dense == pytest.approx(7.4e13, rel=5e-3)
     assert counts.points == 5.4e5

@@ -5,7 +5,6 @@ import pytest
 
 from bundle import InputError, inspect_graph
 from bundle.planning.inspection.graph_inspection import GRAPH_ORDERINGS
-from bundle.planning.inspection.schur_counts import count_schur_by_hand
 from tests.planning.inspection.graphs import (
     adjacency,
     chain,
@@ -218,9 +217,3 @@ def test_what_makes_no_sense_is_refused(arguments, message):
         inspect_graph(**{"edges": cycle(6), **arguments})
     assert str(refused.value).startswith(message)
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(("tracks", "found"), [([4], 4), ([-1], -1)])
-def test_tracks_beyond_the_cameras_are_refused(tracks, found):
-    with pytest.raises(InputError, match=f"track_lengths: expected 0 to 3, found {found}"):
-        count_schur_by_hand(3, tracks)

@@ -24,7 +24,6 @@ __all__ = [
     "as_block_sizes",
     "as_edges",
     "as_names",
-    "as_tracks",
     "as_variables",
     "load_graph",
 ]
@@ -162,12 +161,3 @@ def as_block_sizes(block_size: int | Sequence[int], num_variables: int) -> NDArr
     if len(wrong):
         raise InputError(f"block_size: expected 1 to {MOST_SCALARS_A_BLOCK}, found {wrong[0]}")
     return sizes.astype(np.int32)
-
-
-def as_tracks(track_lengths: Iterable[int], num_cameras: int) -> NDArray[np.int64]:
-    """Return track lengths of points, each at most ``num_cameras``."""
-    tracks = as_integers("track_lengths", track_lengths)
-    wrong = tracks[(tracks < 0) | (tracks > num_cameras)]
-    if len(wrong):
-        raise InputError(f"track_lengths: expected 0 to {num_cameras}, found {wrong[0]}")
-    return tracks

@@ -16,12 +16,12 @@ counts m k n, the inverse of a 3 x 3 block 3^3, a Cholesky factorisation of n co
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
-from bundle.planning.inspection.graph_input import as_tracks
+__all__ = ["SchurCounts", "count_schur"]
 
-__all__ = ["SchurCounts", "count_schur_by_hand"]
+
+CAMERA_SIZE, POINT_SIZE = 6, 3
 
 
 @dataclass(frozen=True)
@@ -52,25 +52,17 @@ class SchurCounts:
         return self.points + self.products + self.reduced
 
 
-def count_schur_by_hand(
-    num_cameras: int, track_lengths: Iterable[int], *, camera_size: int = 6, point_size: int = 3
-) -> SchurCounts:
-    """Count flops for points with these track lengths, one length per point.
-
-    Raises:
-        InputError: a track length is negative or larger than the number of cameras.
-    """
-    tracks = as_tracks(track_lengths, num_cameras)
-    num_points = len(tracks)
-    num_reduced = camera_size * num_cameras
-    num_unknowns = num_reduced + point_size * num_points
-    num_products = int((tracks * tracks).sum())
-    product = camera_size * point_size * point_size + camera_size * point_size * camera_size
+def count_schur(num_cameras: int, num_points: int, track_length: int) -> SchurCounts:
+    """Count flops for points that are seen by the same number of cameras each."""
+    num_reduced = CAMERA_SIZE * num_cameras
+    num_unknowns = num_reduced + POINT_SIZE * num_points
+    num_products = track_length**2 * num_points
+    product = CAMERA_SIZE * POINT_SIZE**2 + CAMERA_SIZE**2 * POINT_SIZE
     return SchurCounts(
         num_unknowns=num_unknowns,
         num_reduced_unknowns=num_reduced,
         num_block_products=num_products,
-        points=float(point_size**3 * num_points),
+        points=float(POINT_SIZE**3 * num_points),
         products=float(product * num_products),
         reduced=num_reduced**3 / 3,
         dense=num_unknowns**3 / 3,

@@ -1,0 +1,55 @@
+"""Report of `bundle inspect --shape`: textbook flops of one step, term by term."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from bundle.base.words import number, plural
+from bundle.planning.inspection.schur_counts import SchurCounts
+from bundle.reports.sections import Report, Section, Table, fields
+
+__all__ = ["inspected"]
+
+
+def inspected(shape: Mapping[str, int], counts: SchurCounts, wall_time: float) -> Report:
+    """Return the report.
+
+    Args:
+        shape: num_cameras, num_points and track_length.
+        counts: flops of a step.
+        wall_time: seconds.
+    """
+    cameras, points, track = shape.values()
+    terms = [
+        ("invert V_p", "27 per point", counts.points),
+        ("W V^-1 W^T", f"162 for each of {counts.num_block_products} products", counts.products),
+        ("factorise S", f"n^3 / 3, n = 6 x {cameras} = {counts.num_reduced_unknowns}",
+         counts.reduced),
+        ("together", "points eliminated first", counts.schur),
+        ("all at once", f"n^3 / 3, n = {counts.num_unknowns}", counts.dense),
+    ]  # fmt: skip
+    rows = [(name, formula, number(flops)) for name, formula, flops in terms]
+    ratio = counts.dense / counts.schur
+    return Report(
+        command="inspect",
+        headline=[
+            f"{plural(cameras, 'camera')} and {plural(points, 'point')}, each seen by {track}: "
+            f"{number(counts.schur)} flops per step with the points eliminated first, "
+            f"{number(counts.dense)} without ({number(ratio)} times as many)."
+        ],
+        sections=[
+            Section(
+                tables=[Table.of(("term", "formula", "flops"), rows, left=2)],
+                notes=[
+                    "A textbook estimate, with a dense S. `bundle inspect INPUT` counts the "
+                    "work of a solver on your problem."
+                ],
+            )
+        ],
+        data={
+            "shape": dict(shape),
+            **fields(counts),
+            "schur": counts.schur,
+            "wall_time": {"total": wall_time},
+        },
+    )
