@@ -64,7 +64,7 @@ HANDLERS = {
     ("inspect", Kind.RECONSTRUCTION): "inspect:run",
     ("inspect", Kind.POSE_GRAPH): "pose_graph_costs:inspect_graph",
     ("inspect", GRAPH_FILE): "inspect_graph_file:run",
-    ("inspect", SHAPE): "inspect_shape:run",
+    ("inspect", SHAPE): "inspect_numbers:run",
     ("refine", Kind.RECONSTRUCTION): "refine:run",
     ("refine", Kind.POSE_GRAPH): "pose_graph_commands:refine",
     ("compare", Kind.RECONSTRUCTION): "compare:run",
