@@ -406,6 +406,9 @@ _DEFERRED = {
 The command line imports this module first and must handle Ctrl-C before slow imports.
 """
 
+_WITHOUT_LIBRARIES = ("_core", "base.paths", "errors")
+"""Modules of names that are used without NumPy."""
+
 _MODULES = {
     "constraints": "solving.constraints",
     "figures": "figures",
@@ -450,6 +453,10 @@ def __getattr__(name: str) -> Any:
         return value
     for module, names in _DEFERRED.items():
         if name in names:
+            if module not in _WITHOUT_LIBRARIES:
+                from bundle.base import blas_threads
+
+                blas_threads.load_libraries()
             value = getattr(importlib.import_module(f"bundle.{module}"), name)
             globals()[name] = value
             return value

@@ -15,7 +15,7 @@ def run() -> int:
     except MemoryError as error:
         sys.stderr.write(f"error: not enough memory: {error}\n")
         return 2
-    from bundle.cli import blas_threads
+    from bundle.base import blas_threads
 
     blas_threads.begin()
     from bundle.solving.ranks import end_by_mpirun

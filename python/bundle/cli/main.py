@@ -13,7 +13,8 @@ from functools import partial
 from typing import Any
 
 from bundle import __version__
-from bundle.cli import blas_threads, startup
+from bundle.base import blas_threads
+from bundle.cli import startup
 from bundle.cli.completion import SHELLS, PrintCompletion
 from bundle.cli.dispatch import COMMANDS, find_handler, kind_of_input
 from bundle.cli.error_lines import (

@@ -1,4 +1,4 @@
-"""Threads of OpenBLAS in a process of the command line, and the environment that they leave."""
+"""Threads of OpenBLAS in a process, and the environment that they leave."""
 
 from __future__ import annotations
 
@@ -35,6 +35,8 @@ seen["child"] = {name: child[name] for name in names if name in child}
 sys.stderr.write(json.dumps([seen, tasks]))
 """
 OURS = "from bundle.__main__ import run"
+LIBRARY = "def run():\n    import bundle; bundle.solve"
+NUMPY_FIRST = f"import numpy\n{LIBRARY}"
 OTHERS = "from bundle.cli.main import main as run"
 
 
@@ -83,3 +85,26 @@ def test_a_variable_without_a_number_is_restored(value):
 def test_another_program_keeps_its_own_threads():
     seen, _ = loaded(OTHERS)
     assert seen["numpy"] == seen["bundle._core"] == seen["child"] == {}
+
+
+def test_idle_threads_of_a_script_sleep_and_keep_their_number():
+    seen, _ = loaded(LIBRARY)
+    assert seen["numpy"] == seen["bundle._core"] == {"OPENBLAS_THREAD_TIMEOUT": "20"}
+    assert seen["child"] == {}
+
+
+def test_a_library_that_the_script_loaded_keeps_its_own():
+    seen, _ = loaded(NUMPY_FIRST)
+    assert seen["numpy"] == seen["child"] == {}
+    assert seen["bundle._core"] == {"OPENBLAS_THREAD_TIMEOUT": "20"}
+
+
+@pytest.mark.parametrize("name", SLEEPS)
+def test_a_time_of_the_user_stays_in_a_script(name):
+    seen, _ = loaded(LIBRARY, **{name: "24"})
+    assert seen["numpy"] == seen["bundle._core"] == seen["child"] == {name: "24"}
+
+
+def test_names_that_need_no_library_load_none():
+    seen, _ = loaded("def run():\n    import bundle; bundle.InputError, bundle.get_include()")
+    assert "numpy" not in seen
