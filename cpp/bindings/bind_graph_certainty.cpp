@@ -36,7 +36,8 @@ py::dict GraphCovarianceFromPython(const py::object& graph, const std::string& e
                                    const std::vector<std::pair<int32_t, int32_t>>& relative,
                                    int num_threads) {
   const GraphArrays arrays(graph);
-  const PoseGraphView view = ViewGraph(arrays, arrays.fixed);
+  const Array<double> roots = RootsOf(graph);
+  const PoseGraphView view = ViewGraph(arrays, arrays.fixed, &roots);
   for (const auto& [a, b] : relative) {
     if (a < 0 || b < 0 || a >= view.num_poses || b >= view.num_poses) {
       throw InputError("relative: expected positions of poses");
@@ -70,7 +71,8 @@ py::dict GraphSpectrumFromPython(const py::object& graph, const Array<bool>& hel
                                  const std::string& error, const Array<double>& null_directions,
                                  int num_threads) {
   const GraphArrays arrays(graph);
-  const PoseGraphView view = ViewGraph(arrays, held);
+  const Array<double> roots = RootsOf(graph);
+  const PoseGraphView view = ViewGraph(arrays, held, &roots);
   if (null_directions.ndim() != 2 || null_directions.shape(0) != view.num_poses * view.tangent()) {
     throw InputError("null_directions: expected a row for each tangent coordinate");
   }
@@ -92,8 +94,7 @@ py::dict GraphSpectrumFromPython(const py::object& graph, const Array<bool>& hel
 /// Ordering that a solve chooses: "natural", "amd" or "metis"; "" without free poses.
 std::string AutoOrdering(const py::object& graph, const Array<bool>& held) {
   const GraphArrays arrays(graph);
-  PoseGraphView view = ViewGraph(arrays, held);
-  view.information = nullptr;
+  const PoseGraphView view = ViewGraph(arrays, held);
   const PoseGraph made = MakePoseGraph(view, {});
   if (std::all_of(made.held.begin(), made.held.end(), [](uint8_t h) { return h != 0; })) return "";
   const py::gil_scoped_release release;

@@ -103,7 +103,8 @@ py::dict SolvePoseGraphFromPython(const py::object& graph, const Array<bool>& he
                                   const Array<bool>& robust, const py::dict& options,
                                   const py::object& progress, const FillOrdering* order) {
   const GraphArrays arrays(graph);
-  PoseGraphView view = ViewGraph(arrays, held);
+  const Array<double> roots = RootsOf(graph);
+  PoseGraphView view = ViewGraph(arrays, held, &roots);
   if (robust.size() != view.num_edges) throw InputError("robust: expected a flag for each edge");
   view.robust = reinterpret_cast<const uint8_t*>(robust.data());
   const PoseErrorOptions errors = ErrorsFromPython(options);
@@ -143,20 +144,23 @@ py::tuple HoldPosesFromPython(const py::object& graph) {
   return py::make_tuple(held, found.num_components, found.for_gauge);
 }
 
-std::vector<int64_t> FindBadInformationFromPython(const Array<double>& information) {
-  return FindBadInformation(information.shape(0), static_cast<int>(information.shape(1)),
-                            information.data());
+/// The roots, and the edges without one.
+py::tuple InformationRootsFromPython(const Array<double>& information) {
+  const py::ssize_t m = information.shape(0), d = information.shape(1);
+  InformationRoots found = FindInformationRoots(m, static_cast<int>(d), information.data());
+  return py::make_tuple(ToImmutableNumpy(std::move(found.roots), {m, d * (d + 1) / 2}), found.bad);
 }
 
 py::array EdgeChi2FromPython(const py::object& graph, const std::string& error) {
   const GraphArrays arrays(graph);
-  const PoseGraphView view = ViewGraph(arrays, arrays.fixed);
+  const Array<double> roots = RootsOf(graph);
+  const PoseGraphView view = ViewGraph(arrays, arrays.fixed, &roots);
   PoseErrorOptions errors;
   errors.error = PoseErrorFromName(error);
   std::vector<double> chi2 = [&] {
     const py::gil_scoped_release release;
     const PoseGraph made = MakePoseGraph(view, errors);
-    return EdgeChi2(made, made.poses.data());
+    return EdgeChi2(made, made.poses);
   }();
   return ToImmutableNumpy(std::move(chi2), {static_cast<py::ssize_t>(view.num_edges)});
 }
@@ -165,8 +169,7 @@ py::array EdgeChi2FromPython(const py::object& graph, const std::string& error) 
 FillOrdering OrderPoses(const py::object& graph, const Array<bool>& held,
                         const std::string& ordering) {
   const GraphArrays arrays(graph);
-  PoseGraphView view = ViewGraph(arrays, held);
-  view.information = nullptr;
+  const PoseGraphView view = ViewGraph(arrays, held);
   const py::gil_scoped_release release;
   const PoseGraph made = MakePoseGraph(view, {});
   return PatternOfEdges(made, view.tangent(), ordering).ordering;
@@ -175,9 +178,9 @@ FillOrdering OrderPoses(const py::object& graph, const Array<bool>& held,
 py::array InitialPoses(const py::object& graph, const Array<bool>& held, const std::string& init,
                        int num_threads, const FillOrdering* order) {
   const GraphArrays arrays(graph);
-  PoseGraphView view = ViewGraph(arrays, held);
+  const PoseGraphView view = ViewGraph(arrays, held);
   // Only a chordal start uses information matrices; other starts work with invalid ones.
-  const double* const information = std::exchange(view.information, nullptr);
+  const double* const information = arrays.information.data();
   PythonProgress report(py::none{});
   std::vector<double> poses = RunWatched(&report, [&] {
     const PoseGraph made = MakePoseGraph(view, {});
@@ -195,8 +198,7 @@ py::array InitialPoses(const py::object& graph, const Array<bool>& held, const s
 
 std::pair<int32_t, int32_t> OdometryGap(const py::object& graph) {
   const GraphArrays arrays(graph);
-  PoseGraphView view = ViewGraph(arrays, arrays.fixed);
-  view.information = nullptr;
+  const PoseGraphView view = ViewGraph(arrays, arrays.fixed);
   const PoseGraph made = MakePoseGraph(view, {});
   return FindOdometryGap(made, arrays.ids.data());
 }
@@ -210,8 +212,11 @@ py::tuple EvaluateError(PoseError error, const Array<double>& x_i, const Array<d
     throw InputError("expected three poses of one kind");
   }
   Array<double> residual(kSize), right({kSize, kSize}), left({kSize, kSize});
-  double adjoint[kSize * kSize];
-  EvaluateRelativePose<Group>(error, x_i.data(), x_j.data(), z.data(), residual.mutable_data(),
+  double adjoint[kSize * kSize], records[3][Group::kRecord];
+  Group::Record(x_i.data(), records[0]);
+  Group::Record(x_j.data(), records[1]);
+  Group::Record(z.data(), records[2]);
+  EvaluateRelativePose<Group>(error, records[0], records[1], records[2], residual.mutable_data(),
                               right.mutable_data(), adjoint);
   for (int r = 0; r < kSize; ++r) {
     for (int c = 0; c < kSize; ++c) {
@@ -277,7 +282,7 @@ void BindPoseGraph(py::module_& m) {
   m.def("order_poses", &bundle::OrderPoses, py::arg("graph"), py::arg("held"), py::arg("ordering"));
   m.def("pose_components", &bundle::PoseComponents, py::arg("num_poses"), py::arg("edges"));
   m.def("hold_poses", &bundle::HoldPosesFromPython, py::arg("graph"));
-  m.def("find_bad_information", &bundle::FindBadInformationFromPython, py::arg("information"));
+  m.def("information_roots", &bundle::InformationRootsFromPython, py::arg("information"));
   m.def("edge_chi2", &bundle::EdgeChi2FromPython, py::arg("graph"), py::arg("error"));
   m.def("initial_poses", &bundle::InitialPoses, py::arg("graph"), py::arg("held"), py::arg("init"),
         py::arg("num_threads"), py::arg("order") = nullptr);

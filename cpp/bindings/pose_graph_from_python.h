@@ -44,8 +44,19 @@ inline PoseError PoseErrorFromName(const std::string& name) {
   throw InputError("error: expected log, g2o or ceres, found " + name);
 }
 
-/// `held` may differ from the graph's array.
-inline PoseGraphView ViewGraph(const GraphArrays& arrays, const Array<bool>& held) {
+/// The square roots of the information, which the graph keeps.
+inline Array<double> RootsOf(const pybind11::handle& graph) {
+  const pybind11::tuple found = graph.attr("information_roots");
+  if (pybind11::len(found[1]) > 0) {
+    throw InputError("information[" + std::string(pybind11::str(found[1][pybind11::int_(0)])) +
+                     "]: expected a symmetric positive semidefinite matrix");
+  }
+  return pybind11::cast<Array<double>>(found[0]);
+}
+
+/// `held` may differ from the graph's array. `roots`: RootsOf; nullptr if errors are not evaluated.
+inline PoseGraphView ViewGraph(const GraphArrays& arrays, const Array<bool>& held,
+                               const Array<double>* roots = nullptr) {
   PoseGraphView view;
   view.dimension = arrays.dimension();
   view.num_poses = arrays.poses.shape(0);
@@ -54,7 +65,7 @@ inline PoseGraphView ViewGraph(const GraphArrays& arrays, const Array<bool>& hel
   view.held = reinterpret_cast<const uint8_t*>(held.data());
   view.edges = arrays.edges.data();
   view.measurements = arrays.measurements.data();
-  view.information = arrays.information.data();
+  if (roots != nullptr) view.roots = roots->data();
   if (held.size() != view.num_poses) throw InputError("held: expected a flag for each pose");
   return view;
 }

@@ -158,8 +158,13 @@ inline void Cross3(const double a[3], const double b[3], double out[3]) {
   out[2] = a[0] * b[1] - a[1] * b[0];
 }
 
-/// An angle in [-pi, pi] that differs from the given one by whole turns.
-inline double WrapAngle(double angle) { return std::remainder(angle, 2 * M_PI); }
+/// An angle in [-pi, pi] that differs from the given one by whole turns. The remainder is exact,
+/// and so are the differences, but the function takes ten times as long.
+inline double WrapAngle(double angle) {
+  if (std::abs(angle) <= M_PI) return angle;
+  if (std::abs(angle) < 3 * M_PI) return angle > 0 ? angle - 2 * M_PI : angle + 2 * M_PI;
+  return std::remainder(angle, 2 * M_PI);
+}
 
 /// The rotation vector of a quaternion (x y z w) of any nonzero norm, of an angle of at most pi.
 inline void LogQuaternion(const double q[4], double w[3]) {

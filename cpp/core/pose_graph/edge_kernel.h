@@ -61,13 +61,14 @@ const double* RootOf(const PoseGraph& graph, int64_t edge) {
 }
 
 /// The whitened residual; A and Ad are also computed unless `a` and `adjoint` are nullptr.
+/// `records`: those of the poses (relative_pose.h).
 template <typename Group>
-void EvaluateWhitened(const PoseGraph& graph, int64_t edge, const double* poses, double* residual,
+void EvaluateWhitened(const PoseGraph& graph, int64_t edge, const double* records, double* residual,
                       double* a = nullptr, double* adjoint = nullptr) {
   EvaluateRelativePose<Group>(
-      graph.errors.error, poses + int64_t{graph.edges[2 * edge]} * Group::kAmbient,
-      poses + int64_t{graph.edges[2 * edge + 1]} * Group::kAmbient,
-      graph.measurements.data() + edge * Group::kAmbient, residual, a, adjoint);
+      graph.errors.error, records + int64_t{graph.edges[2 * edge]} * Group::kRecord,
+      records + int64_t{graph.edges[2 * edge + 1]} * Group::kRecord,
+      graph.measurement_records.data() + edge * Group::kRecord, residual, a, adjoint);
   const double* const root = RootOf<Group>(graph, edge);
   ApplyRoot<Group::kTangent, 1>(root, residual);
   if (a != nullptr) ApplyRoot<Group::kTangent, Group::kTangent>(root, a);
@@ -83,11 +84,11 @@ struct EdgeTerms {
 };
 
 template <typename Group>
-void LinearizeEdge(const PoseGraph& graph, int64_t edge, const double* poses,
+void LinearizeEdge(const PoseGraph& graph, int64_t edge, const double* records,
                    EdgeTerms<Group>* terms) {
   constexpr int kSize = Group::kTangent;
   double residual[kSize], a[kSize * kSize], adjoint[kSize * kSize], half[kSize * kSize];
-  EvaluateWhitened<Group>(graph, edge, poses, residual, a, adjoint);
+  EvaluateWhitened<Group>(graph, edge, records, residual, a, adjoint);
   double rho[3];
   ValueOfEdgeLoss(graph.LossOf(edge), graph.errors.loss_scale, SquaredNorm(residual, kSize), rho);
   terms->cost = 0.5 * rho[0];

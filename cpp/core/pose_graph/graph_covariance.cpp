@@ -62,6 +62,7 @@ class GraphCovariance {
  public:
   GraphCovariance(const PoseGraph& graph, HeldPoses held, const GraphCovarianceOptions& options)
       : graph_(graph),
+        records_(PoseRecords<Group>(graph.poses)),
         held_(std::move(held)),
         options_(options),
         retraction_(Group::kManifold, kAmbient),
@@ -244,7 +245,7 @@ class GraphCovariance {
     const int i = graph_.edges[2 * e], j = graph_.edges[2 * e + 1];
     double residual[kSize], unused[kSize * kSize];
     Matrix a;
-    EvaluateWhitened<Group>(graph_, e, graph_.poses.data(), residual, a.data(), unused);
+    EvaluateWhitened<Group>(graph_, e, records_.data(), residual, a.data(), unused);
     double largest = 0;
     for (const int pose : {i, j}) largest = std::max(largest, InverseBlock(pose, pose).trace());
     const double rounding = kCancelled * largest * a.squaredNorm();
@@ -277,6 +278,7 @@ class GraphCovariance {
   }
 
   const PoseGraph& graph_;
+  const std::vector<double> records_;  ///< relative_pose.h
   const HeldPoses held_;
   const GraphCovarianceOptions& options_;
   const Retraction retraction_;

@@ -31,9 +31,11 @@ class PoseEdgeFactor final : public Factor {
                 double* const* jacobians) const override {
     double a[kSize * kSize], adjoint[kSize * kSize];
     const bool wanted = jacobians != nullptr;
-    EvaluateRelativePose<Group>(graph_.errors.error, values[0], values[1],
-                                graph_.measurements.data() + edge_ * Group::kAmbient, residual,
-                                wanted ? a : nullptr, wanted ? adjoint : nullptr);
+    double records[2][Group::kRecord];
+    for (int k = 0; k < 2; ++k) Group::Record(values[k], records[k]);
+    EvaluateRelativePose<Group>(graph_.errors.error, records[0], records[1],
+                                graph_.measurement_records.data() + edge_ * Group::kRecord,
+                                residual, wanted ? a : nullptr, wanted ? adjoint : nullptr);
     const double* const root = RootOf<Group>(graph_, edge_);
     ApplyRoot<kSize, 1>(root, residual);
     if (!wanted) return true;

@@ -85,14 +85,17 @@ std::vector<double> Normalized(const Retraction& retraction, const char* name, i
 
 }  // namespace
 
-std::vector<int64_t> FindBadInformation(int64_t num_edges, int tangent, const double* information) {
-  std::vector<int64_t> bad;
-  double root[21];
+InformationRoots FindInformationRoots(int64_t num_edges, int tangent, const double* information) {
+  const int64_t root_size = tangent * (tangent + 1) / 2;
+  InformationRoots found;
+  found.roots.resize(num_edges * root_size);
   for (int64_t e = 0; e < num_edges; ++e) {
     const double* const matrix = information + e * tangent * tangent;
-    if (!IsSymmetric(matrix, tangent) || !FindRoot(matrix, tangent, root)) bad.push_back(e);
+    const bool is_valid = IsSymmetric(matrix, tangent) &&
+                          FindRoot(matrix, tangent, found.roots.data() + e * root_size);
+    if (!is_valid) found.bad.push_back(e);
   }
-  return bad;
+  return found;
 }
 
 PoseGraph MakePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors) {
@@ -108,14 +111,10 @@ PoseGraph MakePoseGraph(const PoseGraphView& view, const PoseErrorOptions& error
   graph.edges.assign(view.edges, view.edges + 2 * view.num_edges);
   graph.robust.assign(view.num_edges, 0);
   if (view.robust != nullptr) graph.robust.assign(view.robust, view.robust + view.num_edges);
-  if (view.information == nullptr) return graph;
-  graph.roots.resize(view.num_edges * root_size);
-  for (int64_t e = 0; e < view.num_edges; ++e) {
-    const double* const matrix = view.information + e * n * n;
-    if (IsSymmetric(matrix, n) && FindRoot(matrix, n, graph.roots.data() + e * root_size)) continue;
-    throw InputError("information[" + std::to_string(e) +
-                     "]: expected a symmetric positive semidefinite matrix");
-  }
+  if (view.roots == nullptr) return graph;
+  graph.roots.assign(view.roots, view.roots + view.num_edges * root_size);
+  graph.measurement_records = graph.dimension == 2 ? PoseRecords<Se2>(graph.measurements)
+                                                   : PoseRecords<Se3>(graph.measurements);
   return graph;
 }
 
@@ -137,11 +136,12 @@ std::vector<int32_t> FindComponents(int64_t num_poses, int64_t num_edges, const 
 namespace {
 
 template <typename Group>
-std::vector<double> EdgeChi2Of(const PoseGraph& graph, const double* poses) {
+std::vector<double> EdgeChi2Of(const PoseGraph& graph, const std::vector<double>& poses) {
+  const std::vector<double> records = PoseRecords<Group>(poses);
   std::vector<double> chi2(graph.num_edges());
   for (int64_t e = 0; e < graph.num_edges(); ++e) {
     double residual[Group::kTangent];
-    EvaluateWhitened<Group>(graph, e, poses, residual);
+    EvaluateWhitened<Group>(graph, e, records.data(), residual);
     chi2[e] = SquaredNorm(residual, Group::kTangent);
   }
   return chi2;
@@ -149,7 +149,7 @@ std::vector<double> EdgeChi2Of(const PoseGraph& graph, const double* poses) {
 
 }  // namespace
 
-std::vector<double> EdgeChi2(const PoseGraph& graph, const double* poses) {
+std::vector<double> EdgeChi2(const PoseGraph& graph, const std::vector<double>& poses) {
   return graph.dimension == 2 ? EdgeChi2Of<Se2>(graph, poses) : EdgeChi2Of<Se3>(graph, poses);
 }
 

@@ -20,8 +20,8 @@ struct PoseGraphView {
   const uint8_t* held = nullptr;         ///< num_poses: 1 if a pose is constant
   const int32_t* edges = nullptr;        ///< num_edges x 2
   const double* measurements = nullptr;  ///< num_edges x 3 or 7
-  /// num_edges x d x d, by tangent coordinates; nullptr if errors are not evaluated.
-  const double* information = nullptr;
+  /// num_edges x d (d + 1) / 2, as PoseGraph::roots; nullptr if errors are not evaluated.
+  const double* roots = nullptr;
   const uint8_t* robust =
       nullptr;  ///< num_edges: 1 if the loss applies; nullptr: it applies to no edge
 
@@ -46,6 +46,7 @@ struct PoseGraph {
   std::vector<uint8_t> held;
   std::vector<int32_t> edges;
   std::vector<double> measurements;
+  std::vector<double> measurement_records;  ///< relative_pose.h; empty if there are no roots
   /// num_edges x d (d + 1) / 2: the upper triangle of U with U^T U the information, by rows. Empty
   /// if the view has no information.
   std::vector<double> roots;
@@ -57,18 +58,22 @@ struct PoseGraph {
 };
 
 /// Throws InputError if arrays contradict each other: an edge of a pose that does not exist or from
-/// a pose to itself, a number that is not finite, a quaternion of norm 0, or an invalid information
-/// matrix (FindBadInformation).
+/// a pose to itself, a number that is not finite, or a quaternion of norm 0.
 PoseGraph MakePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors);
 
-/// Edges whose information matrix is asymmetric, not positive semidefinite or not finite.
-std::vector<int64_t> FindBadInformation(int64_t num_edges, int tangent, const double* information);
+/// Square roots of information matrices (PoseGraph::roots), d x d by tangent coordinates. `bad`
+/// lists the edges whose matrix is asymmetric, not positive semidefinite or not finite.
+struct InformationRoots {
+  std::vector<double> roots;
+  std::vector<int64_t> bad;
+};
+InformationRoots FindInformationRoots(int64_t num_edges, int tangent, const double* information);
 
 /// Connected components: for each pose, the smallest position in its component.
 std::vector<int32_t> FindComponents(int64_t num_poses, int64_t num_edges, const int32_t* edges);
 
 /// r^T Omega r of each edge at `poses`, without the loss and without 1/2.
-std::vector<double> EdgeChi2(const PoseGraph& graph, const double* poses);
+std::vector<double> EdgeChi2(const PoseGraph& graph, const std::vector<double>& poses);
 
 /// Weight rho' of the loss on the information of each edge, with r^T Omega r as in EdgeChi2.
 std::vector<double> EdgeWeights(const PoseGraph& graph, const std::vector<double>& chi2);

@@ -52,6 +52,8 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
         retraction_(Group::kManifold, kAmbient),
         x_(graph.poses),
         candidate_(graph.poses),
+        x_records_(PoseRecords<Group>(graph.poses)),
+        candidate_records_(x_records_),
         pool_(CountThreads(graph.num_edges(), kSize, num_threads)) {
     const Stopwatch symbolic;
     EdgePattern pattern = PatternOfEdges(graph, kSize, ordering, known);
@@ -131,6 +133,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
 
   void Accept() override {
     std::swap(x_, candidate_);
+    std::swap(x_records_, candidate_records_);
     std::swap(state_norm_, candidate_norm_);
   }
 
@@ -155,7 +158,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
       place.i = block_of[graph_.edges[2 * e]];
       place.j = block_of[graph_.edges[2 * e + 1]];
       if (place.i < 0 && place.j < 0) {
-        fixed_cost_ += CostOf(e, x_.data());
+        fixed_cost_ += CostOf(e, x_records_.data());
         continue;
       }
       if (place.i >= 0 && place.j >= 0) {
@@ -167,9 +170,9 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
     }
   }
 
-  double CostOf(int64_t edge, const double* poses) const {
+  double CostOf(int64_t edge, const double* records) const {
     double residual[kSize], rho[3];
-    EvaluateWhitened<Group>(graph_, edge, poses, residual);
+    EvaluateWhitened<Group>(graph_, edge, records, residual);
     ValueOfEdgeLoss(graph_.LossOf(edge), graph_.errors.loss_scale, SquaredNorm(residual, kSize),
                     rho);
     return 0.5 * rho[0];
@@ -184,7 +187,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   void EvaluateEdges(int64_t begin, int64_t end, int thread) {
     const auto [first, last] = Share(begin, end, thread);
     for (int64_t k = first; k < last; ++k) {
-      LinearizeEdge<Group>(graph_, places_[k].edge, x_.data(), &terms_[k - begin]);
+      LinearizeEdge<Group>(graph_, places_[k].edge, x_records_.data(), &terms_[k - begin]);
     }
   }
 
@@ -250,7 +253,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
     ForEdges([&](int64_t k) {
       const EdgePlace& place = places_[k];
       double residual[kSize], a[kSize * kSize], adjoint[kSize * kSize], moved[kSize] = {}, rho[3];
-      EvaluateWhitened<Group>(graph_, place.edge, x_.data(), residual, a, adjoint);
+      EvaluateWhitened<Group>(graph_, place.edge, x_records_.data(), residual, a, adjoint);
       ValueOfEdgeLoss(graph_.LossOf(place.edge), graph_.errors.loss_scale,
                       SquaredNorm(residual, kSize), rho);
       for (int r = 0; r < kSize; ++r) {
@@ -284,12 +287,14 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
     pool_.Run([&](int thread) {
       const auto [first, last] = Share(0, structure_.num_blocks(), thread);
       for (int64_t b = first; b < last; ++b) {
-        const int64_t pose = int64_t{pose_of_[b]} * kAmbient;
-        retraction_.Plus(x_.data() + pose, d.data() + b * kSize, candidate_.data() + pose);
+        const int64_t pose = pose_of_[b];
+        double* const moved = candidate_.data() + pose * kAmbient;
+        retraction_.Plus(x_.data() + pose * kAmbient, d.data() + b * kSize, moved);
+        Group::Record(moved, candidate_records_.data() + pose * Group::kRecord);
       }
     });
     costs_.resize(places_.size());
-    ForEdges([&](int64_t k) { costs_[k] = CostOf(places_[k].edge, candidate_.data()); });
+    ForEdges([&](int64_t k) { costs_[k] = CostOf(places_[k].edge, candidate_records_.data()); });
     Candidate result;
     for (const double cost : costs_) result.cost += cost;
     result.step_norm = std::sqrt(DotOf(d, d));
@@ -311,6 +316,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   const PoseGraph& graph_;
   const Retraction retraction_;
   std::vector<double> x_, candidate_;
+  std::vector<double> x_records_, candidate_records_;  ///< relative_pose.h
   ThreadPool pool_;
   BlockStructure structure_;
   std::unique_ptr<LinearSolver> solver_;

@@ -41,6 +41,8 @@
 /// No error function is smooth there.
 
 #include <cmath>
+#include <cstddef>
+#include <vector>
 
 #include "core/geometry/retraction.h"
 #include "core/geometry/rigid_motion.h"
@@ -49,20 +51,50 @@ namespace bundle {
 
 enum class PoseError { kLog, kG2o, kCeres };
 
+/// A record is a pose in the form that errors read: in the plane x y angle, then the cosine and the
+/// sine of the angle. They are computed once per pose, not once per edge.
 struct Se2 {
   static constexpr Manifold kManifold = Manifold::kSe2;
   static constexpr int kAmbient = 3;
   static constexpr int kTangent = 3;
+  static constexpr int kRecord = 5;
+  static void Record(const double* pose, double* record) {
+    for (int k = 0; k < 3; ++k) record[k] = pose[k];
+    record[3] = std::cos(pose[2]);
+    record[4] = std::sin(pose[2]);
+  }
 };
 
 struct Se3 {
   static constexpr Manifold kManifold = Manifold::kSe3;
   static constexpr int kAmbient = 7;
   static constexpr int kTangent = 6;
+  static constexpr int kRecord = 7;
+  static void Record(const double* pose, double* record) {
+    for (int k = 0; k < 7; ++k) record[k] = pose[k];
+  }
 };
 
-/// `residual`: kTangent numbers. `right` is E and `adjoint` Ad(B^-1), kTangent squared, row-major;
-/// both or neither may be nullptr. Quaternions have norm 1.
+template <typename Group>
+std::vector<double> PoseRecords(const std::vector<double>& poses) {
+  const size_t count = poses.size() / Group::kAmbient;
+  std::vector<double> records(count * Group::kRecord);
+  for (size_t i = 0; i < count; ++i) {
+    Group::Record(&poses[i * Group::kAmbient], &records[i * Group::kRecord]);
+  }
+  return records;
+}
+
+/// X^-1 Y in the plane, from records.
+inline void PlanarMotionFromRecord(const double* x, const double* y, double out[3]) {
+  const double apart[2] = {y[0] - x[0], y[1] - x[1]};
+  out[0] = x[3] * apart[0] + x[4] * apart[1];
+  out[1] = x[3] * apart[1] - x[4] * apart[0];
+  out[2] = y[2] - x[2];
+}
+
+/// `x_i`, `x_j` and `z` are records. `residual`: kTangent numbers. `right` is E and `adjoint`
+/// Ad(B^-1), kTangent squared, row-major; both or neither may be nullptr. Quaternions have norm 1.
 template <typename Group>
 void EvaluateRelativePose(PoseError error, const double* x_i, const double* x_j, const double* z,
                           double* residual, double* right, double* adjoint);
@@ -72,8 +104,8 @@ inline void EvaluateRelativePose<Se2>(PoseError error, const double* x_i, const 
                                       const double* z, double* residual, double* right,
                                       double* adjoint) {
   double between[3], motion[3];
-  PlanarMotionBetween(x_i, x_j, between);
-  PlanarMotionBetween(z, between, motion);
+  PlanarMotionFromRecord(x_i, x_j, between);
+  PlanarMotionFromRecord(z, between, motion);
   if (error == PoseError::kLog) {
     LogPlanarMotion(motion, residual);
   } else {
@@ -86,13 +118,15 @@ inline void EvaluateRelativePose<Se2>(PoseError error, const double* x_i, const 
     InverseRightJacobianOfPlanarMotion(residual, right);
   } else {
     const double angle = error == PoseError::kG2o ? motion[2] : between[2];
-    const double c = std::cos(angle), s = std::sin(angle);
-    const double rotated[9] = {c, -s, 0, s, c, 0, 0, 0, 1};
+    const double rotated[9] = {
+        std::cos(angle), -std::sin(angle), 0, std::sin(angle), std::cos(angle), 0, 0, 0, 1};
     for (int i = 0; i < 9; ++i) right[i] = rotated[i];
   }
   double back[3];
-  PlanarMotionBetween(x_j, x_i, back);
-  AdjointOfPlanarMotion(back, adjoint);
+  PlanarMotionFromRecord(x_j, x_i, back);
+  const double c = x_i[3] * x_j[3] + x_i[4] * x_j[4], s = x_i[4] * x_j[3] - x_i[3] * x_j[4];
+  const double of_back[9] = {c, -s, back[1], s, c, -back[0], 0, 0, 1};
+  for (int i = 0; i < 9; ++i) adjoint[i] = of_back[i];
 }
 
 template <>

@@ -129,7 +129,7 @@ PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions
   }
   const PoseGraph graph = MakePoseGraph(view, errors);
   PoseGraphOutput output;
-  output.chi2_before = EdgeChi2(graph, graph.poses.data());
+  output.chi2_before = EdgeChi2(graph, graph.poses);
   const bool any_free =
       std::any_of(graph.held.begin(), graph.held.end(), [](uint8_t held) { return held == 0; });
   if (!any_free) {
@@ -148,7 +148,7 @@ PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions
   if (given.backend == Backend::kAuto) {
     output.summary.backend_choice = "Pose graphs have normal equations of their own.";
   }
-  output.chi2_after = EdgeChi2(graph, output.poses.data());
+  output.chi2_after = EdgeChi2(graph, output.poses);
   output.weights = EdgeWeights(graph, output.chi2_after);
   const int n = view.ambient();
   for (int64_t i = 0; i < view.num_poses; ++i) {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -106,20 +107,23 @@ class PoseGraph(Displayed):
         if n == 0:
             raise InputError("poses: expected at least one, found an empty array")
 
+    def _check_motions(self, name: str) -> None:
+        values = getattr(self, name)
+        finite = np.isfinite(values).all(axis=1)
+        if not finite.all():
+            k = int(np.argmin(finite))
+            raise InputError(f"{name}[{k}]: expected finite numbers, found {brief(values[k])}")
+        if values.shape[1] == 7:
+            zero = ~values[:, :4].any(axis=1)
+            if zero.any():
+                raise InputError(
+                    f"{name}[{int(np.argmax(zero))}]: expected a quaternion qx qy qz qw, found "
+                    "norm 0"
+                )
+
     def _check_values(self, n: int) -> None:
-        for name in ("poses", "measurements"):
-            values = getattr(self, name)
-            finite = np.isfinite(values).all(axis=1)
-            if not finite.all():
-                k = int(np.argmin(finite))
-                raise InputError(f"{name}[{k}]: expected finite numbers, found {brief(values[k])}")
-            if values.shape[1] == 7:
-                zero = ~values[:, :4].any(axis=1)
-                if zero.any():
-                    raise InputError(
-                        f"{name}[{int(np.argmax(zero))}]: expected a quaternion qx qy qz qw, found "
-                        "norm 0"
-                    )
+        self._check_motions("poses")
+        self._check_motions("measurements")
         outside = (self.edges < 0) | (self.edges >= n)
         if outside.any():
             k = int(np.argmax(outside.any(axis=1)))
@@ -176,7 +180,24 @@ class PoseGraph(Displayed):
 
     def replace(self, **changes: Any) -> PoseGraph:
         """Return a copy with some attributes changed."""
-        return dataclasses.replace(self, **changes)
+        if not changes.keys() <= {"poses", "has_poses"}:
+            return dataclasses.replace(self, **changes)
+        # The other arrays are checked and read-only.
+        moved = object.__new__(type(self))
+        moved.__dict__.update(self.__dict__ | changes)
+        moved.__dict__["poses"] = immutable("poses", moved.poses, np.float64)
+        moved._check_shapes(len(moved.poses), self.num_edges)
+        moved._check_motions("poses")
+        return moved
+
+    @cached_property
+    def information_roots(self) -> tuple[NDArray[np.float64], list[int]]:
+        """Upper triangles by rows of U with U^T U = information, (m, d (d + 1) / 2), and bad edges.
+
+        A bad edge has a matrix that is asymmetric, not positive semidefinite or not finite. It has
+        no root.
+        """
+        return _core.information_roots(self.information)
 
     def pose_name(self, position: int) -> str:
         """Return the name of a pose in sentences."""
@@ -195,7 +216,7 @@ class PoseGraph(Displayed):
         return f"{place}edge {first} {second}"
 
     def __getstate__(self) -> dict[str, Any]:
-        return dict(self.__dict__)
+        return {name: self.__dict__[name] for name in self.__dataclass_fields__}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(refrozen(state))

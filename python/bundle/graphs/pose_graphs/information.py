@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-import bundle._core as _core
 from bundle.base.words import distinct, plural
 from bundle.errors import InputError
 from bundle.model.pose_graph_arrays import PoseGraph
@@ -22,7 +21,7 @@ NAMES = {"g2o": "g2o", "toro": "TORO"}
 
 def bad_information(graph: PoseGraph) -> list[int]:
     """Return the edges whose information is asymmetric, not finite or not positive semidefinite."""
-    return [int(edge) for edge in _core.find_bad_information(graph.information)]
+    return graph.information_roots[1]
 
 
 def describe_information(graph: PoseGraph, edge: int) -> str:
