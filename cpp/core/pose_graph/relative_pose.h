@@ -59,9 +59,8 @@ struct Se2 {
   static constexpr int kTangent = 3;
   static constexpr int kRecord = 5;
   static void Record(const double* pose, double* record) {
-    for (int k = 0; k < 3; ++k) record[k] = pose[k];
-    record[3] = std::cos(pose[2]);
-    record[4] = std::sin(pose[2]);
+    const double angle = pose[2], c = std::cos(angle), s = std::sin(angle);  // in one call
+    record[0] = pose[0], record[1] = pose[1], record[2] = angle, record[3] = c, record[4] = s;
   }
 };
 
