@@ -19,11 +19,7 @@ from benchmarks import (
 from benchmarks.results import Results
 from benchmarks.solvers import REFERENCE
 
-_SHARE_SOLVERS = tuple(
-    f"bundle {backend} {solver}"
-    for backend in ("fused", "ceres")
-    for solver in ("dense-schur", "sparse-schur", "iterative-schur")
-)
+_SHARE_SOLVERS = (REFERENCE, targets.CERES, targets.PEER)
 
 
 def page(results: Results, heading: str, plots: dict[str, str]) -> str:
@@ -39,7 +35,7 @@ def page(results: Results, heading: str, plots: dict[str, str]) -> str:
         ("Growth with the observations", _with_plot(scaling.growth_table(results), plots)),
         ("Growth of drives in laps", scaling.growth_table(results, scaling.LAPS)),
         ("Threads: time per step, 1 thread over all", scaling.threads_table(results)),
-        ("Share of the limit of arithmetic", _share(results)),
+        ("Share of the limit of arithmetic and memory", _share(results)),
         ("Time to 1e-8 of the best known cost, tight stopping rule", _tight(results)),
         (
             "Practitioners' inputs: priors, rigs, filters",
@@ -97,31 +93,32 @@ def _with_plot(text: str, plots: dict[str, str]) -> str:
 
 
 def _share(results: Results) -> str:
-    """Return, for the problems with BAL's camera, which share of DGEMM's rate a step reaches."""
-    peak = results.settings["dgemm"]
+    """Return the limit of a step, by problem, and the share of it that solvers reach."""
+    rates = results.settings["rates"]
     lines = []
-    for problem in results.problems("bal", "synthetic"):
+    for problem in results.kinds:
         size = results.size(problem)
-        if not size or not peak:
+        if not size or size["rigs"]:  # shared poses have other products
             continue
+        rows = {solver: results.row(problem, solver) for solver in _SHARE_SOLVERS}
         shares = []
-        for solver in _SHARE_SOLVERS:
-            row = results.row(problem, solver)
-            least = flops.per_step(size, dense=solver.endswith("dense-schur")) / peak
+        for row in rows.values():
             step = row.step.median if row and row.step else None
-            shares.append(f"{100 * least / step:.1f} %" if step else "")
-        each = flops.per_step(size, dense=False) / size["observations"]
-        limit = flops.per_step(size, dense=False) / peak
+            least = flops.limit(size, bool(row and "DENSE" in row.used), rates)
+            shares.append(f"{100 * least / step:.0f} %" if step else "")
+        ours = rows[REFERENCE]
+        dense = bool(ours and "DENSE" in ours.used)
+        each = flops.per_step(size, dense) / size["observations"]
+        limit = flops.limit(size, dense, rates)
         lines.append([problem, f"{each:.0f}", table.seconds(limit), *shares])
     if not lines:
         return ""
     header = ["problem", "flops an observation", "limit of a step", *_SHARE_SOLVERS]
     text = (
-        "The limit is the minimum number of flops of the elimination formulas "
-        "([flops.py](../benchmarks/flops.py)) at the rate of DGEMM, "
-        f"{peak / 1e9:.0f} GFLOP/s on {results.settings['threads']} threads. The factorisation of "
-        "the reduced system is counted for dense-schur only, so the shares of the others are lower "
-        "bounds."
+        "The limit is the time of the least arithmetic of a step and of its bytes "
+        f"([flops.py](../benchmarks/flops.py)) at the rates of DGEMM, {rates['dgemm'] / 1e9:.0f} "
+        f"GFLOP/s, and of a copy, {rates['copy'] / 1e9:.0f} GB/s, on "
+        f"{results.settings['threads']} threads. A sparse factorisation is not counted."
     )
     return f"{text}\n\n{table.grid(header, lines)}"
 

@@ -18,6 +18,7 @@ class BenchmarkProblem:
     Attributes:
         kind: "bal" or "colmap".
         is_synthetic: made by ``bundle.synthesize``.
+        is_for_pair: measured with our default and pycolmap's only.
         num_images, num_observations: where they are known without reading the file; 0 otherwise.
     """
 
@@ -27,6 +28,7 @@ class BenchmarkProblem:
     is_synthetic: bool = False
     num_images: int = 0
     num_observations: int = 0
+    is_for_pair: bool = False
 
 
 def data_folder() -> Path:

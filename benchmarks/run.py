@@ -125,13 +125,13 @@ def run_whole(
     return results
 
 
-def dgemm(threads: int) -> float:
-    """Return the rate of DGEMM in flops a second, measured in a process of its own."""
+def rates(threads: int) -> dict[str, float]:
+    """Return the rates of this machine (flops.measure_rates), measured in a process of its own."""
     command = [sys.executable, "-m", "benchmarks.flops", str(threads)]
     env = measure.environment(problems.ROOT, threads)
-    return float(
-        subprocess.run(command, env=env, capture_output=True, check=True, text=True).stdout
-    )
+    done = subprocess.run(command, env=env, capture_output=True, check=True, text=True)
+    found: dict[str, float] = json.loads(done.stdout)
+    return found
 
 
 def measure_all(chosen: list[BenchmarkProblem], options: argparse.Namespace) -> Results:
@@ -172,7 +172,7 @@ def measure_all(chosen: list[BenchmarkProblem], options: argparse.Namespace) -> 
             "threads": options.threads,
             "repeat": options.repeat,
             "stopping": series.STOPPING,
-            "dgemm": dgemm(options.threads),
+            "rates": rates(options.threads),
         },
         kinds={
             problem.name: "synthetic" if problem.is_synthetic else problem.kind

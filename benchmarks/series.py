@@ -60,8 +60,10 @@ def of_problem(
     problem: BenchmarkProblem, wanted: Sequence[Solver], threads: int, quick: bool
 ) -> list[Series]:
     """Return the series of a problem; without the tight and the one-threaded ones if quick."""
+    if problem.is_for_pair:
+        wanted = [solver for solver in wanted if solver.name in solvers.PAIR]
     series = [Series(problem, solver, "default", threads) for solver in wanted]
-    if quick:
+    if quick or problem.is_for_pair:
         return series
     if problem.num_observations <= MOST_OBSERVATIONS_FURTHER:
         tight = [solver for solver in wanted if solver.name in solvers.TIGHT]

@@ -92,6 +92,7 @@ SOLVERS = (
     ),
 )
 REFERENCE = SOLVERS[0].name
+PAIR = (REFERENCE, "pycolmap auto")
 
 # Those whose time to a gap of 1e-8 is measured with the tight stopping rule.
 TIGHT = ("bundle auto", "bundle ceres auto", "pycolmap auto", "ceres-example sparse-schur")

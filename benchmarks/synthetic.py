@@ -4,7 +4,8 @@ Most are drives one way through streets, a thousand observations an image: what 
 of the drive alone, and co-visibility stays banded, so that work should grow with the observations.
 Drives in laps come back to the same streets, the more often the longer they are: from 200 to 5000
 images, the blocks of the reduced camera system that belong to one image become 2.4 times as many.
-The photo collection has the same size as the drives of 1000 images, and the densest system.
+The photo collection has the same size as the drives of 1000 images, and the densest system. Orbits
+have 3 to 300 observations a point, and as many images as that needs, 320 or more.
 
 `python -m benchmarks.synthetic NAME PATH` makes one: in a process of its own, since what starts the
 measured processes must stay small.
@@ -23,7 +24,6 @@ from benchmarks import measure
 from benchmarks.problems import CACHE, ROOT, BenchmarkProblem
 
 _SOURCES = ROOT / "python" / "bundle" / "synthetic"
-_TRACK_LENGTH = 5
 _TIMEOUT = 600.0
 
 
@@ -49,10 +49,13 @@ class Scene:
     num_images: int
     num_observations: int
     has_laps: bool = False
+    track_length: int = 5
 
     @property
     def name(self) -> str:
         """Return the name of the problem, such as street-1000."""
+        if self.kind == "orbit":
+            return f"tracks-{self.track_length}"
         kind = "laps" if self.has_laps else self.kind.replace("_", "-")
         return f"{kind}-{self.num_images}"
 
@@ -61,8 +64,8 @@ class Scene:
         return {
             "scene": self.kind,
             "num_images": self.num_images,
-            "num_points": self.num_observations // _TRACK_LENGTH,
-            "mean_track_length": float(_TRACK_LENGTH),
+            "num_points": self.num_observations // self.track_length,
+            "mean_track_length": float(self.track_length),
             "camera_model": "RADIAL",
             "cameras": "individual",
             "seed": 4,
@@ -86,6 +89,7 @@ SCENES = (
     Scene("photo_collection", 1000, 1_000_000),
     Scene("street", 5000, 5_000_000),
     Scene("street", 5000, 5_000_000, has_laps=True),
+    *(Scene("orbit", max(320, 5 * n), 60_000, track_length=n) for n in (3, 10, 30, 100, 300)),
 )
 
 
@@ -98,6 +102,7 @@ def problem(scene: Scene, folder: Path = CACHE / "synthetic") -> BenchmarkProble
         is_synthetic=True,
         num_images=scene.num_images,
         num_observations=scene.num_observations,
+        is_for_pair=scene.kind == "orbit",
     )
 
 

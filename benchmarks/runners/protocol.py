@@ -49,8 +49,9 @@ class Outcome:
         peak_memory: bytes, whole process, before the verification.
         added_memory: bytes, the peak of solving beyond the loaded problem; -1 if not measured.
         notes: the linear solver used, and its structure.
-        size: of the problem, where the runner says it: "images", "points", "observations", and
-            "camera_pairs", the sum of L (L - 1) / 2 over all track lengths L.
+        size: of the problem, where the runner says it: "images", "points", "observations",
+            "image_pairs", the sum of L (L - 1) / 2 over all track lengths L, "cameras",
+            "camera_columns", the refined parameters of the first one, and "rigs", 1 if it has any.
         versions: of the libraries behind the numbers.
     """
 
