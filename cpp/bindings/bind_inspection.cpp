@@ -113,10 +113,10 @@ py::dict CountPanelWork(const Ints& sizes, const Int64s& column_begin, const Int
 
 /// The linear solver that the fused backend's `auto` chooses, in upper case.
 std::string AutoChoice(const Ints& sizes, const Int64s& column_begin, const Ints& rows,
-                       int num_threads) {
+                       int num_threads, int64_t num_observations) {
   const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);
   const py::gil_scoped_release release;
-  return bundle::UpperName(bundle::ChooseByPattern(pattern, num_threads).type,
+  return bundle::UpperName(bundle::ChooseByPattern(pattern, num_threads, num_observations).type,
                            bundle::kLinearSolverTypes);
 }
 
@@ -125,7 +125,8 @@ bool SumsAreDoubleDoubles(const std::string& linear_solver_type, int num_columns
   for (const auto& [name, type] : bundle::kLinearSolverTypes) {
     if (name != linear_solver_type) continue;
     return bundle::ChooseSumOrder(type, num_columns, num_blocks, num_entries,
-                                  /*has_maps=*/false) == bundle::SumOrder::kSections;
+                                  /*has_maps=*/false,
+                                  /*is_implicit=*/false) == bundle::SumOrder::kSections;
   }
   return false;
 }
@@ -143,6 +144,6 @@ void BindInspection(py::module_& m) {
   m.def("panel_work", &CountPanelWork, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
         py::arg("order"));
   m.def("auto_choice", &AutoChoice, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
-        py::arg("num_threads"));
+        py::arg("num_threads"), py::arg("num_observations"));
   m.def("elimination_plan", &EliminationPlan, py::arg("problem"), py::arg("options"));
 }

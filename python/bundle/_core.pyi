@@ -449,6 +449,7 @@ def auto_choice(
     column_begin: NDArray[np.int64],
     rows: NDArray[np.int32],
     num_threads: int,
+    num_observations: int,
 ) -> str: ...
 def panel_values(
     sizes: NDArray[np.int32],

@@ -152,6 +152,16 @@ void CheckPreconditioner(const SolveOptions& options, ceres::PreconditionerType 
   }
 }
 
+void SetSchurComplement(const SolveOptions& options, ceres::Solver::Options* result) {
+  if (options.linear_solver_type != LinearSolverType::kIterativeSchur) return;
+  result->use_explicit_schur_complement = options.schur_complement == SchurComplement::kExplicit;
+  if (!result->use_explicit_schur_complement) return;
+  if (result->preconditioner_type == ceres::SCHUR_JACOBI) return;
+  throw InputError(
+      "schur_complement: expected auto or implicit, because Ceres forms the reduced camera system "
+      "with schur_jacobi only, found explicit");
+}
+
 void SetLinearSolver(const SolveOptions& options, ceres::Solver::Options* result) {
   const LinearSolverType type = options.linear_solver_type;
   result->linear_solver_type = bundle::ToCeres(type);
@@ -169,6 +179,7 @@ void SetLinearSolver(const SolveOptions& options, ceres::Solver::Options* result
   if (IsIterative(type)) {
     result->preconditioner_type = ToCeres(options.preconditioner_type, type);
     CheckPreconditioner(options, result->preconditioner_type);
+    SetSchurComplement(options, result);
   }
 }
 

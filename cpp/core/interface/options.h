@@ -84,6 +84,14 @@ inline constexpr NamedValue<Cheirality> kCheiralities[] = {{"auto", Cheirality::
                                                            {"algebraic", Cheirality::kAlgebraic},
                                                            {"zero", Cheirality::kZero}};
 
+/// Conjugate gradients of the fused backend with S, or without forming it.
+enum class SchurComplement { kAuto, kExplicit, kImplicit };
+
+inline constexpr NamedValue<SchurComplement> kSchurComplements[] = {
+    {"auto", SchurComplement::kAuto},
+    {"explicit", SchurComplement::kExplicit},
+    {"implicit", SchurComplement::kImplicit}};
+
 /// Ids of the rig and of the camera.
 using SensorId = std::pair<int64_t, int64_t>;
 
@@ -92,6 +100,7 @@ struct SolveOptions {
   LinearSolverType linear_solver_type = LinearSolverType::kAuto;
   EliminationOrdering linear_solver_ordering = EliminationOrdering::kPointsFirst;
   PreconditionerType preconditioner_type = PreconditionerType::kAuto;
+  SchurComplement schur_complement = SchurComplement::kAuto;
   TrustRegionStrategy trust_region_strategy_type = TrustRegionStrategy::kLevenbergMarquardt;
   double initial_trust_region_radius = 1e4;
   double max_trust_region_radius = 1e16;
@@ -139,6 +148,7 @@ void VisitOptions(const Visitor& visit) {
   visit(kNever, "linear_solver_type", &Options::linear_solver_type, kLinearSolverTypes);
   visit(kNever, "linear_solver_ordering", &Options::linear_solver_ordering, kEliminationOrderings);
   visit(kNever, "preconditioner_type", &Options::preconditioner_type, kPreconditionerTypes);
+  visit(kNever, "schur_complement", &Options::schur_complement, kSchurComplements);
   visit(kNever, "trust_region_strategy_type", &Options::trust_region_strategy_type,
         kTrustRegionStrategies);
   visit(kBetweenSolves, "initial_trust_region_radius", &Options::initial_trust_region_radius);

@@ -22,8 +22,9 @@
 /// number of threads, which may depend on the launcher, and conjugate gradients would amplify the
 /// differences.
 ///
-/// S is explicit. Its products take nearly all of the time: one per iteration and one more every
-/// 10th; 6 with the power series.
+/// Products with S take nearly all of the time: one per iteration and one more every 10th; 6 with
+/// the power series. S is a matrix, or implicit: a function that multiplies by it
+/// (schur/implicit_product.cpp).
 
 #include <algorithm>
 #include <cmath>
@@ -63,8 +64,9 @@ bool IsUsable(double value) { return value != 0 && std::isfinite(value); }
 class IterativeSolver final : public LinearSolver {
  public:
   IterativeSolver(const BlockStructure& structure, PreconditionerType preconditioner,
-                  int num_threads)
+                  int num_threads, bool is_implicit)
       : structure_(structure),
+        is_implicit_(is_implicit),
         product_(structure_, num_threads),
         preconditioner_(MakePreconditioner(preconditioner, structure_, &product_, num_threads)),
         max_iterations_(std::min(kMaxIterations, structure_.num_columns())),
@@ -76,6 +78,8 @@ class IterativeSolver final : public LinearSolver {
 
   bool NeedsCameraDiagonal() const override { return preconditioner_->NeedsCameraDiagonal(); }
   bool IsIterative() const override { return true; }
+  bool NeedsProduct() const override { return is_implicit_; }
+  void SetProduct(Product product) override { implicit_product_ = std::move(product); }
   bool NeedsGaugeDirections() const override { return preconditioner_->NeedsGaugeDirections(); }
 
   void ForgetValues() override { preconditioner_->ForgetValues(); }
@@ -122,7 +126,7 @@ class IterativeSolver final : public LinearSolver {
       for (size_t k = 0; k < p_.size(); ++k) p_[k] = z_[k] + (i == 1 ? 0 : beta * p_[k]);
       last_rho = rho;
 
-      product_.Multiply(system_->values, p_.data(), q_.data());
+      MultiplySystem(p_, &q_);
       const double curvature = Dot(p_, q_);
       if (curvature <= 0 || std::isinf(curvature)) {
         // Ceres keeps the current solution; the trust region accepts or rejects it.
@@ -145,11 +149,16 @@ class IterativeSolver final : public LinearSolver {
     }
   }
 
+  void MultiplySystem(const std::vector<double>& x, std::vector<double>* y) {
+    if (is_implicit_) return implicit_product_(x.data(), y->data());
+    product_.Multiply(system_->values, x.data(), y->data());
+  }
+
   /// x += alpha p, and the corresponding residual.
   void Advance(const std::vector<double>& b, double alpha, int iteration) {
     for (size_t k = 0; k < x_.size(); ++k) x_[k] += alpha * p_[k];
     if (iteration % kResidualResetPeriod == 0) {
-      product_.Multiply(system_->values, x_.data(), z_.data());
+      MultiplySystem(x_, &z_);
       for (size_t k = 0; k < x_.size(); ++k) r_[k] = b[k] - z_[k];
     } else {
       for (size_t k = 0; k < x_.size(); ++k) r_[k] -= alpha * q_[k];
@@ -170,6 +179,8 @@ class IterativeSolver final : public LinearSolver {
   }
 
   const BlockStructure structure_;
+  const bool is_implicit_;
+  Product implicit_product_;
   SymmetricProduct product_;
   std::unique_ptr<Preconditioner> preconditioner_;
   const int max_iterations_;
@@ -181,8 +192,8 @@ class IterativeSolver final : public LinearSolver {
 
 std::unique_ptr<LinearSolver> MakeIterativeSolver(const BlockStructure& structure,
                                                   PreconditionerType preconditioner,
-                                                  int num_threads) {
-  return std::make_unique<IterativeSolver>(structure, preconditioner, num_threads);
+                                                  int num_threads, bool is_implicit) {
+  return std::make_unique<IterativeSolver>(structure, preconditioner, num_threads, is_implicit);
 }
 
 }  // namespace bundle

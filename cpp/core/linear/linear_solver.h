@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -75,6 +76,15 @@ class LinearSolver {
   /// Removes all data that depend on values of earlier systems (clusters of blocks, for instance),
   /// so that it solves like a new solver. Keeps data that follow from the structure.
   virtual void ForgetValues() {}
+
+  /// y = S x, for a solver that reads only the diagonal blocks of S.
+  using Product = std::function<void(const double* x, double* y)>;
+  /// True if the solver needs a product, which is set before the first Factorize and reads the same
+  /// system as that.
+  virtual bool NeedsProduct() const { return false; }
+  virtual void SetProduct(Product /*product*/) {
+    throw std::logic_error("SetProduct: expected a solver without S");
+  }
 
   /// True if the solver reads BlockSystem::camera_diagonal.
   virtual bool NeedsCameraDiagonal() const { return false; }

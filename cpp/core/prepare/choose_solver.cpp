@@ -29,6 +29,8 @@
 ///              over the coarse factor beside each product: about l / 20 entries, as a fifth of the
 ///              columns is left
 ///
+///   implicit   a pass over the observations for each product (schur/implicit_product.cpp)
+///
 /// Measured on a server core (AVX-512, OpenBLAS 0.3.21) in processor time: dpotrf of 2000 columns
 /// 37 GFLOP/s; supernodal_cholesky on bands, grids and random couplings of 33 to 3000 blocks of 9,
 /// f from 2e6 to 3e10: within 30 % of f / 40 GFLOP/s + 7 ns l; products with S 8 GB/s. OpenBLAS'
@@ -37,11 +39,15 @@
 /// Conjugate gradients with two levels took 2 to 100 products per step (streets of 50 to 1000
 /// images and 1000 of a photo collection), more towards the end. Their steps gain a little less
 /// than exact ones. So 80 products are assumed, and a direct solver that takes up to 15 % longer is
-/// still preferred. The coarse system took 10 ns per value.
+/// still preferred. The coarse system took 10 ns per value. Without S there is no coarse system.
+/// Schur-Jacobi took the fewer products the fuller S: 5 to 40 on average where more than half of it
+/// is full (tracks of 30 to 300 images, small real models), 20 to 60 at a share of 0.1 to 0.2,
+/// hundreds on streets. 30 over the share are assumed. A pass took 40 ns per observation.
 
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <limits>
 
 #include "core/linear/block_structure.h"
 #include "core/linear/supernodes.h"
@@ -77,6 +83,8 @@ constexpr double kSecondsPerFactorEntry = 7e-9;
 constexpr double kSupernodalPadding = 1.2;  // zeros that panels store, and upper triangles
 constexpr double kProductsPerStep = 80;
 constexpr double kSecondsPerCoarseValue = 10e-9;
+constexpr double kMostImplicitProducts = 240, kImplicitProductsOfFullSystem = 30;
+constexpr double kSecondsPerObservation = 40e-9;
 constexpr double kCoarseFactorShare =
     0.05;  // share of the coarse factor in the entries of the full factor
 constexpr double kExactStepsAreWorth = 1.15;
@@ -165,7 +173,8 @@ SolverChoice ChooseCeresSolver(const AdjustmentProblem& problem, const Parameter
 }
 
 LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
-                                           const FillOrdering& ordering, int num_threads) {
+                                           const FillOrdering& ordering, int num_threads,
+                                           int64_t num_observations) {
   const double threads = EffectiveNumThreads(num_threads);
   const double bandwidth = kBytesPerSecond * std::min(threads, kCoresThatFillMemory);
   const double n = structure.num_columns();
@@ -189,14 +198,26 @@ LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
   costs.iterative.bytes = 8 * (values + kSupernodalPadding * coarse_entries);
   costs.iterative.seconds = 8 * (values + 2 * coarse_entries) / bandwidth * kProductsPerStep +
                             kSecondsPerCoarseValue * values / threads;
+  const double density = std::min(1.0, 2 * values / std::max(1.0, n * n));
+  const double products =
+      std::min(kMostImplicitProducts, kImplicitProductsOfFullSystem / std::max(density, 1e-9));
+  costs.implicit.seconds =
+      num_observations == 0
+          ? std::numeric_limits<double>::infinity()
+          : products * kSecondsPerObservation * static_cast<double>(num_observations) / threads;
   return costs;
 }
 
 SolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrdering& ordering,
-                                int num_threads, double available_bytes) {
-  const LinearSolverCosts costs = PredictLinearSolverCosts(structure, ordering, num_threads);
+                                int num_threads, double available_bytes, int64_t num_observations) {
+  const LinearSolverCosts costs =
+      PredictLinearSolverCosts(structure, ordering, num_threads, num_observations);
   SolverChoice choice{LinearSolverType::kIterativeSchur, ""};
-  double seconds = kExactStepsAreWorth * costs.iterative.seconds;
+  const bool fits = costs.iterative.bytes <= kShareOfMemory * available_bytes;
+  const bool is_implicit = costs.implicit.seconds < costs.iterative.seconds ||
+                           (!fits && std::isfinite(costs.implicit.seconds));
+  const LinearSolverCost& iterative = is_implicit ? costs.implicit : costs.iterative;
+  double seconds = kExactStepsAreWorth * iterative.seconds;
   const auto consider = [&](LinearSolverType type, const LinearSolverCost& cost) {
     if (cost.bytes > kShareOfMemory * available_bytes || cost.seconds > seconds) return;
     choice.type = type;
@@ -208,7 +229,8 @@ SolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrder
                   std::to_string(structure.num_columns()) + " columns): dense " +
                   Describe(costs.dense, available_bytes) + ", sparse " +
                   Describe(costs.sparse, available_bytes) + ", conjugate gradients " +
-                  Describe(costs.iterative, available_bytes) + ".";
+                  Describe(iterative, available_bytes) +
+                  (is_implicit ? " (without forming it)." : ".");
   return choice;
 }
 
@@ -221,10 +243,11 @@ double CountPanelValues(const BlockPatternView& pattern, const std::vector<int>&
   return static_cast<double>(supernodes.values_begin.back());
 }
 
-SolverChoice ChooseByPattern(const BlockPatternView& pattern, int num_threads) {
+SolverChoice ChooseByPattern(const BlockPatternView& pattern, int num_threads,
+                             int64_t num_observations) {
   const BlockStructure structure = StructureOf(pattern);
   return ChooseLinearSolver(structure, FindFillOrdering(structure), num_threads,
-                            AvailableMemoryBytes());
+                            AvailableMemoryBytes(), num_observations);
 }
 
 }  // namespace bundle

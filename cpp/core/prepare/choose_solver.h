@@ -35,16 +35,20 @@ struct LinearSolverCosts {
   LinearSolverCost dense;
   LinearSolverCost sparse;
   LinearSolverCost iterative;
+  LinearSolverCost implicit;  ///< conjugate gradients without S; infinite if it is not possible
 };
 
-/// `structure` is sparse; `ordering` is the order of its factorisation.
+/// `structure` is sparse; `ordering` is the order of its factorisation. `num_observations`: 0 if S
+/// must be formed.
 LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
-                                           const FillOrdering& ordering, int num_threads);
+                                           const FillOrdering& ordering, int num_threads,
+                                           int64_t num_observations = 0);
 
-/// Chooses a linear solver of the fused backend: the fastest of dense, sparse and iterative that
-/// fits into the memory.
+/// Chooses a linear solver of the fused backend: the fastest of dense, sparse and iterative, with
+/// or without S, that fits into the memory.
 SolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrdering& ordering,
-                                int num_threads, double available_bytes);
+                                int num_threads, double available_bytes,
+                                int64_t num_observations = 0);
 
 /// Number of values in the panels of the factor of S (supernodal_cholesky.h), including zeros, if
 /// the blocks are eliminated in this order. Accepts any order; it is postordered first, as in a
@@ -53,6 +57,7 @@ double CountPanelValues(const BlockPatternView& pattern, const std::vector<int>&
 
 /// The choice of `auto` on this machine, with the memory available now. Does not query the memory
 /// for fewer than a few hundred columns.
-SolverChoice ChooseByPattern(const BlockPatternView& pattern, int num_threads);
+SolverChoice ChooseByPattern(const BlockPatternView& pattern, int num_threads,
+                             int64_t num_observations);
 
 }  // namespace bundle

@@ -98,10 +98,10 @@ class Planner {
     return work;
   }
 
-  bool IsFree(int point) const { return point < plan_.num_free_points; }
+  bool HasPairs(int point) const { return plan_.has_pairs && point < plan_.num_free_points; }
   int64_t NumObservations(int point) const { return plan_.first[point + 1] - plan_.first[point]; }
   int64_t NumPairs(int point) const {
-    const int64_t entries = IsFree(point) ? num_entries_[point] : 0;
+    const int64_t entries = HasPairs(point) ? num_entries_[point] : 0;
     return entries * (entries - 1) / 2;
   }
   int64_t WorkOf(int point) const { return NumObservations(point) + NumPairs(point) / 2; }
@@ -134,7 +134,7 @@ class Planner {
       entries_.Find(p, num_refined_[p]);
       AddParts(p, &chunk);
       for (int i = 0; i < num_refined_[p]; ++i) AddCrossBlocks(p, i, &chunk);
-      for (int row = 0; row < entries_.size() && IsFree(p); ++row) AddRow(row, &chunk);
+      for (int row = 0; row < entries_.size() && HasPairs(p); ++row) AddRow(row, &chunk);
     }
     EndChunk(p, &chunk);
     return p;
@@ -163,9 +163,9 @@ class Planner {
         for (; i < num_refined_[point] && entries_.RowOf(by_row[i]) == row; ++i) {
           AddCrossBlocks(point, by_row[i], &chunk);
         }
-        if (IsFree(point)) AddRow(row, &chunk);
+        if (HasPairs(point)) AddRow(row, &chunk);
         ++row;
-      } while (row < num_rows && (!IsFree(point) || has_room()));
+      } while (row < num_rows && (!HasPairs(point) || has_room()));
       chunk.last_row = row;
       EndChunk(point + 1, &chunk);
       NumberChunk(parts_, num_refined_, &drafts_.back(), &chunk,
@@ -295,10 +295,11 @@ class Planner {
 
 EliminationPlan Plan(const AdjustmentProblem& problem, const ParameterLayout& layout,
                      const ImageParts& parts, bool active, int num_threads, bool keep_order,
-                     bool in_sections) {
+                     bool in_sections, bool has_pairs) {
   const ImageOrder images = OrderImages(problem, layout);
   EliminationPlan sorted =
       SortPoints(problem, layout, images, active, in_sections, num_threads, keep_order);
+  sorted.has_pairs = has_pairs;
   // Some ranks may have no points without free parameters.
   Communicator* const communicator = active ? problem.division.communicator : nullptr;
   return Planner(images, parts, std::move(sorted), communicator, num_threads).Plan();
@@ -308,24 +309,14 @@ EliminationPlan Plan(const AdjustmentProblem& problem, const ParameterLayout& la
 
 EliminationPlan PlanPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const ImageParts& parts, int num_threads, bool keep_order,
-                           bool in_sections) {
-  return Plan(problem, layout, parts, true, num_threads, keep_order, in_sections);
+                           bool in_sections, bool has_pairs) {
+  return Plan(problem, layout, parts, true, num_threads, keep_order, in_sections, has_pairs);
 }
 
 EliminationPlan PlanFixedPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                 const ImageParts& parts, int num_threads, bool keep_order) {
-  return Plan(problem, layout, parts, false, num_threads, keep_order, /*in_sections=*/false);
-}
-
-void TakeMeasurements(const AdjustmentProblem& problem, EliminationPlan* plan) {
-  for (size_t k = 0; k < plan->observation.size(); ++k) {
-    std::copy_n(problem.observation_xy + 2 * int64_t{plan->observation[k]}, 2, &plan->xy[2 * k]);
-  }
-  const bool has_sigmas = problem.observation_sigma != nullptr;
-  plan->inverse_sigma.resize(has_sigmas ? plan->observation.size() : 0);
-  for (size_t k = 0; k < plan->inverse_sigma.size(); ++k) {
-    plan->inverse_sigma[k] = 1 / problem.observation_sigma[plan->observation[k]];
-  }
+  return Plan(problem, layout, parts, false, num_threads, keep_order, /*in_sections=*/false,
+              /*has_pairs=*/true);
 }
 
 PlanSize MeasurePlan(const AdjustmentProblem& problem, const ParameterLayout& layout) {

@@ -166,6 +166,9 @@ struct EliminationPlan {
   int largest_tile_entries = 0;
   int largest_tile_points = 0;
   int64_t largest_tile_observations = 0;
+  /// False for products with S that is not formed (implicit_product.cpp): chunks and tiles list
+  /// only the pairs of an entry with itself, and of two parts of an image.
+  bool has_pairs = true;
   std::vector<Chunk> chunks;
   /// First point of each section (point_sections.h), of free points, then of constant ones, and the
   /// end. Sections without points are left out. Without sections, all points are in one.
@@ -184,18 +187,16 @@ inline constexpr int64_t kMaxTrackLength = 10000;
 inline constexpr int64_t kMaxBufferBytes = 1 << 25;
 
 /// Plan of the observations of images or points with free parameters. `keep_order`: fills
-/// EliminationPlan::observation, for TakeMeasurements. Either all ranks call this or none.
+/// EliminationPlan::observation, for TakeMeasurements. `has_pairs`: EliminationPlan::has_pairs.
+/// Either all ranks call this or none.
 EliminationPlan PlanPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const ImageParts& parts, int num_threads = 1, bool keep_order = false,
-                           bool in_sections = false);
+                           bool in_sections = false, bool has_pairs = true);
 
 /// Plan of the other observations, whose cost is constant.
 EliminationPlan PlanFixedPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                 const ImageParts& parts, int num_threads = 1,
                                 bool keep_order = false);
-
-/// Copies the changed measurements of the problem into a plan that kept its order.
-void TakeMeasurements(const AdjustmentProblem& problem, EliminationPlan* plan);
 
 /// Sizes that determine the cost of the passes over the points, computed without a pass.
 

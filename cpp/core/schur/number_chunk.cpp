@@ -111,7 +111,7 @@ class ChunkNumbering {
             blocks.push_back(static_cast<uint16_t>(at - chunk_.parts.begin()));
             pairs.push_back({first, first});
           }
-          for (int f = e + 1; f < entries.size(); ++f) {
+          for (int f = e + 1; plan_.has_pairs && f < entries.size(); ++f) {
             blocks.push_back(*number++);
             pairs.push_back({first, static_cast<uint16_t>(num_entries + f)});
           }

@@ -34,7 +34,7 @@ double Dot(const std::vector<double>& a, const std::vector<double>& b) {
 SchurProblem::SchurProblem(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const SolveOptions& options, BlockStructure structure,
                            LinearSolver* solver, bool is_reused, ThreadPool* pool)
-    : setup_(problem, layout, options, std::move(structure), is_reused),
+    : setup_(problem, layout, options, std::move(structure), is_reused, solver->NeedsProduct()),
       solver_(solver),
       factors_(problem, layout, structure_, plan_),
       input_(WithPriors(setup_.input)),
@@ -58,6 +58,9 @@ SchurProblem::SchurProblem(const AdjustmentProblem& problem, const ParameterLayo
   if (setup_.sums == SumOrder::kGrid) {
     grid_ = std::make_unique<SumGrid>(input_, assembler_, structure_, setup_.parts.num_parts());
     sums_.UseGrid(grid_.get());
+  }
+  if (solver_->NeedsProduct()) {
+    solver_->SetProduct([this](const double* from, double* to) { MultiplySchur(from, to); });
   }
   has_camera_factors_ = BroadcastFirst(communicator_, factors_.has_camera_factors() ? 1 : 0) > 0;
   MeasureStart(options);

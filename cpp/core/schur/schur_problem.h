@@ -125,6 +125,8 @@ class SchurProblem final : public LeastSquares {
   PointSums SumUp(double damping, bool first, double factors_cost);
   /// Makes a pass over the chunks. Costs and points' gradients are summed over all ranks.
   PointSums SumChunks(double damping, bool first, double factors_cost);
+  /// y = S x at the last linearisation, without S (implicit_product.cpp).
+  void MultiplySchur(const double* x, double* y);
   /// Scales and damps the columns of the camera parameters.
   void DampCameras(double damping, bool first);
   const std::vector<double>& gradient() { return sums_.sums().gradient; }
@@ -163,6 +165,7 @@ class SchurProblem final : public LeastSquares {
   State states_[2];
   State* x_ = &states_[0];
   State* candidate_ = &states_[1];
+  std::vector<std::vector<double>> product_parts_;  ///< per chunk, for MultiplySchur
   CameraStep step_;
   CameraStep other_step_;
   std::vector<double> squared_scale_;  ///< per column of each point

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "core/model/gauge.h"
+#include "core/schur/sort_points.h"
 
 namespace bundle {
 
@@ -27,8 +28,8 @@ constexpr int64_t kMostBlocksForSections = 48;
 }  // namespace
 
 SumOrder ChooseSumOrder(LinearSolverType solver, int num_columns, int64_t num_block_columns,
-                        int64_t num_blocks, bool has_maps) {
-  const bool is_iterative = solver == LinearSolverType::kIterativeSchur;
+                        int64_t num_blocks, bool has_maps, bool is_implicit) {
+  const bool is_iterative = solver == LinearSolverType::kIterativeSchur && !is_implicit;
   if (is_iterative && num_columns >= kColumnsWorthAGrid && !has_maps) return SumOrder::kGrid;
   // The columns of a dense S have the order of the images.
   const bool has_order_of_images = solver == LinearSolverType::kDenseSchur;
@@ -37,7 +38,8 @@ SumOrder ChooseSumOrder(LinearSolverType solver, int num_columns, int64_t num_bl
 }
 
 SchurSetup::SchurSetup(const AdjustmentProblem& of_problem, const ParameterLayout& of_layout,
-                       const SolveOptions& options, BlockStructure of_structure, bool is_reused)
+                       const SolveOptions& options, BlockStructure of_structure, bool is_reused,
+                       bool is_implicit)
     : problem(of_problem),
       layout(of_layout),
       structure(std::move(of_structure)),
@@ -46,9 +48,9 @@ SchurSetup::SchurSetup(const AdjustmentProblem& of_problem, const ParameterLayou
       assembler(problem, layout, parts, kernels, structure),
       sums(ChooseSumOrder(options.linear_solver_type, structure.num_columns(),
                           structure.num_blocks(), static_cast<int64_t>(structure.row_block.size()),
-                          assembler.has_maps())),
+                          assembler.has_maps(), is_implicit)),
       plan(PlanPoints(problem, layout, parts, options.num_threads, is_reused,
-                      sums == SumOrder::kSections)),
+                      sums == SumOrder::kSections, /*has_pairs=*/!is_implicit)),
       input(MakeInput(options, plan)),
       is_reused_(is_reused) {
   if (sums == SumOrder::kSections) assembler.PlaceErrorTerms();

@@ -26,17 +26,20 @@ enum class SumOrder {
 };
 
 /// Returns the effect for S with these numbers of block columns and blocks; `has_maps`:
-/// Assembler::has_maps.
+/// Assembler::has_maps; `is_implicit`: S is not formed.
 SumOrder ChooseSumOrder(LinearSolverType solver, int num_columns, int64_t num_block_columns,
-                        int64_t num_blocks, bool has_maps);
+                        int64_t num_blocks, bool has_maps, bool is_implicit);
 
 /// Input of the passes over the points except states: columns of each image, order of the
 /// elimination, places of the sums in S, and kernels. Except for the measurements, it follows from
 /// the structure of the problem: the images that see each point, and the refined parameters.
 struct SchurSetup {
   /// Keeps references to the problem and the layout. `is_reused`: Reset will be called.
+  /// `is_implicit`: S is not formed, and the structure has only the blocks that one observation
+  /// couples.
   SchurSetup(const AdjustmentProblem& problem, const ParameterLayout& layout,
-             const SolveOptions& options, BlockStructure structure, bool is_reused);
+             const SolveOptions& options, BlockStructure structure, bool is_reused,
+             bool is_implicit);
   SchurSetup(const SchurSetup&) = delete;
   SchurSetup& operator=(const SchurSetup&) = delete;
 

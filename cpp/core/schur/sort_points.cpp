@@ -273,4 +273,15 @@ EliminationPlan SortPoints(const AdjustmentProblem& problem, const ParameterLayo
   return PointSorter(problem, layout, images, active, in_sections, num_threads, keep_order).Sort();
 }
 
+void TakeMeasurements(const AdjustmentProblem& problem, EliminationPlan* plan) {
+  for (size_t k = 0; k < plan->observation.size(); ++k) {
+    std::copy_n(problem.observation_xy + 2 * int64_t{plan->observation[k]}, 2, &plan->xy[2 * k]);
+  }
+  const bool has_sigmas = problem.observation_sigma != nullptr;
+  plan->inverse_sigma.resize(has_sigmas ? plan->observation.size() : 0);
+  for (size_t k = 0; k < plan->inverse_sigma.size(); ++k) {
+    plan->inverse_sigma[k] = 1 / problem.observation_sigma[plan->observation[k]];
+  }
+}
+
 }  // namespace bundle

@@ -28,4 +28,7 @@ EliminationPlan SortPoints(const AdjustmentProblem& problem, const ParameterLayo
                            const ImageOrder& images, bool active, bool in_sections, int num_threads,
                            bool keep_order);
 
+/// Copies the changed measurements of the problem into a plan that kept its order.
+void TakeMeasurements(const AdjustmentProblem& problem, EliminationPlan* plan);
+
 }  // namespace bundle

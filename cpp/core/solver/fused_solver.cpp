@@ -88,6 +88,7 @@ bool FusedSolver::MayGoOn(const MinimizerSummary& minimum) const {
 void FusedSolver::ChooseSolver() {
   const ProblemShape shape = ShapeOf(layout_, 2 * problem_.num_observations);
   if (options_.linear_solver_type == LinearSolverType::kAuto) ChooseBySize(shape);
+  ChooseSystem();
   CheckTrustRegion(options_);
   Warn(WarningKind::kPreconditionerNotUsed, FindIdlePreconditioner(options_), &warnings_);
   RefuseTooMuchMemory(options_.linear_solver_type, shape, /*cameras_eliminated=*/false);
@@ -97,7 +98,8 @@ void FusedSolver::ChooseSolver() {
   track_lengths_ = {};
   RefuseTooMuchMemory(working_bytes_);
   if (options_.preconditioner_type == PreconditionerType::kAuto) {
-    options_.preconditioner_type = PreconditionerType::kTwoLevel;
+    options_.preconditioner_type =
+        is_implicit_ ? PreconditionerType::kSchurJacobi : PreconditionerType::kTwoLevel;
   }
   options_.num_threads = EffectiveNumThreads(options_.num_threads);
 }
@@ -125,13 +127,55 @@ void FusedSolver::ChooseBySize(const ProblemShape& shape) {
     const int num_threads = options_.deterministic ? 1 : options_.num_threads;
     const auto columns = static_cast<double>(shape.num_camera_columns);
     const double available = AvailableMemoryFor(sizeof(double) * columns * columns);
-    choice = ChooseLinearSolver(structure_, ordering_, num_threads, available);
+    choice = ChooseLinearSolver(structure_, ordering_, num_threads, available,
+                                NumObservationsWithoutSystem());
     const double type =
         BroadcastFirst(problem_.division.communicator, static_cast<double>(choice.type));
     choice.type = static_cast<LinearSolverType>(std::lround(type));
   }
   options_.linear_solver_type = choice.type;
   linear_solver_choice_ = std::move(choice.reason);
+}
+
+/// Why conjugate gradients need S; "" if they can work without it.
+std::string FusedSolver::ReasonForSystem() const {
+  if (problem_.division.communicator != nullptr) return "several ranks";
+  if (problem_.factors != nullptr) return "factors";
+  if (!layout_.Bounds(problem_).empty()) return "bounds";
+  const PreconditionerType type = options_.preconditioner_type;
+  const bool is_local =
+      type == PreconditionerType::kAuto || type == PreconditionerType::kIdentity ||
+      type == PreconditionerType::kJacobi || type == PreconditionerType::kSchurJacobi;
+  return is_local ? "" : std::string(NameOf(type, kPreconditionerTypes));
+}
+
+/// The observations if conjugate gradients may work without S, 0 otherwise.
+int64_t FusedSolver::NumObservationsWithoutSystem() const {
+  const bool may = options_.schur_complement != SchurComplement::kExplicit &&
+                   options_.trust_region_strategy_type == TrustRegionStrategy::kLevenbergMarquardt;
+  return may && ReasonForSystem().empty() ? problem_.num_observations : 0;
+}
+
+/// Decides if conjugate gradients form S, before it is built.
+void FusedSolver::ChooseSystem() {
+  const bool is_iterative = options_.linear_solver_type == LinearSolverType::kIterativeSchur;
+  if (!is_iterative) return;
+  if (options_.schur_complement == SchurComplement::kImplicit) {
+    const std::string reason = ReasonForSystem();
+    if (!reason.empty()) {
+      throw InputError("schur_complement: expected auto or explicit with " + reason +
+                       ", found implicit");
+    }
+    is_implicit_ = true;
+    return;
+  }
+  const int64_t observations = NumObservationsWithoutSystem();
+  if (observations == 0) return;
+  if (structure_.offset.empty()) FindSparseStructure();
+  const int num_threads = options_.deterministic ? 1 : options_.num_threads;
+  const LinearSolverCosts costs =
+      PredictLinearSolverCosts(structure_, ordering_, num_threads, observations);
+  is_implicit_ = costs.implicit.seconds < costs.iterative.seconds;
 }
 
 std::vector<int> FusedSolver::BlockSizes() const {
@@ -177,7 +221,9 @@ void FusedSolver::BuildProblem() {
     // All ranks use the order of the elimination as the order of the blocks. Images that share
     // points are near each other in it, which also makes the passes over points faster.
     layout_.Reorder(ordering_.order);
-    structure_ = Reorder(structure_, ordering_.order);
+    structure_ = is_implicit_
+                     ? SparseStructure(BlockSizes(), FindDirectlyCoupledBlocks(problem_, layout_))
+                     : Reorder(structure_, ordering_.order);
   }
   ThrowIfInterrupted();
   const Stopwatch symbolic;
@@ -205,7 +251,7 @@ double FusedSolver::NumSystemValues() const {
   auto values = static_cast<double>(s.num_values);
   const SumOrder order =
       ChooseSumOrder(options_.linear_solver_type, s.num_columns(), s.num_blocks(),
-                     static_cast<int64_t>(s.row_block.size()), /*has_maps=*/false);
+                     static_cast<int64_t>(s.row_block.size()), /*has_maps=*/false, is_implicit_);
   if (order != SumOrder::kSections) return values;
   for (int j = 0; j < s.num_blocks(); ++j) {
     for (int64_t e = s.column_begin[j]; e < s.column_begin[j + 1]; ++e) {
@@ -233,7 +279,8 @@ std::unique_ptr<LinearSolver> FusedSolver::MakeSolver() {
     case LinearSolverType::kSparseSchur:
       return MakeSparseSolver(ordering_, options_.num_threads, &structure_, pool_.get());
     default:
-      return MakeIterativeSolver(structure_, options_.preconditioner_type, options_.num_threads);
+      return MakeIterativeSolver(structure_, options_.preconditioner_type, options_.num_threads,
+                                 is_implicit_);
   }
 }
 

@@ -46,6 +46,9 @@ class FusedSolver {
   void ChooseSolver();
   double BufferBytes() const;
   void ChooseBySize(const ProblemShape& shape);
+  std::string ReasonForSystem() const;
+  int64_t NumObservationsWithoutSystem() const;
+  void ChooseSystem();
   std::vector<int> BlockSizes() const;
   void FindSparseStructure();
   FillOrdering FindOrdering() const;
@@ -64,6 +67,7 @@ class FusedSolver {
   const bool is_reused_;
   std::vector<Warning> warnings_;  ///< warnings of the choices
   std::string linear_solver_choice_;
+  bool is_implicit_ = false;  ///< conjugate gradients without S
   ParameterLayout layout_;
   std::vector<int64_t> track_lengths_;  ///< freed once the memory is predicted
   BlockStructure structure_;            ///< moved to the problem

@@ -25,6 +25,7 @@ class SolveKeywords(TypedDict, total=False):
     linear_solver_type: str  # 'auto'
     linear_solver_ordering: str  # 'points_first'
     preconditioner_type: str  # 'auto'
+    schur_complement: str  # 'auto'
     trust_region_strategy_type: str  # 'levenberg_marquardt'
     initial_trust_region_radius: float  # 10000.0
     max_trust_region_radius: float  # 1e+16

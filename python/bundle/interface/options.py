@@ -40,6 +40,7 @@ PRECONDITIONER_TYPES = (
     "schur_power_series_expansion",
     "two_level",
 )
+SCHUR_COMPLEMENTS = ("auto", "explicit", "implicit")
 # Meaning of auto by backend and linear solver. The core decides; predictions look it up here.
 AUTO_PRECONDITIONER = {
     ("fused", "iterative_schur"): "two_level",
@@ -114,6 +115,16 @@ class SolveOptions(Options):
         "schur-jacobi for iterative-schur (Ceres), jacobi for cgnr",
         choices=("auto", *PRECONDITIONER_TYPES),
         only_with=("linear_solver_type", ("auto", "iterative_schur", "cgnr")),
+        idle="note",
+    )
+    schur_complement: str = option(
+        "auto",
+        "--schur-complement",
+        "reduced camera system of iterative-schur: a matrix (explicit), or products with it in "
+        "passes over the points (implicit), which are faster if points have long tracks in many "
+        "images; auto: by predicted time (fused), implicit (Ceres)",
+        choices=SCHUR_COMPLEMENTS,
+        only_with=("linear_solver_type", ("auto", "iterative_schur")),
         idle="note",
     )
     trust_region_strategy_type: str = option(

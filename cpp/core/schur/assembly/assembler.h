@@ -82,6 +82,9 @@ class Assembler {
   void AddSharedBlocks(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum,
                        CameraSums* sums) const;
 
+  /// Adds a vector by the columns of a part to one by the columns of the layout.
+  void AddVector(int part, const double* vector, double* sum) const;
+
   /// Adds the error terms to the sums, after the last chunk. The sums are doubles afterwards.
   void Round(ThreadPool* pool, CameraSums* sums) const;
 

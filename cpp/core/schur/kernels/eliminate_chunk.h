@@ -26,11 +26,15 @@ inline void ChainSensor(const StateRecords& x, const Lanes& lanes, const int32_t
   }
 }
 
-/// Writes the records of observations in lanes and returns their cost.
+/// Writes the records of observations in lanes and returns their cost. With kAlong, the records
+/// have A d in place of the residual, for a step d of the camera parameters.
+template <bool kAlong>
 inline double LinearizeLanes(const EliminationInput& input, const StateRecords& x,
-                             const Lanes& lanes, const TileRecords& records) {
+                             const Lanes& lanes, const TileRecords& records,
+                             const StepRecords* step) {
   const LaneState state(input, x, lanes, true);
-  const LaneResiduals residuals(input, x, state, lanes, true);
+  LaneResiduals residuals(input, x, state, lanes, true);
+  if constexpr (kAlong) residuals.Along(input, *step, lanes, state, residuals.r);
   double* out[kLanes];
   double discarded[2 * 4 * kMaxRecordQuads + kRecordHead];
   for (int lane = 0; lane < kLanes; ++lane) {
@@ -66,17 +70,19 @@ inline double LinearizeLanes(const EliminationInput& input, const StateRecords& 
 }
 
 /// Linearises the strips of points [first_point, last_point) of a tile and calls visit(p, block of
-/// the point) for each point. Adds their cost.
-template <typename Visit>
+/// the point) for each point. Adds their cost. kAlong, `step`: those of LinearizeLanes.
+template <bool kAlong = false, typename Visit>
 inline void VisitPoints(const EliminationInput& input, const StateRecords& x, int first_point,
                         int last_point, double damping, bool first, const double* squared_scale,
-                        const TileRecords& records, double* total_cost, const Visit& visit) {
+                        const TileRecords& records, double* total_cost, const Visit& visit,
+                        const StepRecords* step = nullptr) {
   PointBlock blocks[kStripPoints];
   for (int point = first_point; point < last_point;) {
     const Strip strip(input, point, last_point);
     double cost = 0;
-    VisitLanes(input, strip,
-               [&](const Lanes& lanes) { cost += LinearizeLanes(input, x, lanes, records); });
+    VisitLanes(input, strip, [&](const Lanes& lanes) {
+      cost += LinearizeLanes<kAlong>(input, x, lanes, records, step);
+    });
     FormPointBlocks(input, strip, records.Of(strip.begin), records.stride(), damping, first,
                     squared_scale, blocks);
     *total_cost += cost;

@@ -201,6 +201,12 @@ struct Kernels {
                                const StepRecords& step, const StateRecords& candidate,
                                double* candidate_points, double* memory, CandidateSum* sum);
 
+  /// S times a step of the cameras, without damping (multiply_schur.h): adds to `vectors`,
+  /// EliminationInput::part_columns numbers per part of the chunk.
+  void (*multiply_schur)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
+                         double damping, const double* squared_scale, const StepRecords& step,
+                         double* memory, double* vectors);
+
   /// Adds a block of a chunk to S (assembly/add_block.h).
   void (*add_block)(const double* from, int from_stride, int num_rows, int num_columns,
                     const BlockTarget& to);

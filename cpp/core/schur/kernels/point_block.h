@@ -92,8 +92,9 @@ inline void Factorize(PointBlock* blocks, int count, double damping, bool first)
 }
 
 /// Sums up the blocks of a strip's points, starting from the contributions of factors, and
-/// factorises them. `rows` points at (a_0, r_0, a_1, r_1) of the strip's first observation.
-/// Consecutive observations are `stride` doubles apart.
+/// factorises them. `rows` points at (a_0,
+/// r_0, a_1, r_1) of the strip's first observation. Consecutive observations are `stride` doubles
+/// apart.
 inline void FormPointBlocks(const EliminationInput& input, const Strip& strip, const double* rows,
                             int stride, double damping, bool first, const double* squared_scale,
                             PointBlock* blocks) {

@@ -287,18 +287,29 @@ inline void AddImage(const EliminationInput& input, const ModelGroup& group,
   }
 }
 
+/// Calls visit(group, image, its records) for the images of a tile.
+template <typename Visit>
+inline void ForImages(const EliminationInput& input, const Tile::Image* begin,
+                      const Tile::Image* end, const uint16_t* observations, int64_t first,
+                      const TileRecords& records, const Visit& visit) {
+  for (const Tile::Image* at = begin; at < end; ++at) {
+    const int image = input.plan->image.data()[first + *observations];
+    const ModelGroup& group = input.groups[input.image_group[image]];
+    visit(group, *at,
+          ImageRecords{records.Of(first), records.stride(), 4 * group.num_quads, observations,
+                       at->num_observations});
+    observations += at->num_observations;
+  }
+}
+
 /// Adds the own products of the images of a tile.
 inline void AddImages(const EliminationInput& input, const Chunk& chunk, const Tile::Image* begin,
                       const Tile::Image* end, const uint16_t* observations, int64_t first,
                       const TileRecords& records, const ChunkSum& sum) {
-  for (const Tile::Image* at = begin; at < end; ++at) {
-    const int image = input.plan->image.data()[first + *observations];
-    const ModelGroup& group = input.groups[input.image_group[image]];
-    const ImageRecords of = {records.Of(first), records.stride(), 4 * group.num_quads, observations,
-                             at->num_observations};
-    AddImage(input, group, chunk.images.data()[at->image], of, sum);
-    observations += at->num_observations;
-  }
+  ForImages(input, begin, end, observations, first, records,
+            [&](const ModelGroup& group, const Tile::Image& image, const ImageRecords& of) {
+              AddImage(input, group, chunk.images.data()[image.image], of, sum);
+            });
 }
 
 /// The parts of a block of a chunk.

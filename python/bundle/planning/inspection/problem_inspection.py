@@ -190,7 +190,9 @@ class _Inspector:
         """Return the linear solver that the fused backend would choose; "" if it has no method."""
         if all(method.backend == "CERES" for method in self.methods()):
             return ""
-        return _core.auto_choice(*self._pattern.reduced, self._num_threads)
+        return _core.auto_choice(
+            *self._pattern.reduced, self._num_threads, self._pattern.num_observations
+        )
 
     def inspect(self, method: Method) -> MethodInspection:
         """Return the counts and predictions of one method."""
