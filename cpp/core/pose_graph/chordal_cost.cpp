@@ -109,10 +109,8 @@ SmallMatrix ChordalProblem::Translation(int64_t edge) const {
 
 ChordalProblem MakeChordalProblem(const PoseGraphView& view, const double* kappa, const double* tau,
                                   int num_threads) {
-  PoseGraphView without = view;
-  without.information = nullptr;
   ChordalProblem problem;
-  problem.graph = MakePoseGraph(without, {});
+  problem.graph = MakePoseGraph(view, {});
   std::fill(problem.graph.held.begin(), problem.graph.held.end(), uint8_t{0});
   problem.ordering = PatternOfEdges(problem.graph, problem.block(), "auto").ordering;
   problem.num_threads = num_threads;

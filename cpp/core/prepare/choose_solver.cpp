@@ -85,6 +85,7 @@ constexpr double kProductsPerStep = 80;
 constexpr double kSecondsPerCoarseValue = 10e-9;
 constexpr double kMostImplicitProducts = 240, kImplicitProductsOfFullSystem = 30;
 constexpr double kSecondsPerObservation = 40e-9;
+constexpr double kSecondsWorthAnotherWay = 5e-3;  // two levels are the safer way
 constexpr double kCoarseFactorShare =
     0.05;  // share of the coarse factor in the entries of the full factor
 constexpr double kExactStepsAreWorth = 1.15;
@@ -208,14 +209,18 @@ LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
   return costs;
 }
 
+bool LeavesOutSystem(const LinearSolverCosts& costs) {
+  return costs.implicit.seconds + kSecondsWorthAnotherWay < costs.iterative.seconds;
+}
+
 SolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrdering& ordering,
                                 int num_threads, double available_bytes, int64_t num_observations) {
   const LinearSolverCosts costs =
       PredictLinearSolverCosts(structure, ordering, num_threads, num_observations);
   SolverChoice choice{LinearSolverType::kIterativeSchur, ""};
   const bool fits = costs.iterative.bytes <= kShareOfMemory * available_bytes;
-  const bool is_implicit = costs.implicit.seconds < costs.iterative.seconds ||
-                           (!fits && std::isfinite(costs.implicit.seconds));
+  const bool is_implicit =
+      LeavesOutSystem(costs) || (!fits && std::isfinite(costs.implicit.seconds));
   const LinearSolverCost& iterative = is_implicit ? costs.implicit : costs.iterative;
   double seconds = kExactStepsAreWorth * iterative.seconds;
   const auto consider = [&](LinearSolverType type, const LinearSolverCost& cost) {

@@ -175,7 +175,7 @@ void FusedSolver::ChooseSystem() {
   const int num_threads = options_.deterministic ? 1 : options_.num_threads;
   const LinearSolverCosts costs =
       PredictLinearSolverCosts(structure_, ordering_, num_threads, observations);
-  is_implicit_ = costs.implicit.seconds < costs.iterative.seconds;
+  is_implicit_ = LeavesOutSystem(costs);
 }
 
 std::vector<int> FusedSolver::BlockSizes() const {
@@ -221,9 +221,11 @@ void FusedSolver::BuildProblem() {
     // All ranks use the order of the elimination as the order of the blocks. Images that share
     // points are near each other in it, which also makes the passes over points faster.
     layout_.Reorder(ordering_.order);
-    structure_ = is_implicit_
-                     ? SparseStructure(BlockSizes(), FindDirectlyCoupledBlocks(problem_, layout_))
-                     : Reorder(structure_, ordering_.order);
+    structure_ = Reorder(structure_, ordering_.order);
+    if (is_implicit_) {
+      factor_ = bundle::SummarizeFactor(structure_, {}, symbolic_time_);  // of S, were it formed
+      structure_ = SparseStructure(BlockSizes(), FindDirectlyCoupledBlocks(problem_, layout_));
+    }
   }
   ThrowIfInterrupted();
   const Stopwatch symbolic;
@@ -262,6 +264,7 @@ double FusedSolver::NumSystemValues() const {
 }
 
 void FusedSolver::SummarizeFactor() {
+  if (is_implicit_) return;
   const FactorStatistics statistics = solver_->factor_statistics();
   factor_ = bundle::SummarizeFactor(structure_, statistics, symbolic_time_);
   Warn(WarningKind::kFactorLargerThanPredicted, FindSwollenFactor(statistics), &warnings_);

@@ -66,6 +66,22 @@ TEST(LinearSolverCost, ChoosesByShape) {
   EXPECT_EQ(Choose(Scattered(3000, 20)), LinearSolverType::kIterativeSchur);
 }
 
+TEST(LinearSolverCost, LeavesOutAFullSystemOfFewObservations) {
+  const BlockStructure full = Band(500, 500);
+  const FillOrdering ordering = FindFillOrdering(full);
+  const auto costs = [&](int64_t num_observations) {
+    return PredictLinearSolverCosts(full, ordering, 2, num_observations);
+  };
+  EXPECT_TRUE(LeavesOutSystem(costs(60'000)));
+  EXPECT_FALSE(LeavesOutSystem(costs(6'000'000)));
+  EXPECT_FALSE(LeavesOutSystem(costs(0)));
+  EXPECT_EQ(ChooseLinearSolver(full, ordering, 2, kPlenty, 60'000).type,
+            LinearSolverType::kIterativeSchur);
+  EXPECT_EQ(ChooseLinearSolver(full, ordering, 2, kPlenty).type, LinearSolverType::kDenseSchur);
+  const BlockStructure band = Band(500, 20);
+  EXPECT_FALSE(LeavesOutSystem(PredictLinearSolverCosts(band, FindFillOrdering(band), 2, 60'000)));
+}
+
 TEST(LinearSolverCost, ChoosesWhatFitsIntoMemory) {
   const BlockStructure full = Band(100, 100);
   const LinearSolverCosts costs = Predict(full, 2);
