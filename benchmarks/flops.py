@@ -100,9 +100,7 @@ def bytes_per_step(size: dict[str, int], dense: bool) -> int:
 
 def limit(size: dict[str, int], dense: bool, rates: dict[str, float]) -> float:
     """Return the least seconds of a step at the rates of :func:`measure_rates`."""
-    return (
-        per_step(size, dense) / rates["dgemm"] + bytes_per_step(size, dense) / rates["copy"]
-    )
+    return per_step(size, dense) / rates["dgemm"] + bytes_per_step(size, dense) / rates["copy"]
 
 
 def measure_rates(repeats: int = 7, size: int = 2000) -> dict[str, float]:
