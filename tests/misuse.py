@@ -138,7 +138,7 @@ OPTIONS = {
     **dict.fromkeys(
         (
             "linear_solver_type", "linear_solver_ordering", "preconditioner_type",
-            "trust_region_strategy_type", "cheirality",
+            "trust_region_strategy_type", "cheirality", "schur_complement",
         ),
         ("None", "word", "bytes", "itself"),
     ),
@@ -245,7 +245,7 @@ def targets():
         "blocks": (*OF_AN_ARRAY, "NaN rows", "()", "no rows"),
         "manifolds": ("word", "1.5", "bytes", "{}", "itself", "strings"),
         "names": ("word", "1.5", "bytes", "{}", "itself"),
-        "num_samples": ("-1", "1.5", "None", "2**70"),
+        "num_samples": ("-1", "1.5", "2**70"),
         "radius": ("-1", "nan", "None", "word"),
         "seed": ("-1", "1.5", "None"),
         "tolerance": ("-1", "nan", "None"),

@@ -70,9 +70,17 @@ def test_bundle_and_pycolmap_side_by_side(data):
         assert outcome["trace"][0][1] == pytest.approx(outcome["initial_cost"], rel=1e-6)
         assert outcome["trace"][-1][1] == pytest.approx(outcome["final_cost"], rel=1e-5)
     ours = outcomes["bundle ceres sparse-schur", "default"]
-    assert ours["size"] == {"images": 5, "points": 40, "observations": 200, "camera_pairs": 400}
+    assert ours["size"] == {
+        "images": 5,
+        "points": 40,
+        "observations": 200,
+        "image_pairs": 400,
+        "cameras": 5,
+        "camera_columns": 3,
+        "rigs": 0,
+    }
     assert 0 <= ours["added_memory"] < ours["peak_memory"]
-    assert results["settings"]["dgemm"] > 1e8
+    assert results["settings"]["rates"]["dgemm"] > 1e8
     whole = results["whole"]["5-40"]
     assert {run["failure"] for runs in whole.values() for run in runs} == {""}
     assert whole["bundle refine"][-1]["final_cost"] == pytest.approx(theirs, rel=1e-5)

@@ -37,7 +37,10 @@ def run(problem, solver, step, *, total=None, threads=2, rule="default", added=0
             "images": images,
             "points": observations // 4,
             "observations": observations,
-            "camera_pairs": 6 * (observations // 4),
+            "image_pairs": 6 * (observations // 4),
+            "cameras": images,
+            "camera_columns": 3,
+            "rigs": 0,
         },
     }
     return {
@@ -57,7 +60,12 @@ def results(runs, whole=None):
     return Results(
         machine={"date": "d", "cpu": "c", "cores": "2", "system": "s", "load before": "0"},
         command="run",
-        settings={"threads": 2, "repeat": 1, "stopping": {"x": 1.0}, "dgemm": 4e10},
+        settings={
+            "threads": 2,
+            "repeat": 1,
+            "stopping": {"x": 1.0},
+            "rates": {"dgemm": 4e10, "copy": 1e10},
+        },
         kinds={name: KINDS.get(name, "synthetic") for name in names},
         runs=runs,
         whole=whole or {},

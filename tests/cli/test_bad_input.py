@@ -126,7 +126,7 @@ def test_folder_that_is_no_model(run, tmp_path):
         (["refine", "IN", "-o", "OUT", "--only-images", f"0-{2**63 - 1}"], [str(MOST_IDS)]),
         (["refine", "IN", "-o", "OUT", "--fix-points", "9" * 50], ["--fix-points"]),
         (["refine", "IN", "-o", "OUT", "--fix-images", "77"], ["--fix-images:", "77"]),
-        (["refine", "IN", "-o", "OUT", "--format", "ply"], ["--format", "ply"]),
+        (["refine", "IN", "-o", "OUT", "--format", "las"], ["--format", "las"]),
         (["refine", "IN", "-o", "no/such/folder/out.txt"], ["no/such/folder"]),
         (["refine", "IN", "-o", "", "--format", "bal"], []),
         (["refine", "IN", "-o", "DIR", "--format", "bal"], ["found a folder"]),

@@ -176,14 +176,22 @@ def test_no_iterations_only_evaluates(run, model, tmp_path):
 
 
 def test_every_flag_reaches_the_solve(run, model, tmp_path, monkeypatch):
-    """Each field of SolveOptions, given as anything but its default."""
+    """Each field of SolveOptions, given as anything but its default, but what no dogleg has."""
     wanted = SolveOptions(
         backend="ceres",
         linear_solver_type="iterative_schur",
         linear_solver_ordering="automatic",
         preconditioner_type="schur_jacobi",
+        schur_complement="explicit",
         trust_region_strategy_type="subspace_dogleg",
         initial_trust_region_radius=1e3,
+        min_trust_region_radius=1e-20,
+        min_relative_decrease=1e-2,
+        max_num_consecutive_invalid_steps=4,
+        min_lm_diagonal=1e-5,
+        max_lm_diagonal=1e30,
+        use_nonmonotonic_steps=True,
+        max_consecutive_nonmonotonic_steps=3,
         loss="soft_l1",
         loss_scale=2.5,
         max_num_iterations=7,
@@ -203,7 +211,8 @@ def test_every_flag_reaches_the_solve(run, model, tmp_path, monkeypatch):
         check_solution=False,
     )
     defaults = SolveOptions().asdict()
-    assert not [name for name, value in wanted.asdict().items() if value == defaults[name]]
+    same = [name for name, value in wanted.asdict().items() if value == defaults[name]]
+    assert same == ["max_trust_region_radius"]
     seen = []
 
     def solve(prepared, _):
@@ -221,6 +230,10 @@ def test_every_flag_reaches_the_solve(run, model, tmp_path, monkeypatch):
         "--gauge", "three-points", "--cheirality", "zero", "--no-check-solution",
         "--refine-sensor-from-rig", "--fix-sensors", "1:2,1:3",
         "--initial-trust-region-radius", "1e3",
+        "--min-trust-region-radius", "1e-20", "--min-relative-decrease", "1e-2",
+        "--max-invalid-steps", 4, "--min-lm-diagonal", "1e-5",
+        "--max-lm-diagonal", "1e30", "--use-nonmonotonic-steps",
+        "--max-nonmonotonic-steps", 3, "--schur-complement", "explicit",
     )  # fmt: skip
     assert code == 0, err
     assert seen == [wanted]

@@ -385,7 +385,8 @@ def test_sizes_and_keypoints_below_what_there_is_are_refused():
     with pytest.raises(InputError, match=r"^observation_keypoint: observation 9: .* found -2$"):
         changed("observation_keypoint", 9, -2)(scenes.make_problem())
     with pytest.raises(
-        InputError, match=r"^format: expected one of bal, colmap, memory, found 'x'$"
+        InputError,
+        match=r"^format: expected one of bal, colmap, .*openmvg, memory, found 'x'$",
     ):
         scenes.make_problem(format="x")
 

@@ -39,6 +39,7 @@ class StepLengths final : public ceres::IterationCallback {
         state_.insert(state_.end(), part.data, part.data + part.size);
       return;
     }
+    if (state_.empty()) return;  // Ceres evaluates residuals of constant blocks before the start
     double squared = 0;
     size_t k = 0;
     for (const Values& part : values_) {

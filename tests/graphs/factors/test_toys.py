@@ -227,3 +227,16 @@ def test_re_anchoring_keeps_the_minimiser():
         optima.append(optimum(rest))
     np.testing.assert_allclose(optima[0], optima[1], atol=1e-12)
     np.testing.assert_allclose(optima[0], [1.1, 2.1], atol=1e-12)
+
+
+@pytest.mark.parametrize("num_free", [0, 1, 3])
+def test_constant_variables_with_factors_have_a_cost(num_free):
+    graph = bundle.FactorGraph()
+    graph.add_variable("held", [0.0, 0.0, 0.0], "euclidean", fixed=True)
+    graph.add_factor(bundle.PriorFactor("held", [1.0, 2.0, 3.0], 1.0))
+    for k in range(num_free):
+        graph.add_variable(k, [5.0, 0.0, 0.0], "euclidean")
+        graph.add_factor(bundle.PriorFactor(k, [1.0, 2.0, 3.0], 1.0))
+    result = graph.solve()
+    assert result.summary.final_cost == pytest.approx(7.0)
+    np.testing.assert_array_equal(result.values["held"], [0, 0, 0])
