@@ -31,8 +31,8 @@
 #include <utility>
 
 #include "core/dense/decompositions.h"
-#include "core/diagnosis/deflation.h"
 #include "core/dense/krylov.h"
+#include "core/diagnosis/deflation.h"
 #include "core/diagnosis/scaled_system.h"
 #include "core/model/gauge.h"
 #include "core/model/gauge_count.h"

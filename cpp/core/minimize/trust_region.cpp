@@ -65,8 +65,7 @@ std::unique_ptr<Strategy> MakeStrategy(const SolveOptions& options) {
   const double initial_radius = options.initial_trust_region_radius;
   switch (options.trust_region_strategy_type) {
     case TrustRegionStrategy::kLevenbergMarquardt:
-      return std::make_unique<LevenbergMarquardt>(initial_radius,
-                                                  options.max_trust_region_radius);
+      return std::make_unique<LevenbergMarquardt>(initial_radius, options.max_trust_region_radius);
     case TrustRegionStrategy::kDogleg:
       return std::make_unique<Dogleg>(TraditionalDogleg, initial_radius);
     case TrustRegionStrategy::kSubspaceDogleg:
