@@ -1,5 +1,6 @@
 #include "core/ceres/gradient_check.h"
 
+#include <bundle/numeric_jacobian.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
