@@ -28,8 +28,10 @@ def run(folder: Path, *flags: str) -> tuple[int, str]:
     installed = importlib.metadata.entry_points(group="pytest11")
     known = any(entry.value == PLUGIN for entry in installed)
     plugin = [] if known else ["-p", PLUGIN]  # an environment from before the entry point
+    # An editable package is imported before pytest rewrites assertions.
+    quiet = ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *plugin, *flags],
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *quiet, *plugin, *flags],
         cwd=folder,
         env={k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")},
         stdout=subprocess.PIPE,

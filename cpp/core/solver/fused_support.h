@@ -1,6 +1,6 @@
 #pragma once
 
-/// What the fused backend does not support, for the choice of a backend.
+/// Values that the fused backend does not support, for the choice of a backend.
 
 #include <optional>
 #include <string>
