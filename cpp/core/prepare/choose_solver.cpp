@@ -209,8 +209,10 @@ LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
   return costs;
 }
 
-bool LeavesOutSystem(const LinearSolverCosts& costs) {
-  return costs.implicit.seconds + kSecondsWorthAnotherWay < costs.iterative.seconds;
+bool LeavesOutSystem(const LinearSolverCosts& costs, double available_bytes) {
+  const bool fits = costs.iterative.bytes <= kShareOfMemory * available_bytes;
+  return fits ? costs.implicit.seconds + kSecondsWorthAnotherWay < costs.iterative.seconds
+              : std::isfinite(costs.implicit.seconds);
 }
 
 SolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrdering& ordering,
@@ -218,9 +220,7 @@ SolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrder
   const LinearSolverCosts costs =
       PredictLinearSolverCosts(structure, ordering, num_threads, num_observations);
   SolverChoice choice{LinearSolverType::kIterativeSchur, ""};
-  const bool fits = costs.iterative.bytes <= kShareOfMemory * available_bytes;
-  const bool is_implicit =
-      LeavesOutSystem(costs) || (!fits && std::isfinite(costs.implicit.seconds));
+  const bool is_implicit = LeavesOutSystem(costs, available_bytes);
   const LinearSolverCost& iterative = is_implicit ? costs.implicit : costs.iterative;
   double seconds = kExactStepsAreWorth * iterative.seconds;
   const auto consider = [&](LinearSolverType type, const LinearSolverCost& cost) {

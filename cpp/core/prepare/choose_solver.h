@@ -44,8 +44,9 @@ LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
                                            const FillOrdering& ordering, int num_threads,
                                            int64_t num_observations = 0);
 
-/// True if conjugate gradients without S are clearly faster than with it.
-bool LeavesOutSystem(const LinearSolverCosts& costs);
+/// True if conjugate gradients can work without S, and S does not fit into memory or makes them
+/// clearly slower.
+bool LeavesOutSystem(const LinearSolverCosts& costs, double available_bytes);
 
 /// Chooses a linear solver of the fused backend: the fastest of dense, sparse and iterative, with
 /// or without S, that fits into the memory.

@@ -175,7 +175,7 @@ void FusedSolver::ChooseSystem() {
   const int num_threads = options_.deterministic ? 1 : options_.num_threads;
   const LinearSolverCosts costs =
       PredictLinearSolverCosts(structure_, ordering_, num_threads, observations);
-  is_implicit_ = LeavesOutSystem(costs);
+  is_implicit_ = LeavesOutSystem(costs, AvailableMemoryFor(costs.iterative.bytes));
 }
 
 std::vector<int> FusedSolver::BlockSizes() const {

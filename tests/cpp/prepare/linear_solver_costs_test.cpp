@@ -72,14 +72,17 @@ TEST(LinearSolverCost, LeavesOutAFullSystemOfFewObservations) {
   const auto costs = [&](int64_t num_observations) {
     return PredictLinearSolverCosts(full, ordering, 2, num_observations);
   };
-  EXPECT_TRUE(LeavesOutSystem(costs(60'000)));
-  EXPECT_FALSE(LeavesOutSystem(costs(6'000'000)));
-  EXPECT_FALSE(LeavesOutSystem(costs(0)));
+  EXPECT_TRUE(LeavesOutSystem(costs(60'000), kPlenty));
+  EXPECT_FALSE(LeavesOutSystem(costs(6'000'000), kPlenty));
+  EXPECT_FALSE(LeavesOutSystem(costs(0), kPlenty));
+  EXPECT_TRUE(LeavesOutSystem(costs(6'000'000), costs(0).iterative.bytes));
+  EXPECT_FALSE(LeavesOutSystem(costs(0), costs(0).iterative.bytes));
   EXPECT_EQ(ChooseLinearSolver(full, ordering, 2, kPlenty, 60'000).type,
             LinearSolverType::kIterativeSchur);
   EXPECT_EQ(ChooseLinearSolver(full, ordering, 2, kPlenty).type, LinearSolverType::kDenseSchur);
   const BlockStructure band = Band(500, 20);
-  EXPECT_FALSE(LeavesOutSystem(PredictLinearSolverCosts(band, FindFillOrdering(band), 2, 60'000)));
+  EXPECT_FALSE(
+      LeavesOutSystem(PredictLinearSolverCosts(band, FindFillOrdering(band), 2, 60'000), kPlenty));
 }
 
 TEST(LinearSolverCost, ChoosesWhatFitsIntoMemory) {
