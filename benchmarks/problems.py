@@ -1,4 +1,4 @@
-"""Which problems there are to measure: real data under the data folder, and synthetic scenes."""
+"""Problems to measure: real data under the data folder, and synthetic scenes."""
 
 from __future__ import annotations
 

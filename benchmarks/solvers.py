@@ -1,4 +1,4 @@
-"""Which solvers take part, and which problems each can be given."""
+"""The solvers that take part, and the problems that each can be given."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ import bundle._core as _core
 from bundle.base.arguments import real_numbers
 from bundle.errors import InputError, brief
 
-__all__ = ["distinct", "filled", "freeze", "immutable", "refrozen"]
+__all__ = ["FrozenArrays", "distinct", "filled", "freeze", "immutable", "refrozen"]
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:
@@ -49,6 +49,13 @@ def refrozen(state: Mapping[str, Any]) -> dict[str, Any]:
         return refrozen(value) if isinstance(value, dict) else value
 
     return {name: again(value) for name, value in state.items()}
+
+
+class FrozenArrays:
+    """Base of classes whose arrays are immutable again after pickling and deep copies."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(refrozen(state))
 
 
 def immutable(name: str, value: Any, dtype: type) -> NDArray[Any]:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle.base.arguments import as_array
-from bundle.base.arrays import freeze, refrozen
+from bundle.base.arrays import FrozenArrays, freeze
 from bundle.base.display import Display, Displayed
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.factors import PositionFactor
@@ -36,7 +36,7 @@ UNKNOWN = 1e100
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PositionPrior(Displayed):
+class PositionPrior(FrozenArrays, Displayed):
     """Measured position of an image, for example from GPS.
 
     Attributes:
@@ -125,9 +125,6 @@ class PositionPrior(Displayed):
         """Return L^-1 times a (3,) residual; axes that do not count are zero."""
         root = np.linalg.cholesky(_inverse(self.full_covariance))
         return np.asarray(root.T @ np.nan_to_num(residual), dtype=np.float64)
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(refrozen(state))
 
     def _set(self, **values: Any) -> None:
         for attribute, value in values.items():

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.arrays import freeze, immutable, refrozen
+from bundle.base.arrays import FrozenArrays, freeze, immutable
 from bundle.base.display import Display, Displayed
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
@@ -23,7 +23,7 @@ TANGENT = {3: 3, 7: 6}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class PoseGraph(Displayed):
+class PoseGraph(FrozenArrays, Displayed):
     """Poses X_i (world_from_body) and edges that measure X_i^-1 X_j.
 
     Arrays are read-only. A 2D pose is x y angle (length unit, radians). A 3D pose is
@@ -217,9 +217,6 @@ class PoseGraph(Displayed):
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: self.__dict__[name] for name in self.__dataclass_fields__}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(refrozen(state))
 
     def _display(self) -> Display:
         closures = int(self.is_closure.sum())

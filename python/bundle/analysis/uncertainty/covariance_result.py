@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import refrozen
+from bundle.base.arrays import FrozenArrays
 from bundle.base.display import Display, Displayed
 from bundle.base.words import number, plural
 from bundle.errors import InputError, brief
@@ -31,7 +31,7 @@ _Ids = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Covariance(Displayed):
+class Covariance(FrozenArrays, Displayed):
     """Marginal covariances of a solution: of each block, with all others estimated as well.
 
     A pose has (w, t): w [rad] is the left perturbation of cam_from_world, R to Exp(w) R, and t its
@@ -181,12 +181,6 @@ class Covariance(Displayed):
             raise InputError(f"{kind}: expected the id of {known}, found {brief(wanted)}")
         one: _Floats = values[found[0]]
         return one
-
-    def __getstate__(self) -> dict[str, Any]:
-        return dict(self.__dict__)
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(refrozen(state))
 
     def _display(self) -> Display:
         facts = [

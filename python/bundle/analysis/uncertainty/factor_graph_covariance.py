@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.arrays import freeze, refrozen
+from bundle.base.arrays import FrozenArrays, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.words import not_converged, number, plural
 from bundle.errors import InputError, brief
@@ -50,7 +50,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class FactorGraphCovariance(Displayed):
+class FactorGraphCovariance(FrozenArrays, Displayed):
     """Marginal covariances of the variables of a graph, each with all others estimated as well.
 
     A covariance is that of the tangent coordinates d in X Exp(d), in the order that
@@ -129,12 +129,6 @@ class FactorGraphCovariance(Displayed):
             arrays[name] = np.asarray(getattr(self, name))
         with atomic.replace_file(Path(path)) as temporary, temporary.open("wb") as stream:
             np.savez(stream, **arrays)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return dict(self.__dict__)
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(refrozen(state))
 
     def _display(self) -> Display:
         facts = (

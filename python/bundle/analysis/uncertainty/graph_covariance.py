@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.arrays import freeze, refrozen
+from bundle.base.arrays import FrozenArrays, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.words import not_converged, number, plural
 from bundle.errors import InputError, brief
@@ -38,7 +38,7 @@ _Ids = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class GraphCovariance(Displayed):
+class GraphCovariance(FrozenArrays, Displayed):
     """Marginal covariances of the poses of a graph: of each, with all others estimated as well.
 
     A pose X (world_from_body) has the covariance of d in X Exp(d), a right perturbation: in the
@@ -110,12 +110,6 @@ class GraphCovariance(Displayed):
         }
         with atomic.replace_file(Path(path)) as temporary, temporary.open("wb") as stream:
             np.savez(stream, **arrays)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return dict(self.__dict__)
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(refrozen(state))
 
     def _display(self) -> Display:
         facts = (

@@ -258,22 +258,26 @@ def measurements(check: FactorCheck) -> list[Block | str]:
     return [block for table in _tables(check) for block in ("", table)]
 
 
-def _tables(check: FactorCheck) -> Iterator[Block]:
-    if not check.num_checked:
-        return
-    rows = [
-        (
+def kind_rows(check: FactorCheck) -> list[list[str]]:
+    """Return the cells of a table with a row for each kind of factors."""
+    return [
+        [
             kind.name,
             kind.verdict,
             f"{kind.max_error:.1e}",
             str(kind.num_checked),
             str(kind.num_wrong),
             str(kind.num_undecided),
-        )
+        ]
         for kind in check.groups
     ]
+
+
+def _tables(check: FactorCheck) -> Iterator[Block]:
+    if not check.num_checked:
+        return
     head = ("factors", "verdict", "max error", "checked", "wrong", "undecided")
-    yield columns(head, rows, left=2)
+    yield columns(head, kind_rows(check), left=2)
     if check.verdict == "wrong":
         yield worst_entries(check.worst)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bundle.base.arguments import as_array, as_flag
-from bundle.base.arrays import freeze, refrozen
+from bundle.base.arrays import FrozenArrays, freeze
 from bundle.base.display import Display, Displayed
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.variables import Array, Key, as_row, check_key
@@ -35,7 +35,7 @@ __all__ = [
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Factor(Displayed):
+class Factor(FrozenArrays, Displayed):
     """Base class of all factors.
 
     Attributes:
@@ -59,9 +59,6 @@ class Factor(Displayed):
             check_key(type(self).__name__, key)
         self._set("loss", choice(f"{self.name}: loss", self.loss, LOSSES))
         self._set("loss_scale", number(f"{self.name}: loss_scale", self.loss_scale, above=0))
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(refrozen(state))
 
     @cached_property
     def name(self) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
 from bundle.base.arguments import as_array, as_integers
-from bundle.base.arrays import freeze, refrozen
+from bundle.base.arrays import FrozenArrays, freeze
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
 from bundle.interface.option_fields import choice
@@ -42,7 +42,7 @@ def variable_name(key: Key) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Variable:
+class Variable(FrozenArrays):
     """Variable of a graph.
 
     Attributes:
@@ -62,9 +62,6 @@ class Variable:
     held: tuple[bool, ...]
     lower: Array
     upper: Array
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(refrozen(state))
 
     @cached_property
     def name(self) -> str:

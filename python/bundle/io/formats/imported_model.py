@@ -23,7 +23,14 @@ from bundle.model.problem import Problem
 from bundle.model.pycolmap.imported_source import ImportedSource
 from bundle.model.rotations import quaternion_from_matrix
 
-__all__ = ["Imported", "checked_rotations", "poses_of", "rounded_colors", "unique_keys"]
+__all__ = [
+    "Imported",
+    "by_camera",
+    "checked_rotations",
+    "poses_of",
+    "rounded_colors",
+    "unique_keys",
+]
 
 Array = NDArray[np.float64]
 
@@ -105,6 +112,24 @@ class Imported:
                 residual = self.project(image, points) - self.measured[part]
                 errors[part] = np.hypot(residual[:, 0], residual[:, 1]) * self.unit[image]
         return errors
+
+
+def by_camera(
+    projections: Sequence[Callable[[Array], Array]], camera: NDArray[Any], points: Array
+) -> Array:
+    """Return (n, 2) projections of points (n, 3) in their cameras, by the function of each camera.
+
+    Args:
+        projections: function of each camera, of (k, 3) points.
+        camera: (n,) index of the camera of each point.
+        points: (n, 3) points in the frames of their images.
+    """
+    result = np.empty((len(points), 2))
+    for row, projection in enumerate(projections):
+        mine = camera == row
+        if mine.any():
+            result[mine] = projection(points[mine])
+    return result
 
 
 def _rmse(errors: Array) -> float:

@@ -12,6 +12,7 @@ Source: openMVG/sfm/sfm_data_io_cereal.cpp, https://openmvg.readthedocs.io.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from itertools import chain
 from operator import itemgetter
 from pathlib import Path
@@ -22,7 +23,13 @@ from numpy.typing import NDArray
 
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
-from bundle.io.formats.imported_model import Imported, checked_rotations, poses_of, unique_keys
+from bundle.io.formats.imported_model import (
+    Imported,
+    by_camera,
+    checked_rotations,
+    poses_of,
+    unique_keys,
+)
 from bundle.io.formats.json_fields import Node, read_json, rows_of, uncollected, whole_numbers
 from bundle.io.formats.openmvg_cameras import KINDS, MvgCamera, as_model, project, read_camera
 from bundle.io.formats.read_options import ReadOptions
@@ -185,14 +192,11 @@ def _imported(
     if keys is None and len(image):
         notes.append("Features are not numbered in the file: an index occurs twice in a view.")
 
+    projections = [partial(project, camera) for camera in cameras.values()]
+
     def projection(i: NDArray[np.int32], world: Array) -> Array:
         inside = np.einsum("nij,nj->ni", rotations[i], world - centers[i])
-        result = np.empty((len(i), 2))
-        for row, camera in enumerate(cameras.values()):
-            mine = image_camera[i] == row
-            if mine.any():
-                result[mine] = project(camera, inside[mine])
-        return result
+        return by_camera(projections, image_camera[i], inside)
 
     return Imported(
         path=path,

@@ -11,6 +11,7 @@ Source: https://opensfm.org/docs/dataset.html and opensfm/io.py.
 
 from __future__ import annotations
 
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.words import plural
 from bundle.errors import InputError, shown
-from bundle.io.formats.imported_model import Imported, rounded_colors, unique_keys
+from bundle.io.formats.imported_model import Imported, by_camera, rounded_colors, unique_keys
 from bundle.io.formats.json_fields import Node, read_json, rows_of
 from bundle.io.formats.opensfm_cameras import SfmCamera, as_model, project, read_camera
 from bundle.io.formats.opensfm_rigs import rig_fields
@@ -131,14 +132,11 @@ def _imported(
     for row, model in enumerate(models):
         params[row, : len(model.params)] = model.params
 
+    projections = [partial(project, camera) for camera in cameras.values()]
+
     def projection(i: NDArray[np.int32], world: Array) -> Array:
         inside = quaternion_rotate(poses[i, :4], world) + poses[i, 4:]
-        result = np.empty((len(i), 2))
-        for row, camera in enumerate(cameras.values()):
-            mine = image_camera[i] == row
-            if mine.any():
-                result[mine] = project(camera, inside[mine])
-        return result
+        return by_camera(projections, image_camera[i], inside)
 
     center = sizes[image_camera] / 2
     camera_of_model = rigs.camera  # rigs with a shared lens have a copy of it per sensor

@@ -75,21 +75,7 @@ def _factors(check: FactorCheck) -> Iterator[str]:
     yield _listed([found.sentence for found in check.findings])
     yield heading("Kinds of factors")
     head = ["factors", "verdict", "largest error", "checked", "wrong", "undecided"]
-    yield table(
-        head,
-        [
-            [
-                kind.name,
-                kind.verdict,
-                f"{kind.max_error:.1e}",
-                str(kind.num_checked),
-                str(kind.num_wrong),
-                str(kind.num_undecided),
-            ]
-            for kind in check.groups
-        ],
-        words={1},
-    )
+    yield table(head, factor_report.kind_rows(check), words={1})
     yield from _worst(check.worst)
     chosen = list(dict.fromkeys(found.factor for found in check.findings))[:MOST_FACTORS]
     for name in chosen or list(check.reports)[:1]:
