@@ -49,6 +49,10 @@ CASES = {
     "poses only": (orbit(), {"refine": ["poses", "points"]}),
     "a loss": (orbit(outlier_share=0.05), {"loss": "cauchy", "loss_scale": 2.0}),
     "a gauge": (orbit(), {"gauge": "two_cameras"}),
+    "one focal length of two": (
+        orbit(camera_model="OPENCV"),
+        {"constraints": ["cameras *: fx/fy fixed"]},
+    ),
     "all threads": (orbit(), {"num_threads": 3}),
 }
 
