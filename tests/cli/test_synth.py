@@ -196,3 +196,12 @@ def test_large_scenes_are_streamed(run, tmp_path, monkeypatch):
     both = (tmp_path / "c.txt", "--ground-truth", tmp_path / "d.txt.gz")
     assert run("synth", *both, *flags, "--seed", 3).code == 0
     assert (tmp_path / "d.txt.gz").read_bytes()[:2] == b"\x1f\x8b"
+
+
+@pytest.mark.parametrize("scene", ["street", "orbit", "drone-grid"])
+def test_a_filmed_scene_and_its_truth(run, tmp_path, scene):
+    flags = ("--scene", scene, "--images", 12, "--points", 300, "--rolling-shutter", 0.8)
+    assert run("synth", tmp_path / "model", *flags).code == 0
+    made = bundle.synthesize(scene=scene, num_images=12, num_points=300, rolling_shutter=0.8)
+    assert_same(bundle.load(tmp_path / "model"), made.problem, 1e-12)
+    assert_same(bundle.load(tmp_path / "model_ground_truth"), made.ground_truth, 1e-12)

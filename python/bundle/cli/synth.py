@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bundle.cli.commands import ground_truth_path
 from bundle.cli.error_lines import EXIT_DONE
@@ -19,10 +18,7 @@ from bundle.model.reprojection import reprojection_error
 from bundle.reports.terminal.synth import synthesized
 from bundle.synthetic.blocks import SceneInBlocks
 from bundle.synthetic.streamed import SceneTally, write_bal_scene
-from bundle.synthetic.synthesis import assemble
-
-if TYPE_CHECKING:
-    from bundle.synthetic.synthesis import SyntheticScene
+from bundle.synthetic.synthesis import SyntheticScene, assemble, filmed
 
 __all__ = ["run"]
 
@@ -39,16 +35,17 @@ def run(arguments: argparse.Namespace) -> int:
             check_new(target, "--overwrite")
     with Progress(quiet=arguments.quiet) as progress, naming_flags(SceneOptions):
         progress.stage(f"making {options.num_images} images of {options.num_points} points")
-        scene = SceneInBlocks(options)
-        images = scene.images()
+        scene = filmed(options) if options.is_filmed else SceneInBlocks(options)
+        images = scene.problem if isinstance(scene, SyntheticScene) else scene.images()
         format = output_format(images.format, path, arguments.format)
         check_target(images, path, format)
         check_target(images, truth_path, format)
         is_plain = not any(name.lower().endswith((".gz", ".bz2")) for name in (path, truth_path))
-        if format == "bal" and is_plain and scene.num_blocks > 1:
+        streams = format == "bal" and is_plain
+        if streams and isinstance(scene, SceneInBlocks) and scene.num_blocks > 1:
             tally = write_bal_scene(scene, Path(path), Path(truth_path), progress.share)
         else:
-            made = assemble(scene)
+            made = assemble(scene) if isinstance(scene, SceneInBlocks) else scene
             tally = _tally(made)
             progress.stage(f"writing {shown(path)}")
             save(made.problem, path, format)

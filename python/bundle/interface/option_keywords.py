@@ -95,6 +95,7 @@ class SceneKeywords(TypedDict, total=False):
     distortion_noise: float  # 0.005
     loop_closure: bool  # True
     num_rings: int  # 0
+    rolling_shutter: float  # 0.0
     seed: int  # 0
 
 

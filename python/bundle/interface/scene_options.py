@@ -16,7 +16,7 @@ from bundle.interface.option_fields import option
 
 __all__ = ["SceneOptions", "outlier_share_option", "pixel_noise_option"]
 
-SCENES = ("street", "orbit", "photo_collection")
+SCENES = ("street", "orbit", "photo_collection", "drone_grid")
 # Models for which intrinsics.py can draw realistic parameters.
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 CAMERAS = ("auto", "shared", "individual")
@@ -64,7 +64,8 @@ class SceneOptions(Options):
         "street",
         "--scene",
         "street: a drive through a road network; orbit: rings of cameras around an object; "
-        "photo-collection: clusters of very different cameras around landmarks",
+        "photo-collection: clusters of very different cameras around landmarks; drone-grid: strips "
+        "of a drone that looks down",
         choices=SCENES,
     )
     num_images: int = option(40, "--images", "number of images", minimum=2, metavar="N")
@@ -153,6 +154,16 @@ class SceneOptions(Options):
         metavar="N",
         only_with=("scene", ("orbit",)),
     )
+    rolling_shutter: float = option(
+        0.0,
+        "--rolling-shutter",
+        "readout of a rolling shutter as a share of the frame time. The images are frames of a "
+        "film: of a car (street), of a walk with a phone (orbit), or of a drone (drone-grid)",
+        minimum=0.0,
+        maximum=1.0,
+        metavar="SHARE",
+        only_with=("scene", ("street", "orbit", "drone_grid")),
+    )
     seed: int = option(
         0,
         "--seed",
@@ -179,6 +190,17 @@ class SceneOptions(Options):
                 f"num_rings: expected at most num_images = {self.num_images}, "
                 f"found {self.num_rings}"
             )
+
+        if self.is_filmed and self.mean_track_length:
+            raise InputError(
+                "mean_track_length: expected 0 with a filmed scene, whose motion decides which "
+                f"images observe a point, found {self.mean_track_length:g}"
+            )
+
+    @property
+    def is_filmed(self) -> bool:
+        """True if the images are frames of one smooth motion."""
+        return self.rolling_shutter > 0 or self.scene == "drone_grid"
 
     @property
     def wanted_track_length(self) -> float:

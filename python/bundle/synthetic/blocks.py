@@ -4,8 +4,6 @@ Each block also has the observations of its points. A scene of at most a million
 block. A larger scene has blocks of about equal size, each with its own random numbers. All images
 share points within each block. Blocks are generated in parallel, and only the blocks in progress
 are in memory. The scene does not depend on the number of threads.
-
-Noise and outliers are added to measurements as requested.
 """
 
 from __future__ import annotations
@@ -26,39 +24,15 @@ from bundle.model.rotations import quaternion_from_matrix, rotate
 from bundle.synthetic.intrinsics import draw_intrinsics
 from bundle.synthetic.orbit import Orbit
 from bundle.synthetic.photo_collection import PhotoCollection
+from bundle.synthetic.pixel_noise import measure
 from bundle.synthetic.scene import Pairs, Points, Scene
 from bundle.synthetic.street import Street
 from bundle.synthetic.tracks import select_observations, wanted_lengths
 from bundle.synthetic.visibility import Visibility
 
-__all__ = ["Block", "SceneInBlocks", "measure"]
-
+__all__ = ["Block", "SceneInBlocks"]
 
 Array = NDArray[np.float64]
-
-
-def measure(
-    rng: np.random.Generator, xy: Array, sizes: NDArray[np.int64], options: SceneOptions
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Return measured positions (M, 2) in pixels, and the mask of outliers (M,).
-
-    If noise would move an observation out of the image, its sign is reversed. This preserves its
-    magnitude.
-
-    Args:
-        rng: source of noise and outliers.
-        xy: (M, 2) exact positions.
-        sizes: (M, 2) width and height of the image of each observation.
-        options: amount of noise and outliers.
-    """
-    noise = options.pixel_noise * rng.standard_normal(xy.shape)
-    measured = xy + noise
-    measured = np.where((measured < 0) | (measured > sizes), xy - noise, measured)
-    outliers = rng.permutation(len(xy))[: round(options.outlier_share * len(xy))]
-    measured[outliers] = rng.random((len(outliers), 2)) * sizes[outliers]
-    is_outlier = np.zeros(len(xy), dtype=np.bool_)
-    is_outlier[outliers] = True
-    return measured, is_outlier
 
 
 LARGEST_SINGLE = 1 << 20

@@ -16,8 +16,9 @@ from bundle.interface.scene_options import SceneOptions
 from bundle.model.problem import Problem
 from bundle.synthetic.blocks import SceneInBlocks
 from bundle.synthetic.start import Start, median_distance
+from bundle.synthetic.video.video_scene import film
 
-__all__ = ["SyntheticScene", "assemble", "synthesize"]
+__all__ = ["SyntheticScene", "assemble", "filmed", "synthesize"]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -54,8 +55,8 @@ def synthesize(
     Every point is observed in at least two images. Every image observes at least 20 points if the
     scene permits. All images are connected by common points. Observations are sorted by point, then
     image. Ids start at 1. World frame and length unit depend on the kind of scene, see
-    :mod:`.street` (metres), :mod:`.orbit` (radii of the object) and :mod:`.photo_collection`
-    (metres).
+    :mod:`.street` (metres), :mod:`.orbit` (radii of the object), :mod:`.photo_collection`
+    (metres) and, with a rolling shutter, :mod:`.video.film_motions` (metres).
 
     Scenes of more than a million points are generated in blocks (:mod:`.blocks`). ``bundle synth``
     writes the same scene to a BAL file without storing all of it in memory.
@@ -74,7 +75,23 @@ def synthesize(
         >>> scene.ground_truth.num_images
         12
     """
-    return assemble(SceneInBlocks(SceneOptions.of(options, changes, "synthesize")))
+    chosen = SceneOptions.of(options, changes, "synthesize")
+    return filmed(chosen) if chosen.is_filmed else assemble(SceneInBlocks(chosen))
+
+
+def filmed(options: SceneOptions) -> SyntheticScene:
+    """Generate a scene of a moving camera; see :mod:`.video.video_scene`.
+
+    Raises:
+        InputError: the scene is impossible, see :func:`synthesize`.
+    """
+    scene = film(options)
+    return SyntheticScene(
+        problem=scene.problem,
+        ground_truth=scene.ground_truth,
+        is_outlier=scene.is_outlier,
+        options=options,
+    )
 
 
 def assemble(scene: SceneInBlocks) -> SyntheticScene:

@@ -12,7 +12,7 @@ from bundle.errors import InputError
 from bundle.interface.scene_options import MIN_OBSERVATIONS_PER_IMAGE, MIN_TRACK_LENGTH
 from bundle.synthetic.scene import Pairs
 
-__all__ = ["components", "select_observations", "wanted_lengths"]
+__all__ = ["check_images", "components", "select_observations", "wanted_lengths"]
 
 Array = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ def select_observations(
     chosen[by_preference] = pairs.ranks < np.repeat(lengths, pairs.counts)
     _fill_images(pairs, preference, chosen, num_images)
     _connect(pairs, preference, chosen, num_images)
-    _check_images(pairs, chosen, num_images)
+    check_images(pairs, chosen, num_images)
     return Pairs.from_sorted(pairs.point[chosen], pairs.image[chosen], len(weights))
 
 
@@ -135,7 +135,8 @@ def components(pairs: Pairs, num_images: int) -> tuple[NDArray[np.int64], NDArra
     return roots, roots[pairs.image[pairs.starts[:-1]]]
 
 
-def _check_images(pairs: Pairs, chosen: NDArray[np.bool_], num_images: int) -> None:
+def check_images(pairs: Pairs, chosen: NDArray[np.bool_], num_images: int) -> None:
+    """Raise an InputError if an image observes too few points."""
     counts = np.bincount(pairs.image[chosen], minlength=num_images)
     poorest = int(np.argmin(counts))
     if counts[poorest] < _REQUIRED_OBSERVATIONS:

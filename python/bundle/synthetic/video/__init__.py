@@ -1,0 +1,1 @@
+"""Scenes filmed by a moving camera: smooth motions, and images of a rolling shutter."""
