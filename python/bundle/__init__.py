@@ -100,6 +100,7 @@ if TYPE_CHECKING:
     from bundle.model.pose_table import PoseTable
     from bundle.model.problem import Problem
     from bundle.model.reprojection import ReprojectionError
+    from bundle.model.rolling_shutter import RollingShutter
     from bundle.model.selection import Selection
     from bundle.model.sequence.calibration import Calibration
     from bundle.model.sequence.imu_noise import ImuNoise
@@ -200,6 +201,7 @@ __all__ = [
     "ReprojectionFactor",
     "Repropagation",
     "Result",
+    "RollingShutter",
     "ScalarPriorFactor",
     "SceneOptions",
     "Selection",
@@ -373,6 +375,7 @@ _DEFERRED = {
     "model.pose_table": ("PoseTable",),
     "model.problem": ("Problem",),
     "model.reprojection": ("ReprojectionError",),
+    "model.rolling_shutter": ("RollingShutter",),
     "model.selection": ("Selection",),
     "model.sequence.calibration": ("Calibration",),
     "model.sequence.imu_noise": ("ImuNoise",),

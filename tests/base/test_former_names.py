@@ -26,7 +26,7 @@ NEW = (
     *("interface.evaluate_options", "interface.finding", "judging.evaluation.check_points"),
     *("judging.evaluation.evaluation_result", "judging.validation.validation_result"),
     *("graphs.pose_graphs.certificate", "interface.progress_bar", "io.formats.registry"),
-    *("model.pose_table", "model.selection", "interface.environment", "solving.request"),
+    *("model.pose_table", "model.rolling_shutter", "model.selection", "interface.environment", "solving.request"),
 )
 """Modules of classes that were not there before."""
 

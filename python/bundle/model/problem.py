@@ -22,7 +22,7 @@ from bundle.base.optional_packages import require_pycolmap
 from bundle.base.words import FORMATS, contents, format_name, plural
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice
-from bundle.model import rig_arrays
+from bundle.model import rig_arrays, rolling_shutter
 from bundle.model.cameras import camera_models
 from bundle.model.problem_fields import DTYPES, check_values, default, sigmas_or_none, strings
 from bundle.model.pycolmap.deferred_source import DeferredSource
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     import pandas
     import pycolmap
 
+    from bundle.model.rolling_shutter import RollingShutter
     from bundle.model.selection import Selection
 
 __all__ = ["Problem"]
@@ -96,6 +97,8 @@ class Problem(Displayed):
             before it applies the loss: the cost is 1/2 sum rho(||r / sigma||^2), and ``loss_scale``
             is in sigmas. Statistics of reprojection errors stay in pixels. No file format stores
             sigmas.
+        rolling_shutter: shutters that read images row by row, and the motion of each image
+            meanwhile; None (the default): all shutters are global.
         format: "bal", "colmap" or "memory" (the default): origin of the problem. It determines the
             defaults of ``gauge`` and, with the camera models, of ``cheirality``. It is also the
             output format of ``bundle.save`` if the path does not decide it.
@@ -134,6 +137,7 @@ class Problem(Displayed):
     sensor_from_rig: NDArray[np.float64] = field(default_factory=_by_default)
     sensor_rig_ids: NDArray[np.int64] = field(default_factory=_by_default)
     sensor_camera_ids: NDArray[np.int64] = field(default_factory=_by_default)
+    rolling_shutter: RollingShutter | None = None
     format: str = "memory"
     source: Any = field(default=None, repr=False)
 
@@ -156,6 +160,7 @@ class Problem(Displayed):
         _core.validate(self)
         check_values(self)
         rig_arrays.check(self)
+        rolling_shutter.check(self, self.rolling_shutter)
 
     @property
     def num_images(self) -> int:

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from bundle.base.arrays import distinct, filled, freeze
 from bundle.errors import InputError, brief
 from bundle.model.problem_arrays import ProblemArrays
+from bundle.model.rolling_shutter import RollingShutter, selected
 
 __all__ = ["Selection", "select", "with_frames"]
 
@@ -32,6 +33,8 @@ class _Problem(ProblemArrays, Protocol):
 
     @property
     def observation_sigma(self) -> NDArray[np.float64] | None: ...
+    @property
+    def rolling_shutter(self) -> RollingShutter | None: ...
 
     def replace(self, **changes: Any) -> Self: ...
 
@@ -94,18 +97,26 @@ class Selection(Generic[P]):
             points: as ``images``, for the coordinates of points.
         """
 
-        def put(name: str, rows: _Indices, chosen: _Mask | None) -> NDArray[Any]:
+        def put(
+            name: str, rows: _Indices, chosen: _Mask | None, old: Any = whole, new: Any = refined
+        ) -> NDArray[Any]:
             """Return an array of the original problem with some rows replaced."""
             mask = np.ones(len(rows), bool) if chosen is None else chosen
-            values: NDArray[Any] = getattr(whole, name).copy()
-            values[rows[mask]] = getattr(refined, name)[mask]
+            values: NDArray[Any] = getattr(old, name).copy()
+            values[rows[mask]] = getattr(new, name)[mask]
             return values
 
-        values = {
+        values: dict[str, Any] = {
             "cam_from_world": put("cam_from_world", self.images, images),
             "camera_params": put("camera_params", self.cameras, cameras),
             "points": put("points", self.points, points),
         }
+        old, new = whole.rolling_shutter, refined.rolling_shutter
+        if old is not None and new is not None:
+            values["rolling_shutter"] = old.replace(
+                twist=put("twist", self.images, images, old, new),
+                readout=put("readout", self.cameras, cameras, old, new),
+            )
         if len(self.frames):
             values["rig_from_world"] = put("rig_from_world", self.frames, frames)
         return whole.replace(**values)
@@ -184,6 +195,9 @@ def select(
                 f"{whole.image_ids[bad]} is missing"
             )
     if of_images is not None or of_cameras is not None:
+        shutter = whole.rolling_shutter
+        if shutter is not None:
+            state["rolling_shutter"] = selected(shutter, chosen["images"], chosen["cameras"])
         count = len(chosen["observations"])
         state |= {"source": None, "observation_keypoint": filled((count,), -1, np.int32)}
     return Selection(whole._moved(**state) if state else whole, **chosen)

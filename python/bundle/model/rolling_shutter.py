@@ -1,0 +1,223 @@
+"""Rolling shutters: cameras that read an image row by row, or column by column, while they move.
+
+An image i of a camera with a rolling shutter has one twist m = (w, v), which is constant during its
+readout. A world point X that the image sees at the pixel (x, y) has the camera coordinates
+
+    Exp(s m) T X,    s = y / height - 1/2  (columns: x / width - 1/2),
+
+where T is the image's ``cam_from_world``, the pose of the middle row, and Exp the exponential of
+SE(3). So m is the motion during the readout of one frame height, in the camera's frame. It is the
+readout, as a share of the time between two frames, times the motion between two frames.
+``cpp/core/factors/rolling_shutter.h`` has the residual and its derivatives.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.arrays import FrozenArrays, freeze, immutable
+from bundle.base.display import Display, Displayed
+from bundle.base.words import plural
+from bundle.errors import InputError, brief
+from bundle.interface.option_fields import choice
+from bundle.model.problem_arrays import ProblemArrays
+
+__all__ = ["DIRECTIONS", "ROW_TIMES", "RollingShutter", "check", "selected"]
+
+
+def _unknown() -> Any:
+    """Return None, a placeholder for unknown readouts until the number of cameras is known."""
+    return None
+
+
+DIRECTIONS = ("global", "rows", "columns")
+ROW_TIMES = ("fixed-point", "observed")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class RollingShutter(FrozenArrays, Displayed):
+    """The rolling shutters of a problem's cameras, and the twists of its images.
+
+    Attributes:
+        direction: one of "global", "rows" (from top to bottom) and "columns" (from left to right)
+            per camera.
+        readout: (num_cameras,) time from the first to the last row as a share of the time between
+            two frames, above 0 and at most 1; NaN (the default) if unknown, and for global
+            shutters. Twists tied to the neighbours' poses need it.
+        twist: (num_images, 6) motion m = (wx, wy, wz, vx, vy, vz) per frame height in the camera's
+            frame: radians and the reconstruction's length unit. Zero for global shutters.
+        frames: (num_images,) time of each image in frames, NaN if unknown; None (the default) if
+            no time is known.
+        neighbours: (num_images, 2) index of the image before and after in the same video, between
+            which an image's twist is constant; the image's own index at an end of the video, -1
+            without neighbours; None (the default) if none are known.
+        row_time: "fixed-point" (the default): a point's row is where the image sees it; "observed":
+            where it was measured, which lets the noise of rows draw twists to wrong values.
+        axis: (num_cameras,) index in "global", "rows", "columns" of each camera's direction.
+
+    Raises:
+        InputError: an array has the wrong shape or type, or a value is impossible; the message
+            names the field.
+    """
+
+    direction: tuple[str, ...]
+    readout: NDArray[np.float64] = field(default_factory=_unknown)
+    twist: NDArray[np.float64]
+    frames: NDArray[np.float64] | None = None
+    neighbours: NDArray[np.int32] | None = None
+    row_time: str = "fixed-point"
+    axis: NDArray[np.int8] = field(init=False)
+
+    def __post_init__(self) -> None:
+        if isinstance(self.direction, str):
+            raise InputError(
+                "rolling_shutter: direction: expected one per camera, found a single string"
+            )
+        directions = tuple(
+            choice("rolling_shutter: direction", one, DIRECTIONS) for one in self.direction
+        )
+        self._set("direction", directions)
+        axis = [DIRECTIONS.index(one) for one in directions]
+        self._set("axis", freeze(np.array(axis, np.int8)))
+        count = len(directions)
+        readout = np.full(count, np.nan) if self.readout is None else self.readout
+        self._array("readout", readout, (count,), np.float64)
+        self._array("twist", self.twist, (-1, 6), np.float64)
+        rows = len(self.twist)
+        if self.frames is not None:
+            self._array("frames", self.frames, (rows,), np.float64)
+        if self.neighbours is not None:
+            self._array("neighbours", self.neighbours, (rows, 2), np.int32)
+        self._set("row_time", choice("rolling_shutter: row_time", self.row_time, ROW_TIMES))
+        self._check_values()
+
+    def _array(self, name: str, value: Any, shape: tuple[int, ...], dtype: type) -> None:
+        array = immutable(f"rolling_shutter: {name}", value, dtype)
+        if array.shape[1:] != shape[1:] or shape[0] not in (-1, len(array)):
+            expected = str(shape).replace("-1", "N")
+            raise InputError(
+                f"rolling_shutter: {name}: expected shape {expected}, found {array.shape}"
+            )
+        self._set(name, array)
+
+    def _set(self, attribute: str, value: Any) -> None:
+        object.__setattr__(self, attribute, value)
+
+    def _check_values(self) -> None:
+        readouts = self.readout
+        wrong = ~np.isnan(readouts) & ~((readouts > 0) & (readouts <= 1))
+        if wrong.any():
+            raise InputError(
+                "rolling_shutter: readout: expected shares of a frame above 0 and at most 1, found "
+                f"{readouts[wrong][0]:g}"
+            )
+        if not np.isfinite(self.twist).all():
+            raise InputError("rolling_shutter: twist: expected finite numbers")
+        if self.frames is not None and np.isinf(self.frames).any():
+            raise InputError("rolling_shutter: frames: expected finite numbers or NaN")
+        if self.neighbours is None:
+            return
+        known = self.neighbours
+        if known.size and not (known.min() >= -1 and known.max() < len(known)):
+            raise InputError(
+                f"rolling_shutter: neighbours: expected indices from -1 to {len(known) - 1}, found "
+                f"{known.min() if known.min() < -1 else known.max()}"
+            )
+
+    @property
+    def is_rolling(self) -> NDArray[np.bool_]:
+        """(num_cameras,) mask of the cameras with a rolling shutter."""
+        return np.asarray(self.axis > 0)
+
+    def replace(self, **changes: Any) -> Self:
+        """Return a copy with some fields replaced."""
+        return dataclasses.replace(self, **changes)
+
+    def _display(self) -> Display:
+        rolling = int(self.is_rolling.sum())
+        return Display(
+            title="RollingShutter",
+            facts=(
+                ("cameras", f"{rolling} of {plural(len(self.direction), 'camera')}"),
+                ("images", str(len(self.twist))),
+            ),
+        )
+
+
+def check(problem: ProblemArrays, shutter: Any) -> None:
+    """Check that a rolling shutter fits the problem.
+
+    Raises:
+        InputError: the counts differ, an image has no size, or an image of a rig has a rolling
+            shutter.
+    """
+    if shutter is None:
+        return
+    if not isinstance(shutter, RollingShutter):
+        raise InputError(
+            f"rolling_shutter: expected a bundle.RollingShutter or None, found {brief(shutter)}"
+        )
+    for what, expected, found in (
+        ("cameras", len(problem.camera_ids), len(shutter.direction)),
+        ("images", len(problem.image_ids), len(shutter.twist)),
+    ):
+        if expected != found:
+            raise InputError(
+                f"rolling_shutter: expected the problem's {expected} {what}, found {found}"
+            )
+    rolls = shutter.is_rolling[problem.image_camera]
+    sizes = problem.camera_sizes[problem.image_camera]
+    axis = shutter.axis[problem.image_camera]
+    length = np.where(axis == 2, sizes[:, 0], sizes[:, 1])
+    if (rolls & (length <= 0)).any():
+        image = int(np.argmax(rolls & (length <= 0)))
+        raise InputError(
+            f"rolling_shutter: camera {problem.camera_ids[problem.image_camera[image]]}: expected "
+            "the size of its images, which gives the time of a row, found size 0"
+        )
+    if len(problem.image_frame) and (rolls & (problem.image_frame >= 0)).any():
+        image = int(np.argmax(rolls & (problem.image_frame >= 0)))
+        raise InputError(
+            f"rolling_shutter: image {problem.image_ids[image]}: expected an image with a pose of "
+            "its own, found one of a rig, whose pose several images share"
+        )
+    moved = ~rolls & (np.abs(shutter.twist).sum(axis=1) > 0)
+    if moved.any():
+        raise InputError(
+            f"rolling_shutter: image {problem.image_ids[int(np.argmax(moved))]}: expected a zero "
+            "twist, because its camera has a global shutter"
+        )
+
+
+def selected(
+    shutter: RollingShutter, images: NDArray[np.int64], cameras: NDArray[np.int64]
+) -> RollingShutter:
+    """Return the rolling shutters of selected images and cameras.
+
+    A neighbour that is left out is replaced by the image itself. An image without any neighbour
+    then has none.
+    """
+    neighbours = shutter.neighbours
+    if neighbours is not None:
+        before = neighbours
+        place = np.full(len(before) + 1, -1, np.int32)
+        place[images] = np.arange(len(images), dtype=np.int32)
+        pairs = place[before[images]]
+        own = np.arange(len(images), dtype=np.int32)[:, None]
+        had = before[images].min(axis=1, initial=0) >= 0
+        pairs = np.where((pairs < 0) & had.reshape(-1, 1), own, pairs)
+        pairs[pairs[:, 0] == pairs[:, 1]] = -1
+        neighbours = freeze(pairs)
+    frames = None if shutter.frames is None else freeze(shutter.frames[images])
+    return shutter.replace(
+        direction=tuple(shutter.direction[camera] for camera in cameras.tolist()),
+        readout=freeze(shutter.readout[cameras]),
+        twist=freeze(shutter.twist[images]),
+        frames=frames,
+        neighbours=neighbours,
+    )

@@ -1,0 +1,119 @@
+"""Rolling shutters as data: what they refuse, and what selections and copies keep."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+import bundle
+
+TWIST = np.arange(24.0).reshape(4, 6) / 100
+
+
+def problem_of(**changes):
+    fields = {
+        "cam_from_world": np.tile([0.0, 0, 0, 1, 0, 0, 2], (4, 1)),
+        "camera_models": ("SIMPLE_PINHOLE",) * 2,
+        "camera_params": np.array([[500.0, 320, 240]] * 2),
+        "camera_sizes": [[640, 480]] * 2,
+        "image_camera": [0, 0, 0, 1],
+        "points": np.zeros((3, 3)),
+        "observation_image": np.repeat(np.arange(4), 3),
+        "observation_point": np.tile(np.arange(3), 4),
+        "observation_xy": np.full((12, 2), 100.0),
+    }
+    shutter = {
+        "direction": ("rows", "columns"),
+        "readout": [0.8, np.nan],
+        "twist": TWIST,
+        "frames": [0.0, 5, 10, 0],
+        "neighbours": [[0, 1], [0, 2], [1, 2], [-1, -1]],
+    }
+    given = {key: value for key, value in changes.items() if key in shutter or key == "row_time"}
+    rest = {key: value for key, value in changes.items() if key not in given}
+    return bundle.Problem(**fields | rest, rolling_shutter=bundle.RollingShutter(**shutter | given))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"readout": [0.0, 0.5]}, "readout: expected shares of a frame above 0"),
+        ({"readout": [1.2, 0.5]}, "found 1.2"),
+        ({"readout": [0.5]}, r"readout: expected shape \(2,\), found \(1,\)"),
+        ({"direction": "rows"}, "one per camera"),
+        ({"direction": ("rows", "diagonal")}, "diagonal"),
+        ({"direction": ("rows",), "readout": None}, "the problem's 2 cameras, found 1"),
+        ({"twist": TWIST[:, :5]}, r"twist: expected shape \(N, 6\)"),
+        ({"twist": np.full((4, 6), np.inf)}, "twist"),
+        (
+            {"twist": TWIST[:3], "frames": None, "neighbours": None},
+            "the problem's 4 images, found 3",
+        ),
+        ({"neighbours": [[0, 4]] * 4}, "indices from -1 to 3, found 4"),
+        ({"frames": [0.0, np.inf, 1, 2]}, "frames"),
+        ({"row_time": "late"}, "row_time"),
+        ({"camera_sizes": [[640, 0], [640, 480]]}, "camera 0: expected the size of its images"),
+        ({"camera_sizes": [[640, 480], [0, 480]]}, "camera 1: expected the size of its images"),
+        ({"direction": ("rows", "global")}, "image 3: expected a zero twist"),
+    ],
+)
+def test_bad_rolling_shutters_are_one_line(changes, words):
+    with pytest.raises(bundle.InputError, match=words) as error:
+        problem_of(**changes)
+    assert "\n" not in str(error.value)
+
+
+def test_something_else_is_no_rolling_shutter():
+    with pytest.raises(bundle.InputError, match=r"bundle\.RollingShutter"):
+        problem_of().replace(rolling_shutter="rows")
+
+
+def test_images_of_rigs_have_no_rolling_shutter():
+    problem = problem_of()
+    with pytest.raises(bundle.InputError, match="whose pose several images share"):
+        problem.replace(
+            rig_from_world=problem.cam_from_world[:1],
+            frame_ids=[1],
+            frame_rig_ids=[1],
+            image_frame=[0, -1, -1, -1],
+            image_sensor=[-1, -1, -1, -1],
+            sensor_from_rig=np.zeros((0, 7)),
+            sensor_rig_ids=[],
+            sensor_camera_ids=[],
+        )
+
+
+def test_a_selection_keeps_twists_and_closes_gaps_of_neighbours():
+    whole = problem_of()
+    part = whole.select(images=[0, 2, 3]).problem.rolling_shutter
+    assert np.array_equal(part.twist, TWIST[[0, 2, 3]])
+    assert np.array_equal(part.frames, [0, 10, 0])
+    assert part.neighbours.tolist() == [[-1, -1], [-1, -1], [-1, -1]]
+    part = whole.select(images=[0, 1]).problem.rolling_shutter
+    assert part.neighbours.tolist() == [[0, 1], [0, 1]]
+    one = whole.select(images=[3], cameras=[1]).problem.rolling_shutter
+    assert one.direction == ("columns",)
+    assert np.isnan(one.readout).all()
+
+
+def test_refined_twists_are_put_back():
+    whole = problem_of()
+    part = whole.select(images=[1, 2])
+    shutter = part.problem.rolling_shutter
+    refined = part.problem.replace(
+        rolling_shutter=shutter.replace(twist=shutter.twist + 1, readout=[0.7, np.nan])
+    )
+    back = part.put_back(whole, refined).rolling_shutter
+    assert np.array_equal(back.twist, TWIST + np.array([0, 1, 1, 0])[:, None])
+    assert back.readout[0] == 0.7
+
+
+def test_copies_stay_immutable():
+    problem = problem_of()
+    for twin in (pickle.loads(pickle.dumps(problem)), copy.deepcopy(problem)):
+        shutter = twin.rolling_shutter
+        assert np.array_equal(shutter.twist, TWIST)
+        assert shutter.axis.tolist() == [1, 2]
+        with pytest.raises(ValueError, match="read-only"):
+            shutter.twist[0] = 1
