@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         ChangedModels,
         change_camera_model,
     )
+    from bundle.editing.global_shutter import GlobalShutterModel, to_global_shutter
     from bundle.editing.merging.merge_models import merge
     from bundle.editing.merging.merge_result import Merge
     from bundle.editing.rig_config import apply_rig_config
@@ -160,6 +161,7 @@ __all__ = [
     "FrameTracks",
     "FunctionFactor",
     "GaugeFreedom",
+    "GlobalShutterModel",
     "GradientReport",
     "GraphComparison",
     "GraphCovariance",
@@ -281,6 +283,7 @@ __all__ = [
     "split_cameras",
     "synthesize",
     "synthesize_flight",
+    "to_global_shutter",
     "track_rows",
     "triage",
     "two_loops",
@@ -302,6 +305,7 @@ _DEFERRED = {
     "base.paths": ("get_include",),
     "checking.gradient_report": ("GradientReport",),
     "editing.cameras.camera_sharing": ("share_cameras", "split_cameras"),
+    "editing.global_shutter": ("GlobalShutterModel", "to_global_shutter"),
     "editing.cameras.model_change": ("CameraModelChange", "ChangedModels", "change_camera_model"),
     "editing.merging.merge_models": ("merge",),
     "editing.merging.merge_result": ("Merge",),

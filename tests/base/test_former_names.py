@@ -26,7 +26,8 @@ NEW = (
     *("interface.evaluate_options", "interface.finding", "judging.evaluation.check_points"),
     *("judging.evaluation.evaluation_result", "judging.validation.validation_result"),
     *("graphs.pose_graphs.certificate", "interface.progress_bar", "io.formats.registry"),
-    *("model.pose_table", "model.rolling_shutter", "model.selection", "interface.environment", "solving.request"),
+    *("model.pose_table", "model.rolling_shutter", "model.selection", "interface.environment"),
+    *("solving.request", "editing.global_shutter"),
 )
 """Modules of classes that were not there before."""
 
@@ -80,6 +81,11 @@ def held():
         bundle.check_jacobians(scene),
         bundle.check_factors(scene, [factor]),
         bundle.change_camera_model(scene, "OPENCV"),
+        bundle.to_global_shutter(
+            bundle.synthesize(
+                scene="orbit", num_images=3, num_points=50, rolling_shutter=0.5
+            ).problem
+        ),
         factor,
         linear,
         linear.spectrum,

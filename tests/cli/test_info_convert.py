@@ -133,3 +133,23 @@ def test_a_report_replaces_no_file_of_a_sequence(run, tmp_path, name):
     assert (done.code, done.out) == (2, "")
     assert done.err.startswith("error: ") and "would replace" in done.err
     assert (tmp_path / "s" / name).read_bytes() == before
+
+
+def test_a_rolling_shutter_is_said_and_can_be_removed(run, tmp_path):
+    flags = ("--scene", "orbit", "--images", 8, "--points", 200, "--rolling-shutter", 0.8)
+    assert run("synth", tmp_path / "model", *flags).code == 0
+    truth = tmp_path / "model_ground_truth"
+    found = run("info", truth, "--json", "-")
+    about = json.loads(found.out)["input"]["rolling_shutter"]
+    assert about["cameras"] == [{"camera_id": 1, "direction": "rows", "readout": 0.8}]
+    assert about["is_estimated"] and about["num_images"] == 8
+    assert "Rolling shutter: rows, readout 0.8" in run("info", truth).out
+    found = run("convert", truth, tmp_path / "global", "--global-shutter", "--json", "-")
+    moves = json.loads(found.out)["global_shutter"]
+    assert moves["num_moved"] > 0 and moves["largest"] > moves["median"] > 0
+    assert not (tmp_path / "global" / "rolling_shutter.json").exists()
+    again = run("convert", tmp_path / "global", tmp_path / "x", "--global-shutter")
+    assert again.code == 2 and not (tmp_path / "x").exists()
+    assert again.err.splitlines()[-1].startswith(f"error: --global-shutter: {tmp_path / 'global'}")
+    lost = json.loads(run("convert", truth, tmp_path / "x.txt", "--json", "-").out)["lost"]
+    assert any("rolling shutter" in sentence for sentence in lost)

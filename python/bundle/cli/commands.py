@@ -240,6 +240,14 @@ def _convert(parser: Parser) -> None:
     add_input_format(parser)
     add_rig_config(parser)
     add_options(parser, "LensOptions", "cameras of OUTPUT")
+    parser.add_argument(
+        "--global-shutter",
+        action="store_true",
+        help=(
+            "move the observations of a rolling shutter to where a global shutter would have read "
+            "them, for programs that know only global shutters"
+        ),
+    )
 
 
 def _synth(parser: Parser) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from bundle.cli.carried_georeference import (
     carry_georeference,
@@ -10,7 +11,7 @@ from bundle.cli.carried_georeference import (
     georeference_at,
 )
 from bundle.cli.error_lines import EXIT_DONE
-from bundle.cli.option_flags import options_given
+from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import check_replaced, publish, same_images
 from bundle.cli.problem_edits import cameras_edited, with_rigs
 from bundle.cli.progress import Progress
@@ -19,6 +20,10 @@ from bundle.errors import shown
 from bundle.interface.camera_edit_options import LensOptions
 from bundle.io.open import check_target, load, output_format, save
 from bundle.reports.terminal.convert import converted
+
+if TYPE_CHECKING:
+    from bundle.editing.global_shutter import GlobalShutterModel
+    from bundle.model.problem import Problem
 
 __all__ = ["run"]
 
@@ -32,6 +37,11 @@ def run(arguments: argparse.Namespace) -> int:
         edits = cameras_edited(options_given(arguments, LensOptions), problem)
         edited = problem if edits is None else edits.problem
         edited = with_rigs(edited, arguments.rig_config)
+        moved = None
+        if arguments.global_shutter:
+            progress.stage("moving observations")
+            moved = _without_rolling_shutter(edited, source)
+            edited = moved.problem
         output = {
             "path": path,
             "format": output_format(edited.format, path, arguments.format, source),
@@ -44,5 +54,12 @@ def run(arguments: argparse.Namespace) -> int:
         progress.stage(f"writing {shown(path)}")
         lost = save(edited, **output, progress=progress.text)
         carry_georeference(place, **output)
-    publish(converted(source, problem, output, lost, edits), arguments)
+    publish(converted(source, problem, output, lost, edits, moved), arguments)
     return EXIT_DONE
+
+
+def _without_rolling_shutter(problem: Problem, source: str) -> GlobalShutterModel:
+    from bundle.editing.global_shutter import to_global_shutter
+
+    with naming_flags(problem=f"--global-shutter: {shown(source)}"):
+        return to_global_shutter(problem)

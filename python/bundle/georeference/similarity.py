@@ -15,7 +15,7 @@ t_c in its camera moves to s (R_c x + t_c). So
     R_c' = R_c R^T,  t_c' = s t_c - R_c' t,
 
 and no projection changes. Frames of rigs move as cameras do, and rigs scale with the scene: t_s' =
-s t_s for a sensor_from_rig.
+s t_s for a sensor_from_rig. The translation of a rolling shutter's twist scales likewise.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from bundle.model.rotations import (
     quaternion_multiply,
     rotation_matrices,
 )
+from bundle.model.shutter_changes import scaled
 
 __all__ = ["Similarity", "moved", "scale_and_rotation", "umeyama"]
 
@@ -105,7 +106,8 @@ def moved(problem: Problem, similarity: Similarity) -> Problem:
             | {"cam_from_world": poses}
             | changes
         )
-    return problem.replace(cam_from_world=poses, **changes)
+    shutter = scaled(problem.rolling_shutter, similarity.scale)
+    return problem.replace(cam_from_world=poses, rolling_shutter=shutter, **changes)
 
 
 def _moved_poses(poses: NDArray[np.float64], similarity: Similarity) -> NDArray[np.float64]:

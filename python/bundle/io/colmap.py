@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.errors import InputError
+from bundle.io.atomic.model_files import ROLLING_SHUTTER
 from bundle.io.model_notes import check_rig_files, lacks_keypoint_lines, note_contradiction
+from bundle.io.rolling_shutter_file import rolling_shutter_text, with_rolling_shutter
 from bundle.model import rig_arrays
 from bundle.model.colmap.model_records import check, model_records
 from bundle.model.problem import Problem
@@ -93,7 +95,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
     problem = problem_of(folder, model, fields)
     if hasattr(model, "image_poses"):
         note_contradiction(folder, model.image_poses, problem.cam_from_world)
-    return problem
+    return with_rolling_shutter(problem, folder)
 
 
 def problem_of(folder: Path, model: _core.ColmapModel, fields: dict[str, Any]) -> Problem:
@@ -143,6 +145,9 @@ def save(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
         OSError: the files could not be written completely.
         InputError: COLMAP cannot represent the problem.
     """
+    shutter = rolling_shutter_text(problem)
+    if shutter:
+        (folder / ROLLING_SHUTTER).write_text(shutter, "utf-8")
     model = _model(problem, binary=binary)
     return (
         write(problem, folder, binary=binary) if model is None else _rewrite(problem, folder, model)

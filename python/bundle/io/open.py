@@ -35,6 +35,7 @@ from bundle.io.recognition import (
     is_pose_graph_file,
     other_format_at,
 )
+from bundle.io.rolling_shutter_file import LOST_ROLLING_SHUTTER, rolling_shutter_record
 from bundle.model.problem import Problem
 
 __all__ = [
@@ -124,10 +125,10 @@ def save(
         with atomic.replace_file(path) as temporary:
             bal.save(problem, temporary, _compression(path), progress)
             remove_georeference(path, is_folder=False)
-        return lost
+        return lost + _lost_shutter(problem)
     imported = find_format(chosen)
     if imported is not None:
-        return _save_imported(problem, path, imported)
+        return _save_imported(problem, path, imported) + _lost_shutter(problem)
     binary = chosen == "colmap"
     return save_model(path, chosen, lambda folder: colmap.save(problem, folder, binary=binary))
 
@@ -288,6 +289,11 @@ def _save_imported(problem: Problem, path: Path, known: Format) -> tuple[str, ..
             beside(problem, path)
         remove_georeference(path, is_folder=False)
     return lost
+
+
+def _lost_shutter(problem: Problem) -> tuple[str, ...]:
+    """Return a sentence if a problem has a rolling shutter: only COLMAP models have its file."""
+    return () if rolling_shutter_record(problem) is None else (LOST_ROLLING_SHUTTER,)
 
 
 def is_folder_format(format: str) -> bool:

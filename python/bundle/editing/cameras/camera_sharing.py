@@ -13,6 +13,7 @@ from bundle.errors import InputError
 from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
+from bundle.model.shutter_changes import check_same_shutter, shutter_of_cameras
 
 __all__ = ["cameras_by_size", "share_cameras", "split_cameras"]
 
@@ -40,6 +41,7 @@ def share_cameras(problem: Source, camera_ids: Iterable[int] | None = None) -> P
     cameras = _chosen(problem, camera_ids)
     first = int(cameras[0])
     _check_alike(problem, cameras)
+    check_same_shutter(problem, cameras)
     _check_rigs(problem, np.flatnonzero(np.isin(problem.image_camera, cameras)))
     params = problem.camera_params.copy()
     params[first] = _mean(problem, cameras)
@@ -106,6 +108,7 @@ def _cameras(
         "camera_models": tuple(problem.camera_models[row] for row in rows.tolist()),
         "camera_params": params[rows],
         "camera_sizes": problem.camera_sizes[rows],
+        "rolling_shutter": shutter_of_cameras(problem.rolling_shutter, rows),
     }
 
 

@@ -192,6 +192,11 @@ def _rows(name: str, problem: Problem) -> dict[str, int]:
             f"{name}: expected images with names, which identify the same image in both "
             "models; BAL files have no names"
         )
+    if problem.rolling_shutter is not None:
+        raise InputError(
+            f"{name}: expected a model without a rolling shutter, found rolling_shutter.json: "
+            "such models cannot be merged yet"
+        )
     if problem.num_frames:
         raise InputError(
             f"{name}: expected a model without rigs, found {plural(problem.num_frames, 'frame')} "

@@ -18,6 +18,7 @@ from bundle.model.reprojection import reprojection_errors
 from bundle.model.rig_arrays import placed
 from bundle.model.rigid_motions import inverse_poses, unit_poses
 from bundle.model.rotations import quaternion_rotate
+from bundle.model.shutter_changes import scaled
 
 __all__ = ["carry"]
 
@@ -52,7 +53,9 @@ def carry(
     if problem.num_frames:
         changes |= _frames(problem, node_of, node_moved, after, poses)
     points, is_carried = _points(problem, cameras, moved, fitting)
-    return problem.replace(points=points, **changes), int(is_carried.sum())
+    shutter = scaled(problem.rolling_shutter, (after.scales / before.scales)[node_of])
+    moved_problem = problem.replace(points=points, rolling_shutter=shutter, **changes)
+    return moved_problem, int(is_carried.sum())
 
 
 def _frames(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-__all__ = ["MODEL_FILES", "is_text_model", "missing_model_files", "models_below"]
+__all__ = ["MODEL_FILES", "ROLLING_SHUTTER", "is_text_model", "missing_model_files", "models_below"]
 
 DEPTH = 3
 """Depth of the search for models below a folder: projects store them in dense/0/sparse/."""
@@ -16,7 +16,11 @@ _REQUIRED = ("cameras", "images", "points3D")
 _OPTIONAL = ("rigs", "frames")
 _SUFFIXES = (".bin", ".txt")
 
-MODEL_FILES = frozenset(stem + suffix for stem in _REQUIRED + _OPTIONAL for suffix in _SUFFIXES)
+ROLLING_SHUTTER = "rolling_shutter.json"
+"""File with the rolling shutters of a model; COLMAP does not know it."""
+MODEL_FILES = frozenset(
+    [*(stem + suffix for stem in _REQUIRED + _OPTIONAL for suffix in _SUFFIXES), ROLLING_SHUTTER]
+)
 
 
 def missing_model_files(folder: Path) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence as Sentences
 
 from bundle.base.words import contents
 from bundle.editing.cameras.edit_record import CameraEdits
+from bundle.editing.global_shutter import GlobalShutterModel
 from bundle.errors import shown
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
@@ -23,6 +24,7 @@ from bundle.reports.terminal.inputs import (
     problem_facts,
     written,
 )
+from bundle.reports.terminal.shutter_tables import shutter_data, shutter_moves
 
 __all__ = ["converted", "converted_graph", "converted_sequence"]
 
@@ -33,6 +35,7 @@ def converted(
     output: dict[str, str],
     lost: Sentences[str],
     edits: CameraEdits | None = None,
+    moved: GlobalShutterModel | None = None,
 ) -> Report:
     """Return the report on a reconstruction."""
     facts = [*problem_facts(path, problem), *edit_rows(edits)]
@@ -41,13 +44,13 @@ def converted(
     return Report(
         command="convert",
         input=about_problem(path, problem),
-        headline=[_wrote(output, contents(content), lost)],
+        headline=[_wrote(output, contents(content), lost), *shutter_moves(moved)],
         warnings=warnings,
         sections=[
             Section(facts=edit_rows(edits), notes=[*lost, *import_notes(problem)]),
             Section(facts=facts, is_detail=True),
         ],
-        data={**edit_data(edits), "output": output, "lost": lost},
+        data={**edit_data(edits), **shutter_data(moved), "output": output, "lost": lost},
     )
 
 

@@ -20,6 +20,7 @@ from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_problem, problem_facts
 from bundle.reports.terminal.refine import worst_sections
 from bundle.reports.terminal.rig_tables import rig_sections
+from bundle.reports.terminal.shutter_tables import shutter_fact
 
 __all__ = ["information"]
 
@@ -82,8 +83,9 @@ def _headline(path: str, problem: Problem, description: Description, count: int)
         source = pixels(imported.source_rmse)
         rmse += f" (RMSE by the formula of {format_name(problem.format)}: {source} px)"
     pieces = plural(len(description.covisibility.component_sizes), "connected piece")
+    shutter = "".join(f" Rolling shutter: {value}." for _, value in shutter_fact(problem)[:1])
     return [
-        f"{shown(path)} ({format_name(problem.format)}): {contents(problem)}.",
+        f"{shown(path)} ({format_name(problem.format)}): {contents(problem)}.{shutter}",
         f"{rmse}; {number(tracks.mean)} observations per point; {pieces}.",
         f"{plural(count, 'finding')}:" if count else "Nothing looks wrong.",
     ]

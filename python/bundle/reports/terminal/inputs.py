@@ -10,6 +10,7 @@ from bundle.base.words import contents, format_name, pixels, plural
 from bundle.errors import shown
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.imported_source import imported_source
+from bundle.reports.terminal.shutter_tables import about_shutter, shutter_fact
 
 if TYPE_CHECKING:
     from bundle.model.pose_graph_arrays import PoseGraph
@@ -38,6 +39,7 @@ def problem_facts(path: str, problem: Problem, *, rigs: bool = False) -> Facts:
         ("", contents(problem)),
         *(("", note) for note in import_notes(problem)),
         *(rig_fact(problem) if rigs else []),
+        *shutter_fact(problem),
     ]
 
 
@@ -49,6 +51,7 @@ def about_problem(path: str, problem: Problem) -> dict[str, Any]:
         "path": path,
         "format": problem.format,
         **{name: getattr(problem, name) for name in counts},
+        **about_shutter(problem),
         **_about_import(problem),
     }
 

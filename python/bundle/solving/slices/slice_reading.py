@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.errors import InputError, shown
 from bundle.io import bal, colmap
+from bundle.io.atomic.model_files import ROLLING_SHUTTER
 from bundle.model.problem import Problem
 from bundle.solving.ranks.crew import Ranks
 from bundle.solving.ranks.partition import ProblemPart, divide_tracks, shared_of
@@ -89,6 +90,11 @@ def survey(path: Path, num_parts: int) -> Survey:
     """
     ids = None
     if path.is_dir():
+        if (path / ROLLING_SHUTTER).is_file():
+            raise InputError(
+                f"{shown(path)}: expected a model without a rolling shutter, which slices of "
+                f"several processes do not support, found {ROLLING_SHUTTER}"
+            )
         found = _core.survey_colmap_model(os.fsencode(path))
         num_images, num_observations, ids, first, last, seen = found
     else:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from bundle.errors import InputError
 from bundle.interface.scene_options import MIN_TRACK_LENGTH, SceneOptions
 from bundle.model.problem import Problem
+from bundle.model.rolling_shutter import RollingShutter
 from bundle.model.rotations import quaternion_rotate
 from bundle.model.shutter_motion import read_positions
 from bundle.synthetic.intrinsics import Intrinsics, draw_intrinsics
@@ -43,7 +44,8 @@ class FilmedScene:
     """A filmed scene and its start.
 
     Attributes:
-        problem: start of a solve: measured observations, perturbed poses, points and cameras.
+        problem: start of a solve: measured observations, perturbed poses, points and cameras, zero
+            twists.
         ground_truth: the same observations with the true values.
         is_outlier: (num_observations,) True for observations replaced by random pixels.
         twists: (num_images, 6) true twist m of each image, per height; zero for a global shutter.
@@ -102,6 +104,16 @@ def film(
     counts = np.bincount(pairs.image, minlength=options.num_images)
     keypoint = np.empty(len(pairs), np.int32)
     keypoint[by_image] = np.arange(len(pairs)) - np.repeat(np.cumsum(counts) - counts, counts)
+    ties = _ties(motion)
+    shutter = None
+    if options.rolling_shutter:
+        shutter = RollingShutter(
+            direction=(direction,) * images.num_cameras,
+            readout=np.full(images.num_cameras, options.rolling_shutter),
+            twist=twists,
+            frames=motion.frames.astype(float),
+            neighbours=np.where(ties[:, 2:] > 0, ties[:, :2], -1),
+        )
     truth = images.replace(
         points=points,
         point_ids=np.arange(1, len(points) + 1),
@@ -109,6 +121,7 @@ def film(
         observation_point=pairs.point,
         observation_xy=xy,
         observation_keypoint=keypoint,
+        rolling_shutter=shutter,
     )
     start = Start(start_seed, truth, cameras, median_distance(truth), options)
     return FilmedScene(
@@ -116,13 +129,16 @@ def film(
             cam_from_world=start.cam_from_world,
             points=start.points(points),
             camera_params=start.camera_params,
+            rolling_shutter=(
+                None if shutter is None else shutter.replace(twist=np.zeros_like(twists))
+            ),
         ),
         ground_truth=truth,
         is_outlier=is_outlier,
         twists=twists,
         readout=options.rolling_shutter,
         frames=motion.frames,
-        ties=_ties(motion),
+        ties=ties,
         shake=motion.shake,
     )
 

@@ -1,0 +1,211 @@
+"""rolling_shutter.json: the rolling shutters of a COLMAP model, next to its files.
+
+::
+
+    {"cameras": [{"camera_id": 1, "direction": "rows", "readout": 0.8}],
+     "images": [{"image_id": 1, "twist": [wx, wy, wz, vx, vy, vz]}]}
+
+``direction`` is "rows" (from top to bottom) or "columns" (from left to right); ``readout`` is a
+share of the time between two frames, or null if it is unknown. Cameras that are not listed have a
+global shutter. ``twist`` is the motion per height of the image in the camera's frame, in radians
+and the model's length unit (:mod:`bundle.model.rolling_shutter`); every image of a listed camera
+has one, or "images" is left out, and all twists are zero. An image may also have its time ``frame``
+and ``neighbours``, the ids of the images before and after it.
+
+COLMAP does not know the file. It is replaced and removed with its model.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError, shown
+from bundle.io.atomic.model_files import ROLLING_SHUTTER
+from bundle.model.problem import Problem
+from bundle.model.rolling_shutter import DIRECTIONS, ROW_TIMES, RollingShutter
+
+if TYPE_CHECKING:
+    from bundle.io.formats.json_fields import Node
+
+__all__ = [
+    "LOST_ROLLING_SHUTTER",
+    "read_rolling_shutter",
+    "rolling_shutter_record",
+    "rolling_shutter_text",
+    "with_rolling_shutter",
+]
+
+LOST_ROLLING_SHUTTER = (
+    "The rolling shutter is left out: a reader takes the observations for those of a camera that "
+    "does not move (convert --global-shutter moves them)."
+)
+
+_CAMERA = ("camera_id", "direction", "readout")
+_IMAGE = ("image_id", "twist", "frame", "neighbours")
+
+
+def with_rolling_shutter(problem: Problem, folder: Path) -> Problem:
+    """Return a model with the rolling shutters in its folder; without the file, as it is.
+
+    Raises:
+        InputError: the file is no valid rolling_shutter.json of this model; the message has the
+            file, the entry, the expected and the actual value.
+    """
+    path = folder / ROLLING_SHUTTER
+    if not path.is_file():
+        return problem
+    shutter = read_rolling_shutter(path, problem)
+    try:
+        return problem.replace(rolling_shutter=shutter)
+    except InputError as error:
+        words = str(error).removeprefix("rolling_shutter: ")
+        raise InputError(f"{shown(path)}: {words}") from None
+
+
+def read_rolling_shutter(path: Path, problem: Problem) -> RollingShutter:
+    """Read a rolling_shutter.json for the cameras and images of a problem.
+
+    Raises:
+        InputError: the content is invalid; the message has the file, the entry, the expected and
+            the actual value.
+        OSError: the file cannot be read.
+    """
+    from bundle.io.formats.json_fields import read_json  # late: most models have no such file
+
+    node = read_json(path)
+    _check_members(node, ("cameras", "images", "row_time"))
+    direction = ["global"] * problem.num_cameras
+    readout = np.full(problem.num_cameras, np.nan)
+    for entry, camera in _entries(node.get("cameras"), "camera", _CAMERA, problem.camera_ids):
+        direction[camera] = _choice(entry.get("direction"), DIRECTIONS[1:])
+        share = entry.get("readout")
+        if share.value is not None:
+            readout[camera] = share.number()
+            if not 0 < readout[camera] <= 1:
+                share.fail("a share of the frame time above 0 and at most 1, or null")
+    rolls = np.array([one != "global" for one in direction], bool)[problem.image_camera]
+    twist = np.zeros((problem.num_images, 6))
+    frames = np.full(problem.num_images, np.nan)
+    neighbours = np.full((problem.num_images, 2), -1, np.int32)
+    images = node.find("images")
+    if images is not None:
+        listed = np.zeros(problem.num_images, bool)
+        index = {image_id: k for k, image_id in enumerate(problem.image_ids.tolist())}
+        for entry, image in _entries(images, "image", _IMAGE, problem.image_ids):
+            if not rolls[image]:
+                entry.get("image_id").fail("an image of a camera in cameras")
+            listed[image] = True
+            twist[image] = entry.get("twist").numbers(6)
+            if (frame := entry.find("frame")) is not None:
+                frames[image] = frame.number()
+            if (pair := entry.find("neighbours")) is not None:
+                neighbours[image] = _neighbours(pair, index)
+        missing = np.flatnonzero(rolls & ~listed)
+        if len(missing):
+            raise InputError(
+                f"{images.place}: expected a twist for each image with a rolling shutter, found "
+                f"none for image {problem.image_ids[missing[0]]}"
+            )
+    row_time = node.find("row_time")
+    return RollingShutter(
+        direction=tuple(direction),
+        readout=readout,
+        twist=twist,
+        frames=None if np.isnan(frames).all() else frames,
+        neighbours=None if (neighbours < 0).all() else neighbours,
+        row_time=ROW_TIMES[0] if row_time is None else _choice(row_time, ROW_TIMES),
+    )
+
+
+def rolling_shutter_text(problem: Problem) -> str:
+    """Return the text of rolling_shutter.json; "" if all shutters of a problem are global."""
+    record = rolling_shutter_record(problem)
+    if record is None:
+        return ""
+    members = []
+    for name, value in record.items():
+        entries = [json.dumps(entry) for entry in value] if isinstance(value, list) else []
+        lines = ",\n  ".join(entries)
+        members.append(f' "{name}": ' + (f"[\n  {lines}\n ]" if entries else json.dumps(value)))
+    return "{\n" + ",\n".join(members) + "\n}\n"
+
+
+def rolling_shutter_record(problem: Problem) -> dict[str, Any] | None:
+    """Return the content of rolling_shutter.json; None if all shutters of a problem are global."""
+    shutter = problem.rolling_shutter
+    if shutter is None or not shutter.is_rolling.any():
+        return None
+    rolls = shutter.is_rolling[problem.image_camera]
+    images = []
+    ids = problem.image_ids.tolist()
+    for image in np.flatnonzero(rolls).tolist():
+        record: dict[str, Any] = {"image_id": ids[image], "twist": shutter.twist[image].tolist()}
+        if shutter.frames is not None and math.isfinite(shutter.frames[image]):
+            record["frame"] = float(shutter.frames[image])
+        if shutter.neighbours is not None and shutter.neighbours[image].min() >= 0:
+            record["neighbours"] = [ids[k] for k in shutter.neighbours[image].tolist()]
+        images.append(record)
+    cameras = [
+        {
+            "camera_id": int(problem.camera_ids[camera]),
+            "direction": shutter.direction[camera],
+            "readout": _known(float(shutter.readout[camera])),
+        }
+        for camera in np.flatnonzero(shutter.is_rolling).tolist()
+    ]
+    record = {"cameras": cameras, "images": images}
+    return record if shutter.row_time == ROW_TIMES[0] else {**record, "row_time": shutter.row_time}
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def _entries(
+    node: Node, kind: str, members: tuple[str, ...], ids: NDArray[np.int64]
+) -> list[tuple[Node, int]]:
+    """Return the entries of an array with the index of the camera or image of each."""
+    index = {one: k for k, one in enumerate(ids.tolist())}
+    found, seen = [], set()
+    for entry in node.entries():
+        _check_members(entry, members)
+        identity = entry.get(f"{kind}_id")
+        number = identity.whole()
+        if number not in index:
+            identity.fail(f"a {kind} of the model")
+        if number in seen:
+            identity.fail(f"one entry per {kind}")
+        seen.add(number)
+        found.append((entry, index[number]))
+    return found
+
+
+def _check_members(node: Node, known: tuple[str, ...]) -> None:
+    for name, value in node.items():
+        if name not in known:
+            raise InputError(
+                f"{value.place.removesuffix(f': {name}')}: expected the members "
+                f"{', '.join(known)}, found {name}"
+            )
+
+
+def _choice(node: Node, choices: tuple[str, ...]) -> str:
+    if node.value not in choices:
+        node.fail(" or ".join(choices))
+    return node.text()
+
+
+def _neighbours(node: Node, index: dict[int, int]) -> list[int]:
+    entries = list(node.entries())
+    if len(entries) != 2:
+        node.fail("the ids of two images")
+    for entry in entries:
+        if entry.whole() not in index:
+            entry.fail("an image of the model")
+    return [index[entry.value] for entry in entries]
