@@ -13,6 +13,7 @@ from bundle.figures.projection_uncertainty import (
 )
 from bundle.figures.residual_field import RadialProfile, ResidualField, residual_fields
 from bundle.figures.residual_histogram import ResidualHistogram, residual_histogram
+from bundle.figures.row_residuals import RowResiduals, row_residuals
 from bundle.figures.scene_view import SceneView, scene_view
 from bundle.figures.track_statistics import TrackStatistics, track_statistics
 from bundle.model.residuals import Residuals, residuals
@@ -30,6 +31,7 @@ __all__ = [
     "ResidualField",
     "ResidualHistogram",
     "Residuals",
+    "RowResiduals",
     "SceneView",
     "TrackStatistics",
     "certainty",
@@ -42,6 +44,7 @@ __all__ = [
     "residual_fields",
     "residual_histogram",
     "residuals",
+    "row_residuals",
     "scene_view",
     "track_statistics",
     "worst_residuals",

@@ -101,3 +101,14 @@ def test_lenses_and_scenes_are_those_of_the_numbers(numbers):
     pictures.draw_scene(deep, view)
     made.canvas.draw()
     assert deep.get_xlabel() == "x"
+
+
+def test_rows_before_and_after_are_those_of_the_numbers(numbers):
+    found = figures.row_residuals(numbers["problem"], numbers["found"])
+    one = drawn(pictures.draw_row_residuals, found)
+    np.testing.assert_allclose(one.lines[1].get_ydata(), found.size[:, 1])
+    both = drawn(pictures.draw_row_residuals, found, found)
+    assert len(both.lines) == 5
+    np.testing.assert_allclose(both.lines[-1].get_ydata(), found.noise)
+    with pytest.raises(InputError, match="found 3"):
+        drawn(pictures.draw_row_residuals, found, found, found)

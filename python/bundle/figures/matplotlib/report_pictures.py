@@ -20,6 +20,7 @@ from bundle.figures.placement_errors import Placement
 from bundle.figures.projection_uncertainty import ProjectionUncertainty
 from bundle.figures.residual_field import ResidualField
 from bundle.figures.residual_histogram import ResidualHistogram
+from bundle.figures.row_residuals import RowResiduals, row_figure
 from bundle.figures.scene_view import SceneView
 from bundle.figures.track_statistics import TrackStatistics, angle_figure, length_figure
 from bundle.interface.option_fields import choice, number
@@ -42,6 +43,7 @@ __all__ = [
     "draw_residual_histogram",
     "draw_residual_lengths",
     "draw_residual_vectors",
+    "draw_row_residuals",
     "draw_scene",
     "draw_target_errors",
     "draw_track_lengths",
@@ -104,6 +106,21 @@ def draw_radial_profile(ax: Axes, field: ResidualField) -> None:
     """Draw mean radial and tangential residuals against the distance from the principal point."""
     check_type("field", field, ResidualField)
     draw(ax, residual_figures.profile_figure(field))
+
+
+def draw_row_residuals(ax: Axes, *sets: RowResiduals) -> None:
+    """Draw the mean residuals of images by row, and what noise alone would give.
+
+    Args:
+        ax: axis to draw on.
+        *sets: one set, or the sets before and after a solve, from ``bundle.figures.row_residuals``.
+    """
+    for one in sets:
+        check_type("sets", one, RowResiduals)
+    labels = ("now",) if len(sets) == 1 else ("before", "after")
+    if len(sets) != len(labels):
+        raise InputError(f"sets: expected one or two sets, found {len(sets)}")
+    draw(ax, row_figure(dict(zip(labels, sets, strict=True))))
 
 
 def draw_image_residuals(

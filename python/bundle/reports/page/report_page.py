@@ -23,6 +23,7 @@ from bundle.figures.placement_errors import Placement, placement
 from bundle.figures.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
 from bundle.figures.residual_field import residual_fields
 from bundle.figures.residual_histogram import residual_histogram
+from bundle.figures.row_residuals import rows_of_sets
 from bundle.figures.scene_view import MOST_POINTS, scene_before, scene_view
 from bundle.figures.track_statistics import track_statistics
 from bundle.georeference.similarity import moved
@@ -181,9 +182,12 @@ class _Page:
             )
         )  # fmt: skip
         self.data["verdicts"], self.data["findings"] = plain(judged), plain(findings)
+        sets = self._sets(found)
+        rows = rows_of_sets(sets)
+        self.data["rows"] = plain(rows)
         sections = [
-            *self._residuals(found, description),
-            *(field_sections(planes, self._num_observed()) if planes else []),
+            *self._residuals(sets, found, description),
+            *(field_sections(planes, self._num_observed(), rows) if planes else []),
             *(worst_section(images, photographs) if images else []),
             *self._lenses(),
             *self._certainty(found),
@@ -223,12 +227,22 @@ class _Page:
         name = "/".join(Path(self.name).parts[-2:]) or "The reconstruction"
         return f"{name}: {summarised(judged, findings)}"
 
-    def _residuals(self, found: Residuals, description: Description) -> list[Section]:
-        sets = {"now": found}
-        if self.result is not None:
-            before = residuals(self.result.source_problem, self.result.options.cheirality)
-            sets = {"before": before, "after": found} if before.counted.any() else {"after": found}
-        histogram = residual_histogram(sets)
+    def _sets(self, found: Residuals) -> dict[str, tuple[Problem, Residuals]]:
+        """Return problem and residuals by label: "now", or "before" and "after" of a solve."""
+        if self.result is None:
+            return {"now": (self.problem, found)}
+        first = self.result.source_problem
+        before = residuals(first, self.result.options.cheirality)
+        earlier = {"before": (first, before)} if before.counted.any() else {}
+        return earlier | {"after": (self.problem, found)}
+
+    def _residuals(
+        self,
+        sets: Mapping[str, tuple[Problem, Residuals]],
+        found: Residuals,
+        description: Description,
+    ) -> list[Section]:
+        histogram = residual_histogram({name: one for name, (_, one) in sets.items()})
         if histogram is not None:
             self.data["histogram"] = plain(histogram)
         return residual_section(self.problem, self.result, description, found, histogram)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bundle.base.words import plural
 from bundle.figures.residual_field import SIGNIFICANT, ResidualField
 from bundle.figures.residual_figures import field_figures
+from bundle.figures.row_residuals import RowResiduals, row_figure
 from bundle.reports.page.table import rounded
 from bundle.reports.sections import Section
 
@@ -16,8 +17,16 @@ __all__ = ["field_data", "field_sections"]
 FEW_IDS = 4
 
 
-def field_sections(fields: Sequence[ResidualField], num_cameras: int) -> list[Section]:
-    """Return the figures of all fields; those of the first show, the others are details."""
+def field_sections(
+    fields: Sequence[ResidualField], num_cameras: int, rows: Mapping[str, RowResiduals]
+) -> list[Section]:
+    """Return the figures of all fields; those of the first show, the others are details.
+
+    Args:
+        fields: residual fields, at least one.
+        num_cameras: number of cameras with observations.
+        rows: residuals by row, by label; empty: unknown.
+    """
     words = (
         "Residuals are projection minus measurement. A lens model that fits leaves no pattern. "
         f"Bold lines: the mean of a cell exceeds {SIGNIFICANT:g} standard errors, as 1 % of the "
@@ -33,7 +42,7 @@ def field_sections(fields: Sequence[ResidualField], num_cameras: int) -> list[Se
     return [
         Section(
             title="Residuals over the image", text=[words, _facts(first)],
-            figures=[mean, significance, profile],
+            figures=[mean, significance, profile, *([row_figure(rows)] if rows else [])],
         ),
         Section(
             title="Directions, magnitude and count", figures=[direction, magnitude, count],
