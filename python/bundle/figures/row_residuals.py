@@ -117,6 +117,6 @@ def row_figure(sets: Mapping[str, RowResiduals]) -> Figure:
         x=linear([0.0, 1.0], what),
         y=linear([0.0, *(1.05 * value for value in highest)], "mean residual of an image [px]"),
         marks=tuple(marks),
-        note=f"Shear (x) and anisotropy (y) of single images. A rolling shutter lifts the first and "
-        f"the last {name}s above the noise.",
+        note="Shear (x) and anisotropy (y) of single images. A rolling shutter lifts the first "
+        f"and the last {name}s above the noise.",
     )
