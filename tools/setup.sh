@@ -23,7 +23,7 @@ require_python() {
 # One package a line. Debian splits its own Python into packages; any other Python is whole.
 wanted_packages() {
   printf '%s\n' g++ libceres-dev libsuitesparse-dev libopenblas-dev libbz2-dev zlib1g-dev \
-    libgtest-dev
+    rapidjson-dev libgtest-dev
   "$python" - <<'PY'
 import sys
 

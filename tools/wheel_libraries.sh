@@ -2,8 +2,9 @@
 # usage: tools/wheel_libraries.sh PREFIX
 #
 # Builds what a wheel carries and no distribution offers without the GPL: CHOLMOD and, static, Ceres
-# with Eigen and glog, into PREFIX, with their licences in PREFIX/licences. OpenBLAS, bzip2 and zlib
-# are the system's, which are under licences that ask for less. What stands there already is kept.
+# with Eigen and glog, into PREFIX, with their licences in PREFIX/licences. RapidJSON's headers come
+# along: not each distribution has them. OpenBLAS, bzip2 and zlib are the system's, which are under
+# licences that ask for less. What stands there already is kept.
 # Needs a C++ compiler, cmake, make, curl, tar, bzip2, xz and OpenBLAS's headers.
 #
 # CHOLMOD's modules Supernodal, MatrixOps and Modify and all of SPQR are under the GPL. Our own code
@@ -100,6 +101,14 @@ build_eigen() {
   [[ -d "$prefix/share/eigen3" ]] || with_cmake eigen -DEIGEN_BUILD_DOC=OFF
 }
 
+# Headers alone.
+build_rapidjson() {
+  fetch rapidjson r/rapidjson/rapidjson_1.1.0+dfsg2.orig.tar.gz \
+    92aa6402743012e5f2c3db17def1ff5273df4f3ca7a8f8ed9f1041d392c14ce7
+  licence rapidjson "$work/rapidjson/license.txt"
+  mkdir -p "$prefix/include" && cp -r "$work/rapidjson/include/rapidjson" "$prefix/include"
+}
+
 build_glog() {
   fetch glog g/google-glog/google-glog_0.6.0.orig.tar.gz \
     8a83bf982f37bb70825df71a9709fa90ea9f4447fb3c099e1d720a439d88bad6
@@ -136,5 +145,6 @@ build_ceres() {
 
 build_cholmod
 build_eigen
+build_rapidjson
 build_glog
 build_ceres

@@ -5,12 +5,13 @@
 
 #include <filesystem>
 #include <string>
+#include <string_view>
 #include <system_error>
 #include <utility>
 #include <vector>
 
+#include "bindings/columns.h"
 #include "bindings/file_access.h"
-#include "bindings/immutable_array.h"
 #include "core/io/input_file.h"
 #include "core/io/point_tracks.h"
 
@@ -18,18 +19,6 @@ namespace py = pybind11;
 
 namespace bundle {
 namespace {
-
-template <typename T>
-py::array Column(std::vector<T> values) {
-  const auto count = static_cast<py::ssize_t>(values.size());
-  return ToImmutableNumpy(std::move(values), {count});
-}
-
-template <typename T>
-py::array Rows(std::vector<T> values, py::ssize_t width) {
-  const auto count = static_cast<py::ssize_t>(values.size()) / width;
-  return ToImmutableNumpy(std::move(values), {count, width});
-}
 
 /// Calls `read(path, on_block)` without the GIL and returns the tracks by name.
 template <typename Read>
@@ -65,9 +54,19 @@ py::dict ReadPoints(const py::object& path, int64_t skip, int64_t num_lines, int
 }
 
 py::dict ReadCsv(const py::object& path, const std::vector<std::string>& images,
-                 const std::vector<std::string>& tracks, const py::object& progress) {
+                 const py::bytes& names, const py::array_t<int64_t>& ends,
+                 const py::object& progress) {
+  const auto text = static_cast<std::string_view>(names);
+  std::vector<std::string_view> tracks;
+  tracks.reserve(static_cast<size_t>(ends.size()));
+  size_t begin = 0;
+  for (py::ssize_t k = 0; k < ends.size(); ++k) {
+    const auto end = static_cast<size_t>(ends.at(k));
+    tracks.push_back(text.substr(begin, end - begin));
+    begin = end;
+  }
   return ReadTracks(path, progress, [&](const auto& file, const auto& on_block) {
-    return ReadTracksCsv(file, images, tracks, on_block);
+    return ReadTracksCsv(file, {images.begin(), images.end()}, tracks, on_block);
   });
 }
 
@@ -78,6 +77,6 @@ void BindPointTracks(py::module_& m) {
   m.def("read_point_tracks", &bundle::ReadPoints, py::arg("path"), py::arg("skip"),
         py::arg("num_lines"), py::arg("num_images"), py::arg("num_points"),
         py::arg("progress") = py::none());
-  m.def("read_tracks_csv", &bundle::ReadCsv, py::arg("path"), py::arg("images"), py::arg("tracks"),
-        py::arg("progress") = py::none());
+  m.def("read_tracks_csv", &bundle::ReadCsv, py::arg("path"), py::arg("images"), py::arg("names"),
+        py::arg("ends"), py::arg("progress") = py::none());
 }

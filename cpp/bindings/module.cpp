@@ -9,6 +9,7 @@ namespace py = pybind11;
 void BindCameras(py::module_& m);
 void BindProblem(py::module_& m);
 void BindBal(py::module_& m);
+void BindJsonModels(py::module_& m);
 void BindPointTracks(py::module_& m);
 void BindColmap(py::module_& m);
 void BindColmapRecords(py::module_& m);
@@ -39,6 +40,7 @@ PYBIND11_MODULE(_core, m) {
   BindCameras(m);
   BindProblem(m);
   BindBal(m);
+  BindJsonModels(m);
   BindPointTracks(m);
   BindColmap(m);
   BindColmapRecords(m);

@@ -154,8 +154,17 @@ def read_point_tracks(
 def read_tracks_csv(
     path: str | os.PathLike[str],
     images: list[bytes],
-    tracks: list[bytes],
+    names: bytes,
+    ends: NDArray[np.int64],
     progress: Callable[[int], None] | None = None,
+) -> dict[str, Any]: ...
+
+# bind_json_models.cpp; structs of core/io/json_models.h by name
+def read_openmvg(
+    path: str | os.PathLike[str], progress: Callable[[int], None] | None = None
+) -> dict[str, Any]: ...
+def read_opensfm(
+    path: str | os.PathLike[str], entry: int, progress: Callable[[int], None] | None = None
 ) -> dict[str, Any]: ...
 
 # bind_colmap.cpp

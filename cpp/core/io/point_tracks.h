@@ -14,6 +14,7 @@
 #include <filesystem>
 #include <functional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 namespace bundle {
@@ -43,8 +44,9 @@ PointTracks ReadPointTracks(const std::filesystem::path& path, int64_t skip, int
 
 /// Reads the observations of tracks.csv whose image and track are listed; indices are positions in
 /// these lists.
-PointTracks ReadTracksCsv(const std::filesystem::path& path, const std::vector<std::string>& images,
-                          const std::vector<std::string>& tracks,
+PointTracks ReadTracksCsv(const std::filesystem::path& path,
+                          const std::vector<std::string_view>& images,
+                          const std::vector<std::string_view>& tracks,
                           const std::function<void()>& on_block);
 
 }  // namespace bundle

@@ -25,7 +25,13 @@ import bundle._core as _core
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.io.formats.image_sizes import UNKNOWN_SIZES, image_sizes
-from bundle.io.formats.imported_model import Imported, checked_rotations, poses_of, unique_keys
+from bundle.io.formats.imported_model import (
+    Imported,
+    checked_rotations,
+    pixels,
+    poses_of,
+    unique_keys,
+)
 from bundle.io.formats.read_options import ReadOptions
 from bundle.io.formats.text_numbers import Head
 from bundle.model.problem import Problem
@@ -161,7 +167,7 @@ def _imported(
             "points": tracks["points"],
             "observation_image": image,
             "observation_point": tracks["point"],
-            "observation_xy": center[image] + tracks["xy"] * np.array([1.0, -1.0]),
+            "observation_xy": pixels(tracks["xy"], image, (1.0, -1.0), center),
             **({} if key is None else {"observation_keypoint": key}),
             "format": "bundler",
         },

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.arrays import freeze
 from bundle.errors import InputError, shown
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.imported_source import ImportedSource
@@ -25,10 +26,11 @@ from bundle.model.rotations import quaternion_from_matrix
 
 __all__ = [
     "Imported",
+    "all_differ",
     "by_camera",
     "checked_rotations",
+    "pixels",
     "poses_of",
-    "rounded_colors",
     "unique_keys",
 ]
 
@@ -77,15 +79,19 @@ class Imported:
             InputError: a value is invalid, or the reprojection errors do not agree.
         """
         try:
-            problem = Problem(**self.fields)
+            problem = Problem(**_frozen(self.fields))
         except InputError as error:
             raise InputError(f"{shown(self.path)}: {error}") from None
         theirs, ours = self._errors(problem), _core.reprojection_errors(problem, 0, "auto")[0]
         defined = np.isfinite(theirs) & np.isfinite(ours)
         if not defined.all():
             theirs, ours = theirs[defined], ours[defined]
+        del defined
         source_rmse, rmse = _rmse(theirs), _rmse(ours)
-        for name, one, other in (("RMSE", source_rmse, rmse), ("median", *_medians(theirs, ours))):
+        for name, one, other in (
+            ("RMSE", source_rmse, rmse),
+            ("median", _median(theirs), _median(ours)),
+        ):
             if not abs(one - other) <= AGREEMENT * max(1.0, one) + self.fit_error:
                 raise InputError(
                     f"{shown(self.path)}: expected the same reprojection error ({name}) by the "
@@ -124,11 +130,14 @@ def by_camera(
         camera: (n,) index of the camera of each point.
         points: (n, 3) points in the frames of their images.
     """
+    if len(projections) == 1:
+        return projections[0](points)
     result = np.empty((len(points), 2))
-    for row, projection in enumerate(projections):
-        mine = camera == row
-        if mine.any():
-            result[mine] = projection(points[mine])
+    order = np.argsort(camera, kind="stable")
+    ends = np.searchsorted(camera[order], np.arange(len(projections) + 1))
+    for row in np.flatnonzero(np.diff(ends)).tolist():
+        mine = order[ends[row] : ends[row + 1]]
+        result[mine] = projections[row](points[mine])
     return result
 
 
@@ -137,10 +146,35 @@ def _rmse(errors: Array) -> float:
         return float(np.sqrt(errors @ errors / len(errors))) if len(errors) else 0.0
 
 
-def _medians(one: Array, other: Array) -> tuple[float, float]:
-    if not len(one):
-        return 0.0, 0.0
-    return float(np.median(one)), float(np.median(other))
+def _median(errors: Array) -> float:
+    """Return the median; reorder the errors."""
+    return float(np.median(errors, overwrite_input=True)) if len(errors) else 0.0
+
+
+def _frozen(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields whose arrays, which have no other owner, are immutable without a copy."""
+    return {
+        name: freeze(value) if isinstance(value, np.ndarray) and value.flags.owndata else value
+        for name, value in fields.items()
+    }
+
+
+def pixels(measured: Array, image: NDArray[np.int32], scale: Any, center: Array) -> Array:
+    """Return ``center + scale * measured`` by image.
+
+    Args:
+        measured: (num_observations, 2) positions in the unit and axes of the format.
+        image: (num_observations,) image of each observation.
+        scale: (num_images, 2) or (2,) pixels per unit, negative for an axis that points back.
+        center: (num_images, 2) pixel of the origin.
+    """
+    scales = np.broadcast_to(np.asarray(scale, float), center.shape)
+    result = np.empty_like(measured)
+    for begin in range(0, len(image), _CHUNK):
+        part = slice(begin, begin + _CHUNK)
+        np.multiply(measured[part], scales[image[part]], out=result[part])
+        result[part] += center[image[part]]
+    return result
 
 
 def checked_rotations(matrices: Array, place: Callable[[int], str]) -> Array:
@@ -173,6 +207,12 @@ def poses_of(rotations: Array, translations: Array) -> Array:
     return np.column_stack([quaternion_from_matrix(rotations), translations])
 
 
+def all_differ(values: NDArray[Any]) -> bool:
+    """Return True if no value occurs twice."""
+    ordered = np.sort(values)
+    return not (ordered[1:] == ordered[:-1]).any()
+
+
 def unique_keys(image: NDArray[np.int32], key: NDArray[np.int32]) -> NDArray[np.int32] | None:
     """Return the keypoint indices, or None if the file does not number its keypoints.
 
@@ -180,11 +220,4 @@ def unique_keys(image: NDArray[np.int32], key: NDArray[np.int32]) -> NDArray[np.
     """
     if not len(key) or key.min() < 0:
         return None
-    pairs = image.astype(np.int64) << 32 | key
-    pairs.sort()
-    return None if (pairs[1:] == pairs[:-1]).any() else key
-
-
-def rounded_colors(colors: Array) -> NDArray[np.uint8]:
-    """Return colours (n, 3) of numbers from 0 to 255."""
-    return np.rint(np.clip(np.nan_to_num(colors), 0, 255)).astype(np.uint8)
+    return key if all_differ(image.astype(np.int64) << 32 | key) else None

@@ -1,13 +1,10 @@
-"""Values of JSON files with their places, for messages."""
+"""Values of JSON with their places, for messages."""
 
 from __future__ import annotations
 
-import gc
 import json
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -15,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError, brief, shown
-from bundle.io.formats.text_numbers import open_binary
 
-__all__ = ["Node", "read_json", "rows_of", "uncollected", "whole_numbers"]
+__all__ = ["Node", "parsed"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,36 +103,6 @@ def _keys(value: dict[str, Any]) -> str:
     return brief(", ".join(value)) if value else "an empty object"
 
 
-def rows_of(rows: Iterable[Any], width: int) -> NDArray[np.float64]:
-    """Return (n, width) finite numbers of lists.
-
-    Raises:
-        ValueError, TypeError, OverflowError: a list has another length, or other values.
-    """
-    lists = list(rows)
-    flat = list(chain.from_iterable(lists))
-    array = np.array(flat, float).reshape(-1, width)
-    if not (set(map(len, lists)) <= {width} and set(map(type, flat)) <= {int, float}):
-        raise ValueError
-    if not np.isfinite(array).all():
-        raise ValueError
-    return array
-
-
-def whole_numbers(values: Iterable[Any], most: int) -> list[int]:
-    """Return whole numbers from 0 to ``most``.
-
-    Raises:
-        ValueError: a value is another.
-    """
-    numbers = list(values)
-    if not set(map(type, numbers)) <= {int} or not (
-        min(numbers, default=0) >= 0 and max(numbers, default=0) <= most
-    ):
-        raise ValueError
-    return numbers
-
-
 def _flat(value: Any, shape: tuple[int, ...]) -> list[float] | None:
     """Return the numbers of nested lists of a shape; None for other values."""
     if not shape:
@@ -148,37 +114,13 @@ def _flat(value: Any, shape: tuple[int, ...]) -> list[float] | None:
     return None if None in parts else [number for part in parts for number in part or ()]
 
 
-@contextmanager
-def uncollected() -> Iterator[None]:
-    """Pause the collection of cycles: millions of new objects without cycles would trigger it."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()
-
-
-def read_json(path: Path) -> Node:
-    """Read a JSON file, plain or compressed.
+def parsed(text: bytes, path: Path) -> Node:
+    """Return the value of a JSON text that the core has read from a file.
 
     Raises:
-        InputError: the file is not JSON; the message has the line.
-        OSError: the file cannot be read.
+        InputError: the text has a number that is not JSON's.
     """
     try:
-        with open_binary(path) as file:
-            text = file.read()
-    except EOFError as error:
-        raise InputError(f"{shown(path)}: expected complete data, found {error}") from None
-    try:
-        with uncollected():
-            return Node(json.loads(text), shown(path))
-    except json.JSONDecodeError as error:
-        raise InputError(
-            f"{shown(path)}:{error.lineno}: expected JSON, found an error in column "
-            f"{error.colno} ({error.msg})"
-        ) from None
-    except (UnicodeDecodeError, RecursionError, ValueError) as error:
+        return Node(json.loads(text), shown(path))
+    except (RecursionError, ValueError) as error:
         raise InputError(f"{shown(path)}: expected JSON, found {brief(str(error))}") from None

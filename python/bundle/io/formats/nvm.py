@@ -25,7 +25,7 @@ from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.io.formats.fitted_lens import NUM_RADII, fitted_lens
 from bundle.io.formats.image_sizes import UNKNOWN_SIZES, image_sizes
-from bundle.io.formats.imported_model import Imported, unique_keys
+from bundle.io.formats.imported_model import Imported, pixels, unique_keys
 from bundle.io.formats.read_options import ReadOptions
 from bundle.io.formats.text_numbers import Head, number_of
 from bundle.model.problem import Problem
@@ -159,7 +159,7 @@ def _imported(
             "points": tracks["points"],
             "observation_image": image,
             "observation_point": tracks["point"],
-            "observation_xy": center[image] + xy,
+            "observation_xy": pixels(xy, image, (1.0, 1.0), np.array(center, float)),
             **({} if key is None else {"observation_keypoint": key}),
             "format": "nvm",
         },

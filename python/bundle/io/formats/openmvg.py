@@ -13,24 +13,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
-from itertools import chain
-from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+import bundle._core as _core
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.io.formats.imported_model import (
     Imported,
+    all_differ,
     by_camera,
     checked_rotations,
     poses_of,
     unique_keys,
 )
-from bundle.io.formats.json_fields import Node, read_json, rows_of, uncollected, whole_numbers
+from bundle.io.formats.json_fields import Node, parsed
 from bundle.io.formats.openmvg_cameras import KINDS, MvgCamera, as_model, project, read_camera
 from bundle.io.formats.read_options import ReadOptions
 from bundle.model.problem import Problem
@@ -49,15 +49,6 @@ class _View(NamedTuple):
     pose: int
 
 
-class _Structure(NamedTuple):
-    ids: list[int]
-    points: Array
-    point: NDArray[np.int32]
-    view: list[int]
-    key: list[int]
-    xy: Array
-
-
 def read(path: Path, options: ReadOptions) -> Problem:
     """Read an OpenMVG scene.
 
@@ -65,14 +56,11 @@ def read(path: Path, options: ReadOptions) -> Problem:
         InputError: the file violates its format.
         OSError: the file cannot be read.
     """
-    node = read_json(path)
+    structure = _core.read_openmvg(path, options.progress)
+    node = parsed(structure["rest"], path)
     views = {key: _view(value) for key, value in _map(node.get("views"))}
     cameras = dict(_intrinsics(node.get("intrinsics")))
     poses = dict(_map(node.get("extrinsics")))
-    with uncollected():
-        structure = _structure(node.find("structure") or Node([], node.place))
-    if options.progress is not None:
-        options.progress(path.stat().st_size)
     return _imported(path, node, views, cameras, poses, structure).problem()
 
 
@@ -117,46 +105,13 @@ def _intrinsics(node: Node) -> Iterator[tuple[int, MvgCamera]]:
         yield key, read_camera(kind, value.get("ptr_wrapper").get("data"))
 
 
-def _structure(node: Node) -> _Structure:
-    """Return points and observations; fast if all entries are valid."""
-    try:
-        landmarks = list(map(itemgetter("value"), node.value))
-        ids = whole_numbers(map(itemgetter("key"), node.value), _MOST_ID)
-        points = rows_of(map(itemgetter("X"), landmarks), 3)
-        seen = list(map(itemgetter("observations"), landmarks))
-        counts = list(map(len, seen))
-        flat = list(chain.from_iterable(seen))
-        views = whole_numbers(map(itemgetter("key"), flat), _MOST_ID)
-        values = list(map(itemgetter("value"), flat))
-        keys = whole_numbers(map(itemgetter("id_feat"), values), _MOST_ID)
-        xy = rows_of(map(itemgetter("x"), values), 2)
-    except (KeyError, TypeError, ValueError, OverflowError, AttributeError):
-        _explain(node)
-        raise
-    if len(set(ids)) < len(ids):
-        _explain(node)
-    point = np.repeat(np.arange(len(ids), dtype=np.int32), counts)
-    return _Structure(ids, points, point, views, keys, xy)
-
-
-def _explain(node: Node) -> None:
-    """Raise the InputError for the first invalid entry of the structure."""
-    for _, value in _map(node):
-        value.get("X").numbers(3)
-        for observation in value.get("observations").entries():
-            observation.get("key").whole(_MOST_ID)
-            seen = observation.get("value")
-            seen.get("id_feat").whole(_MOST_ID)
-            seen.get("x").numbers(2)
-
-
 def _imported(
     path: Path,
     node: Node,
     views: dict[int, _View],
     cameras: dict[int, MvgCamera],
     poses: dict[int, Node],
-    structure: _Structure,
+    structure: dict[str, Any],
 ) -> Imported:
     posed = {
         key: view for key, view in views.items() if view.pose in poses and view.intrinsic in cameras
@@ -167,7 +122,11 @@ def _imported(
         raise InputError(
             f"{node.place}: views: expected each file once, found {brief(twice)} twice"
         )
-    image = _image_of(path, posed, views, structure)
+    count = len(structure["ids"])
+    if not all_differ(structure["ids"]):
+        raise InputError(f"{node.place}: structure: expected each key once, found a key twice")
+    point = np.repeat(np.arange(count, dtype=np.int32), structure["num_views"])
+    image = _image_of(path, posed, views, structure, point)
     camera_ids = list(cameras)
     place = {key: index for index, key in enumerate(camera_ids)}
     image_camera = np.array([place[view.intrinsic] for view in posed.values()], np.int32)
@@ -182,8 +141,8 @@ def _imported(
     params = np.zeros((len(models), max((len(p) for _, p in models), default=1)))
     for row, (_, values) in enumerate(models):
         params[row, : len(values)] = values
-    key = np.array(structure.key, np.int64)
-    keys = unique_keys(image, key.astype(np.int32)) if (key < 2**31).all() else None
+    feature = structure["feature"]
+    keys = unique_keys(image, feature.view(np.int32)) if len(feature) else None
     missing = len(views) - len(posed)
     notes = []
     if missing:
@@ -211,17 +170,17 @@ def _imported(
             "camera_sizes": np.array(
                 [(c.width, c.height) for c in cameras.values()], np.int64
             ).reshape(-1, 2),
-            "points": structure.points,
-            "point_ids": np.array(structure.ids, np.int64),
+            "points": structure["points"],
+            "point_ids": structure["ids"],
             "observation_image": image,
-            "observation_point": structure.point,
-            "observation_xy": structure.xy,
+            "observation_point": point,
+            "observation_xy": structure["xy"],
             **({} if keys is None else {"observation_keypoint": keys}),
             "format": "openmvg",
         },
-        colors=np.zeros((len(structure.ids), 3), np.uint8),
+        colors=np.zeros((len(structure["ids"]), 3), np.uint8),
         project=projection,
-        measured=structure.xy,
+        measured=structure["xy"],
         unit=np.ones(len(posed)),
         notes=notes,
         data={"root_path": node.value.get("root_path", "")},
@@ -229,21 +188,32 @@ def _imported(
 
 
 def _image_of(
-    path: Path, posed: dict[int, _View], views: dict[int, _View], structure: _Structure
+    path: Path,
+    posed: dict[int, _View],
+    views: dict[int, _View],
+    structure: dict[str, Any],
+    point: NDArray[np.int32],
 ) -> NDArray[np.int32]:
     """Return the index of the image of each observation.
 
     Raises:
         InputError: a view is unknown or has no pose.
     """
-    place = {key: index for index, key in enumerate(posed)}
-    image = np.array([place.get(key, -1) for key in structure.view], np.int32)
-    if (image < 0).any():
-        first = int(np.argmax(image < 0))
-        view = structure.view[first]
+    known = np.array(sorted(posed), np.uint32)
+    number = {key: index for index, key in enumerate(posed)}
+    order = np.array([number[key] for key in known.tolist()] or [0], np.int32)
+    seen = structure["view"]
+    place = np.searchsorted(known, seen)
+    np.minimum(place, max(len(known) - 1, 0), out=place)
+    unknown = known[place] != seen if len(known) else np.ones(len(seen), bool)
+    if unknown.any():
+        first = int(np.argmax(unknown))
+        view = int(seen[first])
         why = "has no pose or intrinsics" if view in views else "does not exist"
+        landmark = structure["ids"][point[first]]
         raise InputError(
-            f"{shown(path)}: structure: {structure.ids[structure.point[first]]}: expected "
-            f"observations in views with a pose, found one in view {view}, which {why}"
+            f"{shown(path)}: structure: {landmark}: expected observations in views with a pose, "
+            f"found one in view {view}, which {why}"
         )
+    image: NDArray[np.int32] = order[place]
     return image

@@ -11,8 +11,8 @@ Source: https://opensfm.org/docs/dataset.html and opensfm/io.py.
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import partial
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,15 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.words import plural
-from bundle.errors import InputError, shown
-from bundle.io.formats.imported_model import Imported, by_camera, rounded_colors, unique_keys
-from bundle.io.formats.json_fields import Node, read_json, rows_of
+from bundle.errors import InputError, brief, shown
+from bundle.io.formats.imported_model import (
+    Imported,
+    all_differ,
+    by_camera,
+    pixels,
+    unique_keys,
+)
+from bundle.io.formats.json_fields import Node, parsed
 from bundle.io.formats.opensfm_cameras import SfmCamera, as_model, project, read_camera
 from bundle.io.formats.opensfm_rigs import rig_fields
 from bundle.io.formats.read_options import ReadOptions
@@ -44,23 +50,25 @@ def read(path: Path, options: ReadOptions) -> Problem:
             chosen.
         OSError: a file cannot be read.
     """
-    node = chosen_reconstruction(read_json(path), options.reconstruction)
+    table = _core.read_opensfm(path, max(options.reconstruction or 0, 0), options.progress)
+    node = chosen_reconstruction(parsed(table["rest"], path), options.reconstruction)
     cameras = {name: read_camera(camera) for name, camera in node.get("cameras").items()}
     shots = dict(node.get("shots").items())
-    points = node.find("points") or Node({}, node.place)
-    table = _tracks_file(path)
+    _check_names(node, table)
+    listed = _tracks_file(path)
     tracks = _core.read_tracks_csv(
-        table,
+        listed,
         [name.encode(errors="surrogateescape") for name in shots],
-        [name.encode(errors="surrogateescape") for name in points.keys()],  # noqa: SIM118
+        table["names"],
+        table["ends"],
         options.progress,
     )
-    if shots and points.value and not len(tracks["image"]):
+    if shots and len(table["ends"]) and not len(tracks["image"]):
         raise InputError(
-            f"{shown(table)}: expected observations of the {plural(len(shots), 'shot')} of "
+            f"{shown(listed)}: expected observations of the {plural(len(shots), 'shot')} of "
             f"{shown(path)}, found 0"
         )
-    return _imported(path, node, cameras, shots, points, tracks).problem()
+    return _imported(path, node, cameras, shots, table, tracks).problem()
 
 
 def chosen_reconstruction(node: Node, number: int | None) -> Node:
@@ -104,7 +112,7 @@ def _imported(
     node: Node,
     cameras: dict[str, SfmCamera],
     shots: dict[str, Node],
-    points: Node,
+    table: dict[str, Any],
     tracks: dict[str, Any],
 ) -> Imported:
     names = list(cameras)
@@ -114,7 +122,6 @@ def _imported(
     image_camera = np.array([_camera_of(shot, names) for shot in shots.values()], np.int32)
     poses = np.array([_pose(shot) for shot in shots.values()]).reshape(-1, 7)
     rigs = rig_fields(node, list(shots), image_camera, poses)
-    coordinates, colors = _points(points)
     image, xy, key = tracks["image"], tracks["xy"], unique_keys(tracks["image"], tracks["key"])
     unit = np.array([cameras[names[camera]].size for camera in image_camera], float)
     sizes = np.array([(c.width, c.height) for c in cameras.values()], np.int64).reshape(-1, 2)
@@ -148,16 +155,16 @@ def _imported(
             "camera_models": tuple(models[row].model for row in camera_of_model),
             "camera_params": params[camera_of_model],
             "camera_sizes": sizes[camera_of_model],
-            "points": coordinates,
-            **_point_ids(points.keys()),
+            "points": table["points"],
+            **_point_ids(table["ids"]),
             "observation_image": image,
             "observation_point": tracks["point"],
-            "observation_xy": xy * unit[image][:, None] + center[image],
+            "observation_xy": pixels(xy, image, np.column_stack([unit, unit]), center),
             **({} if key is None else {"observation_keypoint": key}),
             "format": "opensfm",
             **rigs.fields,
         },
-        colors=colors,
+        colors=table["colors"],
         project=projection,
         measured=xy,
         unit=unit,
@@ -201,27 +208,18 @@ def _pose(shot: Node) -> Array:
     return np.concatenate([quaternion_from_vector(rotation[None])[0], translation])
 
 
-def _points(points: Node) -> tuple[Array, NDArray[np.uint8]]:
-    """Return coordinates and colours; fast if all points are valid."""
-    values = points.value.values()
-    try:
-        coordinates = rows_of(map(itemgetter("coordinates"), values), 3)
-    except (KeyError, TypeError, ValueError, OverflowError):
-        for _, point in points.items():
-            point.get("coordinates").numbers(3)
-        raise
-    try:
-        colors = np.array([point["color"] for point in values], float).reshape(-1, 3)
-        if len(colors) != len(values):
-            raise ValueError
-    except (KeyError, TypeError, ValueError, OverflowError):
-        colors = np.zeros((len(values), 3))
-    return coordinates, rounded_colors(colors)
+def _check_names(node: Node, table: dict[str, Any]) -> None:
+    """Refuse points of the same name."""
+    ids, ends = table["ids"], table["ends"].tolist()
+    if len(ids) and all_differ(ids):
+        return
+    names = [table["names"][i:j] for i, j in zip([0, *ends], ends, strict=False)]
+    if len(set(names)) < len(names):
+        twice = next(name for name, count in Counter(names).items() if count > 1)
+        found = brief(twice.decode(errors="replace"))
+        raise InputError(f"{node.place}: points: expected each point once, found {found} twice")
 
 
-def _point_ids(names: list[str]) -> dict[str, NDArray[np.int64]]:
+def _point_ids(ids: NDArray[np.int64]) -> dict[str, NDArray[np.int64]]:
     """Return the names as ids if they are different whole numbers, otherwise nothing."""
-    if not all(name.isascii() and name.isdigit() and len(name) < 18 for name in names):
-        return {}
-    ids = np.array(names, dtype=np.int64) if names else np.empty(0, np.int64)
-    return {"point_ids": ids} if len(np.unique(ids)) == len(ids) else {}
+    return {"point_ids": ids} if len(ids) and all_differ(ids) else {}
