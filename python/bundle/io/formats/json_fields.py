@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError, brief, shown
+from bundle.io.formats.text_numbers import open_binary
 
-__all__ = ["Node", "parsed"]
+__all__ = ["Node", "parsed", "read_json"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,13 +115,32 @@ def _flat(value: Any, shape: tuple[int, ...]) -> list[float] | None:
     return None if None in parts else [number for part in parts for number in part or ()]
 
 
-def parsed(text: bytes, path: Path) -> Node:
-    """Return the value of a JSON text that the core has read from a file.
+def read_json(path: Path) -> Node:
+    """Read a JSON file of any contents, plain or compressed.
 
     Raises:
-        InputError: the text has a number that is not JSON's.
+        InputError: the file is not JSON.
+        OSError: the file cannot be read.
+    """
+    try:
+        with open_binary(path) as file:
+            return parsed(file.read(), path)
+    except EOFError as error:
+        raise InputError(f"{shown(path)}: expected complete data, found {error}") from None
+
+
+def parsed(text: bytes, path: Path) -> Node:
+    """Return the value of a JSON text of a file.
+
+    Raises:
+        InputError: the text is not JSON; the message has the line.
     """
     try:
         return Node(json.loads(text), shown(path))
+    except json.JSONDecodeError as error:
+        raise InputError(
+            f"{shown(path)}:{error.lineno}: expected JSON, found an error in column "
+            f"{error.colno} ({error.msg})"
+        ) from None
     except (RecursionError, ValueError) as error:
         raise InputError(f"{shown(path)}: expected JSON, found {brief(str(error))}") from None
