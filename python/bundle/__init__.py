@@ -61,6 +61,8 @@ if TYPE_CHECKING:
     from bundle.inertial.preintegration.motion_excitation import Excitation, excitation
     from bundle.inertial.preintegration.preintegration import Preintegration, propagate
     from bundle.inertial.preintegration.repropagation import Repropagation
+    from bundle.inertial.tracking.track_images import TrackedImages, track_images
+    from bundle.inertial.tracking.track_recording import Tracking
     from bundle.inertial.two_loops.closure_loop import ClosureLoop
     from bundle.inertial.two_loops.pose_publisher import PosePublisher
     from bundle.inertial.two_loops.window_loop import WindowLoop
@@ -80,6 +82,7 @@ if TYPE_CHECKING:
     from bundle.interface.progress_bar import ProgressBar
     from bundle.interface.scene_options import SceneOptions
     from bundle.interface.summary import Summary
+    from bundle.interface.tracking_options import TrackingOptions
     from bundle.interface.triage_options import TriageOptions
     from bundle.interface.window_options import WindowOptions
     from bundle.io.files import load, reprojection_errors, save
@@ -217,6 +220,9 @@ __all__ = [
     "SyntheticFlight",
     "SyntheticScene",
     "TrackRows",
+    "TrackedImages",
+    "Tracking",
+    "TrackingOptions",
     "Trajectory",
     "TrajectoryError",
     "Triage",
@@ -284,6 +290,7 @@ __all__ = [
     "synthesize",
     "synthesize_flight",
     "to_global_shutter",
+    "track_images",
     "track_rows",
     "triage",
     "two_loops",
@@ -340,6 +347,8 @@ _DEFERRED = {
     "inertial.preintegration.motion_excitation": ("Excitation", "excitation"),
     "inertial.preintegration.preintegration": ("Preintegration", "propagate"),
     "inertial.preintegration.repropagation": ("Repropagation",),
+    "inertial.tracking.track_images": ("TrackedImages", "track_images"),
+    "inertial.tracking.track_recording": ("Tracking",),
     "inertial.two_loops.closure_loop": ("ClosureLoop",),
     "inertial.two_loops.pose_publisher": ("PosePublisher",),
     "inertial.two_loops.window_loop": ("WindowLoop",),
@@ -358,6 +367,7 @@ _DEFERRED = {
     "interface.progress_bar": ("ProgressBar",),
     "interface.scene_options": ("SceneOptions",),
     "interface.summary": ("Summary",),
+    "interface.tracking_options": ("TrackingOptions",),
     "interface.triage_options": ("TriageOptions",),
     "interface.window_options": ("WindowOptions",),
     "io.files": ("load", "reprojection_errors", "save"),

@@ -28,6 +28,8 @@ NEW = (
     *("graphs.pose_graphs.certificate", "interface.progress_bar", "io.formats.registry"),
     *("model.pose_table", "model.rolling_shutter", "model.selection", "interface.environment"),
     *("solving.request", "editing.global_shutter"),
+    *("inertial.tracking.track_images", "inertial.tracking.track_recording"),
+    "interface.tracking_options",
 )
 """Modules of classes that were not there before."""
 

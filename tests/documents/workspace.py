@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import yaml
 from PIL import Image
 
 import bundle
@@ -21,6 +22,7 @@ from tests.editing.merging.halves import halves, whole
 from tests.figures.matplotlib.comparisons import comparison
 from tests.georeference.test_exif_gps import photo
 from tests.graphs.loops.drift import closures_of, drifted_street
+from tests.inertial.images.rendered_flight import CAMERA_FROM_IMU, SMALL, Flight, render
 from tests.io.formats import foreign_files as foreign
 
 REPOSITORY = Path(__file__).parents[2]
@@ -131,6 +133,24 @@ def sequence(folder: Path, data: Path) -> None:
     pose = multiply_poses(inverse_poses(ends[:1]), ends[1:])[0]
     numbers = [*stamps.tolist(), *pose[4:].tolist(), *pose[:4].tolist(), 0.01, 0.1]
     (folder / "closures.csv").write_text(",".join(map(str, numbers)) + "\n")
+    images(folder)
+
+
+def images(folder: Path) -> None:
+    """mav0, three seconds of a rendered flight, and its calibration as Kalibr writes it."""
+    mav = render(Flight(duration=3.0, **SMALL), folder)
+    inner, terms = SMALL["lens"][1][:4], SMALL["lens"][1][4:]
+    camera = {
+        "T_cam_imu": CAMERA_FROM_IMU.tolist(),
+        "camera_model": "pinhole",
+        "distortion_coeffs": list(terms),
+        "distortion_model": "radtan",
+        "intrinsics": list(inner),
+        "resolution": list(SMALL["size"]),
+        "timeshift_cam_imu": 0.0,
+    }
+    (folder / "camchain-imucam.yaml").write_text(yaml.safe_dump({"cam0": camera}))
+    shutil.copy(mav / "imu0" / "sensor.yaml", folder / "imu.yaml")
 
 
 def photographs(folder: Path, data: Path) -> None:

@@ -11,17 +11,12 @@ from importlib.util import find_spec
 
 from bundle.errors import InputError
 
-__all__ = ["has_pycolmap", "require_pycolmap"]
+__all__ = ["has_pycolmap", "require_package", "require_pycolmap"]
 
 
 def has_pycolmap() -> bool:
     """Return True if pycolmap is installed; does not import it."""
-    if "pycolmap" in sys.modules:
-        return sys.modules["pycolmap"] is not None
-    try:
-        return find_spec("pycolmap") is not None
-    except (ImportError, ValueError):
-        return False
+    return _is_installed("pycolmap")
 
 
 def require_pycolmap(purpose: str) -> None:
@@ -33,8 +28,31 @@ def require_pycolmap(purpose: str) -> None:
     Raises:
         InputError: it is not installed.
     """
-    if not has_pycolmap():
+    require_package("pycolmap", "pycolmap", purpose)
+
+
+def require_package(module: str, package: str, purpose: str) -> None:
+    """Check that a package is installed; does not import it.
+
+    Args:
+        module: name that is imported.
+        package: name that pip installs.
+        purpose: what needs it, for the message.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    if not _is_installed(module):
         raise InputError(
-            f"{purpose}: expected the package pycolmap, found that it is not installed; "
-            "pip install pycolmap"
+            f"{purpose}: expected the package {package}, found that it is not installed; "
+            f"pip install {package}"
         )
+
+
+def _is_installed(module: str) -> bool:
+    if module in sys.modules:
+        return sys.modules[module] is not None
+    try:
+        return find_spec(module) is not None
+    except (ImportError, ValueError):
+        return False

@@ -8,6 +8,7 @@ from bundle.cli.dispatch import GRAPH_FILE, SEVERAL, SHAPE, kind_of_input
 from bundle.cli.flags_by_kind import add_pose_graph_flags
 from bundle.cli.option_flags import add_fields, add_options
 from bundle.cli.path_checks import PathArgument, page_path, reconstruction
+from bundle.cli.recording_flags import add_recording_flags
 from bundle.cli.shared_arguments import (
     add_georeference,
     add_input,
@@ -37,6 +38,7 @@ def add_info(parser: Parser) -> None:
     add_input(parser, "inputs", nargs="+")
     add_input_format(parser)
     add_rig_config(parser)
+    add_recording_flags(parser)
     parser.set_defaults(kind=lambda _: SEVERAL)
 
 

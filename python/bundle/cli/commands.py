@@ -30,6 +30,7 @@ from bundle.cli.path_checks import (
     telemetry_path,
     trajectory_path,
 )
+from bundle.cli.recording_flags import add_recording_flags
 from bundle.cli.shared_arguments import (
     CONTROL_POINTS,
     POSITIONS,
@@ -176,8 +177,9 @@ def _vio(parser: Parser) -> None:
         "sequence",
         metavar="SEQUENCE",
         type=reconstruction,
-        help="a folder with imu.csv, tracks.csv and calibration.yaml, or a table of both that "
-        "bundle convert reads",
+        help="images and IMU samples: EuRoC's or TUM-VI's mav0 or its parent; or tracks in place "
+        "of images: a folder with imu.csv, tracks.csv and calibration.yaml, or a table of both "
+        "that bundle convert reads",
     )
     parser.add_argument(
         "-o",
@@ -231,6 +233,7 @@ def _vio(parser: Parser) -> None:
         action="store_true",
         help="replay at the rate of the sensors and report how late the poses are",
     )
+    add_recording_flags(parser)
     add_options(parser, "WindowOptions", "the window")
 
 
@@ -239,6 +242,7 @@ def _convert(parser: Parser) -> None:
     add_output(parser, "output")
     add_input_format(parser)
     add_rig_config(parser)
+    add_recording_flags(parser)
     add_options(parser, "LensOptions", "cameras of OUTPUT")
     parser.add_argument(
         "--global-shutter",

@@ -15,6 +15,7 @@ from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import check_replaced, publish, same_images
 from bundle.cli.problem_edits import cameras_edited, with_rigs
 from bundle.cli.progress import Progress
+from bundle.cli.recording_flags import refuse_recording_flags
 from bundle.cli.shared_arguments import read_options
 from bundle.errors import shown
 from bundle.interface.camera_edit_options import LensOptions
@@ -30,6 +31,7 @@ __all__ = ["run"]
 
 def run(arguments: argparse.Namespace) -> int:
     """Write INPUT in another format."""
+    refuse_recording_flags(arguments)
     source, path = arguments.input, arguments.output
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")

@@ -10,6 +10,7 @@ from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.output import publish
 from bundle.cli.problem_edits import with_rigs
 from bundle.cli.progress import Progress
+from bundle.cli.recording_flags import refuse_recording_flags
 from bundle.cli.shared_arguments import READING, given_of, read_options
 from bundle.errors import shown
 from bundle.io.open import load
@@ -35,6 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def describe_reconstruction(path: str, arguments: argparse.Namespace, progress: Progress) -> Report:
     """Return the report of `bundle info` on a reconstruction."""
+    refuse_recording_flags(arguments)
     problem = with_rigs(load(path, progress.text, read_options(arguments)), arguments.rig_config)
     progress.stage("counting")
     description = describe(problem)

@@ -11,6 +11,7 @@ from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.flags_by_kind import refuse_flags_of_reconstructions
 from bundle.cli.output import check_replaced, publish
 from bundle.cli.progress import Progress
+from bundle.cli.recording_flags import RECORDING, given_sequence
 from bundle.errors import shown
 from bundle.inertial.vio.sequence_statistics import sequence_statistics
 from bundle.io.recognition import sequence_format
@@ -26,22 +27,26 @@ from bundle.reports.terminal.sequence_tables import described_sequence
 __all__ = ["convert", "describe"]
 
 
-def describe(path: str, arguments: argparse.Namespace, _progress: Progress) -> Report:
+def describe(path: str, arguments: argparse.Namespace, progress: Progress) -> Report:
     """Return the report of `bundle info` on a sequence."""
-    refuse_flags_of_reconstructions(arguments)
-    sequence, findings = read_sequence(path)
-    statistics = sequence_statistics(sequence)
-    return described_sequence(path, sequence_format(path), sequence, statistics, findings)
+    refuse_flags_of_reconstructions(arguments, RECORDING)
+    given = given_sequence(path, arguments, progress)
+    statistics = sequence_statistics(given.sequence)
+    format = sequence_format(path)
+    return described_sequence(
+        path, format, given.sequence, statistics, given.findings, given.tracking
+    )
 
 
 def convert(arguments: argparse.Namespace) -> int:
     """Write a sequence as a folder."""
-    refuse_flags_of_reconstructions(arguments)
+    refuse_flags_of_reconstructions(arguments, RECORDING)
     source, target = arguments.input, arguments.output
     check_sequence_target(target)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
-        sequence = read_sequence(source)[0]
+        given = given_sequence(source, arguments, progress)
+        sequence = given.sequence
 
         def is_same(path: Path) -> bool:
             there = read_sequence(path)[0]
@@ -50,6 +55,7 @@ def convert(arguments: argparse.Namespace) -> int:
         check_replaced(target, [source], arguments.overwrite, is_same)
         progress.stage(f"writing {shown(target)}")
         save_sequence(sequence, target)
-    report = converted_sequence(source, sequence_format(source), sequence, target)
+    format = sequence_format(source)
+    report = converted_sequence(source, format, sequence, target, given.findings, given.tracking)
     publish(report, arguments)
     return EXIT_DONE

@@ -72,7 +72,7 @@ def add_input(
             "file (all plain, .gz or .bz2), an OpenSfM project or, "
             "for info, refine, compare, inspect, diagnose, covariance and convert, a pose graph "
             "(g2o, plain, .gz or .bz2), or, for info and convert, the folder of a visual-inertial "
-            "sequence; the format is detected automatically"
+            "sequence or of its images (mav0); the format is detected automatically"
         ),
     )
 

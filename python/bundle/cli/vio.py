@@ -14,6 +14,7 @@ from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import publish
 from bundle.cli.progress import Progress
+from bundle.cli.recording_flags import given_sequence
 from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
 from bundle.inertial.two_loops.closure_files import load_closures
@@ -24,7 +25,6 @@ from bundle.inertial.vio.trajectory_comparison import compare_trajectories, cove
 from bundle.interface.window_options import WindowOptions
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.recognition import sequence_format
-from bundle.io.sequences.sequence_folder import read_sequence, refuse_fatal
 from bundle.io.sequences.trajectory_files import load_trajectory, save_tum
 from bundle.model.sequence.sequence import Sequence
 from bundle.reports.terminal.two_loops_tables import with_loops
@@ -44,8 +44,9 @@ def run(arguments: argparse.Namespace) -> int:
     options = options_given(arguments, WindowOptions)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
-        sequence, findings = read_sequence(source)
-        refuse_fatal(findings)
+        given = given_sequence(source, arguments, progress)
+        sequence = given.sequence
+        given.refuse_fatal()
         truth = None
         if arguments.ground_truth is not None:
             truth = load_trajectory(arguments.ground_truth)
@@ -85,7 +86,16 @@ def run(arguments: argparse.Namespace) -> int:
     wall = perf_counter() - started
     written = target if result.is_usable else None
     report = odometry_report(
-        source, sequence_format(source), sequence, result, error, written, wall, findings, waiting
+        source,
+        sequence_format(source),
+        sequence,
+        result,
+        error,
+        written,
+        wall,
+        given.findings,
+        waiting,
+        given.tracking,
     )
     if loops is not None:
         path = arguments.publish if result.is_usable else None

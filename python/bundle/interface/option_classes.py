@@ -33,6 +33,7 @@ OPTION_CLASSES = {
     "SceneOptions": "scene_options",
     "ShapeOptions": "inspect_options",
     "SolveOptions": "options",
+    "TrackingOptions": "tracking_options",
     "TriageOptions": "triage_options",
     "ValidationOptions": "validation_options",
     "WindowOptions": "window_options",

@@ -16,10 +16,13 @@ from bundle.io.python_objects import is_python_object
 
 __all__ = [
     "OUTPUT_FORMATS",
+    "RECORDINGS",
     "SEQUENCE_FILES",
     "Kind",
     "imported_format",
     "is_pose_graph_file",
+    "is_recording",
+    "mav_root",
     "other_format_at",
     "recognize",
     "reconstruction_at",
@@ -59,6 +62,8 @@ _BEGINNINGS = {
 }
 """First bytes of files in formats that this package does not read."""
 SEQUENCE_FILES = ("imu.csv", "tracks.csv", "calibration.yaml")
+RECORDINGS = {"mav": "a folder with cam0 and imu0"}
+"""Sequences with images in place of tracks."""
 
 
 class Kind(StrEnum):
@@ -143,9 +148,10 @@ def other_format_at(path: Path) -> str | None:
 
 
 def sequence_at(path: object) -> str | None:
-    """Return "sequence" for the folder of a visual-inertial sequence, "track csv", or None.
+    """Return the format of a visual-inertial sequence, or None.
 
-    A track csv is the format in which GTSAM's examples store the EuRoC flights.
+    "sequence": a folder with tracks; "track csv": the format in which GTSAM's examples store the
+    EuRoC flights; one of ``RECORDINGS``: images and samples.
     """
     if not isinstance(path, str | os.PathLike):
         return None
@@ -155,16 +161,33 @@ def sequence_at(path: object) -> str | None:
             found = [name for name in SEQUENCE_FILES if (place / name).is_file()]
             if found == ["tracks.csv"] and format_at(place, b"", others=False) is not None:
                 return None  # a project of OpenSfM
-            return "sequence" if found else None
+            return "sequence" if found else _recording_folder(place)
         is_table = place.is_file() and _beginning(place).startswith(b"row_type,")
     except (TypeError, ValueError, OSError):
         return None
     return "track csv" if is_table else None
 
 
+def is_recording(path: object) -> bool:
+    """Return True for images and samples, in which features have to be tracked first."""
+    return sequence_at(path) in RECORDINGS
+
+
 def sequence_format(path: object) -> str:
-    """Return the format's name in reports: "track_csv" for GTSAM's file, otherwise "sequence"."""
-    return "track_csv" if sequence_at(path) == "track csv" else "sequence"
+    """Return the format's name in reports: "track_csv", "mav", ..., otherwise "sequence"."""
+    return (sequence_at(path) or "sequence").replace(" ", "_")
+
+
+def mav_root(path: Path) -> Path | None:
+    """Return the folder with ``cam0`` or ``imu0``: the path, or ``mav0`` in it; None without."""
+    for folder in (path, path / "mav0"):
+        if any((folder / name / "data.csv").is_file() for name in ("cam0", "imu0")):
+            return folder
+    return None
+
+
+def _recording_folder(place: Path) -> str | None:
+    return "mav" if mav_root(place) is not None else None
 
 
 def _beginning(path: Path) -> bytes:

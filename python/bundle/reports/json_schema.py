@@ -42,6 +42,7 @@ _DEFINED = {
     "reprojection_error": "model.reprojection.ReprojectionError",
     "cause": "judging.triage.cause_words.TriageCause",
     "environment": "interface.environment.Environment",
+    "tracking": "inertial.tracking.track_recording.Tracking",
 }
 """Dataclasses with a definition of their own in the schema."""
 
@@ -80,6 +81,7 @@ def _entries() -> dict[str, dict[str, Schema]]:
     timed = {"wall_time": _SECONDS}
     here = {"environment": {"$ref": "#/$defs/environment"}}
     notes = {"notes": _WORDS}
+    tracking = {"tracking": {"$ref": "#/$defs/tracking"}}
     return {
         "align": {"georeference": _OBJECT, "output": _OUTPUT},
         "check": {
@@ -98,7 +100,7 @@ def _entries() -> dict[str, dict[str, Schema]]:
             **timed,
             **here,
         },
-        "convert": {"output": _OUTPUT, "lost": _WORDS},
+        "convert": {"output": _OUTPUT, "lost": _WORDS, **tracking},
         "covariance": {
             **{"options": _OBJECT, "gauge": _TEXT, "scale": _TEXT, "robust": _TEXT},
             **{"sigma0": _NUMBER, "dof": _INTEGER, "cameras": _LIST, "relative": _LIST},
@@ -132,7 +134,7 @@ def _entries() -> dict[str, dict[str, Schema]]:
         "info": {
             **{"cameras": _LIST, "worst_images": _LIST, "suspicions": _LIST, "rigs": _LIST},
             **dict.fromkeys(("track_length", "observations_per_image", "covisibility"), _MAYBE),
-            **{"depths": _MAYBE, "num_repeated_observations": _COUNT},
+            **{"depths": _MAYBE, "num_repeated_observations": _COUNT, **tracking},
             "reprojection_error": {"anyOf": [{"$ref": "#/$defs/reprojection_error"}, _OBJECT]},
         },
         "inspect": {
@@ -176,7 +178,7 @@ def _entries() -> dict[str, dict[str, Schema]]:
         },
         "vio": {
             **{"options": _options("WindowOptions"), "summary": _OBJECT, "output": _OUTPUT},
-            **{"keyframes": records, "error": _MAYBE, **timed, **here},
+            **{"keyframes": records, "error": _MAYBE, **timed, **here, **tracking},
         },
     }
 

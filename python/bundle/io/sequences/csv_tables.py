@@ -120,4 +120,12 @@ def _check_line(
             valid = False
         if not valid:
             sort = "an integer of 64 bits" if index < len(whole) else "a number"
-            raise InputError(f"{place}: {name}: expected {sort}, found {brief(word)}")
+            hint = "; seconds instead of nanoseconds?" if _is_seconds(name, word) else ""
+            raise InputError(f"{place}: {name}: expected {sort}, found {brief(word)}{hint}")
+
+
+def _is_seconds(name: str, word: str) -> bool:
+    try:
+        return name.startswith("timestamp") and 0 <= float(word) < 1e11
+    except ValueError:
+        return False

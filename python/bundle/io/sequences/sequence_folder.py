@@ -22,7 +22,7 @@ from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.file_names import check_name
 from bundle.io.recognition import SEQUENCE_FILES as FILES
-from bundle.io.recognition import sequence_at
+from bundle.io.recognition import is_recording, sequence_at
 from bundle.io.sequences.csv_tables import CsvTable, csv_lines, read_csv
 from bundle.io.sequences.track_csv import read_track_csv
 from bundle.model.sequence.calibration import calibration_text, load_calibration
@@ -89,6 +89,11 @@ def read_sequence(
         return sequence, sequence_findings(
             sequence, lambda row: f"IMU sample {row}", lambda row: f"observation {row}"
         )
+    if is_recording(folder):
+        raise InputError(
+            f"{shown(folder)}: expected a folder with {', '.join(FILES)}, found images: "
+            "bundle.track_images reads them"
+        )
     if folder.exists() and not folder.is_dir():
         raise InputError(
             f"{shown(folder)}: expected a folder with {', '.join(FILES)}, found a file"
@@ -154,7 +159,7 @@ def check_sequence_target(path: str | os.PathLike[str]) -> None:
     if not folder.is_dir():
         raise InputError(f"{shown(path)}: expected a sequence folder or a new path, found a file")
     others = sorted(file.name for file in folder.iterdir() if file.name not in FILES)
-    if others and sequence_at(folder) is None:
+    if others and sequence_at(folder) != "sequence":
         raise InputError(
             f"{shown(path)}: expected a sequence folder, an empty folder or a new path, found a "
             f"folder with other content ({shown(others[0])})"

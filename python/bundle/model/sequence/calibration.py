@@ -15,7 +15,7 @@
     gyro_bias_random_walk: 1.9e-5    # rad/s^2/sqrt(Hz)
     accel_bias_random_walk: 3.0e-3   # m/s^3/sqrt(Hz)
 
-YAML reads ``1e-4``, without a decimal point, as a string. This module converts it to a number.
+YAML reads ``1e-4``, without a decimal point, as a string, which is converted to a number.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.errors import InputError, brief, first_line, nearest, shown
+from bundle.errors import InputError, brief, nearest, shown
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.rotations import quaternion_from_matrix
 from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.yaml_files import finite_numbers, one_number, read_yaml
 
-__all__ = ["Calibration", "calibration_text", "load_calibration"]
+__all__ = ["Calibration", "calibration_text", "load_calibration", "pose_numbers"]
 
 Array = NDArray[np.float64]
 
@@ -78,11 +79,11 @@ class Calibration:
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
-        set_field(self, "camera_from_imu", _pose("camera_from_imu", self.camera_from_imu))
-        params = _numbers("camera_params", self.camera_params)
+        set_field(self, "camera_from_imu", pose_numbers("camera_from_imu", self.camera_from_imu))
+        params = finite_numbers("camera_params", self.camera_params)
         set_field(self, "camera_params", tuple(params.ravel().tolist()))
         for name in (*_POSITIVE, "time_offset"):
-            value = _number(name, getattr(self, name))
+            value = one_number(name, getattr(self, name))
             if name in _POSITIVE and value <= 0:
                 raise InputError(f"{name}: expected a number above 0, found {value:g}")
             set_field(self, name, value)
@@ -112,17 +113,7 @@ def load_calibration(path: Path) -> Calibration:
         InputError: the file is not YAML, lacks a key, or has an unknown key or an invalid value.
         OSError: the file cannot be read.
     """
-    import yaml
-
-    try:
-        content = yaml.safe_load(path.read_bytes())
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f": line {mark.line + 1}" if mark is not None else ""
-        problem = getattr(error, "problem", None) or first_line(error)
-        raise InputError(f"{shown(path)}{place}: expected YAML, found {problem}") from None
-    if not isinstance(content, dict):
-        raise InputError(f"{shown(path)}: expected keys with values, found {brief(content)}")
+    content = read_yaml(path)
     known = [field.name for field in fields(Calibration) if field.name != "noise"] + list(_NOISE)
     for key in content:
         if key not in known:
@@ -137,7 +128,7 @@ def load_calibration(path: Path) -> Calibration:
     if missing:
         raise InputError(f"{shown(path)}: expected the key {missing[0]}; it is missing")
     try:
-        noise = {name: _number(name, content.pop(name)) for name in _NOISE}
+        noise = {name: one_number(name, content.pop(name)) for name in _NOISE}
         return Calibration(noise=ImuNoise(**noise), **content)
     except InputError as error:
         raise InputError(f"{shown(path)}: {error}") from None
@@ -158,8 +149,13 @@ def calibration_text(calibration: Calibration) -> str:
     return text
 
 
-def _pose(name: str, value: Any) -> tuple[float, ...]:
-    found = _numbers(name, value)
+def pose_numbers(name: str, value: Any) -> tuple[float, ...]:
+    """Convert qx qy qz qw tx ty tz, or the rows of a 4x4 matrix, to a pose (7,).
+
+    Raises:
+        InputError: it is no rigid motion; the message begins with ``name``.
+    """
+    found = finite_numbers(name, value)
     if found.shape == (4, 4):
         rotation = found[:3, :3]
         if (
@@ -179,20 +175,3 @@ def _pose(name: str, value: Any) -> tuple[float, ...]:
     if abs(norm - 1) > 1e-15:  # otherwise keep the quaternion's digits
         found[:4] /= norm
     return tuple(found.tolist())
-
-
-def _numbers(name: str, value: Any) -> Array:
-    try:
-        found = np.array(value, dtype=np.float64)  # converts strings such as "1e-4"
-    except (TypeError, ValueError):
-        raise InputError(f"{name}: expected numbers, found {brief(value)}") from None
-    if not np.isfinite(found).all():
-        raise InputError(f"{name}: expected finite numbers, found {brief(value)}")
-    return found
-
-
-def _number(name: str, value: Any) -> float:
-    found = _numbers(name, value)
-    if found.ndim or isinstance(value, bool):
-        raise InputError(f"{name}: expected a number, found {brief(value)}")
-    return float(found)

@@ -8,9 +8,12 @@ from bundle.base.words import contents
 from bundle.editing.cameras.edit_record import CameraEdits
 from bundle.editing.global_shutter import GlobalShutterModel
 from bundle.errors import shown
+from bundle.inertial.tracking.track_recording import Tracking
+from bundle.interface.finding import Finding
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.model.sequence.sequence import Sequence
+from bundle.model.sequence.sequence_findings import SequenceFinding
 from bundle.reports.sections import Report, Section
 from bundle.reports.terminal.camera_edit_rows import edit_data, edit_rows
 from bundle.reports.terminal.inputs import (
@@ -25,6 +28,7 @@ from bundle.reports.terminal.inputs import (
     written,
 )
 from bundle.reports.terminal.shutter_tables import shutter_data, shutter_moves
+from bundle.reports.terminal.tracking import tracking_headline, tracking_section
 
 __all__ = ["converted", "converted_graph", "converted_sequence"]
 
@@ -75,13 +79,39 @@ def converted_graph(
     )
 
 
-def converted_sequence(path: str, format: str, sequence: Sequence, output: str) -> Report:
-    """Return the report on a visual-inertial sequence."""
+def converted_sequence(
+    path: str,
+    format: str,
+    sequence: Sequence,
+    output: str,
+    findings: Sentences[SequenceFinding | Finding] = (),
+    tracking: Tracking | None = None,
+) -> Report:
+    """Return the report on a visual-inertial sequence.
+
+    Args:
+        path: path of the input.
+        format: format of the input.
+        sequence: the sequence.
+        output: path of the folder.
+        findings: suspicious properties of tracked images.
+        tracking: statistics of tracking; None if the input has tracks.
+    """
     wrote = f"Wrote {shown(output)} (visual-inertial sequence)"
+    lost = [] if tracking is None else ["images"]
+    rest = "Nothing is lost." if tracking is None else tracking_headline(tracking)
     return Report(
         command="convert",
         input=about_sequence(path, format, sequence),
-        headline=[f"{wrote}: {contents_of_sequence(sequence)}. Nothing is lost."],
-        sections=[Section(facts=[("input", shown(path))], is_detail=True)],
-        data={"output": {"path": output, "format": "sequence"}, "lost": []},
+        headline=[f"{wrote}: {contents_of_sequence(sequence)}. {rest}"],
+        warnings=[] if tracking is None else [f"{finding.sentence}." for finding in findings],
+        sections=[
+            Section(facts=[("input", shown(path))], is_detail=True),
+            *([] if tracking is None else [tracking_section(sequence, tracking)]),
+        ],
+        data={
+            "output": {"path": output, "format": "sequence"},
+            "lost": lost,
+            **({} if tracking is None else {"tracking": tracking, "findings": findings}),
+        },
     )

@@ -6,11 +6,14 @@ from collections.abc import Sequence as Findings
 
 from bundle.base.words import number, plural
 from bundle.errors import shown
+from bundle.inertial.tracking.track_recording import Tracking
 from bundle.inertial.vio.sequence_statistics import SequenceStatistics
+from bundle.interface.finding import Finding
 from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.sequence_findings import SequenceFinding
 from bundle.reports.sections import Report, Section, Table
 from bundle.reports.terminal.inputs import about_sequence, contents_of_sequence
+from bundle.reports.terminal.tracking import tracking_headline, tracking_section
 
 __all__ = ["described_sequence"]
 
@@ -20,7 +23,8 @@ def described_sequence(
     format: str,
     sequence: Sequence,
     statistics: SequenceStatistics,
-    findings: Findings[SequenceFinding],
+    findings: Findings[SequenceFinding | Finding],
+    tracking: Tracking | None = None,
 ) -> Report:
     """Return the report.
 
@@ -30,6 +34,7 @@ def described_sequence(
         sequence: the sequence.
         statistics: statistics of the sequence.
         findings: suspicious properties of the sequence.
+        tracking: statistics of tracking; None if the sequence has tracks.
     """
     camera = sequence.calibration.camera_model or "normalised image coordinates"
     rest = statistics.static_start
@@ -38,6 +43,7 @@ def described_sequence(
     headline = [
         f"{contents_of_sequence(sequence)} over {sequence.duration:.1f} s.",
         f"Starts {start}; excitation {number(statistics.excitation)} m/s^2: {statistics.verdict}.",
+        *([] if tracking is None else [tracking_headline(tracking)]),
         *([] if wrong else ["Nothing looks wrong."]),
     ]
     rows = [
@@ -80,10 +86,14 @@ def described_sequence(
         input=about_sequence(path, format, sequence),
         headline=headline,
         warnings=wrong,
-        sections=[Section(facts=rows, tables=tables, is_detail=True)],
+        sections=[
+            Section(facts=rows, tables=tables, is_detail=True),
+            *([] if tracking is None else [tracking_section(sequence, tracking)]),
+        ],
         data={
             "calibration": sequence.calibration,
             "statistics": statistics,
             "findings": findings,
+            **({} if tracking is None else {"tracking": tracking}),
         },
     )

@@ -10,15 +10,18 @@ import numpy as np
 from bundle.base.waiting_time import Waiting
 from bundle.base.words import number, plural
 from bundle.errors import shown
+from bundle.inertial.tracking.track_recording import Tracking
 from bundle.inertial.vio.keyframe_record import KeyframeRecord, alarms_by_kind
 from bundle.inertial.vio.odometry import OdometryResult
 from bundle.inertial.vio.trajectory_comparison import TrajectoryError
+from bundle.interface.finding import Finding
 from bundle.model.content_digests import content_digests
 from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.sequence_findings import SequenceFinding
 from bundle.reports.sections import Report, Section, Table, plain
 from bundle.reports.terminal.inputs import about_sequence
 from bundle.reports.terminal.timing import environment_data
+from bundle.reports.terminal.tracking import tracking_headline, tracking_section
 
 __all__ = ["odometry_report", "telemetry_lines"]
 
@@ -31,8 +34,9 @@ def odometry_report(
     error: TrajectoryError | None,
     written: str | None,
     wall_time: float,
-    findings: tuple[SequenceFinding, ...] = (),
+    findings: tuple[SequenceFinding | Finding, ...] = (),
     waiting: Waiting | None = None,
+    tracking: Tracking | None = None,
 ) -> Report:
     """Return start, keyframes, times, alarms, and errors if there is a truth.
 
@@ -46,6 +50,7 @@ def odometry_report(
         wall_time: seconds.
         findings: suspicious properties of the sequence; they precede the alarms.
         waiting: time in which others held the cores.
+        tracking: statistics of tracking; None if the sequence has tracks.
     """
     said = _warnings(result, findings)
     return Report(
@@ -55,12 +60,16 @@ def odometry_report(
             "duration": sequence.duration,
             "digests": content_digests(sequence),
         },
-        headline=_headline(result, error),
+        headline=[
+            *_headline(result, error),
+            *([] if tracking is None else [tracking_headline(tracking)]),
+        ],
         warnings=said,
         sections=[
             *([] if written is None else [Section(facts=[("output", f"{shown(written)} (TUM)")])]),
             *([Section(facts=asked)] if (asked := _certainty(result.keyframes)) else []),
             Section(facts=_facts(source, result, error), is_detail=True),
+            *([] if tracking is None else [tracking_section(sequence, tracking)]),
             Section(tables=[_times(result)], is_detail=True),
         ],
         data={
@@ -77,6 +86,7 @@ def odometry_report(
             "findings": findings,
             "keyframes": [record.asdict() for record in result.keyframes],
             "error": error,
+            **({} if tracking is None else {"tracking": tracking}),
             "wall_time": {
                 "solve": result.solve_time,
                 "total": wall_time,
@@ -177,7 +187,7 @@ def _certainty(records: tuple[KeyframeRecord, ...]) -> list[tuple[str, str]]:
     return rows
 
 
-def _warnings(result: OdometryResult, findings: tuple[SequenceFinding, ...]) -> list[str]:
+def _warnings(result: OdometryResult, findings: tuple[SequenceFinding | Finding, ...]) -> list[str]:
     """Return findings about the sequence, then one sentence per kind of alarm.
 
     The numbers in a sentence are those of the latest alarm of its kind.

@@ -1,0 +1,275 @@
+"""Tracking of corners from image to image, with checks that end wrong tracks.
+
+* New corners: the largest smaller eigenvalue of the structure tensor (Shi and Tomasi, CVPR 1994) in
+  each cell of a grid without a track, if it exceeds a hundredth of that of strong cells.
+* Motion: pyramidal Lucas-Kanade. It starts at the position that the gyroscope's rotation predicts,
+  if the images agree with it better than with no motion (patches of the image reduced by 8).
+  A wrong IMU therefore cannot spoil tracks.
+* Checks, in this order. A track ends if it leaves the usable pixels or its patch is not found; if
+  it does not return to its position when it is tracked back; if an older track is nearer than half
+  a cell; if it is an outlier of an essential matrix (RANSAC on undistorted rays) between
+  consecutive images, or since the image BACK images earlier, whose baseline is longer.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bundle.inertial.tracking.usable_pixels import usable_pixels
+from bundle.interface.tracking_options import TrackingOptions
+from bundle.model.cameras import project
+from bundle.model.pycolmap.lens import normalized
+from bundle.model.sequence.calibration import Calibration
+
+__all__ = ["CHECKS", "FeatureTracker", "Turn"]
+
+Array = np.ndarray[Any, Any]
+
+CHECKS = ("not found", "backward", "crowded", "epipolar")
+"""Checks that end tracks, in their order."""
+
+WINDOW, LEVELS = (21, 21), 3  # of Lucas-Kanade
+BLOCK = 5  # pixels, of the structure tensor
+WEAKEST = 0.01  # of the eigenvalue of strong cells
+BACK = 5  # images
+CONFIDENCE, ITERATIONS = 0.999, 300
+FEWEST = 12  # rays of an essential matrix
+PATCH = 2  # half a patch, in pixels of the reduced image
+
+
+class Turn(NamedTuple):
+    """Rotation of the camera since an earlier image, by tracks: (3, 3), later_from_earlier."""
+
+    earlier: int
+    later: int
+    rotation: Array
+
+
+@dataclass
+class _Features:
+    """Tracks of an image: ids (ascending), pixels (float32) and normalised coordinates."""
+
+    ids: Array = field(default_factory=lambda: np.zeros(0, np.int64))
+    pixels: Array = field(default_factory=lambda: np.zeros((0, 2), np.float32))
+    plane: Array = field(default_factory=lambda: np.zeros((0, 2)))
+
+    def only(self, kept: Array) -> _Features:
+        return _Features(self.ids[kept], self.pixels[kept], self.plane[kept])
+
+
+class FeatureTracker:
+    """Tracker of one camera.
+
+    Args:
+        calibration: calibration with a camera model.
+        size: width and height of images.
+        options: options.
+
+    Attributes:
+        turns: rotations by tracks, one per image with enough tracks.
+        lost: number of tracks that each of ``CHECKS`` ended.
+        num_steps: number of track steps from an image to the next.
+        num_predicted: number of images whose rotation the gyroscope predicted.
+    """
+
+    def __init__(
+        self, calibration: Calibration, size: tuple[int, int], options: TrackingOptions
+    ) -> None:
+        self._calibration, self._options = calibration, options
+        self._mask = usable_pixels(calibration, size)
+        self._cell = max(8.0, float(np.sqrt(size[0] * size[1] / options.num_features)))
+        self._image: Array = np.zeros((0, 0), np.uint8)
+        self._features = _Features()
+        self._earlier: deque[_Features] = deque(maxlen=BACK)
+        self._next_id = 0
+        self._count = 0
+        self.turns: list[Turn] = []
+        self.lost = dict.fromkeys(CHECKS, 0)
+        self.num_steps = 0
+        self.num_predicted = 0
+
+    def add(self, image: Array, turn: Array) -> tuple[Array, Array]:
+        """Track into the next image; return the ids (ascending) and pixels (n, 2) of its tracks.
+
+        Args:
+            image: (height, width) uint8.
+            turn: (3, 3) rotation of the camera since the previous image, by the gyroscope.
+        """
+        if self._count and len(self._features.ids):
+            self._features = self._tracked(image, turn)
+        self._earlier.append(self._features)
+        self._image = image
+        self._count += 1
+        self._refill(image)
+        # new corners belong to this image, too
+        self._earlier[-1] = self._features
+        return self._features.ids, self._features.pixels.astype(np.float64)
+
+    def _tracked(self, image: Array, turn: Array) -> _Features:
+        import cv2
+
+        before = self._features
+        self.num_steps += len(before.ids)
+        settings: dict[str, Any] = {
+            "winSize": WINDOW,
+            "maxLevel": LEVELS,
+            "criteria": (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01),
+            "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
+        }
+        start = self._predicted(image, before, turn)
+        pixels, found, _ = cv2.calcOpticalFlowPyrLK(
+            self._image, image, before.pixels, start.copy(), **settings
+        )
+        back, found_back, _ = cv2.calcOpticalFlowPyrLK(
+            image, self._image, pixels, before.pixels.copy(), **settings
+        )
+        kept = self._usable(pixels) & (found.ravel() > 0)
+        kept = self._end("not found", np.ones(len(kept), bool), kept)
+        distance = np.linalg.norm(back - before.pixels, axis=1)
+        returned = (found_back.ravel() > 0) & (distance <= self._options.max_backward_error)
+        kept = self._end("backward", kept, returned)
+        kept = self._end("crowded", kept, ~_is_crowded(pixels, kept, self._cell / 2))
+        now = _Features(before.ids, pixels, self._plane(pixels)).only(kept)
+        for earlier, number in ((before, 1), (self._earlier[0], len(self._earlier))):
+            fits = self._coplanar(earlier, now, self._count - number)
+            now = now.only(self._end("epipolar", np.ones(len(fits), bool), fits))
+        return now
+
+    def _end(self, check: str, alive: Array, passed: Array) -> Array:
+        """Count the living tracks that a check ends; return those that stay alive."""
+        self.lost[check] += int(np.count_nonzero(alive & ~passed))
+        return alive & passed
+
+    def _plane(self, pixels: Array) -> Array:
+        calibration = self._calibration
+        return normalized(
+            calibration.camera_model or "", calibration.camera_params, pixels.astype(np.float64)
+        )
+
+    def _usable(self, pixels: Array) -> Array:
+        height, width = self._mask.shape
+        near = np.nan_to_num(np.rint(pixels), nan=-1.0).astype(np.int64)
+        inside = ((near >= 0) & (near < [width, height])).all(axis=1)
+        near[~inside] = 0
+        usable: Array = inside & (self._mask[near[:, 1], near[:, 0]] > 0)
+        return usable
+
+    def _predicted(self, image: Array, before: _Features, turn: Array) -> Array:
+        """Return the positions from which tracking starts."""
+        calibration = self._calibration
+        rays = np.column_stack([before.plane, np.ones(len(before.plane))]) @ turn.T
+        xy, valid = project(calibration.camera_model or "", calibration.camera_params, rays)
+        moved = np.where(valid[:, None], xy, before.pixels).astype(np.float32)
+        moved = np.where(self._usable(moved)[:, None], moved, before.pixels)
+        old, new = _reduced(self._image), _reduced(image)
+        sources = _patches(old, before.pixels)
+        still, turned = (_patches(new, at) - sources for at in (before.pixels, moved))
+        if np.abs(turned).mean() >= np.abs(still).mean():
+            return before.pixels
+        self.num_predicted += 1
+        return moved
+
+    def _coplanar(self, earlier: _Features, now: _Features, number: int) -> Array:
+        """Return the tracks that fit an essential matrix since an earlier image."""
+        import cv2
+
+        fits = np.ones(len(now.ids), bool)
+        _, a, b = np.intersect1d(earlier.ids, now.ids, assume_unique=True, return_indices=True)
+        if len(a) < FEWEST:
+            return fits
+        one, other = earlier.plane[a], now.plane[b]
+        essential, inliers = cv2.findEssentialMat(
+            one,
+            other,
+            np.eye(3),
+            method=cv2.RANSAC,
+            prob=CONFIDENCE,
+            threshold=self._options.max_epipolar_error / self._calibration.focal,
+            maxIters=ITERATIONS,
+        )
+        if essential is None or essential.shape != (3, 3):
+            return fits
+        fits[b] = inliers.ravel() > 0
+        if self._count - number == BACK:
+            # Of both rotations, the other is off by half a turn about the baseline.
+            pair = cv2.decomposeEssentialMat(essential)[:2]
+            self.turns.append(Turn(number, self._count, max(pair, key=np.trace)))
+        return fits
+
+    def _refill(self, image: Array) -> None:
+        """Add the best corner of each cell without a track."""
+        import cv2
+
+        height, width = image.shape
+        strength = cv2.cornerMinEigenVal(image, BLOCK)
+        strength[self._mask == 0] = 0.0
+        taken = np.ones((height, width), np.uint8)
+        for x, y in np.rint(self._features.pixels).astype(int).tolist():
+            cv2.circle(taken, (x, y), int(self._cell / 2), 0, -1)
+        corners, values = _best_of_cells(strength, self._cell)
+        strong = WEAKEST * float(np.percentile(values, 90)) if len(values) else 0.0
+        free = (values > max(strong, 1e-9)) & (taken[corners[:, 1], corners[:, 0]] > 0)
+        corners, values = corners[free], values[free]
+        order = np.argsort(-values, kind="stable")
+        corners = corners[order]
+        every = np.ones(len(corners), bool)
+        alone = ~_is_crowded(corners.astype(np.float64), every, self._cell / 2)
+        pixels: Array = corners[alone].astype(np.float32)
+        if len(pixels):
+            criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
+            pixels = cv2.cornerSubPix(image, pixels.copy(), (3, 3), (-1, -1), criteria)
+            pixels = pixels[self._usable(pixels)]
+        ids = self._next_id + np.arange(len(pixels))
+        self._next_id += len(pixels)
+        features = self._features
+        self._features = _Features(
+            np.concatenate([features.ids, ids]),
+            np.concatenate([features.pixels, pixels.astype(np.float32)]),
+            np.concatenate([features.plane, self._plane(pixels)]),
+        )
+
+
+def _best_of_cells(strength: Array, cell: float) -> tuple[Array, Array]:
+    """Return the pixel x, y (n, 2) of the largest value in each cell, and the values (n,)."""
+    height, width = strength.shape
+    rows, columns = max(1, round(height / cell)), max(1, round(width / cell))
+    h, w = height // rows, width // columns
+    cells = strength[: rows * h, : columns * w].reshape(rows, h, columns, w).swapaxes(1, 2)
+    flat = cells.reshape(rows, columns, h * w)
+    best = np.argmax(flat, axis=2)
+    y = best // w + h * np.arange(rows)[:, None]
+    x = best % w + w * np.arange(columns)
+    values = np.take_along_axis(flat, best[..., None], 2)[..., 0]
+    return np.stack([x, y], -1).reshape(-1, 2), values.ravel()
+
+
+def _is_crowded(pixels: Array, alive: Array, distance: float) -> Array:
+    """Return True for pixels nearer than a distance to a living pixel before them."""
+    difference = pixels[:, None] - pixels[None]
+    near = (difference**2).sum(axis=2) < distance**2
+    crowded: Array = np.tril(near & alive[None], -1).any(axis=1)
+    return crowded
+
+
+def _reduced(image: Any) -> Array:
+    """Return the image reduced by 8, as float32."""
+    import cv2
+
+    size = max(1, image.shape[1] // 8), max(1, image.shape[0] // 8)
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.float32)
+
+
+def _patches(small: Array, pixels: Array) -> Array:
+    """Return patches (n, 25) of a reduced image around pixels of the whole one."""
+    import cv2
+
+    steps = np.arange(-PATCH, PATCH + 1, dtype=np.float32)
+    x = (pixels[:, :1] + 0.5) / 8 - 0.5 + np.tile(steps, len(steps))
+    y = (pixels[:, 1:] + 0.5) / 8 - 0.5 + np.repeat(steps, len(steps))
+    at = x.astype(np.float32), y.astype(np.float32)
+    return cv2.remap(small, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -1,0 +1,253 @@
+"""Comparison of two measurements of one rotation: by the tracks and by the gyroscope.
+
+The essential matrix between images i and j gives the rotation of the camera, Exp(c). Integrated
+samples give that of the IMU, Exp(g). A right calibration, with R = rotation of camera_from_imu,
+bias b and T = t_j - t_i, has
+
+    c = R g - T R b.
+
+The share of c that a matrix M leaves unexplained is median |c - M g - T b| / median |c|, with the
+median of c - M g as T b, up to BIAS. Wrong units and axes are other M:
+
+    degrees    R, with samples of pi / 180 of their size
+    inverse    R^T: camera_from_imu was given as imu_from_camera
+    axes       R P, P one of the 47 other signed permutations: axes of the IMU are swapped or
+               reversed, or the IMU is left-handed
+    turned     another rotation (Kabsch, Acta Crystallographica 1976)
+
+The shift of the samples that leaves the least of |c - M g - T b| is the time offset that the tracks
+imply. Its standard deviation follows from the curvature.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations, product
+from typing import Any
+
+import numpy as np
+
+from bundle.inertial.preintegration.preintegration import Preintegration
+from bundle.inertial.tracking.feature_tracker import Turn
+from bundle.inertial.vio.sequence_images import ImuSlices
+from bundle.model.rotations import (
+    quaternion_from_matrix,
+    rotation_matrices,
+    vector_from_quaternion,
+)
+from bundle.model.sequence.recording import Recording
+
+__all__ = ["RotationCheck", "check_rotations"]
+
+Array = np.ndarray[Any, Any]
+
+BIAS = 0.1  # rad/s: largest bias of a gyroscope that is no error
+LEAST_TURN, DEGREE = np.radians(1.0), np.pi / 180
+FEWEST, MOST = 15, 300  # pairs of images
+SHIFTS = 5e-3 * np.arange(-20, 21)  # s
+WRONG, RIGHT = 0.15, 0.25  # shares that reject a matrix, and that a better one must not exceed
+BETTER = 0.5  # share of a better matrix, relative to that of the calibration
+UNKNOWN = 0.5  # share above which no explanation is a finding, too
+AXES = 0.15  # rms rotation about the second axis, relative to the first, for a rotation to follow
+
+
+@dataclass(frozen=True)
+class RotationCheck:
+    """Agreement of tracks and gyroscope.
+
+    Attributes:
+        num_pairs: number of image pairs with enough rotation; 0: nothing can be compared.
+        unexplained: share of the rotation that the calibration leaves unexplained.
+        cause: "" for agreement, "degrees", "inverse", "axes", "turned", or "unknown".
+        cause_unexplained: share that this cause leaves unexplained; nan without one.
+        axes: the IMU's axes for cause "axes", such as "+y -x +z".
+        ratio: median rotation by the gyroscope / by the tracks.
+        angle: angle between the rotation of camera_from_imu and that which tracks imply [degrees].
+        angle_sigma: its standard deviation; nan if the camera turned about one axis only.
+        time_shift: seconds to add to the time offset, by the tracks.
+        time_sigma: its standard deviation; nan if it is not determined.
+    """
+
+    num_pairs: int = 0
+    unexplained: float = float("nan")
+    cause: str = ""
+    cause_unexplained: float = float("nan")
+    axes: str = ""
+    ratio: float = float("nan")
+    angle: float = float("nan")
+    angle_sigma: float = float("nan")
+    time_shift: float = float("nan")
+    time_sigma: float = float("nan")
+
+
+def check_rotations(recording: Recording, turns: list[Turn]) -> RotationCheck:
+    """Compare rotations of image pairs, numbered from the first tracked image."""
+    pairs = _Pairs(recording, turns)
+    if len(pairs.camera) < FEWEST:
+        return RotationCheck()
+    lens = rotation_matrices(np.array(recording.calibration.camera_from_imu)[None, :4])[0]
+    imu = pairs.imu(0.0)
+    cause, matrix, axes = "", lens, ""
+    share = best = pairs.unexplained(lens, imu)
+    if share > WRONG:
+        # A wrong offset of time also disagrees: look for the cause at the best shift.
+        found = []
+        for shift in (0.0, *_likely_shifts(pairs)):
+            moved = pairs.imu(shift)
+            found.append((pairs.unexplained(lens, pairs.imu(shift, DEGREE)), "degrees", lens, ""))
+            for name, each, text in _causes(lens, pairs.camera, moved):
+                found.append((pairs.unexplained(each, moved), name, each, text))
+            found.append((pairs.unexplained(lens, moved), "", lens, ""))
+        order = {"": 0, "degrees": 1, "inverse": 2, "axes": 3, "turned": 4}
+        least = min(entry[0] for entry in found)
+        close = [entry for entry in found if entry[0] <= 1.2 * least + 0.02]
+        best, cause, matrix, axes = min(close, key=lambda entry: (order[entry[1]], entry[0]))
+        if best > min(RIGHT, BETTER * share):
+            cause, matrix, axes = ("unknown" if share > UNKNOWN else ""), lens, ""
+    angle, angle_sigma = _angle(lens, pairs, imu) if not cause else (float("nan"),) * 2
+    is_scaled = cause in ("degrees", "unknown")
+    shift, sigma = (float("nan"),) * 2 if is_scaled else _time_shift(pairs, matrix)
+    return RotationCheck(
+        num_pairs=len(pairs.camera),
+        unexplained=share,
+        cause=cause,
+        cause_unexplained=best if cause and cause != "unknown" else float("nan"),
+        axes=axes,
+        ratio=pairs.ratio(),
+        angle=angle,
+        angle_sigma=angle_sigma,
+        time_shift=shift,
+        time_sigma=sigma,
+    )
+
+
+class _Pairs:
+    """Rotation vectors of image pairs by the tracks, and by samples at a shift of time."""
+
+    def __init__(self, recording: Recording, turns: list[Turn]) -> None:
+        stamps = recording.imu_timestamps_ns
+        self._slices = ImuSlices(stamps, recording.gyro, recording.accel, "midpoint")
+        self._noise = recording.calibration.noise
+        first, _ = recording.covered()
+        times = recording.image_times_ns
+        spans = np.array(
+            [(times[first + each.earlier], times[first + each.later]) for each in turns]
+        ).reshape(-1, 2)
+        vectors = np.zeros((0, 3))
+        if turns:
+            matrices = np.array([each.rotation for each in turns])
+            vectors = vector_from_quaternion(quaternion_from_matrix(matrices))
+        most = round(1e9 * SHIFTS[-1])
+        kept = (spans[:, 0] - most >= stamps[0]) & (spans[:, 1] + most <= stamps[-1])
+        kept &= _norms(vectors) >= LEAST_TURN
+        rows = np.flatnonzero(kept)
+        if len(rows) > MOST:
+            rows = rows[np.linspace(0, len(rows) - 1, MOST).round().astype(int)]
+        self.spans, self.camera = spans[rows], vectors[rows]
+        self.seconds = 1e-9 * float(np.median(np.diff(self.spans))) if len(rows) else 0.0
+
+    def imu(self, shift: float, scale: float = 1.0) -> Array:
+        """Return rotation vectors (n, 3) later_from_earlier of the IMU, of scaled samples."""
+        matrices = []
+        for begin, end in (self.spans + round(1e9 * shift)).tolist():
+            interval = self._slices.between(begin, end)
+            motion = Preintegration(self._noise, rule="midpoint")
+            motion.integrate(scale * interval.gyro, interval.accel, interval.dt)
+            matrices.append(motion.delta_rotation.T)
+        vectors: Array = vector_from_quaternion(quaternion_from_matrix(np.array(matrices)))
+        return vectors
+
+    def ratio(self) -> float:
+        """Return the median size by the gyroscope / by the tracks; a small scale avoids wraps."""
+        sizes = _norms(self.imu(0.0, DEGREE)) / DEGREE
+        return float(np.median(sizes) / np.median(_norms(self.camera)))
+
+    def errors(self, matrix: Array, imu: Array) -> Array:
+        """Return c - M g - T b (n, 3) with the best plausible bias."""
+        errors = self.camera - imu @ matrix.T
+        drift: Array = np.median(errors, axis=0)
+        length = float(np.linalg.norm(drift))
+        most = BIAS * self.seconds
+        left: Array = errors - drift * min(1.0, most / length if length > 0 else 1.0)
+        return left
+
+    def unexplained(self, matrix: Array, imu: Array) -> float:
+        """Return the share of the rotations that a matrix leaves unexplained."""
+        errors = _norms(self.errors(matrix, imu))
+        return float(np.median(errors) / np.median(_norms(self.camera)))
+
+
+def _causes(lens: Array, camera: Array, imu: Array) -> list[tuple[str, Array, str]]:
+    found = [("inverse", lens.T, "")]
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            axes = np.zeros((3, 3))
+            axes[range(3), order] = signs
+            if not np.array_equal(axes, np.eye(3)):
+                words = " ".join("-+"[s > 0] + "xyz"[k] for s, k in zip(signs, order, strict=True))
+                found.append(("axes", lens @ axes, words))
+    return [*found, ("turned", _kabsch(camera, imu), "")]
+
+
+def _kabsch(camera: Array, imu: Array) -> Array:
+    """Return the rotation that takes one set of vectors to the other, with robust weights."""
+    rotation = np.eye(3)
+    weight = np.ones(len(camera))
+    for _ in range(10):
+        u, _, vt = np.linalg.svd((weight[:, None] * camera).T @ imu)
+        rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+        errors = _norms(camera - imu @ rotation.T)
+        weight = 1 / (1 + (errors / max(float(np.median(errors)), 1e-9)) ** 2)
+    return rotation
+
+
+def _angle(lens: Array, pairs: _Pairs, imu: Array) -> tuple[float, float]:
+    """Return the angle to the rotation that tracks imply, and its standard deviation, degrees."""
+    drift = np.median(pairs.camera - imu @ lens.T, axis=0)
+    rotation = _kabsch(pairs.camera - drift, imu)
+    errors = pairs.camera - drift - imu @ rotation.T
+    spread = np.linalg.svd(imu, compute_uv=False)
+    cosine = (float(np.trace(rotation @ lens.T)) - 1) / 2
+    angle = float(np.degrees(np.arccos(min(1.0, max(-1.0, cosine)))))
+    if spread[1] < AXES * spread[0]:
+        return angle, float("nan")
+    # Consecutive pairs share images: about one in five is independent.
+    sigma = 1.48 * float(np.median(np.abs(errors))) * np.sqrt(5.0) / float(spread[1])
+    return angle, float(np.degrees(sigma))
+
+
+def _likely_shifts(pairs: _Pairs) -> list[float]:
+    """Return the shift at which the sizes of rotations, which no axes change, agree best."""
+    sizes = _norms(pairs.camera)
+    scores = []
+    for shift in SHIFTS:
+        turned = _norms(pairs.imu(float(shift)))
+        scores.append(float(np.corrcoef(sizes, turned)[0, 1]) if turned.std() > 0 else -1.0)
+    return [float(SHIFTS[int(np.argmax(scores))])]
+
+
+def _time_shift(pairs: _Pairs, matrix: Array) -> tuple[float, float]:
+    """Return the best shift and its standard deviation by a parabola through the cost."""
+    scale = 1.48 * float(np.median(np.abs(pairs.errors(matrix, pairs.imu(0.0)))))
+    scale = max(scale, 1e-6)
+
+    def cost(shift: float) -> float:
+        errors = pairs.errors(matrix, pairs.imu(shift)) / scale
+        return float(np.log1p((errors**2).sum(axis=1)).sum())
+
+    costs = [cost(float(shift)) for shift in SHIFTS]
+    best = int(np.argmin(costs))
+    if not 0 < best < len(SHIFTS) - 1:
+        return float("nan"), float("nan")
+    before, least, after = costs[best - 1 : best + 2]
+    step = float(SHIFTS[1] - SHIFTS[0])
+    curvature = (before - 2 * least + after) / step**2
+    if curvature <= 0:
+        return float("nan"), float("nan")
+    shift = float(SHIFTS[best]) + (before - after) / (2 * step * curvature)
+    return shift, float(np.sqrt(2 / curvature))
+
+
+def _norms(vectors: Array) -> Array:
+    norms: Array = np.linalg.norm(vectors, axis=1)
+    return norms

@@ -1,0 +1,64 @@
+"""Sequences from images: reading, tracking, and findings."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from bundle.inertial.tracking.track_recording import Tracking, track_recording
+from bundle.inertial.tracking.tracking_findings import tracking_findings
+from bundle.interface.finding import Finding
+from bundle.interface.tracking_options import TrackingOptions
+from bundle.io.sequences.recordings import RecordingSource, read_recording
+from bundle.model.sequence.sequence import Sequence as Tracks
+from bundle.model.sequence.sequence_findings import SequenceFinding, sequence_findings
+
+__all__ = ["TrackedImages", "track_images"]
+
+
+class TrackedImages(NamedTuple):
+    """Sequence with the tracks of its images, statistics of tracking, and findings."""
+
+    sequence: Tracks
+    tracking: Tracking
+    findings: tuple[SequenceFinding | Finding, ...]
+
+
+def track_images(
+    path: str | os.PathLike[str],
+    *,
+    calibration: Sequence[str | os.PathLike[str]] = (),
+    camera: str = "cam0",
+    options: TrackingOptions | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> TrackedImages:
+    """Track features through the images of a recording, such as EuRoC's ``mav0``.
+
+    One image is in memory at a time. The result is the same in every run.
+
+    Args:
+        path: ``mav0`` or its parent.
+        calibration: files in place of those of the recording: ``calibration.yaml``, or Kalibr's
+            ``camchain-imucam.yaml`` and ``imu.yaml``.
+        camera: name of the camera: a folder of mav0, and an entry of a camchain.
+        options: options of tracking.
+        progress: called after each image with the share that is done; None: not called.
+
+    Raises:
+        InputError: a file violates its format, an image is missing or truncated, stamps or units
+            are wrong, or OpenCV is not installed.
+        OSError: a file cannot be read.
+    """
+    recording = read_recording(path, RecordingSource(tuple(calibration), camera))
+    sequence, tracking = track_recording(recording, options or TrackingOptions(), progress)
+    stamps = recording.image_timestamps_ns
+
+    def place(row: int) -> str:
+        return recording.image_place(int(stamps.searchsorted(sequence.track_timestamps_ns[row])))
+
+    found: tuple[SequenceFinding | Finding, ...] = (
+        *tracking_findings(recording, tracking.check),
+        *sequence_findings(sequence, recording.imu_place, place),
+    )
+    return TrackedImages(sequence, tracking, found)

@@ -1,0 +1,128 @@
+"""Tracks through all images of a recording: a recording becomes a sequence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bundle.errors import InputError
+from bundle.inertial.preintegration.preintegration import Preintegration
+from bundle.inertial.tracking.feature_tracker import FeatureTracker
+from bundle.inertial.tracking.rotation_check import RotationCheck, check_rotations
+from bundle.inertial.vio.sequence_images import ImuSlices
+from bundle.interface.tracking_options import TrackingOptions
+from bundle.model.rotations import rotation_matrices
+from bundle.model.sequence.recording import Recording, check_recording
+from bundle.model.sequence.sequence import Sequence
+
+__all__ = ["Tracking", "track_recording"]
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """Statistics of tracking.
+
+    Attributes:
+        num_images: number of images.
+        num_outside: number of other images, before the first IMU sample or after the last.
+        num_tracks: number of tracks with two or more images.
+        mean_track_length: images per such track.
+        tracks_per_image: mean number of them per image.
+        share_lost: share of track steps to the next image that each check ended.
+        share_predicted: share of images whose motion the gyroscope predicted.
+        time_offset: seconds that were added to the stamps of images.
+        check: comparison of the rotations by tracks and gyroscope.
+        notes: sources of the calibration.
+    """
+
+    num_images: int
+    num_outside: int
+    num_tracks: int
+    mean_track_length: float
+    tracks_per_image: float
+    share_lost: dict[str, float]
+    share_predicted: float
+    time_offset: float
+    check: RotationCheck
+    notes: tuple[str, ...]
+
+
+def track_recording(
+    recording: Recording,
+    options: TrackingOptions,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Sequence, Tracking]:
+    """Track features through the images between the IMU samples.
+
+    Args:
+        recording: samples and images.
+        options: options.
+        progress: called after each image with the share that is done; None: not called.
+
+    Raises:
+        InputError: the recording fails a check, an image cannot be read, or tracks are missing.
+        OSError: an image cannot be read.
+    """
+    check_recording(recording)
+    calibration = recording.calibration
+    first, last = recording.covered()
+    times = recording.image_times_ns
+    slices = ImuSlices(
+        recording.imu_timestamps_ns, recording.gyro, recording.accel, "zero_order_hold"
+    )
+    lens = rotation_matrices(np.array(calibration.camera_from_imu)[None, :4])[0]
+    tracker: FeatureTracker | None = None
+    ids: list[Array] = []
+    pixels: list[Array] = []
+    for number, image in enumerate(recording.images(first, last), first):
+        if tracker is None:
+            tracker = FeatureTracker(calibration, (image.shape[1], image.shape[0]), options)
+        turn = np.eye(3)
+        if ids:
+            motion = Preintegration(calibration.noise)
+            interval = slices.between(int(times[number - 1]), int(times[number]))
+            motion.integrate(interval.gyro, interval.accel, interval.dt)
+            turn = lens @ motion.delta_rotation.T @ lens.T
+        found = tracker.add(image, turn)
+        ids.append(found[0])
+        pixels.append(found[1])
+        if progress is not None:
+            progress((number + 1 - first) / (last - first))
+    stamps = recording.image_timestamps_ns[first : first + len(ids)]
+    image_of = np.repeat(np.arange(len(ids)), [len(each) for each in ids])
+    track, xy = np.concatenate(ids), np.concatenate(pixels)
+    _, row, count = np.unique(track, return_inverse=True, return_counts=True)
+    long = count[row] > 1
+    if not long.any() or tracker is None:
+        raise InputError(
+            f"{recording.name}: expected features in several images, found none: images without "
+            "texture, or of different scenes?"
+        )
+    sequence = Sequence(
+        imu_timestamps_ns=recording.imu_timestamps_ns,
+        gyro=recording.gyro,
+        accel=recording.accel,
+        track_timestamps_ns=stamps[image_of[long]],
+        track_ids=track[long],
+        xy=xy[long],
+        calibration=calibration,
+    )
+    kept = count[count > 1]
+    steps = max(1, tracker.num_steps)
+    return sequence, Tracking(
+        num_images=len(ids),
+        num_outside=len(times) - (last - first),
+        num_tracks=len(kept),
+        mean_track_length=float(kept.mean()),
+        tracks_per_image=float(kept.sum()) / len(ids),
+        share_lost={name: lost / steps for name, lost in tracker.lost.items()},
+        share_predicted=tracker.num_predicted / max(1, len(ids) - 1),
+        time_offset=calibration.time_offset,
+        check=check_rotations(recording, tracker.turns),
+        notes=recording.notes,
+    )

@@ -1,0 +1,87 @@
+"""Reading of images as grey values of 8 bits, by OpenCV.
+
+16-bit images (TUM-VI) lose their lower byte. Cameras of 10 or 12 bits in 16-bit files keep their
+upper 8 bits: the first image decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.optional_packages import require_package
+from bundle.errors import InputError, shown
+
+__all__ = ["GreyScale", "grey_images", "require_opencv"]
+
+# first bytes, and bytes near the end of a whole file
+_WHOLE = {b"\x89PNG": b"IEND", b"\xff\xd8\xff": b"\xff\xd9"}
+_TAIL = 4096  # bytes; cameras append data after the end of an image
+
+
+def require_opencv(purpose: str) -> None:
+    """Check that OpenCV is installed.
+
+    Raises:
+        InputError: it is not; the line names the command of pip.
+    """
+    require_package("cv2", "opencv-python-headless", purpose)
+
+
+def grey_images(paths: Sequence[Path], size: tuple[int, int] | None) -> Iterator[NDArray[np.uint8]]:
+    """Yield the images of files; one at a time is in memory.
+
+    Args:
+        paths: files.
+        size: width and height of the calibration; None: unknown.
+
+    Raises:
+        InputError: a file is truncated, is no image, or has another size.
+        OSError: a file cannot be read.
+    """
+    import cv2
+
+    scale = GreyScale()
+    for path in paths:
+        content = path.read_bytes()
+        end = next((end for begin, end in _WHOLE.items() if content.startswith(begin)), b"")
+        if end not in content[-_TAIL:]:
+            raise InputError(f"{shown(path)}: expected a whole image, found a truncated file")
+        image: Any = None
+        if content:
+            flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+            image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+        if image is None:
+            raise InputError(f"{shown(path)}: expected an image, found a file that is none")
+        grey = scale.grey(image)
+        found = grey.shape[1], grey.shape[0]
+        size = size or found
+        if found != size:
+            raise InputError(
+                f"{shown(path)}: expected {size[0]} x {size[1]} pixels as the calibration or the "
+                f"first image has, found {found[0]} x {found[1]}"
+            )
+        yield grey
+
+
+class GreyScale:
+    """Conversion of the images of one camera to 8 bits; the first image decides the scale."""
+
+    def __init__(self) -> None:
+        self._shift: int | None = None
+
+    def grey(self, image: NDArray[Any]) -> NDArray[np.uint8]:
+        """Return an image with values of 8 bits."""
+        if image.dtype == np.uint8:
+            return np.asarray(image, np.uint8)
+        if image.dtype != np.uint16:
+            raise InputError(f"image: expected 8 or 16 bits per value, found {image.dtype}")
+        if self._shift is None:
+            self._shift = max(0, int(image.max()).bit_length() - 8)
+            if self._shift > 4:
+                self._shift = 8
+        return np.asarray(np.minimum(image >> self._shift, 255), np.uint8)
