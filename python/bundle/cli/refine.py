@@ -237,7 +237,12 @@ def _write(
     target = opened.output["path"]
     progress.stage(f"writing {shown(target)}")
     if opened.sliced is None:
-        lost = save(solved.problem, **opened.output, progress=progress.text)
+        refined = solved.problem
+        if georeference is not None:
+            from bundle.georeference.moved_source import with_origin  # late: needs the room
+
+            refined = with_origin(refined, georeference.origin)
+        lost = save(refined, **opened.output, progress=progress.text)
     else:
         lost = opened.sliced.save(Path(target))
     if georeference is not None:

@@ -33,6 +33,7 @@ from bundle.georeference.given_positions import (
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.gps_priors import GPS_SIGMA
 from bundle.georeference.image_index import ImageIndex
+from bundle.georeference.moved_source import with_origin
 from bundle.georeference.other_readings import check_readings
 from bundle.georeference.similarity import moved
 from bundle.georeference.similarity_fit import fit_similarity
@@ -116,7 +117,7 @@ def align(
     if gcps is None and gps is None:
         raise InputError("align: expected control points (gcps), positions (gps) or a model (to)")
 
-    points = with_check_points(given_control_points(gcps), check_points)
+    points = with_check_points(given_control_points(gcps, given), check_points)
     positions = given_gps(gps, images, given)
     survey = Survey(
         given,
@@ -148,7 +149,7 @@ def align(
     names = positions.names if positions is not None else ()
     cameras = fit.predict(survey.cameras)[0]
     return Alignment(
-        moved(given, fit.similarity),
+        with_origin(moved(given, fit.similarity), frame.origin),
         fit.similarity,
         frame.reference_system,
         frame.origin,

@@ -201,7 +201,7 @@ def gcp_priors(
     pixel_sigma = parse_pixel_sigma("gcp_pixel_sigma", gcp_pixel_sigma)
     settings: dict[str, Any] = {"loss": prior_loss, "loss_scale": prior_loss_scale}
     check_settings(antenna, settings)
-    points = with_check_points(given_control_points(gcps), check_points)
+    points = with_check_points(given_control_points(gcps, problem), check_points)
     positions = given_gps(gps, images, problem)
     survey = Survey(
         problem,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle.base.paths import is_path
+from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError, brief, nearest
 from bundle.georeference.control_point import GroundControlPoint
 from bundle.georeference.exif_gps import read_exif_gps
@@ -17,6 +17,7 @@ from bundle.georeference.gcp_list import read_gcp_list
 from bundle.georeference.geo_file import read_geo_file
 from bundle.georeference.gps_positions import GpsPositions, with_fix
 from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.opensfm_frame import is_opensfm, read_opensfm_gcps, read_opensfm_gps
 from bundle.georeference.reference_system import ReferenceSystem
 from bundle.model.problem import Problem
 
@@ -75,7 +76,7 @@ class Frame:
             self.positions = self.origin.to_enu(positions.geodetic)
 
 
-def given_control_points(gcps: Any) -> tuple[GroundControlPoint, ...]:
+def given_control_points(gcps: Any, problem: Problem) -> tuple[GroundControlPoint, ...]:
     """Return control points from objects or from a file; an empty list for None.
 
     Raises:
@@ -85,7 +86,8 @@ def given_control_points(gcps: Any) -> tuple[GroundControlPoint, ...]:
     if gcps is None:
         return ()
     if is_path(gcps):
-        return read_gcp_list(gcps)
+        path = as_path(gcps, "gcps")
+        return read_opensfm_gcps(path, problem) if is_opensfm(path) else read_gcp_list(path)
     try:
         points = tuple(gcps)
     except TypeError:
@@ -143,5 +145,6 @@ def given_gps(
     if gps is None or isinstance(gps, GpsPositions):
         return None if gps is None else with_fix(gps)
     if is_path(gps):
-        return read_geo_file(gps)
+        path = as_path(gps, "gps")
+        return with_fix(read_opensfm_gps(path)) if is_opensfm(path) else read_geo_file(path)
     raise InputError(f'gps: expected "exif", a path or GpsPositions, found {brief(gps)}')

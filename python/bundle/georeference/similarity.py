@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.georeference.moved_source import without_origin
 from bundle.model.problem import Problem
 from bundle.model.rig_arrays import placed
 from bundle.model.rotations import (
@@ -107,7 +108,8 @@ def moved(problem: Problem, similarity: Similarity) -> Problem:
             | changes
         )
     shutter = scaled(problem.rolling_shutter, similarity.scale)
-    return problem.replace(cam_from_world=poses, rolling_shutter=shutter, **changes)
+    found = problem.replace(cam_from_world=poses, rolling_shutter=shutter, **changes)
+    return without_origin(found)
 
 
 def _moved_poses(poses: NDArray[np.float64], similarity: Similarity) -> NDArray[np.float64]:

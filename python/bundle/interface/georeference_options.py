@@ -34,7 +34,8 @@ class GeoreferenceOptions(Options):
     gps: str | None = option(
         None,
         "--gps",
-        "measured positions; exif: from the EXIF tags of the images; FILE: OpenDroneMap's geo.txt",
+        "measured positions; exif: from the EXIF tags of the images; FILE: OpenDroneMap's geo.txt, "
+        "or OpenSfM's reconstruction.json or its folder",
         metavar="exif|FILE",
         value="exif or path",
     )
@@ -81,7 +82,11 @@ class GeoreferenceOptions(Options):
         late=True,
     )
     gcp: str | None = option(
-        None, "--gcp", "OpenDroneMap's gcp_list.txt", metavar="FILE", value="path"
+        None,
+        "--gcp",
+        "OpenDroneMap's gcp_list.txt, or OpenSfM's ground_control_points.json or its folder",
+        metavar="FILE",
+        value="path",
     )
     gcp_sigma: str = option(
         GCP_SIGMA,

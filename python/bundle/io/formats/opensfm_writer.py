@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -55,7 +56,12 @@ def write(problem: Problem, path: Path) -> tuple[str, ...]:
         text = json.dumps([content], indent=1, ensure_ascii=False)
         model.write_text(text + "\n", "utf-8", errors="surrogateescape")
     keeps = ("rigs", "colors", "sharing", "names", "sizes", "point ids")
-    return common_losses(problem, keeps=(*keeps, "ids"))
+    lost = common_losses(problem, keeps=(*keeps, "ids"))
+    source = imported_source(problem)
+    if source is not None and _has_left(source.data):
+        moved = "reference_lla and gps_position of the shots: the model was moved to another frame."
+        lost = (*lost, moved)
+    return lost
 
 
 def _reconstruction(problem: Problem) -> dict[str, Any]:
@@ -68,7 +74,7 @@ def _reconstruction(problem: Problem) -> dict[str, Any]:
         name: {
             **_pose(problem.cam_from_world[image]),
             "camera": cameras[problem.image_camera[image]],
-            **data.get("shots", {}).get(name, {}),
+            **_metadata(data, name),
         }
         for image, name in enumerate(names)
     }
@@ -79,15 +85,26 @@ def _reconstruction(problem: Problem) -> dict[str, Any]:
             problem.point_ids.tolist(), colors, problem.points.tolist(), strict=True
         )
     }
-    lla = data.get("reference_lla") or {"latitude": 0.0, "longitude": 0.0, "altitude": 0.0}
+    lla = data.get("reference_lla")
     return {
         "cameras": {name: _camera(problem, camera) for camera, name in enumerate(cameras)},
         "shots": shots,
         "points": points,
         "biases": {},
         **_rigs(problem, names),
-        "reference_lla": lla,
+        **({"reference_lla": lla} if lla else {}),
     }
+
+
+def _metadata(data: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return the data of a shot that was read, without a position in a frame that was left."""
+    known = data.get("shots", {}).get(name, {})
+    return {key: known[key] for key in known if key != "gps_position" or not _has_left(data)}
+
+
+def _has_left(data: Mapping[str, Any]) -> bool:
+    """Return True if the model was moved from the frame of its file to one without an origin."""
+    return "moved_from" in data
 
 
 def _camera_name(problem: Problem, camera: int, known: list[str]) -> str:
