@@ -169,6 +169,8 @@ def test_the_blocks_of_a_page_run(
     monkeypatch.chdir(tmp_path)
     if name == "docs/merge.md":
         workspace.two_pieces(tmp_path)
+    elif name == "docs/vio_input.md":
+        workspace.images(tmp_path)
     else:
         workspace.base(tmp_path)
     if name in WITH_DATA:

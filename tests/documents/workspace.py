@@ -8,7 +8,6 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-import yaml
 from PIL import Image
 
 import bundle
@@ -22,7 +21,8 @@ from tests.editing.merging.halves import halves, whole
 from tests.figures.matplotlib.comparisons import comparison
 from tests.georeference.test_exif_gps import photo
 from tests.graphs.loops.drift import closures_of, drifted_street
-from tests.inertial.images.rendered_flight import CAMERA_FROM_IMU, SMALL, Flight, render
+from tests.inertial.images.other_forms import write_bag, write_kalibr, write_video
+from tests.inertial.images.rendered_flight import SMALL, Flight, render
 from tests.io.formats import foreign_files as foreign
 
 REPOSITORY = Path(__file__).parents[2]
@@ -137,20 +137,11 @@ def sequence(folder: Path, data: Path) -> None:
 
 
 def images(folder: Path) -> None:
-    """mav0, three seconds of a rendered flight, and its calibration as Kalibr writes it."""
+    """mav0, three seconds of a rendered flight, as a bag and as a video; Kalibr's calibration."""
     mav = render(Flight(duration=3.0, **SMALL), folder)
-    inner, terms = SMALL["lens"][1][:4], SMALL["lens"][1][4:]
-    camera = {
-        "T_cam_imu": CAMERA_FROM_IMU.tolist(),
-        "camera_model": "pinhole",
-        "distortion_coeffs": list(terms),
-        "distortion_model": "radtan",
-        "intrinsics": list(inner),
-        "resolution": list(SMALL["size"]),
-        "timeshift_cam_imu": 0.0,
-    }
-    (folder / "camchain-imucam.yaml").write_text(yaml.safe_dump({"cam0": camera}))
-    shutil.copy(mav / "imu0" / "sensor.yaml", folder / "imu.yaml")
+    write_kalibr(mav)
+    write_bag(mav, folder / "flight.bag", 1)
+    write_video(mav)
 
 
 def photographs(folder: Path, data: Path) -> None:

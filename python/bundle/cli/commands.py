@@ -177,9 +177,9 @@ def _vio(parser: Parser) -> None:
         "sequence",
         metavar="SEQUENCE",
         type=reconstruction,
-        help="images and IMU samples: EuRoC's or TUM-VI's mav0 or its parent; or tracks in place "
-        "of images: a folder with imu.csv, tracks.csv and calibration.yaml, or a table of both "
-        "that bundle convert reads",
+        help="images and IMU samples: EuRoC's or TUM-VI's mav0 or its parent, a ROS 1 or 2 bag, or "
+        "a video with --imu; or tracks in place of images: a folder with imu.csv, tracks.csv and "
+        "calibration.yaml, or a table of both that bundle convert reads",
     )
     parser.add_argument(
         "-o",

@@ -9,7 +9,7 @@ import argparse
 import dataclasses
 from typing import TYPE_CHECKING, NamedTuple
 
-from bundle.cli.option_flags import add_fields, options_given
+from bundle.cli.option_flags import add_fields, naming_flags, options_given
 from bundle.cli.path_checks import a_path
 from bundle.cli.progress import Progress
 from bundle.errors import InputError, shown
@@ -33,7 +33,7 @@ __all__ = [
 
 RECORDING = (
     "calibration",
-    "camera",
+    *("camera", "imu", "frame_times", "image_topic", "imu_topic"),
     *(field.name for field in dataclasses.fields(TrackingOptions)),
 )
 """Destinations of the flags."""
@@ -68,7 +68,7 @@ def add_recording_flags(parser: argparse.ArgumentParser) -> None:
         action="append",
         help="calibration in place of that in the sequence: calibration.yaml, or Kalibr's "
         "camchain-imucam.yaml and, given by a second --calibration or beside it, imu.yaml "
-        "(default: sensor.yaml of mav0, or dso/camchain.yaml beside it)",
+        "(default: sensor.yaml of mav0, or dso/camchain.yaml beside it; bags and videos have none)",
     )
     group.add_argument(
         "--camera",
@@ -76,6 +76,27 @@ def add_recording_flags(parser: argparse.ArgumentParser) -> None:
         help="camera whose images are tracked: a folder of mav0, an entry of a camchain (default: "
         "cam0)",
     )
+    group.add_argument(
+        "--imu",
+        metavar="FILE",
+        type=a_path,
+        help="samples of the IMU for a video: a csv of stamp, angular rate x y z [rad/s], specific "
+        "force x y z [m/s^2]; stamps are integers of nanoseconds, or seconds with a decimal point",
+    )
+    group.add_argument(
+        "--frame-times",
+        metavar="FILE",
+        type=a_path,
+        help="times of the frames of a video, one a line, on the clock of --imu (default: the "
+        "constant rate of the video, from 0)",
+    )
+    for sensor, name in (("image", "images"), ("imu", "IMU samples")):
+        group.add_argument(
+            f"--{sensor}-topic",
+            metavar="TOPIC",
+            help=f"topic of the {name} in a ROS bag (default: the rostopic of the calibration, or "
+            "the only topic)",
+        )
     add_fields(group, "TrackingOptions")
 
 
@@ -93,13 +114,16 @@ def given_sequence(path: str, arguments: argparse.Namespace, progress: Progress)
     from bundle.inertial.tracking.track_images import track_images  # for images only
 
     progress.stage(f"tracking features of {shown(path)}")
-    tracked = track_images(
-        path,
-        calibration=arguments.calibration or (),
-        camera=arguments.camera or "cam0",
-        options=options_given(arguments, TrackingOptions),
-        progress=progress.share,
-    )
+    places = ("imu", "frame_times", "image_topic", "imu_topic")
+    with naming_flags(TrackingOptions, **{name: arguments.flags[name] for name in places}):
+        tracked = track_images(
+            path,
+            calibration=arguments.calibration or (),
+            camera=arguments.camera or "cam0",
+            options=options_given(arguments, TrackingOptions),
+            progress=progress.share,
+            **{name: getattr(arguments, name) for name in places},
+        )
     return GivenSequence(tracked.sequence, tracked.findings, tracked.tracking)
 
 

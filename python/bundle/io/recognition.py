@@ -62,8 +62,13 @@ _BEGINNINGS = {
 }
 """First bytes of files in formats that this package does not read."""
 SEQUENCE_FILES = ("imu.csv", "tracks.csv", "calibration.yaml")
-RECORDINGS = {"mav": "a folder with cam0 and imu0"}
+RECORDINGS = {
+    "mav": "a folder with cam0 and imu0",
+    "rosbag": "a ROS bag",
+    "video": "a video",
+}
 """Sequences with images in place of tracks."""
+_VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".360", ".lrv", ".mts")
 
 
 class Kind(StrEnum):
@@ -162,10 +167,15 @@ def sequence_at(path: object) -> str | None:
             if found == ["tracks.csv"] and format_at(place, b"", others=False) is not None:
                 return None  # a project of OpenSfM
             return "sequence" if found else _recording_folder(place)
-        is_table = place.is_file() and _beginning(place).startswith(b"row_type,")
+        if not place.is_file():
+            return None
+        if place.suffix.lower() in _VIDEOS:
+            return "video"
+        beginning = _beginning(place)
     except (TypeError, ValueError, OSError):
         return None
-    return "track csv" if is_table else None
+    known = {b"row_type,": "track csv", b"#ROSBAG V": "rosbag"}
+    return next((name for begin, name in known.items() if beginning.startswith(begin)), None)
 
 
 def is_recording(path: object) -> bool:
@@ -187,7 +197,10 @@ def mav_root(path: Path) -> Path | None:
 
 
 def _recording_folder(place: Path) -> str | None:
-    return "mav" if mav_root(place) is not None else None
+    if mav_root(place) is not None:
+        return "mav"
+    bag = place / "metadata.yaml"
+    return "rosbag" if bag.is_file() and b"rosbag2_bagfile" in _beginning(bag) else None
 
 
 def _beginning(path: Path) -> bytes:

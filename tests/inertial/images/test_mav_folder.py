@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -281,3 +282,11 @@ def test_info_names_what_looks_wrong(mav: Path, tmp_path: Path, capsys: Capture)
     assert found["input"]["format"] == "mav"
     assert found["tracking"]["num_images"] == 22
     assert "tracks of" in capsys.readouterr().out
+
+
+def test_the_page_names_every_key_and_column() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "vio_input.md").read_text()
+    keys = {field.name for field in fields(bundle.Calibration)} - {"noise"}
+    keys |= {field.name for field in fields(bundle.ImuNoise)} - {"integration_covariance"}
+    for key in {*keys, *NOISE, "timestamp_ns", "track_id", "T_cam_imu", "timeshift_cam_imu"}:
+        assert f"`{key}`" in page, key

@@ -30,6 +30,10 @@ def track_images(
     *,
     calibration: Sequence[str | os.PathLike[str]] = (),
     camera: str = "cam0",
+    imu: str | os.PathLike[str] | None = None,
+    frame_times: str | os.PathLike[str] | None = None,
+    image_topic: str | None = None,
+    imu_topic: str | None = None,
     options: TrackingOptions | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TrackedImages:
@@ -38,10 +42,15 @@ def track_images(
     One image is in memory at a time. The result is the same in every run.
 
     Args:
-        path: ``mav0`` or its parent.
+        path: ``mav0`` or its parent, a ROS bag, or a video.
         calibration: files in place of those of the recording: ``calibration.yaml``, or Kalibr's
             ``camchain-imucam.yaml`` and ``imu.yaml``.
         camera: name of the camera: a folder of mav0, and an entry of a camchain.
+        imu: table of the IMU's samples, for a video: stamps in nanoseconds or, with a decimal
+            point, in seconds; rad/s; m/s^2.
+        frame_times: times of the frames of a video, one a line; None: a constant rate from 0.
+        image_topic: topic of a bag; None: the rostopic of the calibration, or the only one.
+        imu_topic: likewise.
         options: options of tracking.
         progress: called after each image with the share that is done; None: not called.
 
@@ -50,7 +59,9 @@ def track_images(
             are wrong, or OpenCV is not installed.
         OSError: a file cannot be read.
     """
-    recording = read_recording(path, RecordingSource(tuple(calibration), camera))
+    files = tuple(calibration)
+    source = RecordingSource(files, camera, imu, frame_times, image_topic, imu_topic)
+    recording = read_recording(path, source)
     sequence, tracking = track_recording(recording, options or TrackingOptions(), progress)
     stamps = recording.image_timestamps_ns
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bundle.base.optional_packages import require_package
 from bundle.errors import InputError, shown
 
-__all__ = ["GreyScale", "grey_images", "require_opencv"]
+__all__ = ["GreyScale", "check_size", "decoded", "grey_images", "require_opencv"]
 
 # first bytes, and bytes near the end of a whole file
 _WHOLE = {b"\x89PNG": b"IEND", b"\xff\xd8\xff": b"\xff\xd9"}
@@ -43,29 +43,46 @@ def grey_images(paths: Sequence[Path], size: tuple[int, int] | None) -> Iterator
         InputError: a file is truncated, is no image, or has another size.
         OSError: a file cannot be read.
     """
-    import cv2
-
     scale = GreyScale()
     for path in paths:
-        content = path.read_bytes()
-        end = next((end for begin, end in _WHOLE.items() if content.startswith(begin)), b"")
-        if end not in content[-_TAIL:]:
-            raise InputError(f"{shown(path)}: expected a whole image, found a truncated file")
-        image: Any = None
-        if content:
-            flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
-            image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
-        if image is None:
-            raise InputError(f"{shown(path)}: expected an image, found a file that is none")
-        grey = scale.grey(image)
-        found = grey.shape[1], grey.shape[0]
-        size = size or found
-        if found != size:
-            raise InputError(
-                f"{shown(path)}: expected {size[0]} x {size[1]} pixels as the calibration or the "
-                f"first image has, found {found[0]} x {found[1]}"
-            )
-        yield grey
+        image = decoded(path.read_bytes(), shown(path))
+        size = check_size(image, size, shown(path))
+        yield scale.grey(image)
+
+
+def decoded(content: bytes, place: str) -> NDArray[Any]:
+    """Return the image of the bytes of a file, grey.
+
+    Raises:
+        InputError: the file is truncated or no image; the message begins with ``place``.
+    """
+    import cv2
+
+    end = next((end for begin, end in _WHOLE.items() if content.startswith(begin)), b"")
+    if end not in content[-_TAIL:]:
+        raise InputError(f"{place}: expected a whole image, found a truncated file")
+    image: Any = None
+    if content:
+        flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+    if image is None:
+        raise InputError(f"{place}: expected an image, found a file that is none")
+    return np.asarray(image)
+
+
+def check_size(image: NDArray[Any], size: tuple[int, int] | None, place: str) -> tuple[int, int]:
+    """Check that an image has the size of the calibration or of the first image; return it.
+
+    Raises:
+        InputError: the sizes differ.
+    """
+    found = image.shape[1], image.shape[0]
+    if size is not None and found != size:
+        raise InputError(
+            f"{place}: expected {size[0]} x {size[1]} pixels as the calibration or the first image "
+            f"has, found {found[0]} x {found[1]}"
+        )
+    return found
 
 
 class GreyScale:

@@ -129,8 +129,7 @@ def _first(paths: Iterable[Path], what: str, kalibr: str) -> Path:
     for path in tried:
         if path.is_file():
             return path
-    missing = " or ".join(shown(path) for path in tried) or "none in the recording"
+    missing = "".join(f"{shown(path)} or " for path in tried)
     raise InputError(
-        f"calibration of {what}: expected {missing}; give --calibration FILE, such as Kalibr's "
-        f"{kalibr}"
+        f"calibration of {what}: expected {missing}--calibration FILE, such as Kalibr's {kalibr}"
     )

@@ -29,7 +29,7 @@ from bundle.model.sequence.calibration import pose_numbers
 from bundle.model.sequence.imu_noise import ImuNoise
 from bundle.model.sequence.yaml_files import finite_numbers, one_number
 
-__all__ = ["CameraSensor", "ImuSensor", "camera_sensor", "imu_sensor", "kind_of_yaml"]
+__all__ = ["CameraSensor", "ImuSensor", "camera_sensor", "imu_sensor", "kind_of_yaml", "rostopic"]
 
 Table = Mapping[Any, Any]
 
@@ -83,6 +83,17 @@ def kind_of_yaml(content: Table) -> str:
         return "camera"
     is_imu = any(key in content for key in _NOISE) or content.get("sensor_type") == "imu"
     return "imu" if is_imu or isinstance(content.get("imu0"), dict) else ""
+
+
+def rostopic(content: Table, camera: str, sensor: str) -> str:
+    """Return the topic that a calibration names for "image" or "imu"; "" without."""
+    kind = kind_of_yaml(content)
+    if sensor == "image":
+        content = content[camera] if isinstance(content.get(camera), dict) else {}
+    elif isinstance(content.get("imu0"), dict):
+        content = content["imu0"]
+    fits = kind == {"image": "camchain", "imu": "imu"}[sensor]
+    return str(content.get("rostopic", "")) if fits else ""
 
 
 def camera_sensor(path: Path, content: Table, name: str) -> CameraSensor:
