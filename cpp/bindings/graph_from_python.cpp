@@ -12,6 +12,7 @@
 #include "bindings/python_factor.h"
 #include "core/cameras/registry.h"
 #include "core/error.h"
+#include "core/factors/attitude_factors.h"
 #include "core/factors/factor.h"
 #include "core/factors/imu_factor.h"
 #include "core/factors/linear_prior.h"
@@ -61,6 +62,17 @@ class FactorReader {
     }
     if (kind_ == "position") {
       return std::make_unique<bundle::PositionFactor>(head_, At(0), At(1), At(2));
+    }
+    if (kind_ == "direction") {
+      return std::make_unique<bundle::DirectionFactor>(head_, At(0), At(1),
+                                                       py::cast<double>(arguments_[2]));
+    }
+    if (kind_ == "rotation") {
+      return std::make_unique<bundle::RotationFactor>(head_, At(0), At(1));
+    }
+    if (kind_ == "heading") {
+      return std::make_unique<bundle::HeadingFactor>(head_, At(0), py::cast<double>(arguments_[1]),
+                                                     py::cast<double>(arguments_[2]));
     }
     if (kind_ == "reprojection") {
       const auto model = py::cast<std::string>(arguments_[0]);

@@ -33,8 +33,14 @@ if TYPE_CHECKING:
     from bundle.figures import matplotlib as pictures
     from bundle.georeference.alignment import align
     from bundle.georeference.alignment_result import Alignment
+    from bundle.georeference.attitude_priors import GravityPrior, HeadingPrior, OrientationPrior
     from bundle.georeference.control_point import GroundControlPoint
     from bundle.georeference.position_prior import PositionPrior
+    from bundle.graphs.factors.attitude_factors import (
+        DirectionFactor,
+        HeadingFactor,
+        RotationFactor,
+    )
     from bundle.graphs.factors.checks import check_gradients, check_jacobians
     from bundle.graphs.factors.factor_graph import DigitsLeft, FactorGraph, GraphResult
     from bundle.graphs.factors.factors import (
@@ -152,6 +158,7 @@ __all__ = [
     "Description",
     "Diagnosis",
     "DigitsLeft",
+    "DirectionFactor",
     "EvaluateOptions",
     "Evaluation",
     "Excitation",
@@ -171,7 +178,10 @@ __all__ = [
     "GraphDiagnosis",
     "GraphInspection",
     "GraphResult",
+    "GravityPrior",
     "GroundControlPoint",
+    "HeadingFactor",
+    "HeadingPrior",
     "ImuFactor",
     "ImuInterval",
     "ImuNoise",
@@ -187,6 +197,7 @@ __all__ = [
     "MethodInspection",
     "MsckfUpdate",
     "OdometryResult",
+    "OrientationPrior",
     "PoseGraph",
     "PoseGraphInspection",
     "PoseGraphOptions",
@@ -207,6 +218,7 @@ __all__ = [
     "Repropagation",
     "Result",
     "RollingShutter",
+    "RotationFactor",
     "ScalarPriorFactor",
     "SceneOptions",
     "Selection",
@@ -320,8 +332,10 @@ _DEFERRED = {
     "errors": ("InputError",),
     "georeference.alignment": ("align",),
     "georeference.alignment_result": ("Alignment",),
+    "georeference.attitude_priors": ("GravityPrior", "HeadingPrior", "OrientationPrior"),
     "georeference.control_point": ("GroundControlPoint",),
     "georeference.position_prior": ("PositionPrior",),
+    "graphs.factors.attitude_factors": ("DirectionFactor", "HeadingFactor", "RotationFactor"),
     "graphs.factors.checks": ("check_gradients", "check_jacobians"),
     "graphs.factors.factor_graph": ("DigitsLeft", "FactorGraph", "GraphResult"),
     "graphs.factors.factors": (

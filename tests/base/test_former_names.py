@@ -18,6 +18,7 @@ STAYED = ("checking", "errors", "georeference", "synthetic", "_core")
 """Rooms, and the core, whose modules have the names of before."""
 
 NEW = (
+    "graphs.factors.attitude_factors",
     *("graphs.factors.factor_report", "planning.inspection.elimination_costs"),
     *("analysis.uncertainty.factor_graph_covariance", "planning.comparison.graph_runs"),
     "planning.inspection.factor_graph_inspection",

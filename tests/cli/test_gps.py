@@ -192,7 +192,7 @@ def test_a_second_run_replaces_the_first(run, model):
         (["--gps-sigma", "2"], ["--gps-sigma", "only with --gps"]),
         (["--antenna", "0,0,0"], ["--antenna", "only with --gps"]),
         (["--images", "."], ["--images", "only with --gps"]),
-        (["--prior-loss", "huber"], ["--prior-loss:", "only with --gcp or --gps"]),
+        (["--prior-loss", "huber"], ["--prior-loss:", "only with --gcp, --gps, --gravity"]),
         (["--gps", "exif"], ["--gps", "--images DIR"]),
         (["--gps", "GEO", "--images", "."], ["--images", "only with --gps exif"]),
         (["--gps", "GEO", "--prior-loss-scale", "2"], ["--prior-loss-scale", "trivial"]),

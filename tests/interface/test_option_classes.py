@@ -76,7 +76,7 @@ def given(kind, *words, **how):
         (LoopOptions, ("--loop-loss", "huber"), "--loop-loss: valid only with --loops"),
         (LocalOptions, ("--rest", "fixed"), "--rest: valid only with --only-images"),
         (CheckpointOptions, ("--checkpoint-interval", "20"), "only with --checkpoint or --resume"),
-        (GeoreferenceOptions, ("--prior-loss", "huber"), "only with --gcp or --gps"),
+        (GeoreferenceOptions, ("--prior-loss", "huber"), "only with --gcp, --gps, --gravity"),
         (GeoreferenceOptions, ("--gcp-sigma", "1", "--antenna", "x"), "--antenna: valid only with"),
     ],
 )

@@ -50,7 +50,7 @@ def image_derivatives(problem):
     return result
 
 
-def nullity(problem, *, fixed=(), points=(), arms=False, focal=False, priors=()):
+def nullity(problem, *, fixed=(), points=(), arms=False, focal=False, priors=(), attitudes=()):
     """The number of singular values of the scaled Jacobian that are zero; the next one is not.
 
     Args:
@@ -59,6 +59,7 @@ def nullity(problem, *, fixed=(), points=(), arms=False, focal=False, priors=())
         arms: True, or rows of the sensors that are free.
         focal: whether the cameras' focal lengths are free.
         priors: indices of images whose position is measured.
+        attitudes: (index of an image, (k, 6) rows by its left perturbation) of other priors.
     """
     _, d_pose, d_params, d_point = _core.linearize(
         problem, "algebraic", np.zeros((problem.num_images, 3))
@@ -91,6 +92,10 @@ def nullity(problem, *, fixed=(), points=(), arms=False, focal=False, priors=())
         local = np.hstack([np.cross(t, np.eye(3)).T, np.eye(3)])
         rows = np.zeros((3, jacobian.shape[1]))
         rows[:, : len(columns)] = (rotation.T @ local @ through[i])[:, columns] * 500
+        jacobian = np.vstack([jacobian, rows])
+    for i, by_local in attitudes:
+        rows = np.zeros((len(by_local), jacobian.shape[1]))
+        rows[:, : len(columns)] = (by_local @ through[i])[:, columns] * 500
         jacobian = np.vstack([jacobian, rows])
     norms = np.linalg.norm(jacobian, axis=0)
     used = norms > 1e-6 * norms.max()  # unknowns that no observation touches are no unknowns

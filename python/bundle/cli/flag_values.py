@@ -98,6 +98,7 @@ READERS: dict[str, tuple[Callable[[str], Any], str]] = {
     "checkpoint": (PathArgument("checkpoint", replaces=("resume",)), ""),
     "counts": (_parse_counts, ""),
     "exif or path": (PathArgument(words=("exif",)), ""),
+    "xmp or path": (PathArgument(words=("xmp",)), ""),
     "ids": (parse_ids, "such as 1,2,5-9; "),
     "ids or all": (_parse_ids_or_all, "such as 1,2,5-9; "),
     "images": (parse_images, _IMAGES),

@@ -1,4 +1,4 @@
-"""Positions and control points from the command line, as checked options and as priors."""
+"""Positions, control points and attitudes from the command line, as options and as priors."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from bundle.interface.georeference_options import GeoreferenceOptions
 if TYPE_CHECKING:
     from bundle.georeference.gcp_priors import GcpPriors
     from bundle.georeference.gps_priors import GpsPriors
+    from bundle.georeference.known_priors import KnownPriors
     from bundle.model.problem import Problem
 
 __all__ = ["GEOREFERENCE_FLAGS", "georeference_given", "main_flag", "priors_of", "settings_of"]
@@ -29,7 +30,7 @@ def georeference_given(
     page: bool = False,
     only_images: str | None = None,
 ) -> GeoreferenceOptions:
-    """Return the options of positions and control points.
+    """Return the options of positions, control points and attitudes.
 
     Args:
         arguments: parsed command line.
@@ -47,14 +48,17 @@ def georeference_given(
     given = options_given(arguments, GeoreferenceOptions, beside=beside)
     if not given.is_given:
         return given
-    if given.gps == "exif" and given.images is None:
-        raise InputError("--gps exif: expected --images DIR, too")
-    if given.gps not in (None, "exif") and given.images is not None and not page:
-        raise InputError("--images: valid only with --gps exif, found --gps with a file")
+    reads_images = given.gps == "exif" or given.orientations == "xmp"
+    if reads_images and given.images is None:
+        flag = "--gps exif" if given.gps == "exif" else "--orientations xmp"
+        raise InputError(f"{flag}: expected --images DIR, too")
+    if given.images is not None and not reads_images and not page:
+        kind = "--orientations xmp" if given.gps is None else "--gps exif"
+        raise InputError(f"--images: valid only with {kind}, found {kind.split()[0]} with a file")
     if arguments.prior_loss_scale is not None and given.prior_loss == "trivial":
         raise InputError("--prior-loss-scale: valid only with a --prior-loss other than trivial")
     flag = main_flag(given)
-    if only_images is not None:
+    if only_images is not None and given.has_positions:
         raise InputError(
             f"{flag}: not valid with --only-images, which leaves all other images in place"
         )
@@ -65,11 +69,24 @@ def georeference_given(
 
 def main_flag(given: GeoreferenceOptions) -> str:
     """Return the flag for errors about all priors."""
-    return "--gps" if given.gcp is None else "--gcp"
+    flags = {
+        "--gcp": given.gcp,
+        "--gps": given.gps,
+        "--gravity": given.gravity,
+        "--orientations": given.orientations,
+    }
+    return next((flag for flag, value in flags.items() if value is not None), "--gps")
 
 
-def priors_of(given: GeoreferenceOptions, problem: Problem) -> GcpPriors | GpsPriors | None:
+def priors_of(
+    given: GeoreferenceOptions, problem: Problem, *, kept: str = ""
+) -> KnownPriors | None:
     """Return the priors of images and control points; None without any.
+
+    Args:
+        given: options of the command line.
+        problem: problem of the images.
+        kept: reason for which the world must not turn, such as "with --only-images"; "": it may.
 
     Raises:
         InputError: a file or a flag is wrong; the message names the flag.
@@ -77,17 +94,41 @@ def priors_of(given: GeoreferenceOptions, problem: Problem) -> GcpPriors | GpsPr
     """
     if not given.is_given:
         return None
+    from bundle.georeference.known_priors import KnownPriors  # most runs have no priors
+
+    survey = attitudes = None
+    with naming_flags(**GEOREFERENCE_FLAGS):
+        if given.has_positions:
+            survey = _survey(given, problem)
+        if given.has_attitudes:
+            from bundle.georeference.attitudes import read_attitudes
+
+            attitudes = read_attitudes(problem, **_settings(given, _OF_ATTITUDES))
+            if kept:
+                attitudes.check_upright(problem, kept)
+    return KnownPriors(survey, attitudes)
+
+
+def _survey(given: GeoreferenceOptions, problem: Problem) -> GcpPriors | GpsPriors:
+    """Return the priors of positions and control points."""
     # Only geographic coordinates need pyproj.
     from bundle.georeference.gcp_priors import gcp_priors
     from bundle.georeference.gps_priors import gps_priors
 
-    with naming_flags(**GEOREFERENCE_FLAGS):
-        settings = settings_of(given)
-        if given.gps != "exif":  # the folder is for the report page
-            settings.pop("images", None)
-        if given.gcp is None:
-            return gps_priors(problem, **settings)
-        return gcp_priors(problem, **settings)
+    settings = settings_of(given)
+    if given.gps != "exif":  # the folder is for the report page
+        settings.pop("images", None)
+    if given.gcp is None:
+        return gps_priors(problem, **settings)
+    return gcp_priors(problem, **settings)
+
+
+_ONLY_ATTITUDES = {"gravity", "gravity_sigma", "orientations", "orientation_sigma"}
+_OF_ATTITUDES = {*_ONLY_ATTITUDES, "images", "prior_loss", "prior_loss_scale"}
+
+
+def _settings(given: GeoreferenceOptions, names: Collection[str]) -> dict[str, Any]:
+    return {name: value for name, value in given.changed().items() if name in names}
 
 
 def settings_of(given: GeoreferenceOptions) -> dict[str, Any]:
@@ -96,7 +137,7 @@ def settings_of(given: GeoreferenceOptions) -> dict[str, Any]:
     Raises:
         InputError: the antenna position is invalid.
     """
-    settings = given.changed()
+    settings = _settings(given, set(given.names()) - _ONLY_ATTITUDES)
     if "antenna" in settings:
         settings["antenna"] = given.lever_arm
     if "gcp" in settings:

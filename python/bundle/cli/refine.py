@@ -51,9 +51,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bundle.editing.cameras.edit_record import CameraEdits
-    from bundle.georeference.gcp_priors import GcpPriors
     from bundle.georeference.georeferenced import Georeference
-    from bundle.georeference.gps_priors import GpsPriors
+    from bundle.georeference.known_priors import KnownPriors
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.interface.finding import Finding
     from bundle.model.problem import Problem
@@ -75,7 +74,8 @@ class Opened:
         edits: changes of its cameras; None without any.
         options: options of the solve, images by id.
         output: path and format of OUTPUT.
-        known: priors of positions and control points, or None.
+        known: priors of positions, control points and attitudes, or None.
+        align: True to move the problem to its priors.
         place: content of the georeference.json next to INPUT, or None.
         sliced: refinement by processes that read one slice each; None: one process reads all.
         load_time: seconds.
@@ -86,7 +86,8 @@ class Opened:
     edits: CameraEdits | None
     options: SolveOptions
     output: dict[str, str]
-    known: GcpPriors | GpsPriors | None
+    known: KnownPriors | None
+    align: bool | None
     place: dict[str, Any] | None
     sliced: SlicedRefinement | None
     load_time: float
@@ -105,7 +106,9 @@ def run(arguments: argparse.Namespace) -> int:
         before = Waiting.now()
         solved = _with_edits(_solve(asked, opened, closed, progress), opened, closed)
         waiting = waiting_since(before)
-        georeference = None if opened.known is None else opened.known.georeference(solved)
+        known = opened.known
+        georeference = None if known is None else known.georeference(solved)
+        attitudes = () if known is None else known.attitude_errors(solved)
         begun = perf_counter()
         written, lost = _write(opened, solved, georeference, progress)
         save_time = perf_counter() - begun
@@ -123,8 +126,9 @@ def run(arguments: argparse.Namespace) -> int:
     )
     told = (asked.source, opened.loaded, solved, wall, written)
     report = refinement(
-        *told, lost, asked.options_beside(), georeference, opened.edits, closed, findings, waiting
-    )
+        *told, lost, asked.options_beside(), georeference, opened.edits, closed, findings, waiting,
+        attitudes,
+    )  # fmt: skip
     publish(report, asked)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE
@@ -149,15 +153,20 @@ def _open(asked: Refinement, progress: Progress) -> Opened:
     problem = with_rigs(loaded if edits is None else edits.problem, asked.rig_config)
     options = with_named_images(asked.options, asked.fixed_images, problem)
     output = _checked_output(asked, problem, options)
+    given = asked.georeference
     for what, path in (
-        ("control points", asked.georeference.gcp),
-        ("positions", asked.georeference.gps),
+        ("control points", given.gcp),
+        ("positions", given.gps),
+        ("gravity", given.gravity),
+        ("orientations", given.orientations),
     ):
         if path is not None:
-            check_georeference(**output)
+            if given.has_positions:
+                check_georeference(**output)
             progress.stage(f"reading {what}: {shown(path)}")
-    known = priors_of(asked.georeference, problem)
     place = georeference_at(source)
+    kept = _kept_world(asked, place)
+    known = priors_of(given, problem, kept=kept)
     if place is not None:
         check_georeference(**output)
     return Opened(
@@ -167,10 +176,20 @@ def _open(asked: Refinement, progress: Progress) -> Opened:
         options=options,
         output=output,
         known=known,
+        align=None if known is None or kept else True,
         place=place,
         sliced=sliced,
         load_time=load_time,
     )
+
+
+def _kept_world(asked: Refinement, place: dict[str, Any] | None) -> str:
+    """Return the reason for which attitudes must not turn the world; "" if they may."""
+    if asked.georeference.has_positions:
+        return ""
+    if asked.local.only_images is not None:
+        return "with --only-images"
+    return "because INPUT has a georeference.json" if place is not None else ""
 
 
 def _checked_output(asked: Refinement, problem: Problem, options: SolveOptions) -> dict[str, str]:
@@ -206,7 +225,7 @@ def _solve(
             options=opened.options,
             factors=() if closed is None else closed.factors,
             priors=() if known is None else known.priors,
-            align=None if known is None else True,
+            align=opened.align,
             constraints=asked.constraints,
             part=PartRequest.of(asked.local.only_images, asked.local.rest),
         )

@@ -37,6 +37,7 @@ POSITIONS = ("gps", "images", "gps_sigma", "antenna")
 CONTROL_POINTS = ("gcp", "gcp_sigma", "gcp_pixel_sigma", "check_points")
 READING = ("input_format", "image_size", "image_list", "reconstruction")
 """Destinations of the flags of :func:`add_input_format`."""
+ATTITUDES = ("gravity", "gravity_sigma", "orientations", "orientation_sigma")
 ROBUSTNESS = ("prior_loss", "prior_loss_scale")
 
 
@@ -203,7 +204,7 @@ def add_rules(parser: argparse.ArgumentParser) -> None:
 def add_georeference(
     parser: argparse.ArgumentParser,
     meaning: str = MOVED,
-    images_are_for: str = "--gps exif and --html",
+    images_are_for: str = "--gps exif, --orientations xmp and --html",
 ) -> None:
     """Add flags for positions of images, control points and their loss.
 
@@ -217,4 +218,6 @@ def add_georeference(
     add_options(parser, kind, "positions of images", POSITIONS, meaning, images=images)
     adjusted = "They are adjusted with the model, and not written among its points."
     add_options(parser, kind, "ground control points", CONTROL_POINTS, adjusted)
-    add_options(parser, kind, "robustness of positions and control points", ROBUSTNESS)
+    turned = "A model without positions is first turned to them about the middle of its cameras."
+    add_options(parser, kind, "gravity, orientations and headings", ATTITUDES, turned)
+    add_options(parser, kind, "robustness of positions, control points and attitudes", ROBUSTNESS)

@@ -2,6 +2,7 @@
 
 from bundle.georeference.alignment import align
 from bundle.georeference.alignment_result import Alignment, ControlPointError, ImageError
+from bundle.georeference.attitudes import AttitudeErrors, Attitudes, read_attitudes
 from bundle.georeference.control_point import GroundControlPoint, Measurement
 from bundle.georeference.exif_gps import read_exif_gps
 from bundle.georeference.gcp_list import read_gcp_list
@@ -17,6 +18,8 @@ from bundle.georeference.similarity import Similarity
 
 __all__ = [
     "Alignment",
+    "AttitudeErrors",
+    "Attitudes",
     "ControlPointError",
     "GcpPriors",
     "Georeference",
@@ -32,6 +35,7 @@ __all__ = [
     "align",
     "gcp_priors",
     "gps_priors",
+    "read_attitudes",
     "read_exif_gps",
     "read_gcp_list",
     "read_geo_file",

@@ -24,11 +24,12 @@ import numpy as np
 
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
+from bundle.georeference.dji_xmp import read_dji
 from bundle.georeference.gps_positions import EXIF_TAGS, GpsPositions
 from bundle.georeference.image_index import last_part
 from bundle.georeference.reference_system import WGS84
 
-__all__ = ["read_exif_gps"]
+__all__ = ["counted_images", "files_of_images", "read_exif_gps"]
 
 _GPS = 0x8825
 """Tag of the directory of GPS tags."""
@@ -53,44 +54,68 @@ def read_exif_gps(folder: str | os.PathLike[str], names: Iterable[str]) -> GpsPo
         InputError: the folder does not exist, or contains none of the images.
         OSError: an image cannot be read.
     """
-    root = Path(folder)
-    if not root.is_dir():
-        raise InputError(f"{shown(folder)}: expected the folder of the images; it does not exist")
-    wanted = [name for name in dict.fromkeys(names) if name]
+    files, missing = files_of_images(folder, names)
     found: dict[str, tuple[float, ...]] = {}
-    missing: list[str] = []
     silent: list[str] = []
-    parts = Counter(map(last_part, wanted))
     with _any_size():
-        for name in wanted:
-            path = _file(root, name, alone=parts[last_part(name)] == 1)
-            if path is None:
-                missing.append(name)
-            elif (position := _position(path)) is None:
+        for name, path in files.items():
+            position = _position(path)
+            if position is None:
                 silent.append(name)
             else:
                 found[name] = position
-    if len(missing) == len(wanted):
-        example = f" such as {brief(wanted[0])}" if wanted else ", which have no names"
-        raise InputError(
-            f"{shown(folder)}: expected the images of the reconstruction{example}, found 0 of them"
-        )
-    table = np.array(list(found.values()), dtype=np.float64).reshape(-1, 4)
+    table = np.array(list(found.values()), dtype=np.float64).reshape(-1, 5)
     return GpsPositions(
         names=tuple(found),
         geodetic=table[:, :3],
-        accuracy=np.column_stack([table[:, 3], np.full(len(table), math.nan)]),
+        accuracy=table[:, 3:],
         reference_system=WGS84,
         source=f"{EXIF_TAGS} in {shown(folder)}",
         notes=(
-            *_counted(missing, f"not in {shown(folder)}"),
-            *_counted(silent, "without a GPS position in the EXIF tags"),
+            *counted_images(missing, f"not in {shown(folder)}"),
+            *counted_images(silent, "without a GPS position in the EXIF tags"),
         ),
     )
 
 
-def _position(path: Path) -> tuple[float, float, float, float] | None:
-    """Return latitude, longitude [degrees], height, horizontal accuracy [m]; nan where unknown.
+def files_of_images(
+    folder: str | os.PathLike[str], names: Iterable[str]
+) -> tuple[dict[str, Path], list[str]]:
+    """Return the files of images by name, and the names without a file.
+
+    Args:
+        folder: folder of the images.
+        names: names of the images; see :func:`read_exif_gps`.
+
+    Raises:
+        InputError: the folder does not exist, or contains none of the images.
+    """
+    root = Path(folder)
+    if not root.is_dir():
+        raise InputError(f"{shown(folder)}: expected the folder of the images; it does not exist")
+    wanted = [name for name in dict.fromkeys(names) if name]
+    parts = Counter(map(last_part, wanted))
+    files: dict[str, Path] = {}
+    missing: list[str] = []
+    for name in wanted:
+        path = _file(root, name, alone=parts[last_part(name)] == 1)
+        if path is None:
+            missing.append(name)
+        else:
+            files[name] = path
+    if not files:
+        example = f" such as {brief(wanted[0])}" if wanted else ", which have no names"
+        raise InputError(
+            f"{shown(folder)}: expected the images of the reconstruction{example}, found 0 of them"
+        )
+    return files, missing
+
+
+def _position(path: Path) -> tuple[float, float, float, float, float] | None:
+    """Return latitude, longitude [degrees], height, and two accuracies [m]; nan where unknown.
+
+    The accuracies are horizontal and vertical: RTK's standard deviations of DJI's XMP, otherwise
+    EXIF's positioning error.
 
     Returns:
         None without a position: tags are missing, not numeric, or out of range.
@@ -113,7 +138,10 @@ def _position(path: Path) -> tuple[float, float, float, float] | None:
     if _numbers(tags, _ALTITUDE_REFERENCE, 1) in {(below,) for below in _BELOW}:
         height = -height
     (accuracy,) = _numbers(tags, _POSITIONING_ERROR, 1) or (math.nan,)
-    return latitude, longitude, height, accuracy if accuracy > 0 else math.nan
+    rtk = read_dji(path)
+    if math.isfinite(rtk.horizontal):
+        accuracy = rtk.horizontal
+    return latitude, longitude, height, accuracy if accuracy > 0 else math.nan, rtk.vertical
 
 
 def _file(root: Path, name: str, *, alone: bool) -> Path | None:
@@ -147,7 +175,8 @@ def _numbers(tags: Mapping[int, Any], tag: int, count: int) -> tuple[float, ...]
     return values
 
 
-def _counted(names: list[str], what: str) -> tuple[str, ...]:
+def counted_images(names: list[str], what: str) -> tuple[str, ...]:
+    """Return a note that counts images and names three of them; empty without any."""
     if not names:
         return ()
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""

@@ -15,7 +15,7 @@ from bundle.base.paths import numbered_lines
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.reference_system import ReferenceSystem
 
-__all__ = ["parse_number", "read_lines"]
+__all__ = ["parse_number", "read_lines", "split_words"]
 
 
 _COORDINATES = ("x", "y", "z")
@@ -51,10 +51,10 @@ def read_lines(
         system = ReferenceSystem(header.strip())
     except InputError as error:
         raise InputError(f"{shown(path)}: line {number}: {error}") from None
-    return system, [(number, _words(line, name_at)) for number, line in rows]
+    return system, [(number, split_words(line, name_at)) for number, line in rows]
 
 
-def _words(line: str, name_at: int) -> list[str]:
+def split_words(line: str, name_at: int) -> list[str]:
     """Return the words of a line: the fields between tabs if only the name has blanks."""
     fields = [field.strip() for field in line.split("\t") if field.strip()]
     if len(fields) > max(name_at, 1) and _ENDS_AS_FILES_DO.search(fields[name_at].strip("'\"")):

@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.errors import InputError, brief, nearest
+from bundle.errors import InputError, brief
 from bundle.georeference.consensus import agreeing
 from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.position_prior import PositionPrior
+from bundle.georeference.prior_images import rows_of_images
 from bundle.georeference.similarity import Similarity, moved
 from bundle.georeference.similarity_fit import fit_similarity
 from bundle.graphs.factors.factors import PositionFactor
@@ -59,32 +60,7 @@ class ProblemPriors:
                 unique, or two priors have the same image.
         """
         given = _listed(priors)
-        names: dict[str, int] = {}
-        twice: set[str] = set()
-        for index, name in enumerate(problem.image_names):
-            if name in names:
-                twice.add(name)
-            names[name] = index
-        ids = {image_id: index for index, image_id in enumerate(problem.image_ids.tolist())}
-        rows: dict[int, int] = {}
-        for position, prior in enumerate(given):
-            place = f"priors: [{position}]: image"
-            image = prior.image
-            row = names.get(image) if isinstance(image, str) else ids.get(int(image))
-            if row is None or image in twice:
-                meant = nearest(image, list(names)) if isinstance(image, str) else ""
-                found = f"0{meant}" if row is None else "several"
-                raise InputError(
-                    f"{place}: expected exactly one image {brief(image)} in the problem, found "
-                    f"{found}"
-                )
-            if row in rows:
-                raise InputError(
-                    f"{place}: expected one prior per image, found another prior of {brief(image)} "
-                    f"(the first: [{rows[row]}])"
-                )
-            rows[row] = position
-        found_rows = np.fromiter(rows, dtype=np.int64, count=len(rows))
+        found_rows = rows_of_images(problem, given)
         return ProblemPriors(given, found_rows, tuple(problem.image_ids[found_rows].tolist()))
 
     def factors(self) -> list[PositionFactor]:

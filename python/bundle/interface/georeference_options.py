@@ -14,7 +14,10 @@ __all__ = [
     "GCP_PIXEL_SIGMA",
     "GCP_SIGMA",
     "GPS_SIGMA",
+    "GRAVITY_SIGMA",
+    "ORIENTATION_SIGMA",
     "ROBUST_SCALE",
+    "ROBUST_SCALES",
     "GeoreferenceOptions",
 ]
 
@@ -24,6 +27,12 @@ GCP_SIGMA = "0.02"
 GCP_PIXEL_SIGMA = 0.5
 ROBUST_SCALE = math.sqrt(7.814727903251179)
 """Length in sigmas below which 95 % of 3D Gaussian errors are (chi squared: 7.8147)."""
+ROBUST_SCALES = {1: math.sqrt(3.841458820694124), 2: math.sqrt(5.991464547107979), 3: ROBUST_SCALE}
+"""The same length by the number of residuals."""
+GRAVITY_SIGMA = 1.0
+"""Default standard deviation of a direction of gravity in degrees, for lines without it."""
+ORIENTATION_SIGMA = "5/1"
+"""Default standard deviations of an orientation in degrees, heading and tilt."""
 
 
 @documented
@@ -42,10 +51,10 @@ class GeoreferenceOptions(Options):
     images: str | None = option(
         None,
         "--images",
-        "folder of the images, for --gps exif",
+        "folder of the images, for --gps exif and --orientations xmp",
         metavar="DIR",
         value="path",
-        needs=("gps",),
+        needs=("gps", "orientations"),
     )
     gps_sigma: str = option(
         GPS_SIGMA,
@@ -65,11 +74,11 @@ class GeoreferenceOptions(Options):
     prior_loss: str = option(
         "trivial",
         "--prior-loss",
-        "robust loss of positions and control points: tukey and arctan ignore gross errors, all "
-        "others only reduce their influence",
+        "robust loss of positions, control points and attitudes: tukey and arctan ignore gross "
+        "errors, all others only reduce their influence",
         choices=LOSSES,
         metavar="NAME",
-        needs=("gcp", "gps"),
+        needs=("gcp", "gps", "gravity", "orientations"),
         late=True,
     )
     prior_loss_scale: float = option(
@@ -78,7 +87,7 @@ class GeoreferenceOptions(Options):
         "residual in standard deviations at which this loss begins to bend; 5 % of correct "
         "residuals exceed the default",
         metavar="X",
-        needs=("gcp", "gps"),
+        needs=("gcp", "gps", "gravity", "orientations"),
         late=True,
     )
     gcp: str | None = option(
@@ -113,10 +122,52 @@ class GeoreferenceOptions(Options):
         needs=("gcp",),
     )
 
+    gravity: str | None = option(
+        None,
+        "--gravity",
+        "directions of gravity: lines of image, down in the camera frame (right, down, forward), "
+        "and standard deviation in degrees; a model without positions is first turned upright",
+        metavar="FILE",
+        value="path",
+    )
+    gravity_sigma: float = option(
+        GRAVITY_SIGMA,
+        "--gravity-sigma",
+        "standard deviation of directions that have no own one, in degrees",
+        metavar="DEGREES",
+        needs=("gravity",),
+        above=0,
+    )
+    orientations: str | None = option(
+        None,
+        "--orientations",
+        "measured orientations or headings; xmp: DJI's gimbal angles in the images; FILE: a header "
+        "that names the columns, and a line for each image",
+        metavar="FILE|xmp",
+        value="xmp or path",
+    )
+    orientation_sigma: str = option(
+        ORIENTATION_SIGMA,
+        "--orientation-sigma",
+        "standard deviation of orientations that have no own one, heading and tilt, in degrees",
+        metavar="H[/T]",
+        needs=("orientations",),
+    )
+
     @property
     def is_given(self) -> bool:
+        """True if positions, control points or attitudes were given."""
+        return self.has_positions or self.has_attitudes
+
+    @property
+    def has_positions(self) -> bool:
         """True if positions or control points were given."""
         return self.gps is not None or self.gcp is not None
+
+    @property
+    def has_attitudes(self) -> bool:
+        """True if directions of gravity or orientations were given."""
+        return self.gravity is not None or self.orientations is not None
 
     @property
     def lever_arm(self) -> list[float]:

@@ -48,13 +48,14 @@ from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 from bundle.model.rotations import cross_matrices, rotation_matrices
+from bundle.solving.placed_problem import place_at_priors
 
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from bundle.georeference.position_prior import PositionPrior
     from bundle.graphs.factors.factors import Factor
     from bundle.interface.option_keywords import SolveKeywords
+    from bundle.solving.placed_problem import Prior
 
 __all__ = ["GaugeFreedom", "gauge_freedom"]
 
@@ -107,7 +108,7 @@ def gauge_freedom(
     options: SolveOptions | None = None,
     *,
     factors: Iterable[Factor] = (),
-    priors: Iterable[PositionPrior] = (),
+    priors: Iterable[Prior] = (),
     **changes: Unpack[SolveKeywords],
 ) -> GaugeFreedom:
     """Count the degrees of freedom of a solve that no observation, factor or fixed id determines.
@@ -120,7 +121,7 @@ def gauge_freedom(
             pycolmap.Reconstruction.
         options: options that say which parameters are refined and fixed; ``gauge`` has no effect.
         factors: factors in addition to the observations, as in :func:`bundle.solve`.
-        priors: measured positions of images.
+        priors: measured positions and attitudes of images, and control points.
         **changes: options by name, which replace those in ``options``.
 
     Raises:
@@ -133,11 +134,8 @@ def gauge_freedom(
     """
     problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "gauge_freedom")
-    given = list(factors)
-    if priors:
-        from bundle.georeference.prior_alignment import ProblemPriors
-
-        given += ProblemPriors.make(problem, priors).factors()
+    placed = place_at_priors(problem, tuple(factors), tuple(priors), None)
+    problem, given = placed.problem, list(placed.factors)
     count = _Count(problem, options)
     count.add_frames()
     count.add_held_points()

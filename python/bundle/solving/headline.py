@@ -237,7 +237,8 @@ def _movement(result: Result) -> str:
         some = f"{found.num_images:,} of {count:,} cameras" * (found.num_images < count - 2)
         size = found.position / found.scene_size if found.scene_size > 0 else math.nan
         share = f"; {_percent(size)} of the scene" if math.isfinite(size) else ""
-        unit = " m" if result.similarity is not None else ""
+        placed = result.similarity  # a turn alone keeps the unit
+        unit = " m" if placed is not None and placed.scale != 1 else ""
         said = [
             f"{some or 'Cameras'} moved by {rounded(found.position)}{unit} (median{share})",
             f"turned by {rounded(found.rotation)} degrees",

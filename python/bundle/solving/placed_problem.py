@@ -10,14 +10,16 @@ from bundle.model.problem import Problem
 
 if TYPE_CHECKING:
     from bundle.georeference.alignment_result import ControlPointError
+    from bundle.georeference.attitude_priors import AttitudePrior
     from bundle.georeference.control_point import GroundControlPoint
     from bundle.georeference.position_prior import PositionPrior
     from bundle.georeference.prior_alignment import ProblemPriors
+    from bundle.georeference.problem_attitudes import ProblemAttitudes
     from bundle.georeference.similarity import Similarity
     from bundle.georeference.target_priors import TargetPriors
     from bundle.graphs.factors.factors import Factor
 
-    Prior = PositionPrior | GroundControlPoint
+    Prior = PositionPrior | GroundControlPoint | AttitudePrior
 
 __all__ = ["PlacedProblem", "place_at_priors"]
 
@@ -29,7 +31,7 @@ class PlacedProblem(NamedTuple):
 
     Attributes:
         problem: problem in the frame of the priors; control points are its last points.
-        factors: all factors; those of the priors come last, positions before control points.
+        factors: all factors; those of the priors come last: positions, attitudes, control points.
         similarity: similarity by which the problem was moved, if it was moved.
         targets: control and check points, if there are any.
     """
@@ -81,37 +83,71 @@ def place_at_priors(
     from bundle.georeference.similarity import moved
     from bundle.georeference.target_priors import TargetPriors
 
-    positions, points = _sorted(priors)
+    positions, attitudes, points = _sorted(priors)
     known = ProblemPriors.make(problem, positions)
+    turned = _attitudes(problem, attitudes)
     targets = TargetPriors.make(problem, points) if points else None
     similarity = None
     if align or (align is None and not factors):
         try:
-            similarity = _similarity(problem, known, targets)
+            similarity = _placement(problem, known, targets, turned)
         except InputError as error:
             if align:
                 raise InputError(f"priors: {error}") from None
     start = problem if similarity is None else moved(problem, similarity)
     of_priors: list[Factor] = [*known.factors()]
+    if turned is not None:
+        turned.check(start)
+        of_priors += turned.factors()
     if targets is not None:
         start = targets.added_to(start, similarity)
         of_priors += targets.factors()
     return PlacedProblem(start, (*factors, *of_priors), similarity, targets)
 
 
-def _sorted(priors: tuple[Any, ...]) -> tuple[list[Any], list[Any]]:
-    """Return the positions, and the other priors, which must be control points."""
+def _attitudes(problem: Problem, priors: list[AttitudePrior]) -> ProblemAttitudes | None:
+    if not priors:
+        return None
+    from bundle.georeference.problem_attitudes import ProblemAttitudes  # for these priors only
+
+    return ProblemAttitudes.make(problem, priors)
+
+
+def _placement(
+    problem: Problem,
+    known: ProblemPriors,
+    targets: TargetPriors | None,
+    turned: ProblemAttitudes | None,
+) -> Similarity | None:
+    """Return the similarity to the priors; without positions, the turn to the attitudes.
+
+    Raises:
+        InputError: the priors do not determine the similarity.
+    """
+    if turned is not None and not known.priors and targets is None:
+        return turned.placement(problem)
+    return _similarity(problem, known, targets)
+
+
+def _sorted(priors: tuple[Any, ...]) -> tuple[list[Any], list[Any], list[Any]]:
+    """Return the positions, the attitudes, and the control points."""
+    from bundle.georeference.attitude_priors import AttitudePrior
     from bundle.georeference.control_point import GroundControlPoint
     from bundle.georeference.position_prior import PositionPrior
 
+    kinds = (PositionPrior, AttitudePrior, GroundControlPoint)
+    sorted_priors: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
     for place, prior in enumerate(priors):
-        if not isinstance(prior, PositionPrior | GroundControlPoint):
+        for kind, group in zip(kinds, sorted_priors, strict=True):
+            if isinstance(prior, kind):
+                group.append(prior)
+                break
+        else:
             raise InputError(
-                "priors: expected PositionPriors and GroundControlPoints, "
+                "priors: expected PositionPriors, GroundControlPoints and priors of attitudes, "
                 f"found {brief(prior)} at [{place}]"
             )
-    points = [prior for prior in priors if isinstance(prior, GroundControlPoint)]
-    return [prior for prior in priors if isinstance(prior, PositionPrior)], points
+    return sorted_priors
 
 
 def _similarity(problem: Problem, known: ProblemPriors, targets: TargetPriors | None) -> Similarity:

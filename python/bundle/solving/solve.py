@@ -121,6 +121,11 @@ def solve(
         priors = [bundle.PositionPrior(name, enu, (2, 5)) for name, enu in gps.items()]
         bundle.solve(problem, priors=priors)
 
+    Priors of attitudes (:class:`bundle.GravityPrior`, :class:`bundle.OrientationPrior`,
+    :class:`bundle.HeadingPrior`) refer to a world of east, north, up. Without positions, the
+    problem is first turned to them about the middle of its cameras, robustly; its position and
+    scale stay.
+
     Ground control points (:class:`bundle.GroundControlPoint`, coordinates in the same frame and in
     metres) are priors as well. Each becomes a point of the solve. Its surveyed position is a prior
     and its pixels are observations, each with its own sigma. Control points help to determine the
@@ -141,10 +146,11 @@ def solve(
             graph, or a pycolmap.Reconstruction.
         options: solve options; the defaults of :class:`SolveOptions` if not given.
         factors: factors in addition to the observations, such as :class:`bundle.PriorFactor`.
-        priors: measured positions of images, and control points. Their costs come after those of
-            the factors, with control points last.
+        priors: measured positions and attitudes of images, and control points. Their costs come
+            after those of the factors: positions, attitudes, then control points.
         align: True to move the problem to its priors first. None: move it if there are no factors,
-            and at least three positions and control points that do not lie on one line.
+            and at least three positions and control points that do not lie on one line, or
+            attitudes without positions.
         constraints: rules that fix, bound or share parameters or add priors, such as
             ``"cameras *: f prior 2 %"`` (:class:`bundle.Constraints`). They refer to the problem
             after it was moved to the priors. The costs of their priors come last. ``constraints``

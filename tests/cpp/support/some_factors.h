@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/factors/attitude_factors.h"
 #include "core/factors/linear_prior.h"
 #include "core/factors/measurement_factors.h"
 #include "core/model/problem_factors.h"
@@ -53,6 +54,17 @@ class FactorMaker {
         std::vector<double>{0.1, 0.05, -0.2}, Information(3, Kind::kImage)));
   }
 
+  /// Gravity, orientation and heading.
+  void Attitudes(int image, LossType loss) {
+    const std::vector<std::pair<Kind, int>> of = {{Kind::kImage, image}};
+    made_.factors.push_back(std::make_unique<DirectionFactor>(
+        Head(of, loss), std::vector<double>{0.1, 2, 0.3}, std::vector<double>{0, 0, -1}, 0.05));
+    made_.factors.push_back(std::make_unique<RotationFactor>(
+        Head(of, loss), std::vector<double>{0.1, 0.2, 0.1, 1}, Information(3, Kind::kImage)));
+    made_.factors.push_back(std::make_unique<HeadingFactor>(
+        Head(of, loss), std::vector<double>{1, 0.4, 0.2}, 0.7, 0.05));
+  }
+
   void Between(Kind kind, int a, int b, LossType loss) {
     const Retraction retraction = RetractionOf(kind, a);
     const std::vector<double> x = Moved(kind, a), y = Moved(kind, b);
@@ -92,6 +104,7 @@ class FactorMaker {
     Prior(Kind::kImage, 1, loss);
     Position(0, loss);
     Position(2, loss);
+    Attitudes(2, loss);
     Between(Kind::kImage, 0, 3, loss);
     Between(Kind::kImage, 2, 1, loss);
     RelativePose(1, 3, loss);

@@ -28,6 +28,7 @@ from bundle.judging.findings.outliers import outliers
 from bundle.judging.findings.positions import is_tense, measured_positions, scale_drift
 from bundle.judging.findings.repaired import is_affordable, repaired
 from bundle.judging.findings.systematic import SystematicResiduals
+from bundle.judging.findings.wrong_attitudes import wrong_attitudes
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 
@@ -35,7 +36,7 @@ __all__ = ["find", "one_list"]
 
 IMPORTANCE = (
     *("not_refined", "outliers", "lens_model", "weak_joint", "undetermined_intrinsics", "motion"),
-    *("positions", "scale_drift", "focal_drift", "shared_lens", "image_residuals"),
+    *("positions", "attitudes", "scale_drift", "focal_drift", "shared_lens", "image_residuals"),
     "duplicate_points",
 )
 """Kinds of findings, the most important first."""
@@ -84,7 +85,7 @@ def find(
         rounds: rounds of adjusting and filtering in this solve.
         covariance: covariance of the intrinsics, scale "sigma0", if it has been computed; None:
             computed here if that takes milliseconds.
-        priors: measured positions of images in the frame of the problem.
+        priors: measured positions and attitudes of images in the frame of the problem.
         is_minimum: True if a solve with these options has just converged.
     """
     used = {problem.camera_models[camera] for camera in set(problem.image_camera.tolist())}
@@ -116,6 +117,7 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     joint = weak_joint(measured.whole, TrackTable(measured.whole))
     yield joint
     yield duplicate_points(measured)
+    yield wrong_attitudes(measured)
     start = not_refined(measured)
     if start is not None:
         yield start

@@ -166,6 +166,8 @@ def _used(measured: Measured) -> tuple[list[int], list[Any]]:
     seen = np.bincount(problem.observation_image, minlength=problem.num_images) > 0
     rows, priors = [], []
     for prior in measured.priors:
+        if not hasattr(prior, "position"):  # attitudes
+            continue
         image = getattr(prior, "image", None)
         row = by_name.get(image) if isinstance(image, str) else by_id.get(image)  # type: ignore[arg-type]
         if row is not None and seen[row]:

@@ -338,7 +338,7 @@ QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], Collection[str]], ...
         ),
     ),
     (_connection, ("weak_joint", "disconnected", "images_without_observations")),
-    (_place, ("positions",)),
+    (_place, ("positions", "attitudes")),
 )
 """Functions that answer a question, and the kinds of findings about its subject."""
 

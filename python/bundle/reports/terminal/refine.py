@@ -28,6 +28,7 @@ from bundle.solving.sensor_changes import sensor_changes
 
 if TYPE_CHECKING:
     from bundle.editing.cameras.edit_record import CameraEdits
+    from bundle.georeference.attitudes import AttitudeErrors
     from bundle.georeference.georeferenced import Georeference
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.interface.finding import Finding
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 
 __all__ = ["refinement", "worst_sections"]
 
+ATTITUDE_KEYS = {"gravity": "gravity", "orientation": "orientations", "heading": "headings"}
+"""Keys of the JSON report, by the noun of the measurements."""
 MOST_CAMERAS = 5
 """Number of cameras whose changes are shown."""
 
@@ -53,6 +56,7 @@ def refinement(
     closed: LoopClosing | None = None,
     findings: Sequence[Finding] = (),
     waiting: Waiting | None = None,
+    attitudes: Sequence[AttitudeErrors] = (),
 ) -> Report:
     """Return the report on one solve.
 
@@ -69,6 +73,7 @@ def refinement(
         closed: loop closing before the solve, or None.
         findings: findings about the result.
         waiting: waiting for cores during the solve.
+        attitudes: residuals of gravity, orientations and headings.
     """
     summary, changes = solved.summary, camera_changes(solved)
     warnings = (*(edits.warnings if edits else ()), *summary.warnings)
@@ -80,6 +85,7 @@ def refinement(
         Section(tables=[_before_and_after(solved)]),
         *_held_out(solved),
         *_positions(georeference),
+        *_attitudes(attitudes),
         *_cameras(changes),
         *_constraints(solved),
         *sensor_sections(sensor_changes(solved)),
@@ -105,6 +111,7 @@ def refinement(
         **({"sensors": sensor_changes(solved)} if problem.num_frames else {}),
         "worst_images": solved.worst_images,
         **({} if georeference is None else {"georeference": georeference.asdict()}),
+        **{ATTITUDE_KEYS[errors.noun]: errors.asdict() for errors in attitudes},
         "wall_time": wall,
         "environment": environment_data(waiting),
         "output": output,
@@ -112,7 +119,7 @@ def refinement(
     return Report(
         command="refine",
         input=about_problem(path, problem) | {"digests": content_digests(problem)},
-        headline=[*headline(solved), *places],
+        headline=[*headline(solved), *places, *(errors.sentence for errors in attitudes)],
         findings=findings,
         warnings=[*warnings, *place_warnings, *(f"lost: {what}" for what in lost)],
         sections=[
@@ -155,6 +162,14 @@ def _positions(georeference: Georeference | None) -> list[Section]:
     from bundle.reports.terminal.gps import gps_report  # most solves have no positions
 
     return gps_report(georeference)
+
+
+def _attitudes(attitudes: Sequence[AttitudeErrors]) -> list[Section]:
+    if not attitudes:
+        return []
+    from bundle.reports.terminal.attitude_tables import attitude_sections  # most solves have none
+
+    return attitude_sections(attitudes)
 
 
 def _held_out(solved: Result) -> list[Section]:

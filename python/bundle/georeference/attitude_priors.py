@@ -1,0 +1,289 @@
+"""Priors on the attitude of an image: direction of gravity, orientation, heading.
+
+The axes of the world are east, north, up; without positions, only up has a meaning. With R the
+rotation of cam_from_world and sigma in radians, the priors add 1/2 rho(r^T r) to the cost of a
+solve, with
+
+    gravity:      r = (R (0, 0, -1) - measured direction) / sigma, for unit vectors,
+    orientation:  r = W Log(Z^T R), along the axes of the world, Z the measured rotation,
+    heading:      r = heading of the camera's axis - measured heading / sigma.
+
+At an angle x between both directions, gravity's r has the length 2 sin(x / 2) / sigma: x / sigma
+for small angles, and no pull by a direction that is upside down. Gravity leaves the turn about the
+vertical, the position and the scale of the world free. Gravity with headings leaves position and
+scale, and so do orientations. ``cpp/core/factors/attitude_factors.h`` has the derivations.
+
+Yaw, pitch and roll turn the axes of a body (forward, right, down) from north, east, down, in this
+order (aerospace; DJI's gimbal angles). The camera looks forward, and its x axis points to the
+right:
+
+    yaw     heading of the viewing direction, clockwise from north,
+    pitch   above the horizon: -90 looks straight down,
+    roll    about the viewing direction, clockwise as seen by the camera's user.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bundle.base.arguments import as_array
+from bundle.base.arrays import FrozenArrays, freeze
+from bundle.base.display import Display, Displayed
+from bundle.errors import InputError, brief
+from bundle.graphs.factors.attitude_factors import (
+    DOWN,
+    FORWARD,
+    DirectionFactor,
+    HeadingFactor,
+    RotationFactor,
+)
+from bundle.graphs.factors.factors import Factor
+from bundle.interface.georeference_options import ROBUST_SCALES
+from bundle.interface.option_fields import choice, number
+from bundle.interface.options import LOSSES
+from bundle.model.rotations import quaternion_from_matrix
+
+__all__ = [
+    "AttitudePrior",
+    "GravityPrior",
+    "HeadingPrior",
+    "OrientationPrior",
+    "quaternion_of_angles",
+]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AttitudePrior(FrozenArrays, Displayed):
+    """Base class of priors on the attitude of an image."""
+
+    image: int | str
+
+    noun = ""
+    num_residuals = 1
+
+    def _check(self) -> None:
+        if isinstance(self.image, bool) or not isinstance(self.image, int | str | np.integer):
+            raise InputError(
+                f"{type(self).__name__}: image: expected an id or a name, found {brief(self.image)}"
+            )
+        given: Any = self
+        scale = given.loss_scale
+        if scale is None:
+            scale = ROBUST_SCALES[self.num_residuals]
+        self._set("loss", choice(f"{self.name}: loss", given.loss, LOSSES))
+        self._set("loss_scale", number(f"{self.name}: loss_scale", scale, above=0))
+
+    @property
+    def name(self) -> str:
+        """Name for messages."""
+        return f"{type(self).__name__}({brief(self.image)})"
+
+    def factor(self, image_id: int) -> Factor:
+        """Return the factor of a solve for the image with this id."""
+        raise NotImplementedError
+
+    def _set(self, attribute: str, value: Any) -> None:
+        frozen = freeze(value.copy()) if isinstance(value, np.ndarray) else value
+        object.__setattr__(self, attribute, frozen)
+
+    def _direction(self, attribute: str) -> Array:
+        name = f"{self.name}: {attribute}"
+        vector = as_array(name, getattr(self, attribute))
+        if vector.shape != (3,):
+            raise InputError(f"{name}: expected 3 numbers, found shape {vector.shape}")
+        largest = float(np.abs(vector).max()) if np.isfinite(vector).all() else 0.0
+        if not largest > 0:
+            raise InputError(
+                f"{name}: expected finite numbers that are not all zero, "
+                f"found {brief(vector.tolist())}"
+            )
+        vector = vector / largest
+        return np.asarray(vector / np.linalg.norm(vector))
+
+    def _shown(self, *facts: tuple[str, str]) -> Display:
+        given: Any = self
+        rows = [("image", brief(self.image)), *facts]
+        if given.loss != "trivial":
+            rows.append(("loss", f"{given.loss}, scale {given.loss_scale:g} sigmas"))
+        return Display(title=type(self).__name__, facts=tuple(rows))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GravityPrior(AttitudePrior):
+    """Measured direction of gravity, from an accelerometer or a gimbal.
+
+    Attributes:
+        image: id or name of the image.
+        direction: (3,) down in the camera's frame (x right, y down, z forward), of any length;
+            stored with length 1. A level camera has (0, 1, 0).
+        sigma_degrees: standard deviation, about each of two axes perpendicular to the direction.
+        loss: robust loss of :class:`bundle.SolveOptions`.
+        loss_scale: angle in sigmas beyond which the loss is robust; by default 2.448, which 5 % of
+            good directions exceed.
+
+    Raises:
+        InputError: a value has a wrong type, shape or range; the message names the image.
+    """
+
+    direction: ArrayLike
+    sigma_degrees: float
+    loss: str = field(default="trivial", kw_only=True)
+    loss_scale: float | None = field(default=None, kw_only=True)
+
+    noun = "gravity"
+    num_residuals = 2
+
+    def __post_init__(self) -> None:
+        self._check()
+        self._set("direction", self._direction("direction"))
+        sigma = number(f"{self.name}: sigma_degrees", self.sigma_degrees, above=0)
+        self._set("sigma_degrees", sigma)
+
+    def factor(self, image_id: int) -> DirectionFactor:
+        """Return the factor of a solve for the image with this id."""
+        sigma = math.radians(self.sigma_degrees)
+        return DirectionFactor(("image", image_id), self.direction, sigma, axis=DOWN, **_loss(self))
+
+    def _display(self) -> Display:
+        down = ", ".join(f"{value:.6g}" for value in np.asarray(self.direction))
+        return self._shown(("down", down), ("sigma", f"{self.sigma_degrees:g} degrees"))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OrientationPrior(AttitudePrior):
+    """Measured rotation of an image in a world whose axes are east, north, up.
+
+    Attributes:
+        image: id or name of the image.
+        rotation: (4,) quaternion qx qy qz qw of the rotation of cam_from_world, of any length;
+            stored with length 1.
+        sigma_degrees: standard deviation: one number, or (heading, tilt). The heading is the angle
+            about up; the tilt holds about each horizontal axis.
+        loss: robust loss of :class:`bundle.SolveOptions`.
+        loss_scale: length of the residual in sigmas beyond which the loss is robust; by default
+            2.795, which 5 % of good orientations exceed.
+
+    Raises:
+        InputError: a value has a wrong type, shape or range; the message names the image.
+    """
+
+    rotation: ArrayLike
+    sigma_degrees: ArrayLike
+    loss: str = field(default="trivial", kw_only=True)
+    loss_scale: float | None = field(default=None, kw_only=True)
+
+    noun = "orientation"
+    num_residuals = 3
+
+    def __post_init__(self) -> None:
+        self._check()
+        name = f"{self.name}: rotation"
+        rotation = as_array(name, self.rotation)
+        if rotation.shape != (4,) or not np.isfinite(rotation).all() or not rotation.any():
+            raise InputError(
+                f"{name}: expected a quaternion qx qy qz qw, found {brief(rotation.tolist())}"
+            )
+        rotation = rotation / np.abs(rotation).max()
+        self._set("rotation", rotation / np.linalg.norm(rotation))
+        name = f"{self.name}: sigma_degrees"
+        sigmas = np.atleast_1d(as_array(name, self.sigma_degrees))
+        if sigmas.shape not in ((1,), (2,)) or not ((sigmas > 0) & np.isfinite(sigmas)).all():
+            raise InputError(
+                f"{name}: expected one number above 0, or (heading, tilt), "
+                f"found {brief(self.sigma_degrees)}"
+            )
+        self._set("sigma_degrees", np.array([sigmas[0], sigmas[-1]]))
+
+    @staticmethod
+    def from_angles(
+        image: int | str, yaw: float, pitch: float, roll: float, sigma_degrees: ArrayLike
+    ) -> OrientationPrior:
+        """Return the prior of yaw, pitch and roll in degrees; the module defines these angles."""
+        rotation = quaternion_of_angles(np.array([[yaw, pitch, roll]], np.float64))[0]
+        return OrientationPrior(image, rotation, sigma_degrees)
+
+    def factor(self, image_id: int) -> RotationFactor:
+        """Return the factor of a solve for the image with this id."""
+        heading, tilt = np.radians(np.asarray(self.sigma_degrees))
+        information = np.diag([tilt**-2, tilt**-2, heading**-2])
+        return RotationFactor(("image", image_id), self.rotation, information, **_loss(self))
+
+    def _display(self) -> Display:
+        rotation = ", ".join(f"{value:.6g}" for value in np.asarray(self.rotation))
+        heading, tilt = np.asarray(self.sigma_degrees)
+        return self._shown(
+            ("cam_from_world", rotation), ("sigma", f"heading {heading:g}, tilt {tilt:g} degrees")
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HeadingPrior(AttitudePrior):
+    """Measured heading of an image, from a compass.
+
+    Attributes:
+        image: id or name of the image.
+        heading_degrees: heading of ``axis``, clockwise from north; the world's axes are east,
+            north, up.
+        sigma_degrees: standard deviation.
+        axis: (3,) axis in the camera's frame; by default the viewing direction. Use (0, -1, 0), the
+            upper edge of the image, for cameras that look down.
+        loss: robust loss of :class:`bundle.SolveOptions`.
+        loss_scale: residual in sigmas beyond which the loss is robust; by default 1.96, which 5 %
+            of good headings exceed.
+
+    Raises:
+        InputError: a value has a wrong type, shape or range; the message names the image.
+    """
+
+    heading_degrees: float
+    sigma_degrees: float
+    axis: ArrayLike = field(default=FORWARD, kw_only=True)
+    loss: str = field(default="trivial", kw_only=True)
+    loss_scale: float | None = field(default=None, kw_only=True)
+
+    noun = "heading"
+    num_residuals = 1
+
+    def __post_init__(self) -> None:
+        self._check()
+        heading = number(f"{self.name}: heading_degrees", self.heading_degrees)
+        self._set("heading_degrees", heading)
+        sigma = number(f"{self.name}: sigma_degrees", self.sigma_degrees, above=0)
+        self._set("sigma_degrees", sigma)
+        self._set("axis", self._direction("axis"))
+
+    def factor(self, image_id: int) -> HeadingFactor:
+        """Return the factor of a solve for the image with this id."""
+        heading, sigma = math.radians(self.heading_degrees), math.radians(self.sigma_degrees)
+        key = ("image", image_id)
+        return HeadingFactor(key, heading, sigma, axis=self.axis, **_loss(self))
+
+    def _display(self) -> Display:
+        sigma = f"{self.sigma_degrees:g} degrees"
+        return self._shown(("heading", f"{self.heading_degrees:g} degrees"), ("sigma", sigma))
+
+
+def quaternion_of_angles(angles: Array) -> Array:
+    """Return (n, 4) quaternions of cam_from_world of (n, 3) yaw, pitch and roll in degrees."""
+    (cy, cp, cr), (sy, sp, sr) = np.cos(np.radians(angles)).T, np.sin(np.radians(angles)).T
+    # Rz(yaw) Ry(pitch) Rx(roll): forward, right, down of the body in columns, north, east, down.
+    ned = np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+    enu = np.stack([ned[1], ned[0], -ned[2]])  # (3, 3, n): rows of the world, columns of the body
+    return quaternion_from_matrix(np.ascontiguousarray(enu[:, [1, 2, 0]].transpose(2, 1, 0)))
+
+
+def _loss(prior: Any) -> dict[str, Any]:
+    return {"loss": prior.loss, "loss_scale": prior.loss_scale}

@@ -1,0 +1,306 @@
+"""Attitude priors of a problem's images from files, and their residuals in a result."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.words import plural
+from bundle.errors import InputError, brief, shown
+from bundle.georeference.attitude_files import read_gravity, read_orientations
+from bundle.georeference.attitude_mean import MEDIAN
+from bundle.georeference.attitude_priors import AttitudePrior, GravityPrior
+from bundle.georeference.image_finder import ImageFinder
+from bundle.georeference.problem_attitudes import AttitudesOfKind, ProblemAttitudes
+from bundle.georeference.similarity import moved
+from bundle.interface.georeference_options import GRAVITY_SIGMA, ORIENTATION_SIGMA
+from bundle.interface.option_fields import choice, number
+from bundle.interface.options import LOSSES
+from bundle.model.problem import Problem
+
+__all__ = ["AttitudeErrors", "Attitudes", "ImageAttitude", "read_attitudes"]
+
+Array = NDArray[np.float64]
+
+FALSE_ALARM = 1e-3
+"""Probability that any of n good measurements counts as wrong."""
+CONFIDENCE = math.sqrt(5.991464547107979)
+"""Length in standard errors below which 95 % of errors of the vertical are."""
+TILT = 3.0
+"""Factor of the sigma by which the vertical of a model that cannot turn may be wrong."""
+
+
+@dataclass(frozen=True)
+class ImageAttitude:
+    """Image with an attitude prior.
+
+    Attributes:
+        image: name of the image, or its id without names.
+        degrees: angle between the model and the measurement.
+        apart: the same angle in a model that is turned to the robust mean of the measurements.
+        sigmas: length of the residual in standard deviations.
+        used: True if the image has observations, which tie it to the model.
+        agrees: False if the measurement contradicts most others.
+    """
+
+    image: str
+    degrees: float
+    apart: float
+    sigmas: float
+    used: bool
+    agrees: bool
+
+
+@dataclass(frozen=True)
+class AttitudeErrors:
+    """Residuals of the priors of one kind in a model.
+
+    Attributes:
+        noun: "gravity", "orientation" or "heading".
+        images: one entry per prior.
+        rms_sigmas: root mean square of the residuals' coordinates in standard deviations; 1 for
+            right sigmas.
+        ratio: median length of the residuals about their robust mean, over that of right sigmas.
+        sigma: median standard deviation in degrees.
+        off: degrees between the model and the robust mean of the measurements.
+        within: bound of the error of the vertical (of the orientation, the heading) in degrees that
+            holds with 95 % if the measurements have independent errors.
+    """
+
+    noun: str
+    images: tuple[ImageAttitude, ...]
+    rms_sigmas: float
+    ratio: float
+    sigma: float
+    off: float
+    within: float
+
+    @property
+    def median(self) -> float:
+        """Median angle in degrees."""
+        return float(np.median([image.degrees for image in self.images]))
+
+    @property
+    def suspects(self) -> tuple[ImageAttitude, ...]:
+        """Images whose measurement contradicts most others, the worst first."""
+        wrong = [image for image in self.images if not image.agrees]
+        return tuple(sorted(wrong, key=lambda image: -image.degrees))
+
+    @property
+    def sentence(self) -> str:
+        """Describe the accuracy of the model in words."""
+        verb = {
+            "gravity": "Upright",
+            "orientation": "Oriented",
+            "heading": "Headings right",
+        }[self.noun]
+        count = plural(len(self.images), "image")
+        return (
+            f"{verb} within {self.within:.2g} degrees: {self.noun} of {count}, median angle "
+            f"{self.median:.2g} degrees."
+        )
+
+    def asdict(self) -> dict[str, Any]:
+        """Return the content of the JSON report."""
+        return {
+            "within": self.within,
+            "off": self.off,
+            "rms_sigmas": self.rms_sigmas,
+            "median_degrees": self.median,
+            "images": [dataclasses.asdict(image) for image in self.images],
+        }
+
+    @staticmethod
+    def of(group: AttitudesOfKind, problem: Problem) -> AttitudeErrors:
+        """Return the residuals of the priors of a kind."""
+        size = group.kind.num_residuals
+        found = group.agreement(problem)
+        # Residuals about the mean that most agree on: a wrong one that pulls does not hide.
+        ratio = float(np.median(found.lengths)) / MEDIAN[size]
+        agrees = found.lengths <= _largest(size, len(found.lengths)) * max(1.0, ratio)
+        squares = float((found.weights * found.lengths**2).sum())
+        weight = float(found.weights.sum())
+        scale = math.sqrt(squares / (size * weight)) if weight > 0 else 1.0
+        if len(found.lengths) < 5:  # too few to estimate the spread
+            scale = max(scale, 1.0)
+        strength = float((found.weights[:, None] / group.sigmas**2).sum(axis=0).min())
+        error = scale / math.sqrt(strength) if strength > 0 else math.pi
+        off = math.acos(min(1.0, max(-1.0, (float(np.trace(found.rotation)) - 1) / 2)))
+        seen = np.bincount(problem.observation_image, minlength=problem.num_images) > 0
+        angles, sigmas = group.angles(problem), group.whitened(problem)
+        apart = group.angles(problem, found.rotation)
+        images = tuple(
+            ImageAttitude(
+                problem.image_names[row] or str(problem.image_ids[row]),
+                float(angles[k]),
+                float(apart[k]),
+                float(sigmas[k]),
+                bool(seen[row]),
+                bool(agrees[k]),
+            )
+            for k, row in enumerate(group.rows.tolist())
+        )
+        return AttitudeErrors(
+            noun=group.kind.noun,
+            images=images,
+            rms_sigmas=float(np.sqrt((sigmas**2).mean() / size)),
+            ratio=ratio,
+            sigma=math.degrees(float(np.median(group.sigmas))),
+            off=math.degrees(off),
+            within=min(math.degrees(math.hypot(off, CONFIDENCE * error)), 180.0),
+        )
+
+
+def _largest(size: int, count: int) -> float:
+    """Return the length in sigmas that the largest of n good residuals hardly exceeds.
+
+    The quantile of the chi distribution by the cube root of Wilson and Hilferty (1931).
+    """
+    z = NormalDist().inv_cdf(1 - FALSE_ALARM / count)
+    part = 2 / (9 * size)
+    return math.sqrt(size * (1 - part + z * math.sqrt(part)) ** 3)
+
+
+@dataclass(frozen=True)
+class Attitudes:
+    """Attitude priors that were read for a problem.
+
+    Attributes:
+        priors: priors for ``bundle.solve(problem, priors=...)``, of images by id.
+        notes: sentences on images without a measurement.
+    """
+
+    priors: tuple[AttitudePrior, ...]
+    notes: tuple[str, ...] = ()
+
+    def errors(self, problem: Problem, *, turned: bool = False) -> tuple[AttitudeErrors, ...]:
+        """Return the residuals in a model, by kind.
+
+        Args:
+            problem: the model.
+            turned: True to turn the model to the priors first.
+        """
+        known = ProblemAttitudes.make(problem, self.priors)
+        if turned and (similarity := known.placement(problem)) is not None:
+            problem = moved(problem, similarity)
+        return tuple(AttitudeErrors.of(group, problem) for group in known.groups)
+
+    def check_upright(self, problem: Problem, reason: str) -> None:
+        """Refuse a model that gravity contradicts and that cannot be turned.
+
+        Raises:
+            InputError: the vertical of the model is wrong by more than its uncertainty.
+        """
+        group = ProblemAttitudes.make(problem, self.priors).group(GravityPrior)
+        if group is None:
+            return
+        found = AttitudeErrors.of(group, problem)
+        if found.off > max(TILT * math.degrees(float(np.median(group.sigmas))), 1.0):
+            raise InputError(
+                f"gravity: expected a model with z up {reason}, found one that is "
+                f"{found.off:.3g} degrees off"
+            )
+
+
+def read_attitudes(
+    problem: Problem,
+    *,
+    gravity: str | os.PathLike[str] | None = None,
+    orientations: str | os.PathLike[str] | None = None,
+    images: str | os.PathLike[str] | None = None,
+    gravity_sigma: float = GRAVITY_SIGMA,
+    orientation_sigma: str | tuple[float, float] = ORIENTATION_SIGMA,
+    prior_loss: str = "trivial",
+    prior_loss_scale: float | None = None,
+) -> Attitudes:
+    """Read directions of gravity, orientations and headings of a problem's images.
+
+    Args:
+        problem: problem of the images.
+        gravity: file with directions of gravity.
+        orientations: file with orientations or headings, or "xmp" for DJI's gimbal angles.
+        images: folder of the images, for "xmp".
+        gravity_sigma: standard deviation in degrees for directions without their own.
+        orientation_sigma: standard deviations of heading and tilt in degrees, such as "5/1", for
+            orientations without their own.
+        prior_loss: robust loss of each residual.
+        prior_loss_scale: sigmas beyond which the loss is robust; None: a length that 5 % of good
+            residuals exceed.
+
+    Raises:
+        InputError: a file or an argument is wrong.
+        OSError: a file cannot be read.
+    """
+    loss = choice("prior_loss", prior_loss, LOSSES)
+    scale = prior_loss_scale
+    if scale is not None:
+        scale = number("prior_loss_scale", scale, above=0)
+    finder = ImageFinder(problem)
+    priors: list[AttitudePrior] = []
+    notes: tuple[str, ...] = ()
+    if gravity is not None:
+        sigma = number("gravity_sigma", gravity_sigma, above=0)
+        priors += read_gravity(gravity, finder, sigma)
+    if orientations is not None:
+        sigmas = _sigmas(orientation_sigma)
+        if orientations == "xmp":
+            found, notes = _from_xmp(problem, images, sigmas)
+            priors += found
+        else:
+            priors += read_orientations(orientations, finder, sigmas)
+    if loss != "trivial":
+        change: dict[str, Any] = {"loss": loss, "loss_scale": scale}
+        priors = [dataclasses.replace(prior, **change) for prior in priors]
+    return Attitudes(tuple(priors), notes)
+
+
+def _sigmas(given: str | tuple[float, float]) -> tuple[float, float]:
+    try:
+        parts = given.split("/") if isinstance(given, str) else given
+        values = [float(part) for part in parts]
+    except (TypeError, ValueError):
+        values = []
+    if len(values) not in (1, 2) or not all(0 < value < math.inf for value in values):
+        raise InputError(
+            "orientation_sigma: expected degrees above 0, heading and tilt, such as 5/1, "
+            f"found {brief(given)}"
+        )
+    return values[0], values[-1]
+
+
+def _from_xmp(
+    problem: Problem, folder: str | os.PathLike[str] | None, sigmas: tuple[float, float]
+) -> tuple[list[AttitudePrior], tuple[str, ...]]:
+    """Return priors of the images with gimbal angles, and notes about the others."""
+    from bundle.georeference.dji_xmp import read_dji
+    from bundle.georeference.exif_gps import counted_images, files_of_images
+
+    if folder is None:
+        raise InputError("images: expected the folder of the images, for orientations xmp")
+    files, missing = files_of_images(folder, problem.image_names)
+    priors: list[AttitudePrior] = []
+    silent = []
+    for row, name in enumerate(problem.image_names):
+        if name not in files:
+            continue
+        record = read_dji(files[name])
+        if record.has_angles:
+            priors.append(record.prior(int(problem.image_ids[row]), sigmas))
+        else:
+            silent.append(name)
+    if not priors:
+        raise InputError(
+            f"{shown(folder)}: expected DJI's gimbal angles in the XMP of the images, found 0 in "
+            f"{plural(len(files), 'file')}"
+        )
+    return priors, (
+        *counted_images(missing, f"not in {shown(folder)}"),
+        *counted_images(silent, "without gimbal angles in the XMP"),
+    )

@@ -1,0 +1,44 @@
+"""All priors that a command was given: positions, control points and attitudes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bundle.georeference.attitude_priors import AttitudePrior
+from bundle.georeference.attitudes import AttitudeErrors, Attitudes
+from bundle.georeference.control_point import GroundControlPoint
+from bundle.georeference.gcp_priors import GcpPriors
+from bundle.georeference.georeferenced import Georeference, Solved
+from bundle.georeference.gps_priors import GpsPriors
+from bundle.georeference.position_prior import PositionPrior
+
+__all__ = ["KnownPriors"]
+
+
+@dataclass(frozen=True)
+class KnownPriors:
+    """Priors of a solve by their source.
+
+    Attributes:
+        survey: priors of positions and control points, or None.
+        attitudes: priors of attitudes, or None.
+    """
+
+    survey: GcpPriors | GpsPriors | None
+    attitudes: Attitudes | None
+
+    @property
+    def priors(self) -> tuple[PositionPrior | GroundControlPoint | AttitudePrior, ...]:
+        """All priors."""
+        return (
+            *(() if self.survey is None else self.survey.priors),
+            *(() if self.attitudes is None else self.attitudes.priors),
+        )
+
+    def georeference(self, result: Solved) -> Georeference | None:
+        """Return the georeference of a result; None without positions and control points."""
+        return None if self.survey is None else self.survey.georeference(result)
+
+    def attitude_errors(self, result: Solved) -> tuple[AttitudeErrors, ...]:
+        """Return the residuals of attitudes in a result, by kind."""
+        return () if self.attitudes is None else self.attitudes.errors(result.problem)

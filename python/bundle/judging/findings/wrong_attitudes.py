@@ -1,0 +1,98 @@
+r"""Measured gravity, orientations and headings that contradict most others of their kind.
+
+The model is first turned to the measurements, robustly, and the robust mean of each kind is
+removed: a few wrong measurements, which pull the model, do not hide behind the others, and a model
+that was not turned yet is not accused. The length a_i of the remaining turn in its sigmas has a chi
+distribution with k = 1, 2 or 3 degrees of freedom.
+
+Single images. a_i is above max(1, ratio) times the quantile that the largest of n good ones exceeds
+with a probability of 0.1 %, and above 1 degree, in less than half of the images. The ratio is the
+median of a_i over that of the chi distribution.
+Wrong sigmas. The ratio is above 2, over at least 6 images. The command gives the sigma that the
+residuals show.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bundle.base.words import number, plural
+from bundle.errors import shown
+from bundle.interface.finding import Finding
+from bundle.judging.findings.measured import Measured
+
+if TYPE_CHECKING:
+    from bundle.georeference.attitudes import AttitudeErrors
+
+__all__ = ["wrong_attitudes"]
+
+RATIO = 2.0
+FEWEST = 6
+SMALLEST = 1.0
+"""Angle in degrees below which a measurement is not accused."""
+
+FLAGS = {"gravity": "--gravity-sigma", "orientation": "--orientation-sigma"}
+
+
+def wrong_attitudes(measured: Measured) -> Finding | None:
+    """Return the finding about attitudes that contradict the model, or None."""
+    if not any(hasattr(prior, "num_residuals") for prior in measured.priors):
+        return None
+    from bundle.georeference.attitude_priors import AttitudePrior
+    from bundle.georeference.attitudes import Attitudes
+
+    priors = [prior for prior in measured.priors if isinstance(prior, AttitudePrior)]
+    is_robust = all(getattr(prior, "loss", "") != "trivial" for prior in priors)
+    for errors in Attitudes(tuple(priors)).errors(measured.whole, turned=True):
+        found = None if is_robust else _single(measured, errors)
+        found = found or _wrong_sigmas(measured, errors)
+        if found is not None:
+            return found
+    return None
+
+
+def _single(measured: Measured, errors: AttitudeErrors) -> Finding | None:
+    wrong = sorted(
+        (image for image in errors.suspects if image.apart > SMALLEST),
+        key=lambda image: -image.apart,
+    )
+    count = len(errors.images)
+    if not wrong or 2 * len(wrong) >= count or count < 3:
+        return None
+    worst = wrong[0]
+    typical = float(np.median([image.apart for image in errors.images]))
+    return Finding(
+        kind="attitudes",
+        sentence=f"{errors.noun.capitalize()} of {len(wrong)} of {plural(count, 'image')} "
+        f"contradicts the others: {shown(worst.image)} is {worst.apart:.3g} degrees off, the "
+        f"median image {typical:.2g}.",
+        command=measured.command.refine("--prior-loss", "tukey"),
+        evidence={
+            "noun": errors.noun,
+            "num_images": count,
+            "images": [image.image for image in wrong],
+            "degrees": [image.apart for image in wrong],
+        },
+    )
+
+
+def _wrong_sigmas(measured: Measured, errors: AttitudeErrors) -> Finding | None:
+    if len(errors.images) < FEWEST or not errors.ratio > RATIO:
+        return None
+    evidence: dict[str, Any] = {
+        "noun": errors.noun,
+        "num_images": len(errors.images),
+        "ratio": errors.ratio,
+    }
+    flag = FLAGS.get(errors.noun)
+    sigma = f"{errors.ratio * errors.sigma:.2g}"
+    return Finding(
+        kind="attitudes",
+        sentence=f"{errors.noun.capitalize()} and model differ by {number(errors.ratio)} times the "
+        f"sigmas: they are nearer to {sigma} than to {number(errors.sigma)} degrees, or the model "
+        "is bent. Give the measurements larger sigmas.",
+        command=measured.command.refine(flag, sigma) if flag else "",
+        evidence=evidence,
+    )

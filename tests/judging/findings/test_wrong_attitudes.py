@@ -1,0 +1,62 @@
+"""The finding about attitudes that contradict the others: planted and healthy ones."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import bundle
+from bundle import HeadingPrior, OrientationPrior
+from bundle.judging.findings.find import find
+from tests.georeference.test_attitude_priors import gravity_of, rotations, upright_and_turned
+
+
+def found(problem, priors):
+    return [one for one in find(problem, priors=priors) if one.kind == "attitudes"]
+
+
+def test_planted_images_are_named_in_models_that_were_turned_and_others():
+    truth, given = upright_and_turned()
+    priors = gravity_of(truth, 1.0, upside_down=(2, 5))
+    solved = bundle.solve(given, priors=priors).problem
+    for model in (solved, given):
+        (finding,) = found(model, priors)
+        assert set(finding.evidence["images"]) == {"image2.jpg", "image5.jpg"}
+        assert min(finding.evidence["degrees"]) > 170
+        assert "--prior-loss tukey" in finding.command
+    robust = [dataclasses.replace(prior, loss="tukey") for prior in priors]
+    assert not found(solved, robust)
+
+
+def test_moderate_errors_are_found():
+    truth, _ = upright_and_turned()
+    priors = gravity_of(truth, 0.5)
+    turned = Rotation.from_euler("x", 6, degrees=True).apply(np.array(priors[3].direction))
+    priors[3] = dataclasses.replace(priors[3], direction=turned)
+    (finding,) = found(truth, priors)
+    assert finding.evidence["images"] == ["image3.jpg"]
+
+
+def test_small_sigmas_are_found_with_the_right_ones():
+    truth, _ = upright_and_turned(num_images=30)
+    priors = [dataclasses.replace(p, sigma_degrees=0.3) for p in gravity_of(truth, 2.0)]
+    (finding,) = found(truth, priors)
+    assert finding.evidence["ratio"] * 0.3 == pytest.approx(2.0, rel=0.4)
+    assert "--gravity-sigma" in finding.command
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_healthy_measurements_are_not_accused(seed):
+    truth, given = upright_and_turned(seed, num_images=25)
+    rng = np.random.default_rng(seed)
+    headings = np.degrees(np.arctan2(*rotations(truth).inv().apply([1, 0.3, 0.2]).T[:2]))
+    priors = gravity_of(truth, 1.5, seed)
+    for image, rotation, heading in zip(truth.image_ids, rotations(truth), headings, strict=True):
+        noise = Rotation.from_rotvec(np.radians([1, 1, 5]) * rng.normal(size=3))
+        measured = (rotation * noise).as_quat()
+        priors.append(OrientationPrior(int(image), measured, (5, 1)))
+        heading += 4 * rng.normal()
+        priors.append(HeadingPrior(int(image), heading, 4, axis=(1, 0.3, 0.2)))
+    assert not found(given, priors)
+    assert not found(truth, priors)
