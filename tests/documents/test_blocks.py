@@ -105,6 +105,12 @@ def names_of(page: str, folder: Path) -> dict[str, Any]:
             "one": problem,
             "another": problem,
         }
+    if page == "docs/gravity.md":
+        problem = bundle.load(folder / "sparse" / "0")
+        known = bundle.georeference.read_attitudes(problem, gravity="gravity.txt").priors
+        rows = zip(problem.image_names, known, strict=True)
+        measured = {name: getattr(prior, "direction") for name, prior in rows}  # noqa: B009
+        return {"bundle": bundle, "problem": problem, "measured": measured}
     if page == "docs/marginalization.md":
         return {"bundle": bundle, "graph": chain()}
     return inertia() if page == "docs/inertia.md" else {"bundle": bundle}

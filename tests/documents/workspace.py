@@ -15,6 +15,7 @@ from bundle.georeference.local_frame import LocalFrame
 from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.io.sequences.trajectory_files import load_trajectory
 from bundle.model.rigid_motions import inverse_poses, multiply_poses
+from bundle.model.rotations import rotation_matrices
 from bundle.reports.sections import dumps
 from bundle.reports.terminal.compare import compared
 from tests.editing.merging.halves import halves, whole
@@ -31,7 +32,8 @@ METRES = 20.0  # per unit of the model
 
 
 def base(folder: Path) -> None:
-    """sparse/0 with what is known of it: geo.txt, gcp_list.txt, images, photos, rules.txt; data.
+    """sparse/0 with what is known of it: geo.txt, gcp_list.txt, gravity.txt, images, photos,
+    rules.txt; data.
 
     30 images of a camera each: ids from 1 and from 120, some in left/ and some in new/.
     """
@@ -58,6 +60,12 @@ def base(folder: Path) -> None:
         photo(folder / "images" / name, tags)
     shutil.copytree(folder / "images", folder / "photos")
     (folder / "gcp_list.txt").write_text("\n".join(["EPSG:4326", *targets(truth), ""]))
+    rng = np.random.default_rng(3)
+    downs = -rotation_matrices(truth.cam_from_world[:, :4])[:, :, 2]
+    downs += np.radians(1) * rng.standard_normal(downs.shape)
+    rows = zip(names, downs.tolist(), strict=True)
+    lines = [f"{name} {x:.5f} {y:.5f} {z:.5f} 1.0" for name, (x, y, z) in rows]
+    (folder / "gravity.txt").write_text("\n".join([*lines, ""]))
 
 
 def degrees(value: float) -> tuple[float, float, float]:
