@@ -20,6 +20,7 @@ from bundle.analysis.diagnosis.graph_diagnosis import GraphDiagnosis
 from bundle.analysis.diagnosis.modes import null_modes, weak_modes
 from bundle.analysis.diagnosis.point_checks import check_points, collapsed_clusters
 from bundle.analysis.diagnosis.scale_checks import scale_drift
+from bundle.analysis.diagnosis.shutter_modes import shutter_modes
 from bundle.analysis.diagnosis.track_table import FEW_SHARED, TrackTable
 from bundle.analysis.diagnosis.unknowns import Unknowns
 from bundle.graphs.factors.factor_graph import FactorGraph
@@ -187,6 +188,13 @@ def diagnose(
     ]
     modes = [*(apart if is_loose else ()), *turning, *modes]
     modes += weak_modes(unknowns, found["eigenvalues"], found["directions"], tracks, modes)
+    # With ties, the poses of the neighbours determine the twists.
+    if (
+        getattr(options, "twists", "free") == "free"
+        and "poses" in options.refine
+        and layout.known is None
+    ):
+        modes += shutter_modes(start)
     points = check_points(start, tracks)
     null = np.asarray(found["null_points"], np.int64)
     # Any ray fits a point at a camera; this differs from points whose rays are parallel.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_inverse, quaternion_rotate
 
-__all__ = ["Viewing", "viewing"]
+__all__ = ["Viewing", "plane", "viewing"]
 
 ONE_PLACE = 1e-3
 """Spread of images, relative to the distance of their points, that counts as pure rotation."""
@@ -90,7 +90,7 @@ def viewing(problem: Problem, images: NDArray[np.int64]) -> Viewing | None:
     off = np.degrees(np.arccos(np.clip(axes @ mean, -1, 1)))
     _, spans, path = np.linalg.svd(centers[images] - centers[images].mean(axis=0))
     total = float((spans**2).sum())
-    relief, normal = _plane(points)
+    relief, normal = plane(points)
     return Viewing(
         spread_degrees=float(np.sqrt((off**2).mean())),
         baseline=float(np.sqrt(total / len(images))) / distance,
@@ -101,7 +101,7 @@ def viewing(problem: Problem, images: NDArray[np.int64]) -> Viewing | None:
     )
 
 
-def _plane(points: Vector) -> tuple[float, Vector]:
+def plane(points: Vector) -> tuple[float, Vector]:
     """Return relief and normal of the plane through points, without the farthest tenth of them."""
     middle = np.median(points, axis=0)
     far = np.linalg.norm(points - middle, axis=1)

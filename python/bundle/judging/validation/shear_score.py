@@ -22,9 +22,8 @@ applications", chapter 6e), whose mean is then sigma^2 tr F, with sigma^2 = |P r
 R = |g|^2 / (sigma^2 tr F) times d = (tr F)^2 / tr F^2 has about a chi-square distribution with d
 degrees of freedom (Satterthwaite 1946).
 
-Points are eliminated first: with M = sum J_p^T J_p of a point and V = sum J_p^T [J A r], its share
-of the normal equations of all else is -V^T M^-1 V. Poses and lenses follow by their eigenvalues
-above 1e-12 of the largest; the gauge makes seven of them zero.
+Points are eliminated first (:mod:`bundle.model.point_elimination`). Poses and lenses follow by
+their eigenvalues above 1e-12 of the largest; the gauge makes seven of them zero.
 
 Any part of the observations gives a valid test. Large problems are tested on the images that share
 most points with the image of the most observations, and on an even choice of their points.
@@ -32,13 +31,13 @@ most points with the image of the most observations, and on an even choice of th
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.model.cameras import param_kinds
+from bundle.model.point_elimination import SINGULAR, eliminate_points
 from bundle.model.problem import Problem
 from bundle.model.reprojection import linearize
 
@@ -46,8 +45,6 @@ __all__ = ["ShearScore", "shear_score"]
 
 MOST_IMAGES = 80
 MOST_POINTS = 3000
-_CHUNK = 500
-_SINGULAR = 1e-12
 
 _Floats = NDArray[np.float64]
 _Rows = NDArray[np.int64]
@@ -112,7 +109,7 @@ def shear_score(
         axis=1,
     )
     order = np.argsort(point, kind="stable")
-    normal, square, rank = _reduced(
+    normal, square, rank = eliminate_points(
         columns[order],
         places[order],
         found.d_point[order],
@@ -160,45 +157,13 @@ def _lens_columns(
     return lens, np.where(lens[:, None, :] >= 0, d_params, 0.0)
 
 
-def _reduced(
-    columns: _Floats, places: _Rows, d_point: _Floats, r: _Floats, point: _Rows, size: int
-) -> tuple[_Floats, float, int]:
-    """Eliminate the points in chunks; return [J A]^T [J A r], |r|^2 left, and the points' rank."""
-    num_points = int(point.max()) + 1
-    bounds = np.searchsorted(point, np.arange(0, num_points + _CHUNK, _CHUNK))
-    normal, square, rank = np.zeros((size, size + 1)), 0.0, 0
-    for low, high in pairwise(bounds):
-        if low == high:
-            continue
-        rows = slice(low, high)
-        local = point[rows] - point[low]
-        count = int(local[-1]) + 1
-        full = np.zeros((high - low, 2, size + 1))
-        index = np.arange(high - low)[:, None]
-        for k in range(2):
-            full[index, k, places[rows]] = columns[rows, k]
-        full[:, :, -1] = r[rows]  # also overwrites the columns of no lens parameter
-        v, m = np.zeros((count, 3, size + 1)), np.zeros((count, 3, 3))
-        np.add.at(v, local, np.einsum("nki,nkd->nid", d_point[rows], full))
-        np.add.at(m, local, np.einsum("nki,nkj->nij", d_point[rows], d_point[rows]))
-        values, vectors = np.linalg.eigh(m)
-        is_free = values > _SINGULAR * values[:, -1:]
-        rank += int(is_free.sum())
-        scale = np.where(is_free, 1 / np.sqrt(np.where(is_free, values, 1.0)), 0.0)
-        x = (np.swapaxes(vectors * scale[:, None, :], 1, 2) @ v).reshape(-1, size + 1)
-        flat = full.reshape(-1, size + 1)
-        normal += flat[:, :-1].T @ flat - x[:, :-1].T @ x
-        square += float(flat[:, -1] @ flat[:, -1] - x[:, -1] @ x[:, -1])
-    return normal, square, rank
-
-
 def _test(normal: _Floats, square: float, freedom: int, begin: int) -> ShearScore:
     """Eliminate poses and lenses, and compare the scores with their covariance."""
     a = normal[:begin, :begin]
     norms = np.sqrt(np.diag(a))
     scale = np.where(norms > 0, 1 / np.where(norms > 0, norms, 1.0), 0.0)
     values, vectors = np.linalg.eigh(a * scale[:, None] * scale)
-    kept = values > _SINGULAR * values[-1]
+    kept = values > SINGULAR * values[-1]
     root = (scale[:, None] * vectors[:, kept] / np.sqrt(values[kept])).T
     left = root @ normal[:begin, begin:]
     reduced = normal[begin:, begin:] - left[:, :-1].T @ left
@@ -206,7 +171,7 @@ def _test(normal: _Floats, square: float, freedom: int, begin: int) -> ShearScor
     freedom -= int(kept.sum())
     variance = (square - float(left[:, -1] @ left[:, -1])) / max(freedom, 1)
     trace = float(np.trace(f))
-    if freedom < 1 or variance <= 0 or trace <= _SINGULAR:
+    if freedom < 1 or variance <= 0 or trace <= SINGULAR:
         return ShearScore(np.nan, 0.0)
     return ShearScore(
         ratio=float(scores @ scores) / (variance * trace),

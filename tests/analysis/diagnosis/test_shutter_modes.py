@@ -1,0 +1,127 @@
+"""Degenerate motions under a rolling shutter: named on planted scenes, none on healthy ones."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import bundle
+from bundle.analysis.diagnosis import shutter_spectrum
+from bundle.analysis.diagnosis.shutter_modes import shutter_modes
+from bundle.model.rotations import quaternion_rotate
+from bundle.model.shutter_motion import read_positions
+from bundle.synthetic.video.film_motions import DroneGrid
+from bundle.synthetic.video.video_scene import film
+from tests.campaigns.rolling_shutter import HEALTHY, PLANTED, kinds, scene_of
+from tests.synthetic.video.test_video_scene import algebra
+
+
+def options(scene, **changes):
+    fields = {"num_images": 10, "num_points": 200, "rolling_shutter": 0.8, "seed": 1}
+    return bundle.SceneOptions(scene=scene, **fields | changes)
+
+
+@pytest.mark.parametrize("direction", ["rows", "columns"])
+def test_derivatives_are_those_of_the_fixed_point(direction):
+    problem = film(options("orbit", num_images=3), direction=direction).ground_truth
+    rows = np.arange(0, problem.num_observations, 40)
+    jacobian, d_point, known = shutter_spectrum.shutter_jacobians(problem, rows)
+    assert known.all()
+    axis = np.array([1 if direction == "rows" else 0])
+
+    def read(row, change):
+        image = problem.observation_image[row]
+        pose = problem.cam_from_world[image]
+        point = problem.points[problem.observation_point[row]] + change[12:]
+        local = quaternion_rotate(pose[None, :4], point[None])[0] + pose[4:]
+        local = (expm(algebra(change[:6])) @ np.append(local, 1))[:3]
+        twist = problem.rolling_shutter.twist[image] + change[6:12]
+        return read_positions(problem, np.array([image]), local[None], twist[None], axis)[0][0]
+
+    for k, row in enumerate(rows.tolist()):
+        steps = 1e-6 * np.eye(15)
+        numeric = np.stack([(read(row, s) - read(row, -s)) / 2e-6 for s in steps], axis=1)
+        analytic = np.hstack([jacobian[k], d_point[k]])
+        np.testing.assert_allclose(numeric, analytic, atol=1e-7 * np.abs(analytic).max())
+
+
+def dense_spectrum(problem, images):
+    """Return the scaled eigenvalues of poses and twists by dense algebra over all unknowns."""
+    rows = np.arange(problem.num_observations)
+    jacobian, d_point, _ = shutter_spectrum.shutter_jacobians(problem, rows)
+    width, count = 12 * len(images), 3 * problem.num_points
+    full = np.zeros((2 * len(rows), width + count))
+    for k in rows.tolist():
+        image, point = problem.observation_image[k], problem.observation_point[k]
+        full[2 * k : 2 * k + 2, 12 * image : 12 * image + 12] = jacobian[k]
+        full[2 * k : 2 * k + 2, width + 3 * point : width + 3 * point + 3] = d_point[k]
+    a, b = full[:, :width], full[:, width:]
+    system = a.T @ a - a.T @ b @ np.linalg.pinv(b.T @ b) @ b.T @ a
+    scale = 1 / np.sqrt(np.diag(system))
+    return np.linalg.eigvalsh(system * scale[:, None] * scale)
+
+
+@pytest.mark.parametrize("scene", ["orbit", "street", "drone_grid"])
+def test_the_spectrum_is_that_of_dense_algebra_without_the_gauge(scene):
+    problem = film(options(scene, num_images=6, num_points=120)).ground_truth
+    expected = dense_spectrum(problem, range(6))
+    assert np.abs(expected[:7]).max() < 1e-11 < expected[7]
+    found = shutter_spectrum.shutter_spectrum(problem)
+    # Interlacing: the gauge is removed from scaled unknowns.
+    np.testing.assert_allclose(found.eigenvalues, expected[7:], rtol=1e-3, atol=1e-12)
+
+
+def test_moving_the_world_changes_nothing():
+    problem = film(options("street")).ground_truth
+    expected = shutter_spectrum.shutter_spectrum(problem).eigenvalues
+    from bundle.georeference.similarity import Similarity, moved
+
+    turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    far = moved(problem, Similarity(50.0, turn, np.array([1e4, -2e4, 500.0])))
+    found = shutter_spectrum.shutter_spectrum(far).eigenvalues
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", HEALTHY)
+def test_healthy_scenes_are_not_named(name):
+    assert kinds(scene_of(name, 1)) == []
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_planted_degeneracies_are_named(name):
+    assert kinds(scene_of(name, 1)) == [PLANTED[name]]
+
+
+def test_pure_translation_has_a_null_direction_per_image():
+    problem = film(
+        options("drone_grid", camera_model="PINHOLE", num_points=300),
+        DroneGrid(np.random.default_rng(0), 10, relief=0.0),
+        turning=False,
+    ).ground_truth
+    (mode,) = shutter_modes(problem)
+    assert mode.kind == "flat_scene_pure_translation"
+    assert mode.dimension == 10 and len(mode.image_ids) == 10
+
+
+def test_diagnose_reports_the_mode_with_its_images():
+    planted = scene_of("flat", 1)
+    found = bundle.diagnose(planted)
+    named = [entry for entry in found.findings if entry.kind == "flat_scene_parallel_readout"]
+    assert len(named) == 1 and named[0].is_problem
+    held = bundle.diagnose(planted, refine=("points",))
+    assert not any("readout" in entry.kind for entry in held.findings)
+
+
+def test_global_shutters_and_single_images_have_no_modes():
+    problem = film(options("orbit", num_images=4)).ground_truth
+    assert shutter_modes(problem.replace(rolling_shutter=None)) == []
+    assert shutter_modes(problem.select(images=[0]).problem) == []
+    twist = np.zeros((4, 6))
+    still = bundle.RollingShutter(direction=("global",), twist=twist)
+    assert shutter_modes(problem.replace(rolling_shutter=still)) == []
+
+
+def test_more_images_than_are_tested(monkeypatch):
+    monkeypatch.setattr(shutter_spectrum, "MOST_IMAGES", 6)
+    monkeypatch.setattr(shutter_spectrum, "MOST_POINTS", 150)
+    (mode,) = shutter_modes(scene_of("flat", 1))
+    assert len(mode.image_ids) == 6 and "images were tested" in mode.sentence
