@@ -7,6 +7,7 @@ import bundle
 from bundle.judging.validation import shear_score as module
 from bundle.judging.validation.row_test import row_test
 from bundle.judging.validation.shear_score import shear_score
+from bundle.model import point_elimination
 from bundle.model.cameras import param_kinds
 from bundle.model.reprojection import linearize
 from bundle.model.residuals import residuals
@@ -65,7 +66,7 @@ def dense(problem, position):
 @pytest.mark.parametrize("track", [None, 3])
 def test_ratio_is_that_of_dense_projections(track, monkeypatch):
     problem, position = noisy(shear=0.5, track=track)
-    monkeypatch.setattr(module, "_CHUNK", 7)
+    monkeypatch.setattr(point_elimination, "_CHUNK", 7)
     found = shear_score(*whole(problem, position))
     assert found == pytest.approx(dense(problem, position), rel=1e-6)
 
