@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <numeric>
 #include <stdexcept>
+#include <utility>
 
 namespace bundle {
 
@@ -18,6 +19,74 @@ std::vector<int> Offsets(const std::vector<int>& block_sizes) {
   std::vector<int> offset(block_sizes.size() + 1, 0);
   std::partial_sum(block_sizes.begin(), block_sizes.end(), offset.begin() + 1);
   return offset;
+}
+
+/// The block rows of each block column, ascending.
+struct Columns {
+  std::vector<int64_t> begin;
+  std::vector<int> row;
+};
+
+/// Sorts blocks below the diagonal by columns and in each by rows, with the diagonal. Duplicates
+/// count once. `for_blocks(visit)` calls visit(row, column) for each block; it is called twice.
+/// Two counting sorts, by rows and then by columns, need no list per column.
+template <typename ForBlocks>
+Columns SortBlocks(int num_blocks, const ForBlocks& for_blocks) {
+  std::vector<int64_t> row_begin(num_blocks + 1, 0);
+  for_blocks([&](int row, int /*column*/) { ++row_begin[row + 1]; });
+  std::partial_sum(row_begin.begin(), row_begin.end(), row_begin.begin());
+  std::vector<int> column_of(row_begin.back());
+  std::vector<int64_t> next(row_begin.begin(), row_begin.end() - 1);
+  Columns sorted;
+  sorted.begin.assign(num_blocks + 1, 0);
+  for_blocks([&](int row, int column) {
+    column_of[next[row]++] = column;
+    ++sorted.begin[column + 1];
+  });
+  for (int j = 0; j < num_blocks; ++j) sorted.begin[j + 1] += sorted.begin[j] + 1;
+  sorted.row.resize(sorted.begin.back());
+  std::copy(sorted.begin.begin(), sorted.begin.end() - 1, next.begin());
+  for (int i = 0; i < num_blocks; ++i) {
+    sorted.row[next[i]++] = i;
+    for (int64_t k = row_begin[i]; k < row_begin[i + 1]; ++k) {
+      const int column = column_of[k];
+      if (sorted.row[next[column] - 1] != i) sorted.row[next[column]++] = i;
+    }
+  }
+  // Closes the gaps of duplicates.
+  int64_t end = 0;
+  for (int j = 0; j < num_blocks; ++j) {
+    const auto first = sorted.row.begin() + sorted.begin[j];
+    sorted.begin[j] = end;
+    end = std::copy(first, sorted.row.begin() + next[j], sorted.row.begin() + end) -
+          sorted.row.begin();
+  }
+  sorted.begin[num_blocks] = end;
+  sorted.row.resize(end);
+  return sorted;
+}
+
+/// A panel per block column, as tall as its blocks.
+BlockStructure StackPanels(std::vector<int> offset, Columns columns) {
+  BlockStructure structure;
+  structure.offset = std::move(offset);
+  structure.column_begin = std::move(columns.begin);
+  structure.row_block = std::move(columns.row);
+  structure.row_in_panel.reserve(structure.row_block.size());
+  const size_t num_blocks = structure.offset.size() - 1;
+  structure.panel_begin.reserve(num_blocks);
+  structure.panel_stride.reserve(num_blocks);
+  for (size_t j = 0; j < num_blocks; ++j) {
+    int height = 0;
+    for (int64_t e = structure.column_begin[j]; e < structure.column_begin[j + 1]; ++e) {
+      structure.row_in_panel.push_back(height);
+      height += structure.block_size(structure.row_block[e]);
+    }
+    structure.panel_begin.push_back(structure.num_values);
+    structure.panel_stride.push_back(height);
+    structure.num_values += int64_t{height} * structure.block_size(static_cast<int>(j));
+  }
+  return structure;
 }
 
 }  // namespace
@@ -56,38 +125,21 @@ BlockStructure DenseStructure(const std::vector<int>& block_sizes) {
 
 BlockStructure SparseStructure(const std::vector<int>& block_sizes,
                                const std::vector<std::vector<int>>& columns) {
-  BlockStructure structure;
-  structure.offset = Offsets(block_sizes);
-  size_t num_entries = 0;
-  for (const std::vector<int>& rows : columns) num_entries += rows.size();
-  structure.row_block.reserve(num_entries);
-  structure.row_in_panel.reserve(num_entries);
-  structure.column_begin.push_back(0);
-  for (size_t j = 0; j < columns.size(); ++j) {
-    int height = 0;
-    for (const int i : columns[j]) {
-      structure.row_block.push_back(i);
-      structure.row_in_panel.push_back(height);
-      height += block_sizes[i];
-    }
-    structure.column_begin.push_back(static_cast<int64_t>(structure.row_block.size()));
-    structure.panel_begin.push_back(structure.num_values);
-    structure.panel_stride.push_back(height);
-    structure.num_values += static_cast<int64_t>(height) * block_sizes[j];
+  Columns joined;
+  joined.begin.push_back(0);
+  for (const std::vector<int>& rows : columns) {
+    joined.row.insert(joined.row.end(), rows.begin(), rows.end());
+    joined.begin.push_back(static_cast<int64_t>(joined.row.size()));
   }
-  return structure;
+  return StackPanels(Offsets(block_sizes), std::move(joined));
 }
 
 BlockStructure StructureOfPairs(int num_nodes, int block_size,
                                 const std::vector<std::pair<int, int>>& pairs) {
-  std::vector<std::vector<int>> columns(num_nodes);
-  for (int i = 0; i < num_nodes; ++i) columns[i].push_back(i);
-  for (const auto& [a, b] : pairs) columns[std::min(a, b)].push_back(std::max(a, b));
-  for (std::vector<int>& rows : columns) {
-    std::sort(rows.begin(), rows.end());
-    rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
-  }
-  return SparseStructure(std::vector<int>(num_nodes, block_size), columns);
+  Columns columns = SortBlocks(num_nodes, [&](const auto& visit) {
+    for (const auto& [a, b] : pairs) visit(std::max(a, b), std::min(a, b));
+  });
+  return StackPanels(Offsets(std::vector<int>(num_nodes, block_size)), std::move(columns));
 }
 
 BlockStructure Reorder(const BlockStructure& structure, const std::vector<int>& order) {
@@ -97,15 +149,15 @@ BlockStructure Reorder(const BlockStructure& structure, const std::vector<int>& 
     position[order[k]] = k;
     sizes[k] = structure.block_size(order[k]);
   }
-  std::vector<std::vector<int>> columns(num_blocks);
-  for (int j = 0; j < num_blocks; ++j) {
-    for (int64_t e = structure.column_begin[j]; e < structure.column_begin[j + 1]; ++e) {
-      const int a = position[j], b = position[structure.row_block[e]];
-      columns[std::min(a, b)].push_back(std::max(a, b));
+  Columns columns = SortBlocks(num_blocks, [&](const auto& visit) {
+    for (int j = 0; j < num_blocks; ++j) {
+      for (int64_t e = structure.column_begin[j] + 1; e < structure.column_begin[j + 1]; ++e) {
+        const int a = position[j], b = position[structure.row_block[e]];
+        visit(std::max(a, b), std::min(a, b));
+      }
     }
-  }
-  for (std::vector<int>& rows : columns) std::sort(rows.begin(), rows.end());
-  return SparseStructure(sizes, columns);
+  });
+  return StackPanels(Offsets(sizes), std::move(columns));
 }
 
 BlockStructure CompactStructure(const BlockStructure& structure) {
