@@ -25,7 +25,7 @@
 
 namespace bundle::BUNDLE_ISA {
 
-// As in pack.h of schur/kernels, no inline function of the standard library is used: two copies of
+// As in parallel/pack.h, no inline function of the standard library is used: two copies of
 // one, compiled for different instruction sets, must never share a name.
 namespace {
 
@@ -266,7 +266,7 @@ void SolveRows(const double* panel, int64_t stride, int width, double* b, int ro
 void Forward(const double* panel, int64_t stride, int height, int width, double* y, double* below) {
   for (int j = 0; j < width; ++j) {
     const double* const column = panel + j * stride;
-    y[j] /= column[j];
+    y[j] *= 1 / column[j];  // the quotient does not wait for y
     for (int i = j + 1; i < width; ++i) y[i] -= column[i] * y[j];
   }
   ForTiles<1>(height - width, [&](auto tile, int row) {
@@ -302,11 +302,11 @@ void Backward(const double* panel, int64_t stride, int height, int width, double
       for (int c = 0; c < count.kCount; ++c) y[first + c] -= SumOfLanes(sum[c]);
     });
   }
+  // By rows of the triangle: sums by columns would wait for each addition.
   for (int j = width - 1; j >= 0; --j) {
-    const double* const column = panel + j * stride;
-    double sum = y[j];
-    for (int i = j + 1; i < width; ++i) sum -= column[i] * y[i];
-    y[j] = sum / column[j];
+    const double* const row = panel + j;
+    y[j] *= 1 / row[j * stride];
+    for (int i = 0; i < j; ++i) y[i] -= row[i * stride] * y[j];
   }
 }
 
