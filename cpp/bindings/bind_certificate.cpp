@@ -44,7 +44,7 @@ py::dict CertifyGraphFromPython(const py::object& graph, const Array<double>& ka
                                 int num_eigenvalues, bool explicit_form, int num_threads) {
   const GraphArrays arrays(graph);
   const PoseGraphView view = ViewGraph(arrays, arrays.fixed);
-  if (kappa.size() != view.num_edges || tau.size() != view.num_edges) {
+  if (kappa.size() != view.num_edges() || tau.size() != view.num_edges()) {
     throw InputError("kappa, tau: expected a weight for each edge");
   }
   CertifyOptions options;

@@ -36,8 +36,7 @@ py::dict GraphCovarianceFromPython(const py::object& graph, const std::string& e
                                    const std::vector<std::pair<int32_t, int32_t>>& relative,
                                    int num_threads) {
   const GraphArrays arrays(graph);
-  const Array<double> roots = RootsOf(graph);
-  const PoseGraphView view = ViewGraph(arrays, arrays.fixed, &roots);
+  const PoseGraphView view = ViewWithErrors(arrays, arrays.fixed);
   for (const auto& [a, b] : relative) {
     if (a < 0 || b < 0 || a >= view.num_poses || b >= view.num_poses) {
       throw InputError("relative: expected positions of poses");
@@ -71,8 +70,7 @@ py::dict GraphSpectrumFromPython(const py::object& graph, const Array<bool>& hel
                                  const std::string& error, const Array<double>& null_directions,
                                  int num_threads) {
   const GraphArrays arrays(graph);
-  const Array<double> roots = RootsOf(graph);
-  const PoseGraphView view = ViewGraph(arrays, held, &roots);
+  const PoseGraphView view = ViewWithErrors(arrays, held);
   if (null_directions.ndim() != 2 || null_directions.shape(0) != view.num_poses * view.tangent()) {
     throw InputError("null_directions: expected a row for each tangent coordinate");
   }

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <memory>
 #include <string>
 #include <utility>
 #include <vector>
@@ -103,9 +104,8 @@ py::dict SolvePoseGraphFromPython(const py::object& graph, const Array<bool>& he
                                   const Array<bool>& robust, const py::dict& options,
                                   const py::object& progress, const FillOrdering* order) {
   const GraphArrays arrays(graph);
-  const Array<double> roots = RootsOf(graph);
-  PoseGraphView view = ViewGraph(arrays, held, &roots);
-  if (robust.size() != view.num_edges) throw InputError("robust: expected a flag for each edge");
+  PoseGraphView view = ViewWithErrors(arrays, held);
+  if (robust.size() != view.num_edges()) throw InputError("robust: expected a flag for each edge");
   view.robust = reinterpret_cast<const uint8_t*>(robust.data());
   const PoseErrorOptions errors = ErrorsFromPython(options);
   SolveOptions solve_options;
@@ -144,17 +144,18 @@ py::tuple HoldPosesFromPython(const py::object& graph) {
   return py::make_tuple(held, found.num_components, found.for_gauge);
 }
 
-/// The roots, and the edges without one.
-py::tuple InformationRootsFromPython(const Array<double>& information) {
-  const py::ssize_t m = information.shape(0), d = information.shape(1);
-  InformationRoots found = FindInformationRoots(m, static_cast<int>(d), information.data());
-  return py::make_tuple(ToImmutableNumpy(std::move(found.roots), {m, d * (d + 1) / 2}), found.bad);
+std::shared_ptr<PoseGraphEdges> PrepareEdgesFromPython(py::ssize_t num_poses,
+                                                       const Array<int32_t>& edges,
+                                                       const Array<double>& measurements,
+                                                       const Array<double>& information) {
+  const int dimension = measurements.shape(1) == Se2::kAmbient ? 2 : 3;
+  return std::make_shared<PoseGraphEdges>(PrepareEdges(
+      dimension, num_poses, edges.shape(0), edges.data(), measurements.data(), information.data()));
 }
 
 py::array EdgeChi2FromPython(const py::object& graph, const std::string& error) {
   const GraphArrays arrays(graph);
-  const Array<double> roots = RootsOf(graph);
-  const PoseGraphView view = ViewGraph(arrays, arrays.fixed, &roots);
+  const PoseGraphView view = ViewWithErrors(arrays, arrays.fixed);
   PoseErrorOptions errors;
   errors.error = PoseErrorFromName(error);
   std::vector<double> chi2 = [&] {
@@ -162,7 +163,7 @@ py::array EdgeChi2FromPython(const py::object& graph, const std::string& error) 
     const PoseGraph made = MakePoseGraph(view, errors);
     return EdgeChi2(made, made.poses);
   }();
-  return ToImmutableNumpy(std::move(chi2), {static_cast<py::ssize_t>(view.num_edges)});
+  return ToImmutableNumpy(std::move(chi2), {static_cast<py::ssize_t>(view.num_edges())});
 }
 
 /// The order of elimination, which the chordal start and the solves of one request share.
@@ -282,7 +283,10 @@ void BindPoseGraph(py::module_& m) {
   m.def("order_poses", &bundle::OrderPoses, py::arg("graph"), py::arg("held"), py::arg("ordering"));
   m.def("pose_components", &bundle::PoseComponents, py::arg("num_poses"), py::arg("edges"));
   m.def("hold_poses", &bundle::HoldPosesFromPython, py::arg("graph"));
-  m.def("information_roots", &bundle::InformationRootsFromPython, py::arg("information"));
+  py::class_<bundle::PoseGraphEdges, std::shared_ptr<bundle::PoseGraphEdges>>(m, "PoseGraphEdges")
+      .def_readonly("bad", &bundle::PoseGraphEdges::bad);
+  m.def("prepare_edges", &bundle::PrepareEdgesFromPython, py::arg("num_poses"), py::arg("edges"),
+        py::arg("measurements"), py::arg("information"));
   m.def("edge_chi2", &bundle::EdgeChi2FromPython, py::arg("graph"), py::arg("error"));
   m.def("initial_poses", &bundle::InitialPoses, py::arg("graph"), py::arg("held"), py::arg("init"),
         py::arg("num_threads"), py::arg("order") = nullptr);

@@ -6,6 +6,7 @@
 #include <pybind11/pybind11.h>
 
 #include <cstdint>
+#include <memory>
 #include <string>
 
 #include "core/error.h"
@@ -24,7 +25,8 @@ struct GraphArrays {
         fixed(pybind11::cast<Array<bool>>(graph.attr("fixed"))),
         edges(pybind11::cast<Array<int32_t>>(graph.attr("edges"))),
         measurements(pybind11::cast<Array<double>>(graph.attr("measurements"))),
-        information(pybind11::cast<Array<double>>(graph.attr("information"))) {}
+        information(pybind11::cast<Array<double>>(graph.attr("information"))),
+        prepared(pybind11::cast<std::shared_ptr<PoseGraphEdges>>(graph.attr("prepared_edges"))) {}
 
   int dimension() const { return poses.shape(1) == 3 ? 2 : 3; }
   const uint8_t* fixed_data() const { return reinterpret_cast<const uint8_t*>(fixed.data()); }
@@ -35,6 +37,7 @@ struct GraphArrays {
   Array<int32_t> edges;
   Array<double> measurements;
   Array<double> information;
+  std::shared_ptr<const PoseGraphEdges> prepared;
 };
 
 inline PoseError PoseErrorFromName(const std::string& name) {
@@ -44,30 +47,24 @@ inline PoseError PoseErrorFromName(const std::string& name) {
   throw InputError("error: expected log, g2o or ceres, found " + name);
 }
 
-/// The square roots of the information, which the graph keeps.
-inline Array<double> RootsOf(const pybind11::handle& graph) {
-  const pybind11::tuple found = graph.attr("information_roots");
-  if (pybind11::len(found[1]) > 0) {
-    throw InputError("information[" + std::string(pybind11::str(found[1][pybind11::int_(0)])) +
-                     "]: expected a symmetric positive semidefinite matrix");
-  }
-  return pybind11::cast<Array<double>>(found[0]);
-}
-
-/// `held` may differ from the graph's array. `roots`: RootsOf; nullptr if errors are not evaluated.
-inline PoseGraphView ViewGraph(const GraphArrays& arrays, const Array<bool>& held,
-                               const Array<double>* roots = nullptr) {
+/// `held` may differ from the graph's array.
+inline PoseGraphView ViewGraph(const GraphArrays& arrays, const Array<bool>& held) {
   PoseGraphView view;
-  view.dimension = arrays.dimension();
   view.num_poses = arrays.poses.shape(0);
-  view.num_edges = arrays.edges.shape(0);
   view.poses = arrays.poses.data();
   view.held = reinterpret_cast<const uint8_t*>(held.data());
-  view.edges = arrays.edges.data();
-  view.measurements = arrays.measurements.data();
-  if (roots != nullptr) view.roots = roots->data();
+  view.edges = arrays.prepared;
   if (held.size() != view.num_poses) throw InputError("held: expected a flag for each pose");
   return view;
+}
+
+/// A view whose errors can be evaluated.
+inline PoseGraphView ViewWithErrors(const GraphArrays& arrays, const Array<bool>& held) {
+  if (!arrays.prepared->bad.empty()) {
+    throw InputError("information[" + std::to_string(arrays.prepared->bad.front()) +
+                     "]: expected a symmetric positive semidefinite matrix");
+  }
+  return ViewGraph(arrays, held);
 }
 
 }  // namespace bundle

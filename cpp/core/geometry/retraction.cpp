@@ -48,8 +48,8 @@ bool ScaleToUnitNorm(double q[4]) {
 }
 
 /// J_r(d) = J_l(-d), computed by the function for J_l.
-template <int kSize, typename Function>
-void OfNegative(const double* delta, const Function& left, double* out) {
+template <int kSize>
+void OfNegative(const double* delta, void (*left)(const double*, double*), double* out) {
   double negative[kSize];
   for (int i = 0; i < kSize; ++i) negative[i] = -delta[i];
   left(negative, out);

@@ -39,7 +39,13 @@
 ///
 ///   Q = 1/2 V + C (WV + VW + WVW) + E (WWV + VWW - 3 WVW) + 1/2 (E - 3 F) (WVWW + WWVW).
 ///
-/// C, E and F are entire functions of s = a^2: sum (-s)^n / (2n + k)! with k = 3, 4, 5. Nine terms
+/// With p = w^T v and s = a^2, WV = v w^T - p I, VW = w v^T - p I and WW = w w^T - s I. So
+/// WVW = -p W, WVWW = WWVW = -p WW, and WWV + VWW = [w x (w x v)]x - 2 p W = [p w - s v]x - 2 p W:
+///
+///   Q = C (v w^T + w v^T - 2 p I) - (E - 3 F) p (w w^T - s I)
+///       + [ (1/2 - E s) v + (2 E - C) p w ]x.
+///
+/// C, E and F are entire functions of s: sum (-s)^n / (2n + k)! with k = 3, 4, 5. Nine terms
 /// are sufficient below s = 1; above, the formulas lose at most two digits. The inverse is
 ///
 ///   J^-1 = [ J_l^-1               0     ]
@@ -63,10 +69,11 @@ inline void ExpPlanarMotion(const double d[3], double x[3]) {
 }
 
 /// Logarithm with an angle in [-pi, pi], also if the angle of the motion is larger.
-inline void LogPlanarMotion(const double x[3], double d[3]) {
-  const double a = WrapAngle(x[2]);
-  const double diagonal = 1 - a * a * LogCoefficient(a * a);
-  const double moved[2] = {diagonal * x[0] + 0.5 * a * x[1], diagonal * x[1] - 0.5 * a * x[0]};
+template <typename T>
+void LogPlanarMotion(const T x[3], T d[3]) {
+  const T a = WrapAngle(x[2]);
+  const T diagonal = 1 - a * a * LogCoefficient(a * a);
+  const T moved[2] = {diagonal * x[0] + 0.5 * a * x[1], diagonal * x[1] - 0.5 * a * x[0]};
   d[0] = moved[0];
   d[1] = moved[1];
   d[2] = a;
@@ -106,14 +113,15 @@ inline void RightJacobianOfPlanarMotion(const double d[3], double out[9]) {
 
 /// [ M^-T  -M^-T c ]
 /// [  0       1    ], regular for |a| < 2 pi.
-inline void InverseRightJacobianOfPlanarMotion(const double d[3], double out[9]) {
-  double jacobian[9];
-  RightJacobianOfPlanarMotion(d, jacobian);
-  const double half = 0.5 * d[2], diagonal = 1 - d[2] * d[2] * LogCoefficient(d[2] * d[2]);
-  const double* c = jacobian;
-  const double inverse[9] = {diagonal, -half,    -diagonal * c[2] + half * c[5],
-                             half,     diagonal, -half * c[2] - diagonal * c[5],
-                             0,        0,        1};
+template <typename T>
+void InverseRightJacobianOfPlanarMotion(const T d[3], T out[9]) {
+  const auto k = ExpCoefficients(d[2] * d[2]);
+  const T half = 0.5 * d[2], diagonal = 1 - d[2] * d[2] * LogCoefficient(d[2] * d[2]);
+  const T ac = d[2] * k.c;
+  const T c[2] = {ac * d[0] - k.b * d[1], k.b * d[0] + ac * d[1]};
+  const T inverse[9] = {diagonal, -half,    half * c[1] - diagonal * c[0],
+                        half,     diagonal, -half * c[0] - diagonal * c[1],
+                        0,        0,        1};
   for (int i = 0; i < 9; ++i) out[i] = inverse[i];
 }
 
@@ -124,8 +132,9 @@ inline void ExpRigidMotion(const double d[6], double x[7]) {
   MatrixVector3(left_jacobian, d + 3, x + 4);
 }
 
-inline void LogRigidMotion(const double x[7], double d[6]) {
-  double inverse[9];
+template <typename T>
+void LogRigidMotion(const T x[7], T d[6]) {
+  T inverse[9];
   LogQuaternion(x, d);
   InverseLeftJacobian(d, inverse);
   MatrixVector3(inverse, x + 4, d + 3);
@@ -142,10 +151,11 @@ inline void ComposeRigidMotions(const double a[7], const double b[7], double out
 
 /// out = a^-1 b. Translations are subtracted before they are rotated, so that no digits are lost
 /// far from the origin.
-inline void RigidMotionBetween(const double a[7], const double b[7], double out[7]) {
-  double rotation[9];
-  const double conjugate[4] = {-a[0], -a[1], -a[2], a[3]};
-  const double apart[3] = {b[4] - a[4], b[5] - a[5], b[6] - a[6]};
+template <typename T>
+void RigidMotionBetween(const T a[7], const T b[7], T out[7]) {
+  T rotation[9];
+  const T conjugate[4] = {-a[0], -a[1], -a[2], a[3]};
+  const T apart[3] = {b[4] - a[4], b[5] - a[5], b[6] - a[6]};
   QuaternionToRotation(a, rotation);
   QuaternionProduct(conjugate, b, out);
   VectorMatrix3(apart, rotation, out + 4);
@@ -154,7 +164,8 @@ inline void RigidMotionBetween(const double a[7], const double b[7], double out[
 namespace internal {
 
 /// Writes a 6x6 matrix with the same block twice on its diagonal and one below.
-inline void LowerBlockTriangle(const double diagonal[9], const double below[9], double out[36]) {
+template <typename T>
+void LowerBlockTriangle(const T diagonal[9], const T below[9], T out[36]) {
   for (int r = 0; r < 3; ++r) {
     for (int c = 0; c < 3; ++c) {
       out[6 * r + c] = out[6 * (r + 3) + c + 3] = diagonal[3 * r + c];
@@ -164,16 +175,22 @@ inline void LowerBlockTriangle(const double diagonal[9], const double below[9], 
   }
 }
 
+/// 1 / ((m + 3) (m + 4)) of m = 0 ... 19.
+inline constexpr double kReciprocal[] = {1.0 / 12,  1.0 / 20,  1.0 / 30,  1.0 / 42,  1.0 / 56,
+                                         1.0 / 72,  1.0 / 90,  1.0 / 110, 1.0 / 132, 1.0 / 156,
+                                         1.0 / 182, 1.0 / 210, 1.0 / 240, 1.0 / 272, 1.0 / 306,
+                                         1.0 / 342, 1.0 / 380, 1.0 / 420, 1.0 / 462, 1.0 / 506};
+
 /// sum (-s)^n / (2n + k)! for k = 3, 4 and 5: C, E and F of the derivation above.
 inline void MotionCoefficients(double angle_squared, double out[3]) {
   const double s = angle_squared;
   if (s < 1) {
-    double factorial = 2;  // (k - 1)!, then (2n + k)!
+    // Horner's rule: 1/k! (1 - s/((k+1)(k+2)) (1 - s/((k+3)(k+4)) (1 - ...))).
+    constexpr double kFirst[3] = {1.0 / 6, 1.0 / 24, 1.0 / 120};
     for (int k = 3; k <= 5; ++k) {
-      factorial *= k;
-      double term = 1 / factorial, sum = term;
-      for (int n = 1; n < 10; ++n) sum += term *= -s / ((2 * n + k - 1) * (2 * n + k));
-      out[k - 3] = sum;
+      double sum = 1;
+      for (int n = 9; n > 0; --n) sum = 1 - s * kReciprocal[2 * n + k - 4] * sum;
+      out[k - 3] = kFirst[k - 3] * sum;
     }
     return;
   }
@@ -184,28 +201,31 @@ inline void MotionCoefficients(double angle_squared, double out[3]) {
 }
 
 /// Q of the derivation above.
-inline void MotionCoupling(const double d[6], double out[9]) {
-  double w[9], v[9], k[3], wv[9], vw[9], wvw[9], wwv[9], vww[9], wvww[9], wwvw[9];
-  Skew(d, w);
-  Skew(d + 3, v);
-  MotionCoefficients(d[0] * d[0] + d[1] * d[1] + d[2] * d[2], k);
-  MatrixProduct3(w, v, wv);
-  MatrixProduct3(v, w, vw);
-  MatrixProduct3(wv, w, wvw);
-  MatrixProduct3(w, wv, wwv);
-  MatrixProduct3(vw, w, vww);
-  MatrixProduct3(wvw, w, wvww);
-  MatrixProduct3(w, wvw, wwvw);
-  for (int i = 0; i < 9; ++i) {
-    out[i] = 0.5 * v[i] + k[0] * (wv[i] + vw[i] + wvw[i]) + k[1] * (wwv[i] + vww[i] - 3 * wvw[i]) +
-             0.5 * (k[1] - 3 * k[2]) * (wvww[i] + wwvw[i]);
+template <typename T>
+void MotionCoupling(const T d[6], T out[9]) {
+  const T *w = d, *v = d + 3;
+  const T s = w[0] * w[0] + w[1] * w[1] + w[2] * w[2];
+  const T p = w[0] * v[0] + w[1] * v[1] + w[2] * v[2];
+  T k[3], skew[3];
+  MotionCoefficients(s, k);
+  const T g = (k[1] - 3 * k[2]) * p;
+  for (int i = 0; i < 3; ++i) {
+    skew[i] = (0.5 - k[1] * s) * v[i] + (2 * k[1] - k[0]) * p * w[i];
+  }
+  Skew(skew, out);
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c) {
+      out[3 * r + c] += k[0] * (v[r] * w[c] + w[r] * v[c]) - g * w[r] * w[c];
+    }
+    out[4 * r] += g * s - 2 * k[0] * p;
   }
 }
 
 }  // namespace internal
 
-inline void AdjointOfRigidMotion(const double x[7], double out[36]) {
-  double rotation[9], skew[9], below[9];
+template <typename T>
+void AdjointOfRigidMotion(const T x[7], T out[36]) {
+  T rotation[9], skew[9], below[9];
   QuaternionToRotation(x, rotation);
   Skew(x + 4, skew);
   MatrixProduct3(skew, rotation, below);
@@ -219,13 +239,14 @@ inline void LeftJacobianOfRigidMotion(const double d[6], double out[36]) {
   internal::LowerBlockTriangle(diagonal, below, out);
 }
 
-inline void InverseLeftJacobianOfRigidMotion(const double d[6], double out[36]) {
-  double diagonal[9], coupling[9], half[9], below[9];
+template <typename T>
+void InverseLeftJacobianOfRigidMotion(const T d[6], T out[36]) {
+  T diagonal[9], coupling[9], half[9], below[9];
   InverseLeftJacobian(d, diagonal);
   internal::MotionCoupling(d, coupling);
   MatrixProduct3(diagonal, coupling, half);
   MatrixProduct3(half, diagonal, below);
-  for (double& value : below) value = -value;
+  for (T& value : below) value = -value;
   internal::LowerBlockTriangle(diagonal, below, out);
 }
 

@@ -32,7 +32,9 @@
 /// Bernoulli's numbers; seven terms are sufficient below a^2 = 1/4, where the formula begins to
 /// lose digits.
 ///
-/// Matrices are 3x3, row-major. Quaternions are stored as COLMAP stores them: x y z w.
+/// Matrices are 3x3, row-major. Quaternions are stored as COLMAP stores them: x y z w. Functions of
+/// a type T take numbers or several at a time (pose_graph/kernels), for which the coefficients have
+/// overloads.
 
 #include <cmath>
 
@@ -57,9 +59,10 @@ inline RotationCoefficients ExpCoefficients(double angle_squared) {
 }
 
 /// out = I + p [w]x + q [w]x^2
-inline void SkewPolynomial(const double w[3], double p, double q, double out[9]) {
-  const double xx = w[0] * w[0], yy = w[1] * w[1], zz = w[2] * w[2];
-  const double xy = w[0] * w[1], xz = w[0] * w[2], yz = w[1] * w[2];
+template <typename T>
+void SkewPolynomial(const T w[3], T p, T q, T out[9]) {
+  const T xx = w[0] * w[0], yy = w[1] * w[1], zz = w[2] * w[2];
+  const T xy = w[0] * w[1], xz = w[0] * w[2], yz = w[1] * w[2];
   out[0] = 1 - q * (yy + zz);
   out[1] = q * xy - p * w[2];
   out[2] = q * xz + p * w[1];
@@ -72,8 +75,9 @@ inline void SkewPolynomial(const double w[3], double p, double q, double out[9])
 }
 
 /// out = [v]x
-inline void Skew(const double v[3], double out[9]) {
-  const double skew[9] = {0, -v[2], v[1], v[2], 0, -v[0], -v[1], v[0], 0};
+template <typename T>
+void Skew(const T v[3], T out[9]) {
+  const T skew[9] = {0, -v[2], v[1], v[2], 0, -v[0], -v[1], v[0], 0};
   for (int i = 0; i < 9; ++i) out[i] = skew[i];
 }
 
@@ -94,9 +98,10 @@ inline void ExpQuaternion(const double w[3], double q[4]) {
 }
 
 /// The rotation of a quaternion (x y z w) of any nonzero norm.
-inline void QuaternionToRotation(const double q[4], double rotation[9]) {
-  const double x = q[0], y = q[1], z = q[2], w = q[3];
-  const double s = 2 / (x * x + y * y + z * z + w * w);
+template <typename T>
+void QuaternionToRotation(const T q[4], T rotation[9]) {
+  const T x = q[0], y = q[1], z = q[2], w = q[3];
+  const T s = 2 / (x * x + y * y + z * z + w * w);
   rotation[0] = 1 - s * (y * y + z * z);
   rotation[1] = s * (x * y - z * w);
   rotation[2] = s * (x * z + y * w);
@@ -109,7 +114,8 @@ inline void QuaternionToRotation(const double q[4], double rotation[9]) {
 }
 
 /// out = a b, the rotation b followed by a.
-inline void QuaternionProduct(const double a[4], const double b[4], double out[4]) {
+template <typename T>
+void QuaternionProduct(const T a[4], const T b[4], T out[4]) {
   out[0] = a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1];
   out[1] = a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0];
   out[2] = a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3];
@@ -126,20 +132,23 @@ inline void NormalizeQuaternion(double q[4]) {
   for (int j = 0; j < 4; ++j) q[j] /= norm;
 }
 
-inline void MatrixVector3(const double m[9], const double v[3], double out[3]) {
+template <typename T>
+void MatrixVector3(const T m[9], const T v[3], T out[3]) {
   out[0] = m[0] * v[0] + m[1] * v[1] + m[2] * v[2];
   out[1] = m[3] * v[0] + m[4] * v[1] + m[5] * v[2];
   out[2] = m[6] * v[0] + m[7] * v[1] + m[8] * v[2];
 }
 
 /// out = v^T m
-inline void VectorMatrix3(const double v[3], const double m[9], double out[3]) {
+template <typename T>
+void VectorMatrix3(const T v[3], const T m[9], T out[3]) {
   out[0] = v[0] * m[0] + v[1] * m[3] + v[2] * m[6];
   out[1] = v[0] * m[1] + v[1] * m[4] + v[2] * m[7];
   out[2] = v[0] * m[2] + v[1] * m[5] + v[2] * m[8];
 }
 
-inline void MatrixProduct3(const double a[9], const double b[9], double out[9]) {
+template <typename T>
+void MatrixProduct3(const T a[9], const T b[9], T out[9]) {
   for (int row = 0; row < 3; ++row) VectorMatrix3(a + 3 * row, b, out + 3 * row);
 }
 
@@ -166,21 +175,29 @@ inline double WrapAngle(double angle) {
   return std::remainder(angle, 2 * M_PI);
 }
 
-/// The rotation vector of a quaternion (x y z w) of any nonzero norm, of an angle of at most pi.
-inline void LogQuaternion(const double q[4], double w[3]) {
-  const double sine = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2]);
-  const double cosine = std::abs(q[3]);
+/// 2 atan2(sine, cosine) / sine, of a half angle in [0, pi / 2] and any norm.
+inline double LogFactor(double sine, double cosine) {
   // atan2(y, x) / y ~ 1 / x where y is negligible compared with x; the next term is of the order of
   // y^2.
-  const double factor = sine < 1e-9 * cosine ? 2 / cosine : 2 * std::atan2(sine, cosine) / sine;
-  const double sign = q[3] < 0 ? -1 : 1;
-  for (int i = 0; i < 3; ++i) w[i] = sign * factor * q[i];
+  return sine < 1e-9 * cosine ? 2 / cosine : 2 * std::atan2(sine, cosine) / sine;
 }
 
-/// The rotation vector of a rotation matrix, of an angle of at most pi, by its quaternion
-/// (Shepperd, "Quaternion from rotation matrix", 1978: the largest component comes from a square
-/// root).
-inline void LogRotation(const double* m, double w[3]) {
+/// 1, or -1 below zero.
+inline double SignOf(double x) { return x < 0 ? -1 : 1; }
+
+inline double Sqrt(double x) { return std::sqrt(x); }
+
+/// The rotation vector of a quaternion (x y z w) of any nonzero norm, of an angle of at most pi.
+template <typename T>
+void LogQuaternion(const T q[4], T w[3]) {
+  const T sign = SignOf(q[3]);
+  const T factor = sign * LogFactor(Sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2]), sign * q[3]);
+  for (int i = 0; i < 3; ++i) w[i] = factor * q[i];
+}
+
+/// A quaternion (x y z w), not normalised, of a rotation matrix (Shepperd, "Quaternion from
+/// rotation matrix", 1978: the largest component comes from a square root).
+inline void QuaternionFromRotation(const double* m, double q[4]) {
   const double trace = m[0] + m[4] + m[8];
   int largest = 3;
   double most = trace;
@@ -190,7 +207,6 @@ inline void LogRotation(const double* m, double w[3]) {
       largest = i;
     }
   }
-  double q[4];
   if (largest == 3) {
     q[3] = 1 + trace;
     q[0] = m[7] - m[5];
@@ -203,6 +219,12 @@ inline void LogRotation(const double* m, double w[3]) {
     q[k] = m[3 * k + i] + m[3 * i + k];
     q[3] = m[3 * k + j] - m[3 * j + k];
   }
+}
+
+/// The rotation vector of a rotation matrix, of an angle of at most pi.
+inline void LogRotation(const double* m, double w[3]) {
+  double q[4];
+  QuaternionFromRotation(m, q);
   LogQuaternion(q, w);
 }
 
@@ -221,8 +243,9 @@ inline double LogCoefficient(double angle_squared) {
 }
 
 /// J_l(w)^-1
-inline void InverseLeftJacobian(const double w[3], double out[9]) {
-  SkewPolynomial(w, -0.5, LogCoefficient(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]), out);
+template <typename T>
+void InverseLeftJacobian(const T w[3], T out[9]) {
+  SkewPolynomial(w, T(-0.5), LogCoefficient(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]), out);
 }
 
 /// J_l(w)

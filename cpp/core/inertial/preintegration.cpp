@@ -172,7 +172,7 @@ void Preintegration::Add(const ImuSample& sample) {
   const double gyro_variance = noise_.gyro_noise_density * noise_.gyro_noise_density * dt;
   double noise[9], start_angle[3];
   MatrixVector3(rotation_.data(), angle, start_angle);
-  SkewPolynomial(start_angle, 0, 2 * k.c - k.b * k.b - k.c * k.c * angle_squared, noise);
+  SkewPolynomial(start_angle, 0.0, 2 * k.c - k.b * k.b - k.c * k.c * angle_squared, noise);
   for (int r = 0; r < 3; ++r) {
     for (int c = 0; c < 3; ++c) of_rotation_[9 * r + c] += gyro_variance * noise[3 * r + c];
   }

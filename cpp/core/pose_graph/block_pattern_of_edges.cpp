@@ -6,10 +6,10 @@
 namespace bundle {
 namespace {
 
-/// METIS takes some ten microseconds per pose and saves at most a third of the flops. With fewer
-/// flops per pose with AMD than this, METIS costs more than it saves in the few factorisations of a
-/// solve.
-constexpr double kFlopsWorthMetis = 1e4;
+/// METIS takes some two microseconds per pose, the time of 2e4 flops, and saves at most a third of
+/// the flops. With fewer flops per pose with AMD than this, METIS costs more than it saves in the
+/// few factorisations of a solve.
+constexpr double kFlopsWorthMetis = 3e4;
 
 FillOrdering FindOrdering(const BlockStructure& structure, const std::string& ordering) {
   if (ordering != "auto") return FindFillOrdering(structure, ordering);
@@ -32,8 +32,8 @@ EdgePattern PatternOfEdges(const PoseGraph& graph, int block_size, const std::st
   }
   std::vector<std::pair<int, int>> pairs;
   for (int64_t e = 0; e < graph.num_edges(); ++e) {
-    const int a = pattern.block_of[graph.edges[2 * e]];
-    const int b = pattern.block_of[graph.edges[2 * e + 1]];
+    const int a = pattern.block_of[graph.edges()[2 * e]];
+    const int b = pattern.block_of[graph.edges()[2 * e + 1]];
     if (a >= 0 && b >= 0) pairs.emplace_back(a, b);
   }
   const BlockStructure structure =

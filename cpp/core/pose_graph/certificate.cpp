@@ -46,7 +46,7 @@ GraphCertificate CertifyGraph(const PoseGraphView& view, const double* kappa, co
   Eigen::VectorXd direction;
   found.of_poses = CertifyPoint(problem, options, options.max_steps, first, &point, &direction);
   const int max_rank = std::min(options.max_rank, kMostRank);
-  if (found.of_poses.bound.holds || max_rank <= view.dimension) return found;
+  if (found.of_poses.bound.holds || max_rank <= view.dimension()) return found;
   StaircaseOutcome climbed = ClimbStaircase(problem, std::move(point), std::move(direction),
                                             max_rank, kMostStepsOfStaircase);
   found.rank = climbed.rank;

@@ -12,6 +12,7 @@
 #include "core/linear/direct_solvers.h"
 #include "core/linear/linear_solver.h"
 #include "core/pose_graph/block_pattern_of_edges.h"
+#include "core/pose_graph/relative_pose.h"
 
 /// Chordal relaxation (Martinec and Pajdla, Robust rotation and translation estimation in multiview
 /// reconstruction, 2007; Carlone, Tron, Daniilidis, Dellaert, Initialization techniques for 3D
@@ -36,21 +37,47 @@ namespace {
 
 constexpr double kRegularization = 1e-9;
 
-/// Rotations are d x d, row-major.
-void RotationOf(int dimension, const double* pose, double* rotation) {
-  if (dimension == 3) return QuaternionToRotation(pose, rotation);
-  const double c = std::cos(pose[2]), s = std::sin(pose[2]);
-  rotation[0] = rotation[3] = c;
-  rotation[1] = -s;
-  rotation[2] = s;
+/// Rotations are d x d, row-major; `record` as in relative_pose.h.
+void RotationOf(int dimension, const double* record, double* rotation) {
+  if (dimension == 3) return QuaternionToRotation(record, rotation);
+  rotation[0] = rotation[3] = record[3];
+  rotation[1] = -record[4];
+  rotation[2] = record[4];
 }
 
 const double* TranslationOf(int dimension, const double* pose) {
   return dimension == 3 ? pose + 4 : pose;
 }
 
-/// Sets the rotation of a pose to the rotation nearest to a matrix, which maximises tr(R^T M). For
-/// a quaternion q = (v, s), R = (s^2 - v^T v) I + 2 v v^T + 2 s [v]x, so tr(R^T M) = q^T K q with
+/// The orthogonal factor of M's polar decomposition by Newton's iteration X <- (g X + X^-T / g) /
+/// 2, with g^3 = 1 / |det X| at first and 1 from then on (Higham, "Computing the polar
+/// decomposition - with applications", 1986). Returns false if M has no positive determinant or the
+/// iteration is slow: M is then close to a singular matrix.
+bool FindPolarRotation(const double* m, double* rotation) {
+  std::copy_n(m, 9, rotation);
+  for (int iteration = 0; iteration < 8; ++iteration) {
+    double cofactors[9];  // of X: det(X) X^-T
+    for (int r = 0; r < 3; ++r) {
+      Cross3(rotation + 3 * ((r + 1) % 3), rotation + 3 * ((r + 2) % 3), cofactors + 3 * r);
+    }
+    const double det =
+        rotation[0] * cofactors[0] + rotation[1] * cofactors[1] + rotation[2] * cofactors[2];
+    if (!(det > 0)) return false;
+    const double g = iteration == 0 ? 1 / std::cbrt(det) : 1;
+    double change = 0;
+    for (int k = 0; k < 9; ++k) {
+      const double next = 0.5 * (g * rotation[k] + cofactors[k] / (g * det));
+      change = std::max(change, std::abs(next - rotation[k]));
+      rotation[k] = next;
+    }
+    if (change < 1e-9) return true;  // quadratic: the error is the square of it
+  }
+  return false;
+}
+
+/// Sets the rotation of a pose to the rotation nearest to a matrix, which maximises tr(R^T M): the
+/// polar factor if it has a positive determinant. In general, for a quaternion q = (v, s),
+/// R = (s^2 - v^T v) I + 2 v v^T + 2 s [v]x, so tr(R^T M) = q^T K q with
 ///
 ///   K = [ M + M^T - tr(M) I   a     ]
 ///       [ a^T                 tr(M) ],      a = (M_21 - M_12, M_02 - M_20, M_10 - M_01)
@@ -60,6 +87,12 @@ void SetNearestRotation(int dimension, const double* m, double* pose) {
   if (dimension == 2) {
     const double sine = m[2] - m[1], cosine = m[0] + m[3];
     if (sine != 0 || cosine != 0) pose[2] = std::atan2(sine, cosine);
+    return;
+  }
+  double rotation[9];
+  if (FindPolarRotation(m, rotation)) {
+    QuaternionFromRotation(rotation, pose);
+    NormalizeQuaternion(pose);
     return;
   }
   Eigen::Matrix4d k;
@@ -166,16 +199,19 @@ class Chordal {
           const FillOrdering* known)
       : graph_(graph),
         information_(information),
-        d_(graph.dimension),
-        tangent_(graph.dimension == 2 ? 3 : 6),
-        ambient_(graph.dimension == 2 ? 3 : 7),
-        pattern_(PatternOfEdges(graph, graph.dimension, "auto", known)),
-        stage_(pattern_, graph.dimension, num_threads),
+        d_(graph.dimension()),
+        tangent_(graph.dimension() == 2 ? 3 : 6),
+        ambient_(graph.dimension() == 2 ? 3 : 7),
+        record_(graph.dimension() == 2 ? Se2::kRecord : Se3::kRecord),
+        pattern_(PatternOfEdges(graph, graph.dimension(), "auto", known)),
+        stage_(pattern_, graph.dimension(), num_threads),
         poses_(graph.poses) {}
 
   std::vector<double> Poses() {
     if (!pattern_.pose_of.empty()) {
+      UpdateRecords();
       FindRotations();
+      UpdateRecords();
       FindTranslations();
     }
     return std::move(poses_);
@@ -183,13 +219,15 @@ class Chordal {
 
  private:
   ChordalEdge EdgeAt(int64_t e) const {
-    ChordalEdge edge{graph_.edges[2 * e], graph_.edges[2 * e + 1], {}, nullptr, nullptr};
-    const double* const z = graph_.measurements.data() + e * ambient_;
+    ChordalEdge edge{graph_.edges()[2 * e], graph_.edges()[2 * e + 1], {}, nullptr, nullptr};
+    const double* const z = graph_.prepared->records.data() + e * record_;
     RotationOf(d_, z, edge.rotation);
     edge.translation = TranslationOf(d_, z);
     edge.information = information_ + e * tangent_ * tangent_;
     return edge;
   }
+
+  void UpdateRecords() { records_ = d_ == 2 ? PoseRecords<Se2>(poses_) : PoseRecords<Se3>(poses_); }
 
   /// The mean of the diagonal entries of the rotation. These are the first three in space (SE(3)),
   /// and the last one in the plane (SE(2)).
@@ -228,7 +266,7 @@ class Chordal {
   void AddKnownRotation(const ChordalEdge& edge, double weight) {
     const int i = stage_.BlockOf(edge.i), j = stage_.BlockOf(edge.j);
     double known[9];
-    RotationOf(d_, poses_.data() + int64_t{i >= 0 ? edge.j : edge.i} * ambient_, known);
+    RotationOf(d_, records_.data() + int64_t{i >= 0 ? edge.j : edge.i} * record_, known);
     for (int row = 0; row < d_; ++row) {
       for (int k = 0; k < d_; ++k) {
         double sum = 0;
@@ -260,7 +298,7 @@ class Chordal {
     if (i < 0 && j < 0) return;
     const int first = d_ == 3 ? 3 : 0;
     double frame[9], turned[9], half[9] = {}, weight[9] = {}, negative[9], measured[3] = {};
-    RotationOf(d_, poses_.data() + int64_t{edge.i} * ambient_, frame);
+    RotationOf(d_, records_.data() + int64_t{edge.i} * record_, frame);
     for (int r = 0; r < d_; ++r) {
       for (int c = 0; c < d_; ++c) {
         turned[r * d_ + c] = 0;
@@ -300,10 +338,10 @@ class Chordal {
 
   const PoseGraph& graph_;
   const double* information_;
-  const int d_, tangent_, ambient_;
+  const int d_, tangent_, ambient_, record_;
   const EdgePattern pattern_;
   ChordalStage stage_;
-  std::vector<double> poses_;
+  std::vector<double> poses_, records_;  ///< relative_pose.h
 };
 
 }  // namespace

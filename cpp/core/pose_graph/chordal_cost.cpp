@@ -81,7 +81,7 @@ struct WeightedResiduals {
 WeightedResiduals ResidualsOf(const ChordalProblem& problem, const MatrixXd& point, int64_t edge) {
   const int d = problem.dimension(), b = problem.block();
   const auto block = [&](int end) {
-    return point.middleCols(int64_t{problem.graph.edges[2 * edge + end]} * b, b);
+    return point.middleCols(int64_t{problem.graph.edges()[2 * edge + end]} * b, b);
   };
   const auto first = block(0), second = block(1);
   const SmallMatrix y = first.leftCols(d);
@@ -114,12 +114,12 @@ ChordalProblem MakeChordalProblem(const PoseGraphView& view, const double* kappa
   std::fill(problem.graph.held.begin(), problem.graph.held.end(), uint8_t{0});
   problem.ordering = PatternOfEdges(problem.graph, problem.block(), "auto").ordering;
   problem.num_threads = num_threads;
-  problem.kappa.assign(kappa, kappa + view.num_edges);
-  problem.tau.assign(tau, tau + view.num_edges);
-  for (int64_t e = 0; e < view.num_edges; ++e) {
-    const double* const z = view.measurements + e * view.ambient();
-    const SmallMatrix rotation = RotationOfPose(view.dimension, z);
-    const SmallMatrix translation = TranslationOfPose(view.dimension, z);
+  problem.kappa.assign(kappa, kappa + view.num_edges());
+  problem.tau.assign(tau, tau + view.num_edges());
+  for (int64_t e = 0; e < view.num_edges(); ++e) {
+    const double* const z = view.edges->measurements.data() + e * view.ambient();
+    const SmallMatrix rotation = RotationOfPose(view.dimension(), z);
+    const SmallMatrix translation = TranslationOfPose(view.dimension(), z);
     problem.rotations.insert(problem.rotations.end(), rotation.data(),
                              rotation.data() + rotation.size());
     problem.translations.insert(problem.translations.end(), translation.data(),
@@ -172,8 +172,8 @@ double ChordalCost(const ChordalProblem& problem, const MatrixXd& point, MatrixX
     const WeightedResiduals found = ResidualsOf(problem, point, e);
     cost += found.cost;
     if (product == nullptr) continue;
-    const int64_t i = int64_t{problem.graph.edges[2 * e]} * b;
-    const int64_t j = int64_t{problem.graph.edges[2 * e + 1]} * b;
+    const int64_t i = int64_t{problem.graph.edges()[2 * e]} * b;
+    const int64_t j = int64_t{problem.graph.edges()[2 * e + 1]} * b;
     const SmallMatrix back = problem.Rotation(e).transpose(),
                       t = problem.Translation(e).transpose();
     product->middleCols(j, d) += found.rotation;
@@ -189,7 +189,7 @@ double ChordalRounding(const ChordalProblem& problem, const MatrixXd& point) {
   const int d = problem.dimension(), b = problem.block();
   double sum = 0;
   for (int64_t e = 0; e < problem.graph.num_edges(); ++e) {
-    const int64_t i = problem.graph.edges[2 * e], j = problem.graph.edges[2 * e + 1];
+    const int64_t i = problem.graph.edges()[2 * e], j = problem.graph.edges()[2 * e + 1];
     sum += d * problem.kappa[e] + problem.tau[e] * (point.col(i * b + d).squaredNorm() +
                                                     point.col(j * b + d).squaredNorm());
   }
@@ -214,8 +214,8 @@ MatrixXd DiagonalBlocks(const ChordalProblem& problem) {
   for (int64_t e = 0; e < problem.graph.num_edges(); ++e) {
     const double kappa = problem.kappa[e], tau = problem.tau[e];
     const SmallMatrix t = problem.Translation(e);
-    auto first = blocks.middleCols(int64_t{problem.graph.edges[2 * e]} * b, b);
-    auto second = blocks.middleCols(int64_t{problem.graph.edges[2 * e + 1]} * b, b);
+    auto first = blocks.middleCols(int64_t{problem.graph.edges()[2 * e]} * b, b);
+    auto second = blocks.middleCols(int64_t{problem.graph.edges()[2 * e + 1]} * b, b);
     first.topLeftCorner(d, d) += tau * t.lazyProduct(t.transpose());
     first.topRightCorner(d, 1) += tau * t;
     first.bottomLeftCorner(1, d) += tau * t.transpose();

@@ -27,8 +27,8 @@ struct ChordalProblem {
   std::vector<double> translations;  ///< measured, num_edges x d
   std::vector<double> kappa, tau;    ///< num_edges, above 0
 
-  int dimension() const { return graph.dimension; }
-  int block() const { return graph.dimension + 1; }
+  int dimension() const { return graph.dimension(); }
+  int block() const { return graph.dimension() + 1; }
   int64_t num_poses() const { return graph.num_poses(); }
   SmallMatrix Rotation(int64_t edge) const;
   SmallMatrix Translation(int64_t edge) const;

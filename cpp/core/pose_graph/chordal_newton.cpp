@@ -137,7 +137,7 @@ class ChordalNewton {
       matrix_.AddDiagonal(i, block);
     }
     for (int64_t e = 0; e < problem_.graph.num_edges(); ++e) {
-      const int64_t i = problem_.graph.edges[2 * e], j = problem_.graph.edges[2 * e + 1];
+      const int64_t i = problem_.graph.edges()[2 * e], j = problem_.graph.edges()[2 * e + 1];
       if (i != 0 && j != 0) matrix_.AddPair(i, j, HessianBlock(i, j, PairBlock(problem_, e)));
     }
     return matrix_.Factorize();
@@ -182,7 +182,7 @@ class ChordalNewton {
     const Scalar one = Scalar::Constant(1);
     laplacian_.AddDiagonal(0, one);
     for (int64_t e = 0; e < problem_.graph.num_edges(); ++e) {
-      const int64_t i = problem_.graph.edges[2 * e], j = problem_.graph.edges[2 * e + 1];
+      const int64_t i = problem_.graph.edges()[2 * e], j = problem_.graph.edges()[2 * e + 1];
       const Scalar tau = Scalar::Constant(problem_.tau[e]);
       if (i != 0) laplacian_.AddDiagonal(i, tau);
       if (j != 0) laplacian_.AddDiagonal(j, tau);

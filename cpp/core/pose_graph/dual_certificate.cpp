@@ -99,7 +99,7 @@ bool DualCertificate::Factorize(double shift) {
     matrix_.AddDiagonal(i, block);
   }
   for (int64_t e = 0; e < problem_.graph.num_edges(); ++e) {
-    const int64_t i = problem_.graph.edges[2 * e], j = problem_.graph.edges[2 * e + 1];
+    const int64_t i = problem_.graph.edges()[2 * e], j = problem_.graph.edges()[2 * e + 1];
     SmallMatrix block = PairBlock(problem_, e);
     if (i == 0 && !explicit_) block.row(d_).setZero();
     if (j == 0 && !explicit_) block.col(d_).setZero();

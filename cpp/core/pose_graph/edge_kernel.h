@@ -9,6 +9,8 @@
 ///
 /// which takes three matrix products instead of five. A loss multiplies all terms by rho'
 /// (factors/loss.h: no available loss has rho'' > 0).
+///
+/// Functions of a type T take one edge, as doubles, or several (kernels/edge_lanes.cpp).
 
 #include <cstdint>
 
@@ -19,94 +21,96 @@
 namespace bundle {
 
 /// m <- U m for kColumns columns, row-major, in place.
-template <int kSize, int kColumns>
-void ApplyRoot(const double* root, double* m) {
+template <int kSize, int kColumns, typename T>
+void ApplyRoot(const T* root, T* m) {
   for (int r = 0; r < kSize; ++r) {
-    const double diagonal = *root++;
-    double row[kColumns];
+    const T diagonal = *root++;
+    T row[kColumns];
     for (int c = 0; c < kColumns; ++c) row[c] = diagonal * m[r * kColumns + c];
     for (int k = r + 1; k < kSize; ++k) {
-      const double factor = *root++;
+      const T factor = *root++;
       for (int c = 0; c < kColumns; ++c) row[c] += factor * m[k * kColumns + c];
     }
     for (int c = 0; c < kColumns; ++c) m[r * kColumns + c] = row[c];
   }
 }
 
-/// out = A^T B for kSize x kSize matrices, row-major.
-template <int kSize>
-void TransposedProduct(const double* a, const double* b, double* out) {
-  for (int r = 0; r < kSize; ++r) {
-    double row[kSize] = {};
-    for (int k = 0; k < kSize; ++k) {
-      const double factor = a[k * kSize + r];
-      for (int c = 0; c < kSize; ++c) row[c] += factor * b[k * kSize + c];
-    }
-    for (int c = 0; c < kSize; ++c) out[r * kSize + c] = row[c];
-  }
-}
-
-/// out = A^T v
-template <int kSize>
-void TransposedVector(const double* a, const double* v, double* out) {
-  for (int c = 0; c < kSize; ++c) out[c] = 0;
-  for (int r = 0; r < kSize; ++r) {
-    for (int c = 0; c < kSize; ++c) out[c] += a[r * kSize + c] * v[r];
-  }
-}
-
 template <typename Group>
 const double* RootOf(const PoseGraph& graph, int64_t edge) {
-  return graph.roots.data() + edge * (Group::kTangent * (Group::kTangent + 1) / 2);
+  return graph.prepared->roots.data() + edge * RootSize(Group::kTangent);
 }
 
 /// The whitened residual; A and Ad are also computed unless `a` and `adjoint` are nullptr.
-/// `records`: those of the poses (relative_pose.h).
-template <typename Group>
-void EvaluateWhitened(const PoseGraph& graph, int64_t edge, const double* records, double* residual,
-                      double* a = nullptr, double* adjoint = nullptr) {
-  EvaluateRelativePose<Group>(
-      graph.errors.error, records + int64_t{graph.edges[2 * edge]} * Group::kRecord,
-      records + int64_t{graph.edges[2 * edge + 1]} * Group::kRecord,
-      graph.measurement_records.data() + edge * Group::kRecord, residual, a, adjoint);
-  const double* const root = RootOf<Group>(graph, edge);
+template <typename Group, typename T>
+void EvaluateWhitened(PoseError error, const T* x_i, const T* x_j, const T* z, const T* root,
+                      T* residual, T* a, T* adjoint) {
+  EvaluateRelativePose<Group>(error, x_i, x_j, z, residual, a, adjoint);
   ApplyRoot<Group::kTangent, 1>(root, residual);
   if (a != nullptr) ApplyRoot<Group::kTangent, Group::kTangent>(root, a);
 }
 
-/// Contributions of an edge; matrices row-major.
+/// The same of an edge. `records`: those of the poses (relative_pose.h).
+template <typename Group>
+void EvaluateWhitened(const PoseGraph& graph, int64_t edge, const double* records, double* residual,
+                      double* a = nullptr, double* adjoint = nullptr) {
+  EvaluateWhitened<Group>(graph.errors.error,
+                          records + int64_t{graph.edges()[2 * edge]} * Group::kRecord,
+                          records + int64_t{graph.edges()[2 * edge + 1]} * Group::kRecord,
+                          graph.prepared->records.data() + edge * Group::kRecord,
+                          RootOf<Group>(graph, edge), residual, a, adjoint);
+}
+
+/// Places of an edge's contribution among kNumbers values. Of symmetric matrices the upper triangle
+/// is stored, by rows.
 template <typename Group>
 struct EdgeTerms {
   static constexpr int kSize = Group::kTangent;
-  double cost;  ///< 1/2 rho(||r~||^2)
-  double h_ii[kSize * kSize], h_ij[kSize * kSize], h_jj[kSize * kSize];
-  double g_i[kSize], g_j[kSize];
+  static constexpr int kTriangle = kSize * (kSize + 1) / 2;
+  static constexpr int kIi = 0, kJj = kTriangle;        ///< H_ii, H_jj
+  static constexpr int kIj = 2 * kTriangle;             ///< H_ij, row-major
+  static constexpr int kGi = kIj + kSize * kSize;       ///< g_i
+  static constexpr int kGj = kGi + kSize;               ///< g_j
+  static constexpr int kChi2 = kGj + kSize;             ///< ||r~||^2, without the loss
+  static constexpr int kNumbers = (kChi2 + 4) / 4 * 4;  ///< a multiple of 4
 };
 
-template <typename Group>
-void LinearizeEdge(const PoseGraph& graph, int64_t edge, const double* records,
-                   EdgeTerms<Group>* terms) {
+/// The contribution of an edge, without the loss.
+template <typename Group, typename T>
+void LinearizeEdge(PoseError error, const T* x_i, const T* x_j, const T* z, const T* root,
+                   T* terms) {
+  using Terms = EdgeTerms<Group>;
   constexpr int kSize = Group::kTangent;
-  double residual[kSize], a[kSize * kSize], adjoint[kSize * kSize], half[kSize * kSize];
-  EvaluateWhitened<Group>(graph, edge, records, residual, a, adjoint);
-  double rho[3];
-  ValueOfEdgeLoss(graph.LossOf(edge), graph.errors.loss_scale, SquaredNorm(residual, kSize), rho);
-  terms->cost = 0.5 * rho[0];
-  TransposedProduct<kSize>(a, a, terms->h_jj);
-  TransposedVector<kSize>(a, residual, terms->g_j);
-  if (rho[1] != 1) {
-    for (double& value : terms->h_jj) value *= rho[1];
-    for (double& value : terms->g_j) value *= rho[1];
-  }
-  TransposedProduct<kSize>(adjoint, terms->h_jj, half);
-  TransposedVector<kSize>(adjoint, terms->g_j, terms->g_i);
+  T residual[kSize], a[kSize * kSize], adjoint[kSize * kSize], n[kSize * kSize];
+  EvaluateWhitened<Group>(error, x_i, x_j, z, root, residual, a, adjoint);
+  T chi2 = 0;
+  for (int r = 0; r < kSize; ++r) chi2 += residual[r] * residual[r];
+  terms[Terms::kChi2] = chi2;
+  T* jj = terms + Terms::kJj;
   for (int r = 0; r < kSize; ++r) {
-    terms->g_i[r] = -terms->g_i[r];
-    for (int c = 0; c < kSize; ++c) {
-      terms->h_ij[r * kSize + c] = -half[r * kSize + c];
-      double sum = 0;
-      for (int k = 0; k < kSize; ++k) sum += half[r * kSize + k] * adjoint[k * kSize + c];
-      terms->h_ii[r * kSize + c] = sum;
+    T gradient = 0;
+    for (int k = 0; k < kSize; ++k) gradient += a[k * kSize + r] * residual[k];
+    terms[Terms::kGj + r] = gradient;
+    for (int c = r; c < kSize; ++c) {
+      T sum = 0;
+      for (int k = 0; k < kSize; ++k) sum += a[k * kSize + r] * a[k * kSize + c];
+      n[r * kSize + c] = n[c * kSize + r] = *jj++ = sum;
+    }
+  }
+  T* ii = terms + Terms::kIi;
+  for (int r = 0; r < kSize; ++r) {
+    T half[kSize], gradient = 0;
+    for (int c = 0; c < kSize; ++c) half[c] = 0;
+    for (int k = 0; k < kSize; ++k) {
+      const T factor = adjoint[k * kSize + r];
+      gradient += factor * terms[Terms::kGj + k];
+      for (int c = 0; c < kSize; ++c) half[c] += factor * n[k * kSize + c];
+    }
+    terms[Terms::kGi + r] = -gradient;
+    for (int c = 0; c < kSize; ++c) terms[Terms::kIj + r * kSize + c] = -half[c];
+    for (int c = r; c < kSize; ++c) {
+      T sum = 0;
+      for (int k = 0; k < kSize; ++k) sum += half[k] * adjoint[k * kSize + c];
+      *ii++ = sum;
     }
   }
 }

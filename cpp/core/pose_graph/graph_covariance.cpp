@@ -183,7 +183,7 @@ class GraphCovariance {
   void FindDirections() {
     const auto num_poses = static_cast<size_t>(graph_.num_poses());
     const std::vector<int32_t> root =
-        FindComponents(graph_.num_poses(), graph_.num_edges(), graph_.edges.data());
+        FindComponents(graph_.num_poses(), graph_.num_edges(), graph_.edges().data());
     std::vector<uint8_t> floats(num_poses, 0);
     for (const int32_t pose : held_.for_gauge) floats[root[pose]] = 1;
     n_.assign(num_poses, Matrix::Zero());
@@ -242,7 +242,7 @@ class GraphCovariance {
   }
 
   void TestEdge(int64_t e, GraphCovarianceOutput* output) const {
-    const int i = graph_.edges[2 * e], j = graph_.edges[2 * e + 1];
+    const int i = graph_.edges()[2 * e], j = graph_.edges()[2 * e + 1];
     double residual[kSize], unused[kSize * kSize];
     Matrix a;
     EvaluateWhitened<Group>(graph_, e, records_.data(), residual, a.data(), unused);
@@ -294,9 +294,9 @@ class GraphCovariance {
 
 GraphCovarianceOutput ComputeGraphCovariance(PoseGraph graph, const uint8_t* fixed,
                                              const GraphCovarianceOptions& options) {
-  HeldPoses held = HoldPoses(graph.num_poses(), graph.num_edges(), graph.edges.data(), fixed);
+  HeldPoses held = HoldPoses(graph.num_poses(), graph.num_edges(), graph.edges().data(), fixed);
   graph.held = held.held;
-  if (graph.dimension == 2) return GraphCovariance<Se2>(graph, std::move(held), options).Run();
+  if (graph.dimension() == 2) return GraphCovariance<Se2>(graph, std::move(held), options).Run();
   return GraphCovariance<Se3>(graph, std::move(held), options).Run();
 }
 

@@ -17,31 +17,31 @@ struct Adjacency {
 Adjacency EdgesAtPoses(const PoseGraph& graph) {
   Adjacency at;
   at.begin.assign(graph.num_poses() + 1, 0);
-  for (const int32_t pose : graph.edges) ++at.begin[pose + 1];
+  for (const int32_t pose : graph.edges()) ++at.begin[pose + 1];
   std::partial_sum(at.begin.begin(), at.begin.end(), at.begin.begin());
-  at.edge.resize(graph.edges.size());
+  at.edge.resize(graph.edges().size());
   std::vector<int64_t> next(at.begin.begin(), at.begin.end() - 1);
-  for (size_t k = 0; k < graph.edges.size(); ++k) {
-    at.edge[next[graph.edges[k]]++] = static_cast<int64_t>(k / 2);
+  for (size_t k = 0; k < graph.edges().size(); ++k) {
+    at.edge[next[graph.edges()[k]]++] = static_cast<int64_t>(k / 2);
   }
   return at;
 }
 
 Retraction RetractionOf(const PoseGraph& graph) {
-  return {graph.dimension == 2 ? Manifold::kSe2 : Manifold::kSe3, graph.dimension == 2 ? 3 : 7};
+  return {graph.dimension() == 2 ? Manifold::kSe2 : Manifold::kSe3, graph.dimension() == 2 ? 3 : 7};
 }
 
 /// Sets the pose at the other end of an edge: X_j = X_i Z, or X_i = X_j Z^-1.
 void Compose(const PoseGraph& graph, const Retraction& retraction, int64_t edge, int32_t from,
              std::vector<double>* poses) {
   const int n = retraction.ambient_size();
-  const double* const z = graph.measurements.data() + edge * n;
-  const bool forward = graph.edges[2 * edge] == from;
-  const int32_t to = graph.edges[2 * edge + (forward ? 1 : 0)];
+  const double* const z = graph.measurements().data() + edge * n;
+  const bool forward = graph.edges()[2 * edge] == from;
+  const int32_t to = graph.edges()[2 * edge + (forward ? 1 : 0)];
   const double* const x = poses->data() + int64_t{from} * n;
   double* const out = poses->data() + int64_t{to} * n;
   // X Z = (X^-1)^-1 Z and X Z^-1 = (Z X^-1)^-1, with the operations of a retraction.
-  const double identity[7] = {0, 0, 0, graph.dimension == 3 ? 1.0 : 0.0, 0, 0, 0};
+  const double identity[7] = {0, 0, 0, graph.dimension() == 3 ? 1.0 : 0.0, 0, 0, 0};
   double inverse[7], moved[7];
   if (forward) {
     retraction.Between(x, identity, inverse);
@@ -89,7 +89,7 @@ std::vector<double> SpanningTreePoses(const PoseGraph& graph) {
     for (int64_t a = at.begin[from]; a < at.begin[from + 1]; ++a) {
       const int64_t edge = at.edge[a];
       const int32_t to =
-          graph.edges[2 * edge] == from ? graph.edges[2 * edge + 1] : graph.edges[2 * edge];
+          graph.edges()[2 * edge] == from ? graph.edges()[2 * edge + 1] : graph.edges()[2 * edge];
       if (reached[to] != 0) continue;
       reached[to] = 1;
       Compose(graph, retraction, edge, from, &poses);
@@ -118,7 +118,7 @@ std::vector<OdometryEdge> FindOdometry(const PoseGraph& graph, const int64_t* id
   std::vector<OdometryEdge> chain;
   for (size_t k = 1; k < order.size(); ++k) chain.push_back({order[k - 1], order[k], -1});
   for (int64_t e = 0; e < graph.num_edges(); ++e) {
-    const int32_t a = rank[graph.edges[2 * e]], b = rank[graph.edges[2 * e + 1]];
+    const int32_t a = rank[graph.edges()[2 * e]], b = rank[graph.edges()[2 * e + 1]];
     if (a - b != 1 && b - a != 1) continue;
     int64_t& edge = chain[std::min(a, b)].edge;
     if (edge < 0) edge = e;

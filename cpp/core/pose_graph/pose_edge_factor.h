@@ -18,7 +18,7 @@ class PoseEdgeFactor final : public Factor {
   /// poses, by position.
   PoseEdgeFactor(const PoseGraph& graph, int64_t edge)
       : Factor({"edge " + std::to_string(edge),
-                {graph.edges[2 * edge], graph.edges[2 * edge + 1]},
+                {graph.edges()[2 * edge], graph.edges()[2 * edge + 1]},
                 graph.LossOf(edge).type,
                 graph.errors.loss_scale},
                {Retraction(Group::kManifold, Group::kAmbient),
@@ -34,8 +34,8 @@ class PoseEdgeFactor final : public Factor {
     double records[2][Group::kRecord];
     for (int k = 0; k < 2; ++k) Group::Record(values[k], records[k]);
     EvaluateRelativePose<Group>(graph_.errors.error, records[0], records[1],
-                                graph_.measurement_records.data() + edge_ * Group::kRecord,
-                                residual, wanted ? a : nullptr, wanted ? adjoint : nullptr);
+                                graph_.prepared->records.data() + edge_ * Group::kRecord, residual,
+                                wanted ? a : nullptr, wanted ? adjoint : nullptr);
     const double* const root = RootOf<Group>(graph_, edge_);
     ApplyRoot<kSize, 1>(root, residual);
     if (!wanted) return true;

@@ -9,6 +9,7 @@
 #include "core/error.h"
 #include "core/factors/factor.h"
 #include "core/pose_graph/edge_kernel.h"
+#include "core/pose_graph/kernels/edge_kernels.h"
 
 namespace bundle {
 namespace {
@@ -56,15 +57,20 @@ bool FindRoot(const double* matrix, int n, double* root) {
   return true;
 }
 
-void CheckView(const PoseGraphView& view) {
-  for (int64_t e = 0; e < view.num_edges; ++e) {
-    const int32_t i = view.edges[2 * e], j = view.edges[2 * e + 1];
-    const bool exist = i >= 0 && j >= 0 && i < view.num_poses && j < view.num_poses;
+void CheckEnds(int64_t num_poses, int64_t num_edges, const int32_t* ends) {
+  for (int64_t e = 0; e < num_edges; ++e) {
+    const int32_t i = ends[2 * e], j = ends[2 * e + 1];
+    const bool exist = i >= 0 && j >= 0 && i < num_poses && j < num_poses;
     if (exist && i != j) continue;
     throw InputError("edges[" + std::to_string(e) + "]: expected two different poses of the " +
-                     std::to_string(view.num_poses) + ", found " + std::to_string(i) + " and " +
+                     std::to_string(num_poses) + ", found " + std::to_string(i) + " and " +
                      std::to_string(j));
   }
+}
+
+Retraction RetractionOf(int dimension) {
+  return {dimension == 2 ? Manifold::kSe2 : Manifold::kSe3,
+          dimension == 2 ? Se2::kAmbient : Se3::kAmbient};
 }
 
 /// Normalises quaternions.
@@ -85,36 +91,35 @@ std::vector<double> Normalized(const Retraction& retraction, const char* name, i
 
 }  // namespace
 
-InformationRoots FindInformationRoots(int64_t num_edges, int tangent, const double* information) {
-  const int64_t root_size = tangent * (tangent + 1) / 2;
-  InformationRoots found;
-  found.roots.resize(num_edges * root_size);
+PoseGraphEdges PrepareEdges(int dimension, int64_t num_poses, int64_t num_edges,
+                            const int32_t* ends, const double* measurements,
+                            const double* information) {
+  CheckEnds(num_poses, num_edges, ends);
+  PoseGraphEdges edges;
+  edges.dimension = dimension;
+  edges.ends.assign(ends, ends + 2 * num_edges);
+  edges.measurements = Normalized(RetractionOf(dimension), "measurements", num_edges, measurements);
+  edges.records =
+      dimension == 2 ? PoseRecords<Se2>(edges.measurements) : PoseRecords<Se3>(edges.measurements);
+  const int tangent = dimension == 2 ? Se2::kTangent : Se3::kTangent;
+  const int64_t root_size = RootSize(tangent);
+  edges.roots.resize(num_edges * root_size);
   for (int64_t e = 0; e < num_edges; ++e) {
     const double* const matrix = information + e * tangent * tangent;
     const bool is_valid = IsSymmetric(matrix, tangent) &&
-                          FindRoot(matrix, tangent, found.roots.data() + e * root_size);
-    if (!is_valid) found.bad.push_back(e);
+                          FindRoot(matrix, tangent, edges.roots.data() + e * root_size);
+    if (!is_valid) edges.bad.push_back(e);
   }
-  return found;
+  return edges;
 }
 
 PoseGraph MakePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors) {
-  CheckView(view);
-  const int n = view.tangent(), root_size = n * (n + 1) / 2;
-  const Retraction retraction = view.retraction();
   PoseGraph graph;
-  graph.dimension = view.dimension;
   graph.errors = errors;
-  graph.poses = Normalized(retraction, "poses", view.num_poses, view.poses);
-  graph.measurements = Normalized(retraction, "measurements", view.num_edges, view.measurements);
+  graph.prepared = view.edges;
+  graph.poses = Normalized(RetractionOf(view.dimension()), "poses", view.num_poses, view.poses);
   graph.held.assign(view.held, view.held + view.num_poses);
-  graph.edges.assign(view.edges, view.edges + 2 * view.num_edges);
-  graph.robust.assign(view.num_edges, 0);
-  if (view.robust != nullptr) graph.robust.assign(view.robust, view.robust + view.num_edges);
-  if (view.roots == nullptr) return graph;
-  graph.roots.assign(view.roots, view.roots + view.num_edges * root_size);
-  graph.measurement_records = graph.dimension == 2 ? PoseRecords<Se2>(graph.measurements)
-                                                   : PoseRecords<Se3>(graph.measurements);
+  if (view.robust != nullptr) graph.robust.assign(view.robust, view.robust + view.num_edges());
   return graph;
 }
 
@@ -138,19 +143,18 @@ namespace {
 template <typename Group>
 std::vector<double> EdgeChi2Of(const PoseGraph& graph, const std::vector<double>& poses) {
   const std::vector<double> records = PoseRecords<Group>(poses);
-  std::vector<double> chi2(graph.num_edges());
-  for (int64_t e = 0; e < graph.num_edges(); ++e) {
-    double residual[Group::kTangent];
-    EvaluateWhitened<Group>(graph, e, records.data(), residual);
-    chi2[e] = SquaredNorm(residual, Group::kTangent);
-  }
+  std::vector<int64_t> edges(graph.num_edges());
+  std::iota(edges.begin(), edges.end(), int64_t{0});
+  std::vector<double> chi2(edges.size());
+  SelectEdgeKernels<Group>().chi2(graph.Arrays(records.data()), edges.data(), graph.num_edges(),
+                                  chi2.data());
   return chi2;
 }
 
 }  // namespace
 
 std::vector<double> EdgeChi2(const PoseGraph& graph, const std::vector<double>& poses) {
-  return graph.dimension == 2 ? EdgeChi2Of<Se2>(graph, poses) : EdgeChi2Of<Se3>(graph, poses);
+  return graph.dimension() == 2 ? EdgeChi2Of<Se2>(graph, poses) : EdgeChi2Of<Se3>(graph, poses);
 }
 
 std::vector<double> EdgeWeights(const PoseGraph& graph, const std::vector<double>& chi2) {

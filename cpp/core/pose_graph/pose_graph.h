@@ -3,33 +3,53 @@
 /// A pose graph, validated and prepared for a solve: unit quaternions, square roots of information.
 
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "core/geometry/retraction.h"
 #include "core/pose_graph/edge_loss.h"
+#include "core/pose_graph/kernels/edge_kernels.h"
 #include "core/pose_graph/relative_pose.h"
 
 namespace bundle {
 
+/// Numbers of a root in PoseGraphEdges: a triangle, then zeros up to a multiple of 4.
+constexpr int RootSize(int tangent) { return (tangent * (tangent + 1) / 2 + 3) / 4 * 4; }
+
+/// The edges of a graph, prepared for any number of solves and evaluations at any poses.
+struct PoseGraphEdges {
+  int dimension = 0;                 ///< 2 or 3
+  std::vector<int32_t> ends;         ///< num_edges x 2 poses
+  std::vector<double> measurements;  ///< num_edges x 3 or 7, with unit quaternions
+  std::vector<double> records;       ///< of the measurements (relative_pose.h)
+  /// num_edges x RootSize(d): the upper triangle of U with U^T U the information, by rows.
+  std::vector<double> roots;
+  /// Edges whose information is asymmetric, not positive semidefinite or not finite. They have no
+  /// root, so that no error can be evaluated.
+  std::vector<int64_t> bad;
+};
+
+/// `ends`, `measurements`, `information`: num_edges x 2, x 3 or 7, x d x d.
+///
+/// Throws InputError if arrays contradict each other: an edge of a pose that does not exist or from
+/// a pose to itself, a measurement that is not finite, or a quaternion of norm 0.
+PoseGraphEdges PrepareEdges(int dimension, int64_t num_poses, int64_t num_edges,
+                            const int32_t* ends, const double* measurements,
+                            const double* information);
+
 /// Arrays of the caller: world_from_body poses, x y angle or qx qy qz qw tx ty tz.
 struct PoseGraphView {
-  int dimension = 0;  ///< 2 or 3
   int64_t num_poses = 0;
-  int64_t num_edges = 0;
-  const double* poses = nullptr;         ///< num_poses x 3 or 7
-  const uint8_t* held = nullptr;         ///< num_poses: 1 if a pose is constant
-  const int32_t* edges = nullptr;        ///< num_edges x 2
-  const double* measurements = nullptr;  ///< num_edges x 3 or 7
-  /// num_edges x d (d + 1) / 2, as PoseGraph::roots; nullptr if errors are not evaluated.
-  const double* roots = nullptr;
+  const double* poses = nullptr;                ///< num_poses x 3 or 7
+  const uint8_t* held = nullptr;                ///< num_poses: 1 if a pose is constant
+  std::shared_ptr<const PoseGraphEdges> edges;  ///< of as many poses
   const uint8_t* robust =
       nullptr;  ///< num_edges: 1 if the loss applies; nullptr: it applies to no edge
 
-  int ambient() const { return dimension == 2 ? Se2::kAmbient : Se3::kAmbient; }
-  int tangent() const { return dimension == 2 ? Se2::kTangent : Se3::kTangent; }
-  Retraction retraction() const {
-    return {dimension == 2 ? Manifold::kSe2 : Manifold::kSe3, ambient()};
-  }
+  int dimension() const { return edges->dimension; }
+  int64_t num_edges() const { return static_cast<int64_t>(edges->ends.size() / 2); }
+  int ambient() const { return dimension() == 2 ? Se2::kAmbient : Se3::kAmbient; }
+  int tangent() const { return dimension() == 2 ? Se2::kTangent : Se3::kTangent; }
 };
 
 /// The error function of a graph, and its loss.
@@ -40,34 +60,29 @@ struct PoseErrorOptions {
 };
 
 struct PoseGraph {
-  int dimension = 0;
   PoseErrorOptions errors;
   std::vector<double> poses;
   std::vector<uint8_t> held;
-  std::vector<int32_t> edges;
-  std::vector<double> measurements;
-  std::vector<double> measurement_records;  ///< relative_pose.h; empty if there are no roots
-  /// num_edges x d (d + 1) / 2: the upper triangle of U with U^T U the information, by rows. Empty
-  /// if the view has no information.
-  std::vector<double> roots;
-  std::vector<uint8_t> robust;  ///< num_edges
+  std::vector<uint8_t> robust;  ///< num_edges, or empty: the loss applies to no edge
+  std::shared_ptr<const PoseGraphEdges> prepared;
 
+  int dimension() const { return prepared->dimension; }
+  const std::vector<int32_t>& edges() const { return prepared->ends; }
+  const std::vector<double>& measurements() const { return prepared->measurements; }
   int64_t num_poses() const { return static_cast<int64_t>(held.size()); }
-  int64_t num_edges() const { return static_cast<int64_t>(robust.size()); }
-  EdgeLoss LossOf(int64_t edge) const { return robust[edge] != 0 ? errors.loss : EdgeLoss(); }
+  int64_t num_edges() const { return static_cast<int64_t>(prepared->ends.size() / 2); }
+  /// Arrays of a pass at poses with these records.
+  EdgeArrays Arrays(const double* records) const {
+    return {errors.error, prepared->ends.data(), records, prepared->records.data(),
+            prepared->roots.data()};
+  }
+  EdgeLoss LossOf(int64_t edge) const {
+    return !robust.empty() && robust[edge] != 0 ? errors.loss : EdgeLoss();
+  }
 };
 
-/// Throws InputError if arrays contradict each other: an edge of a pose that does not exist or from
-/// a pose to itself, a number that is not finite, or a quaternion of norm 0.
+/// Throws InputError if a pose is not finite or has a quaternion of norm 0.
 PoseGraph MakePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors);
-
-/// Square roots of information matrices (PoseGraph::roots), d x d by tangent coordinates. `bad`
-/// lists the edges whose matrix is asymmetric, not positive semidefinite or not finite.
-struct InformationRoots {
-  std::vector<double> roots;
-  std::vector<int64_t> bad;
-};
-InformationRoots FindInformationRoots(int64_t num_edges, int tangent, const double* information);
 
 /// Connected components: for each pose, the smallest position in its component.
 std::vector<int32_t> FindComponents(int64_t num_poses, int64_t num_edges, const int32_t* edges);

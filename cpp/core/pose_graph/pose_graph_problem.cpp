@@ -13,11 +13,13 @@
 #include "core/parallel/thread_pool.h"
 #include "core/pose_graph/block_pattern_of_edges.h"
 #include "core/pose_graph/edge_kernel.h"
+#include "core/pose_graph/kernels/edge_kernels.h"
 
 namespace bundle {
 namespace {
 
-constexpr int64_t kEdgesAtATime = 4096;
+/// Bytes of terms that stay in a core's second cache between the two passes of a linearisation.
+constexpr int64_t kBytesOfTerms = 1 << 19;
 /// With fewer edges than this, weighted by the square of their coordinates, waking a thread takes
 /// longer than a pass.
 constexpr int64_t kWorkOfAThread = 70000;
@@ -33,7 +35,6 @@ int CountThreads(int64_t num_edges, int tangent, int num_threads) {
 
 /// Places of an edge's blocks; column -1 for a constant pose.
 struct EdgePlace {
-  int64_t edge = 0;
   int i = -1, j = -1;  ///< block columns of its poses
   int64_t below = 0;   ///< values of the block below the diagonal
   int stride_below = 0;
@@ -44,12 +45,12 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   static constexpr int kSize = Group::kTangent;
   static constexpr int kAmbient = Group::kAmbient;
   using Terms = EdgeTerms<Group>;
+  static constexpr int kNumbers = Terms::kNumbers;
 
  public:
   PoseGraphProblemOf(const PoseGraph& graph, const std::string& ordering, int num_threads,
                      const FillOrdering* known)
       : graph_(graph),
-        retraction_(Group::kManifold, kAmbient),
         x_(graph.poses),
         candidate_(graph.poses),
         x_records_(PoseRecords<Group>(graph.poses)),
@@ -69,7 +70,10 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
          {&system_.rhs, &gradient_, &scale_, &d_squared_, &newton_, &direction_, &step_}) {
       v->resize(columns);
     }
-    terms_.resize(std::min<int64_t>(kEdgesAtATime, places_.size()));
+    const int64_t at_a_time = pool_.num_threads() * kBytesOfTerms / (kNumbers * sizeof(double));
+    edges_at_a_time_ = std::min<int64_t>(at_a_time, places_.size());
+    terms_.resize(edges_at_a_time_ * kNumbers);
+    costs_.resize(places_.size());
     state_norm_ = NormOf(x_);
   }
 
@@ -79,12 +83,12 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
     std::fill(gradient_.begin(), gradient_.end(), 0.0);
     Linearization result;
     const auto num_edges = static_cast<int64_t>(places_.size());
-    for (int64_t begin = 0; begin < num_edges; begin += kEdgesAtATime) {
+    for (int64_t begin = 0; begin < num_edges; begin += edges_at_a_time_) {
       ThrowIfInterrupted();
-      const int64_t end = std::min(num_edges, begin + kEdgesAtATime);
+      const int64_t end = std::min(num_edges, begin + edges_at_a_time_);
       pool_.Run([&](int thread) { EvaluateEdges(begin, end, thread); });
       pool_.Run([&](int thread) { Add(begin, end, thread); });
-      for (int64_t k = 0; k < end - begin; ++k) result.cost += terms_[k].cost;
+      for (int64_t k = begin; k < end; ++k) result.cost += costs_[k];
     }
     Damp(damping);
     double squared = 0;
@@ -154,13 +158,15 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   void PlaceEdges(const std::vector<int>& block_of) {
     for (int64_t e = 0; e < graph_.num_edges(); ++e) {
       EdgePlace place;
-      place.edge = e;
-      place.i = block_of[graph_.edges[2 * e]];
-      place.j = block_of[graph_.edges[2 * e + 1]];
+      place.i = block_of[graph_.edges()[2 * e]];
+      place.j = block_of[graph_.edges()[2 * e + 1]];
       if (place.i < 0 && place.j < 0) {
-        fixed_cost_ += CostOf(e, x_records_.data());
+        double chi2;
+        kernels_.chi2(graph_.Arrays(x_records_.data()), &e, 1, &chi2);
+        fixed_cost_ += CostOf(e, chi2, nullptr);
         continue;
       }
+      active_edges_.push_back(e);
       if (place.i >= 0 && place.j >= 0) {
         const int column = std::min(place.i, place.j), row = std::max(place.i, place.j);
         place.below = structure_.ValueIndex(column, structure_.Entry(column, row), 0, 0);
@@ -170,11 +176,11 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
     }
   }
 
-  double CostOf(int64_t edge, const double* records) const {
-    double residual[kSize], rho[3];
-    EvaluateWhitened<Group>(graph_, edge, records, residual);
-    ValueOfEdgeLoss(graph_.LossOf(edge), graph_.errors.loss_scale, SquaredNorm(residual, kSize),
-                    rho);
+  /// 1/2 rho, and rho' unless nullptr.
+  double CostOf(int64_t edge, double chi2, double* weight) const {
+    double rho[3];
+    ValueOfEdgeLoss(graph_.LossOf(edge), graph_.errors.loss_scale, chi2, rho);
+    if (weight != nullptr) *weight = rho[1];
     return 0.5 * rho[0];
   }
 
@@ -186,26 +192,33 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
 
   void EvaluateEdges(int64_t begin, int64_t end, int thread) {
     const auto [first, last] = Share(begin, end, thread);
-    for (int64_t k = first; k < last; ++k) {
-      LinearizeEdge<Group>(graph_, places_[k].edge, x_records_.data(), &terms_[k - begin]);
+    double* terms = terms_.data() + (first - begin) * kNumbers;
+    kernels_.linearize(graph_.Arrays(x_records_.data()), active_edges_.data() + first, last - first,
+                       terms);
+    for (int64_t k = first; k < last; ++k, terms += kNumbers) {
+      double weight;
+      costs_[k] = CostOf(active_edges_[k], terms[Terms::kChi2], &weight);
+      if (weight == 1) continue;
+      for (int i = 0; i < kNumbers; ++i) terms[i] *= weight;
     }
   }
 
   void Add(int64_t begin, int64_t end, int thread) {
     const auto [first, last] = Share(0, structure_.num_blocks(), thread);
     const auto is_mine = [first = first, last = last](int b) { return b >= first && b < last; };
-    for (int64_t k = begin; k < end; ++k) {
+    const double* terms = terms_.data();
+    for (int64_t k = begin; k < end; ++k, terms += kNumbers) {
       const EdgePlace& place = places_[k];
-      const Terms& terms = terms_[k - begin];
-      if (is_mine(place.i)) AddPose(place.i, terms.h_ii, terms.g_i);
-      if (is_mine(place.j)) AddPose(place.j, terms.h_jj, terms.g_j);
+      if (is_mine(place.i)) AddPose(place.i, terms + Terms::kIi, terms + Terms::kGi);
+      if (is_mine(place.j)) AddPose(place.j, terms + Terms::kJj, terms + Terms::kGj);
       if (place.i < 0 || place.j < 0 || !is_mine(std::min(place.i, place.j))) continue;
+      const double* const matrix = terms + Terms::kIj;
       double* const block = system_.values.data() + place.below;
       const bool rows_are_j = place.j > place.i;
       for (int c = 0; c < kSize; ++c) {
         double* const column = block + int64_t{c} * place.stride_below;
         for (int r = 0; r < kSize; ++r) {
-          column[r] += terms.h_ij[rows_are_j ? c * kSize + r : r * kSize + c];
+          column[r] += matrix[rows_are_j ? c * kSize + r : r * kSize + c];
         }
       }
     }
@@ -216,11 +229,12 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   }
   int DiagonalRow(int b) const { return structure_.row_in_panel[structure_.column_begin[b]]; }
 
-  void AddPose(int b, const double* matrix, const double* gradient) {
+  /// `triangle`: the upper triangle of a matrix by rows.
+  void AddPose(int b, const double* triangle, const double* gradient) {
     double* const block = Diagonal(b);
     const int64_t stride = structure_.panel_stride[b];
     for (int c = 0; c < kSize; ++c) {
-      for (int r = c; r < kSize; ++r) block[c * stride + r] += matrix[c * kSize + r];
+      for (int r = c; r < kSize; ++r) block[c * stride + r] += *triangle++;
       gradient_[int64_t{b} * kSize + c] += gradient[c];
     }
   }
@@ -253,8 +267,8 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
     ForEdges([&](int64_t k) {
       const EdgePlace& place = places_[k];
       double residual[kSize], a[kSize * kSize], adjoint[kSize * kSize], moved[kSize] = {}, rho[3];
-      EvaluateWhitened<Group>(graph_, place.edge, x_records_.data(), residual, a, adjoint);
-      ValueOfEdgeLoss(graph_.LossOf(place.edge), graph_.errors.loss_scale,
+      EvaluateWhitened<Group>(graph_, active_edges_[k], x_records_.data(), residual, a, adjoint);
+      ValueOfEdgeLoss(graph_.LossOf(active_edges_[k]), graph_.errors.loss_scale,
                       SquaredNorm(residual, kSize), rho);
       for (int r = 0; r < kSize; ++r) {
         if (place.j >= 0) moved[r] = d[int64_t{kSize} * place.j + r];
@@ -289,12 +303,19 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
       for (int64_t b = first; b < last; ++b) {
         const int64_t pose = pose_of_[b];
         double* const moved = candidate_.data() + pose * kAmbient;
-        retraction_.Plus(x_.data() + pose * kAmbient, d.data() + b * kSize, moved);
+        Group::Move(x_records_.data() + pose * Group::kRecord, d.data() + b * kSize, moved);
         Group::Record(moved, candidate_records_.data() + pose * Group::kRecord);
       }
     });
-    costs_.resize(places_.size());
-    ForEdges([&](int64_t k) { costs_[k] = CostOf(places_[k].edge, candidate_records_.data()); });
+    ThrowIfInterrupted();
+    pool_.Run([&](int thread) {
+      const auto [first, last] = Share(0, places_.size(), thread);
+      kernels_.chi2(graph_.Arrays(candidate_records_.data()), active_edges_.data() + first,
+                    last - first, costs_.data() + first);
+      for (int64_t k = first; k < last; ++k) {
+        costs_[k] = CostOf(active_edges_[k], costs_[k], nullptr);
+      }
+    });
     Candidate result;
     for (const double cost : costs_) result.cost += cost;
     result.step_norm = std::sqrt(DotOf(d, d));
@@ -314,7 +335,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   }
 
   const PoseGraph& graph_;
-  const Retraction retraction_;
+  const EdgeKernels<Group>& kernels_ = SelectEdgeKernels<Group>();
   std::vector<double> x_, candidate_;
   std::vector<double> x_records_, candidate_records_;  ///< relative_pose.h
   ThreadPool pool_;
@@ -323,10 +344,12 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   double symbolic_time_ = 0;
   std::vector<int> pose_of_;  ///< pose per block
   std::vector<EdgePlace> places_;
+  std::vector<int64_t> active_edges_;  ///< edge per place
   double fixed_cost_ = 0;
   BlockSystem system_;
   std::vector<double> gradient_, scale_, d_squared_, newton_, direction_, step_;
-  std::vector<Terms> terms_;
+  int64_t edges_at_a_time_ = 0;
+  std::vector<double> terms_;
   std::vector<double> costs_;
   DoglegProducts products_;
   double damping_ = 0;
@@ -339,7 +362,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
 std::unique_ptr<PoseGraphProblem> MakePoseGraphProblem(const PoseGraph& graph,
                                                        const std::string& ordering, int num_threads,
                                                        const FillOrdering* known) {
-  if (graph.dimension == 2) {
+  if (graph.dimension() == 2) {
     return std::make_unique<PoseGraphProblemOf<Se2>>(graph, ordering, num_threads, known);
   }
   return std::make_unique<PoseGraphProblemOf<Se3>>(graph, ordering, num_threads, known);

@@ -52,15 +52,24 @@ namespace bundle {
 enum class PoseError { kLog, kG2o, kCeres };
 
 /// A record is a pose in the form that errors read: in the plane x y angle, then the cosine and the
-/// sine of the angle. They are computed once per pose, not once per edge.
+/// sine of the angle. They are computed once per pose, not once per edge. Its size is that of the
+/// rows that several edges at a time are read by.
 struct Se2 {
   static constexpr Manifold kManifold = Manifold::kSe2;
   static constexpr int kAmbient = 3;
   static constexpr int kTangent = 3;
-  static constexpr int kRecord = 5;
+  static constexpr int kRecord = 8;
   static void Record(const double* pose, double* record) {
     const double angle = pose[2], c = std::cos(angle), s = std::sin(angle);  // in one call
     record[0] = pose[0], record[1] = pose[1], record[2] = angle, record[3] = c, record[4] = s;
+  }
+  /// X Exp(d) of a record
+  static void Move(const double* x, const double* d, double* moved) {
+    double step[3];
+    ExpPlanarMotion(d, step);
+    moved[0] = x[0] + x[3] * step[0] - x[4] * step[1];
+    moved[1] = x[1] + x[4] * step[0] + x[3] * step[1];
+    moved[2] = x[2] + step[2];
   }
 };
 
@@ -68,9 +77,12 @@ struct Se3 {
   static constexpr Manifold kManifold = Manifold::kSe3;
   static constexpr int kAmbient = 7;
   static constexpr int kTangent = 6;
-  static constexpr int kRecord = 7;
+  static constexpr int kRecord = 8;
   static void Record(const double* pose, double* record) {
     for (int k = 0; k < 7; ++k) record[k] = pose[k];
+  }
+  static void Move(const double* x, const double* d, double* moved) {
+    Retraction(kManifold, kAmbient).Plus(x, d, moved);
   }
 };
 
@@ -84,25 +96,21 @@ std::vector<double> PoseRecords(const std::vector<double>& poses) {
   return records;
 }
 
-/// X^-1 Y in the plane, from records.
-inline void PlanarMotionFromRecord(const double* x, const double* y, double out[3]) {
-  const double apart[2] = {y[0] - x[0], y[1] - x[1]};
+/// The record of X^-1 Y in the plane, from records.
+template <typename T>
+void PlanarMotionFromRecord(const T* x, const T* y, T out[5]) {
+  const T apart[2] = {y[0] - x[0], y[1] - x[1]};
   out[0] = x[3] * apart[0] + x[4] * apart[1];
   out[1] = x[3] * apart[1] - x[4] * apart[0];
   out[2] = y[2] - x[2];
+  out[3] = x[3] * y[3] + x[4] * y[4];
+  out[4] = x[3] * y[4] - x[4] * y[3];
 }
 
-/// `x_i`, `x_j` and `z` are records. `residual`: kTangent numbers. `right` is E and `adjoint`
-/// Ad(B^-1), kTangent squared, row-major; both or neither may be nullptr. Quaternions have norm 1.
-template <typename Group>
-void EvaluateRelativePose(PoseError error, const double* x_i, const double* x_j, const double* z,
-                          double* residual, double* right, double* adjoint);
-
-template <>
-inline void EvaluateRelativePose<Se2>(PoseError error, const double* x_i, const double* x_j,
-                                      const double* z, double* residual, double* right,
-                                      double* adjoint) {
-  double between[3], motion[3];
+template <typename T>
+void EvaluatePlanarPose(PoseError error, const T* x_i, const T* x_j, const T* z, T* residual,
+                        T* right, T* adjoint) {
+  T between[5], motion[5];
   PlanarMotionFromRecord(x_i, x_j, between);
   PlanarMotionFromRecord(z, between, motion);
   if (error == PoseError::kLog) {
@@ -116,73 +124,84 @@ inline void EvaluateRelativePose<Se2>(PoseError error, const double* x_i, const 
   if (error == PoseError::kLog) {
     InverseRightJacobianOfPlanarMotion(residual, right);
   } else {
-    const double angle = error == PoseError::kG2o ? motion[2] : between[2];
-    const double rotated[9] = {
-        std::cos(angle), -std::sin(angle), 0, std::sin(angle), std::cos(angle), 0, 0, 0, 1};
+    const T* const turn = error == PoseError::kG2o ? motion : between;
+    const T rotated[9] = {turn[3], -turn[4], 0, turn[4], turn[3], 0, 0, 0, 1};
     for (int i = 0; i < 9; ++i) right[i] = rotated[i];
   }
-  double back[3];
+  T back[5];
   PlanarMotionFromRecord(x_j, x_i, back);
-  const double c = x_i[3] * x_j[3] + x_i[4] * x_j[4], s = x_i[4] * x_j[3] - x_i[3] * x_j[4];
-  const double of_back[9] = {c, -s, back[1], s, c, -back[0], 0, 0, 1};
+  const T of_back[9] = {back[3], -back[4], back[1], back[4], back[3], -back[0], 0, 0, 1};
   for (int i = 0; i < 9; ++i) adjoint[i] = of_back[i];
 }
 
-template <>
-inline void EvaluateRelativePose<Se3>(PoseError error, const double* x_i, const double* x_j,
-                                      const double* z, double* residual, double* right,
-                                      double* adjoint) {
-  double between[7], motion[7];
+/// out = diag(a, b) of 3x3 matrices.
+template <typename T>
+void DiagonalBlocks(const T* a, const T* b, T* out) {
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c) {
+      out[6 * r + c] = a[3 * r + c];
+      out[6 * (r + 3) + c + 3] = b[3 * r + c];
+      out[6 * r + c + 3] = out[6 * (r + 3) + c] = 0;
+    }
+  }
+}
+
+template <typename T>
+void EvaluateSpatialPose(PoseError error, const T* x_i, const T* x_j, const T* z, T* residual,
+                         T* right, T* adjoint) {
+  T between[7], motion[7];
   RigidMotionBetween(x_i, x_j, between);
   RigidMotionBetween(z, between, motion);
-  const double sign = motion[3] < 0 ? -1 : 1;
-  double delta[4];  // q_Z q_B^-1, of error ceres
+  T delta[4];  // of error ceres q_Z q_B^-1, of g2o the quaternion of M; the last one positive
   if (error == PoseError::kLog) {
     LogRigidMotion(motion, residual);
-  } else if (error == PoseError::kCeres) {
-    const double back[4] = {-between[0], -between[1], -between[2], between[3]};
-    QuaternionProduct(z, back, delta);
-    const double factor = delta[3] < 0 ? -1 : 1;
-    for (double& value : delta) value *= factor;
-    for (int i = 0; i < 3; ++i)
-      residual[i] = 2 * delta[i], residual[3 + i] = between[4 + i] - z[4 + i];
   } else {
-    for (int i = 0; i < 3; ++i) residual[i] = sign * motion[i], residual[3 + i] = motion[4 + i];
+    const bool is_ceres = error == PoseError::kCeres;
+    const T back[4] = {-between[0], -between[1], -between[2], between[3]};
+    T quaternion[4];
+    QuaternionProduct(z, back, quaternion);
+    const T* const q = is_ceres ? quaternion : motion;
+    const T sign = SignOf(q[3]);
+    for (int i = 0; i < 4; ++i) delta[i] = sign * q[i];
+    for (int i = 0; i < 3; ++i) {
+      residual[i] = is_ceres ? 2 * delta[i] : delta[i];
+      residual[3 + i] = is_ceres ? between[4 + i] - z[4 + i] : motion[4 + i];
+    }
   }
   if (right == nullptr) return;
   if (error == PoseError::kLog) {
-    double negative[6];
+    T negative[6];
     for (int i = 0; i < 6; ++i) negative[i] = -residual[i];
     InverseLeftJacobianOfRigidMotion(negative, right);
-  } else if (error == PoseError::kCeres) {
-    double rotation[9], skew[9], product[9];
-    QuaternionToRotation(between, rotation);
+  } else {
+    T rotation[9], skew[9], product[9];
     Skew(delta, skew);
     for (int i = 0; i < 3; ++i) skew[4 * i] += delta[3];
-    MatrixProduct3(skew, rotation, product);
-    for (int r = 0; r < 3; ++r) {
-      for (int c = 0; c < 3; ++c) {
-        right[6 * r + c] = -product[3 * r + c];
-        right[6 * (r + 3) + c + 3] = rotation[3 * r + c];
-        right[6 * r + c + 3] = right[6 * (r + 3) + c] = 0;
-      }
+    if (error == PoseError::kCeres) {
+      QuaternionToRotation(between, rotation);
+      MatrixProduct3(skew, rotation, product);
+      for (int i = 0; i < 9; ++i) product[i] = -product[i];
+    } else {
+      QuaternionToRotation(motion, rotation);
+      for (int i = 0; i < 9; ++i) product[i] = 0.5 * skew[i];
     }
-  } else {
-    double rotation[9], skew[9];
-    QuaternionToRotation(motion, rotation);
-    Skew(residual, skew);
-    for (int r = 0; r < 3; ++r) {
-      for (int c = 0; c < 3; ++c) {
-        const double diagonal = r == c ? sign * motion[3] : 0;
-        right[6 * r + c] = 0.5 * (diagonal + skew[3 * r + c]);
-        right[6 * (r + 3) + c + 3] = rotation[3 * r + c];
-        right[6 * r + c + 3] = right[6 * (r + 3) + c] = 0;
-      }
-    }
+    DiagonalBlocks(product, rotation, right);
   }
-  double back[7];
+  T back[7];
   RigidMotionBetween(x_j, x_i, back);
   AdjointOfRigidMotion(back, adjoint);
+}
+
+/// `x_i`, `x_j` and `z` are records. `residual`: kTangent numbers. `right` is E and `adjoint`
+/// Ad(B^-1), kTangent squared, row-major; both or neither may be nullptr. Quaternions have norm 1.
+template <typename Group, typename T>
+void EvaluateRelativePose(PoseError error, const T* x_i, const T* x_j, const T* z, T* residual,
+                          T* right, T* adjoint) {
+  if constexpr (Group::kTangent == 3) {
+    EvaluatePlanarPose(error, x_i, x_j, z, residual, right, adjoint);
+  } else {
+    EvaluateSpatialPose(error, x_i, x_j, z, residual, right, adjoint);
+  }
 }
 
 }  // namespace bundle

@@ -20,8 +20,8 @@ namespace {
 SolveSummary SummarizePoseGraph(const PoseGraph& graph, const PoseGraphProblem& problem,
                                 const SolveOptions& options, const MinimizerSummary& minimum) {
   SolveSummary result;
-  const int tangent = graph.dimension == 2 ? Se2::kTangent : Se3::kTangent;
-  const int ambient = graph.dimension == 2 ? Se2::kAmbient : Se3::kAmbient;
+  const int tangent = graph.dimension() == 2 ? Se2::kTangent : Se3::kTangent;
+  const int ambient = graph.dimension() == 2 ? Se2::kAmbient : Se3::kAmbient;
   SummarizeChoices(options, &result);
   SummarizeMinimum(minimum, problem.fixed_cost(), Counted::kAccepted, &result);
   SetSizes(problem.num_free_poses(), ambient * problem.num_free_poses(), problem.num_active_edges(),
@@ -139,7 +139,7 @@ PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions
     ReportNothingToRefine(options, cost, &output);
   } else if (options.backend != Backend::kCeres) {
     SolveByNormalEquations(graph, options, ordering, known, progress, &output);
-  } else if (graph.dimension == 2) {
+  } else if (graph.dimension() == 2) {
     SolveByCeres<Se2>(graph, options, progress, &output);
   } else {
     SolveByCeres<Se3>(graph, options, progress, &output);

@@ -109,12 +109,13 @@ class PoseGraph(FrozenArrays, Displayed):
 
     def _check_motions(self, name: str) -> None:
         values = getattr(self, name)
-        finite = np.isfinite(values).all(axis=1)
+        finite = np.isfinite(values)
         if not finite.all():
-            k = int(np.argmin(finite))
+            k = int(np.argmin(finite.all(axis=1)))
             raise InputError(f"{name}[{k}]: expected finite numbers, found {brief(values[k])}")
         if values.shape[1] == 7:
-            zero = ~values[:, :4].any(axis=1)
+            x, y, z, w = values[:, :4].T
+            zero = (x == 0) & (y == 0) & (z == 0) & (w == 0)
             if zero.any():
                 raise InputError(
                     f"{name}[{int(np.argmax(zero))}]: expected a quaternion qx qy qz qw, found "
@@ -191,13 +192,13 @@ class PoseGraph(FrozenArrays, Displayed):
         return moved
 
     @cached_property
-    def information_roots(self) -> tuple[NDArray[np.float64], list[int]]:
-        """Upper triangles by rows of U with U^T U = information, (m, d (d + 1) / 2), and bad edges.
+    def prepared_edges(self) -> _core.PoseGraphEdges:
+        """Normalised measurements and square roots of information, prepared once for all poses.
 
-        A bad edge has a matrix that is asymmetric, not positive semidefinite or not finite. It has
-        no root.
+        Its list ``bad`` has the edges whose information is asymmetric, not positive semidefinite or
+        not finite.
         """
-        return _core.information_roots(self.information)
+        return _core.prepare_edges(self.num_poses, self.edges, self.measurements, self.information)
 
     def pose_name(self, position: int) -> str:
         """Return the name of a pose in sentences."""

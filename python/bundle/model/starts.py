@@ -201,7 +201,7 @@ def lower_start(
 def _comparison(graph: PoseGraph, end: float) -> Callable[[dict[str, float]], bool]:
     """Return a predicate: is the lowest of some costs below ``end`` by more than rounding?"""
     size = max(1.0, float(np.abs(graph.poses).max()))
-    trace = float(np.trace(graph.information, axis1=1, axis2=2).sum())
+    trace = float(np.einsum("kii->", graph.information))
     least = max(NOT_LOWER * end, trace * (ROUNDING * size) ** 2)
     return lambda costs: bool(costs) and end - min(costs.values()) > least
 

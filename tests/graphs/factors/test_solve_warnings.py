@@ -185,13 +185,13 @@ def test_kinks_jumps_and_borders_accuse_nobody():
 
 
 def test_a_check_takes_no_time_from_slow_functions(monkeypatch):
-    """Two thousandths of a second a call: a few calls, in one direction of all variables."""
-    monkeypatch.setattr(check_solve, "MOST_SECONDS", 0.03)
+    """Twenty thousandths of a second a call: a few calls, in one direction of all variables."""
+    monkeypatch.setattr(check_solve, "MOST_SECONDS", 0.3)
     calls = []
 
     def function(values):
         calls.append(0)
-        time.sleep(2e-3)
+        time.sleep(20e-3)
         return values[0] ** 2 - 1, [np.diag(2 * values[0]) * (1 + 1e-1 * np.eye(20)[3])]
 
     counts = []

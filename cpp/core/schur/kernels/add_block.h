@@ -3,8 +3,8 @@
 /// Addition of a chunk's block to S, with error terms (sums/double_double.h). Included by
 /// kernels.cpp only.
 
+#include "core/parallel/pack.h"
 #include "core/schur/kernels/kernels.h"
-#include "core/schur/kernels/pack.h"
 
 namespace bundle::BUNDLE_ISA {
 

@@ -9,7 +9,7 @@
 ///   V'^-1 = L^-T L^-1,    y = L^-1 a for a row a^T of J_p,    V'^-1 g = L^-T h.
 
 #include "core/minimize/damping.h"
-#include "core/schur/kernels/pack.h"
+#include "core/parallel/pack.h"
 #include "core/schur/kernels/strip.h"
 
 namespace bundle::BUNDLE_ISA {

@@ -12,7 +12,7 @@
 #include "core/cameras/registry.h"
 #include "core/factors/reprojection.h"
 #include "core/interface/options.h"
-#include "core/schur/kernels/pack.h"
+#include "core/parallel/pack.h"
 
 extern "C" double log(double) noexcept;
 extern "C" double atan2(double, double) noexcept;

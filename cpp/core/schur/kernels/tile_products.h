@@ -11,8 +11,8 @@
 /// and the factors come from the second-level cache. If a block has more rows than there are
 /// registers, its panels of rows are computed one after the other.
 
+#include "core/parallel/pack.h"
 #include "core/schur/kernels/eliminate_point.h"
-#include "core/schur/kernels/pack.h"
 
 namespace bundle::BUNDLE_ISA {
 

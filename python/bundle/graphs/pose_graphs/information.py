@@ -21,7 +21,7 @@ NAMES = {"g2o": "g2o", "toro": "TORO"}
 
 def bad_information(graph: PoseGraph) -> list[int]:
     """Return the edges whose information is asymmetric, not finite or not positive semidefinite."""
-    return graph.information_roots[1]
+    return graph.prepared_edges.bad
 
 
 def describe_information(graph: PoseGraph, edge: int) -> str:

@@ -3,7 +3,7 @@
 /// Several numbers in one register, and the 4 x 4 transpositions that bring records of numbers into
 /// that form and back.
 ///
-/// Included by kernels.cpp only, once for each instruction set and each time in a separate
+/// Included only by files that are compiled once for each instruction set, each time with a separate
 /// namespace, BUNDLE_ISA. Two copies of an inline function compiled for different instruction sets
 /// must never share a name, because the linker keeps only one of them. For the same reason, no code
 /// here, and no code that these kernels call, uses an inline function of the standard library.
@@ -50,6 +50,7 @@ struct Mask {
   Pack::Bits bits;
 
   friend Mask operator|(const Mask& a, const Mask& b) { return {a.bits | b.bits}; }
+  friend Mask operator&(const Mask& a, const Mask& b) { return {a.bits & b.bits}; }
 };
 
 inline Mask operator<=(const Pack& a, const Pack& b) { return {a.v <= b.v}; }

@@ -1,0 +1,39 @@
+/// Part of edge_kernels.h.
+///
+/// Choice of the instruction set.
+
+#include <type_traits>
+
+#include "core/parallel/instruction_set.h"
+#include "core/pose_graph/kernels/edge_kernels.h"
+
+namespace bundle {
+
+#define BUNDLE_DECLARE_EDGE_KERNELS(isa)             \
+  namespace isa {                                    \
+  extern const EdgeKernels<Se2> kPlanarEdgeKernels;  \
+  extern const EdgeKernels<Se3> kSpatialEdgeKernels; \
+  }
+BUNDLE_DECLARE_EDGE_KERNELS(baseline)
+#ifdef BUNDLE_X86_KERNELS
+BUNDLE_DECLARE_EDGE_KERNELS(avx2)
+BUNDLE_DECLARE_EDGE_KERNELS(avx512)
+#define BUNDLE_BEST(name) ForBestInstructionSet(&baseline::name, &avx2::name, &avx512::name)
+#else
+#define BUNDLE_BEST(name) \
+  ForBestInstructionSet<std::decay_t<decltype(baseline::name)>>(&baseline::name, nullptr, nullptr)
+#endif
+
+template <>
+const EdgeKernels<Se2>& SelectEdgeKernels<Se2>() {
+  static const EdgeKernels<Se2>& kernels = BUNDLE_BEST(kPlanarEdgeKernels);
+  return kernels;
+}
+
+template <>
+const EdgeKernels<Se3>& SelectEdgeKernels<Se3>() {
+  static const EdgeKernels<Se3>& kernels = BUNDLE_BEST(kSpatialEdgeKernels);
+  return kernels;
+}
+
+}  // namespace bundle
