@@ -7,11 +7,11 @@
 #include <memory>
 #include <string>
 
-#include "core/dense/decompositions.h"
 #include "core/error.h"
 #include "core/linear/direct_solvers.h"
 #include "core/linear/linear_solver.h"
 #include "core/pose_graph/block_pattern_of_edges.h"
+#include "core/pose_graph/nearest_rotation.h"
 #include "core/pose_graph/relative_pose.h"
 
 /// Chordal relaxation (Martinec and Pajdla, Robust rotation and translation estimation in multiview
@@ -47,65 +47,6 @@ void RotationOf(int dimension, const double* record, double* rotation) {
 
 const double* TranslationOf(int dimension, const double* pose) {
   return dimension == 3 ? pose + 4 : pose;
-}
-
-/// The orthogonal factor of M's polar decomposition by Newton's iteration X <- (g X + X^-T / g) /
-/// 2, with g^3 = 1 / |det X| at first and 1 from then on (Higham, "Computing the polar
-/// decomposition - with applications", 1986). Returns false if M has no positive determinant or the
-/// iteration is slow: M is then close to a singular matrix.
-bool FindPolarRotation(const double* m, double* rotation) {
-  std::copy_n(m, 9, rotation);
-  for (int iteration = 0; iteration < 8; ++iteration) {
-    double cofactors[9];  // of X: det(X) X^-T
-    for (int r = 0; r < 3; ++r) {
-      Cross3(rotation + 3 * ((r + 1) % 3), rotation + 3 * ((r + 2) % 3), cofactors + 3 * r);
-    }
-    const double det =
-        rotation[0] * cofactors[0] + rotation[1] * cofactors[1] + rotation[2] * cofactors[2];
-    if (!(det > 0)) return false;
-    const double g = iteration == 0 ? 1 / std::cbrt(det) : 1;
-    double change = 0;
-    for (int k = 0; k < 9; ++k) {
-      const double next = 0.5 * (g * rotation[k] + cofactors[k] / (g * det));
-      change = std::max(change, std::abs(next - rotation[k]));
-      rotation[k] = next;
-    }
-    if (change < 1e-9) return true;  // quadratic: the error is the square of it
-  }
-  return false;
-}
-
-/// Sets the rotation of a pose to the rotation nearest to a matrix, which maximises tr(R^T M): the
-/// polar factor if it has a positive determinant. In general, for a quaternion q = (v, s),
-/// R = (s^2 - v^T v) I + 2 v v^T + 2 s [v]x, so tr(R^T M) = q^T K q with
-///
-///   K = [ M + M^T - tr(M) I   a     ]
-///       [ a^T                 tr(M) ],      a = (M_21 - M_12, M_02 - M_20, M_10 - M_01)
-///
-/// (indices from 0), and q is an eigenvector of K's largest eigenvalue (Davenport's method).
-void SetNearestRotation(int dimension, const double* m, double* pose) {
-  if (dimension == 2) {
-    const double sine = m[2] - m[1], cosine = m[0] + m[3];
-    if (sine != 0 || cosine != 0) pose[2] = std::atan2(sine, cosine);
-    return;
-  }
-  double rotation[9];
-  if (FindPolarRotation(m, rotation)) {
-    QuaternionFromRotation(rotation, pose);
-    NormalizeQuaternion(pose);
-    return;
-  }
-  Eigen::Matrix4d k;
-  const double trace = m[0] + m[4] + m[8];
-  const double a[3] = {m[7] - m[5], m[2] - m[6], m[3] - m[1]};
-  for (int r = 0; r < 3; ++r) {
-    for (int c = 0; c < 3; ++c) k(r, c) = m[3 * r + c] + m[3 * c + r] - (r == c ? trace : 0);
-    k(r, 3) = k(3, r) = a[r];
-  }
-  k(3, 3) = trace;
-  if (!(k.norm() > 0)) return;
-  const Eigen::Vector4d q = LargestEigenvector(k);
-  for (int i = 0; i < 4; ++i) pose[i] = q[i];
 }
 
 /// The linear least-squares problem of a stage: a block of d unknowns per free pose, and several

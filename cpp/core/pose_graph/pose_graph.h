@@ -21,7 +21,7 @@ struct PoseGraphEdges {
   int dimension = 0;                 ///< 2 or 3
   std::vector<int32_t> ends;         ///< num_edges x 2 poses
   std::vector<double> measurements;  ///< num_edges x 3 or 7, with unit quaternions
-  std::vector<double> records;       ///< of the measurements (relative_pose.h)
+  std::vector<double> records;       ///< records of the measurements (relative_pose.h)
   /// num_edges x RootSize(d): the upper triangle of U with U^T U the information, by rows.
   std::vector<double> roots;
   /// Edges whose information is asymmetric, not positive semidefinite or not finite. They have no
@@ -42,7 +42,7 @@ struct PoseGraphView {
   int64_t num_poses = 0;
   const double* poses = nullptr;                ///< num_poses x 3 or 7
   const uint8_t* held = nullptr;                ///< num_poses: 1 if a pose is constant
-  std::shared_ptr<const PoseGraphEdges> edges;  ///< of as many poses
+  std::shared_ptr<const PoseGraphEdges> edges;  ///< edges of as many poses
   const uint8_t* robust =
       nullptr;  ///< num_edges: 1 if the loss applies; nullptr: it applies to no edge
 

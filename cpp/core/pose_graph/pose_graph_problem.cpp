@@ -13,6 +13,7 @@
 #include "core/parallel/thread_pool.h"
 #include "core/pose_graph/block_pattern_of_edges.h"
 #include "core/pose_graph/edge_kernel.h"
+#include "core/pose_graph/edge_places.h"
 #include "core/pose_graph/kernels/edge_kernels.h"
 
 namespace bundle {
@@ -32,13 +33,6 @@ int CountThreads(int64_t num_edges, int tangent, int num_threads) {
   const int64_t worth = std::max<int64_t>(num_edges * tangent * tangent / kWorkOfAThread, 1);
   return static_cast<int>(std::min<int64_t>(EffectiveNumThreads(num_threads), worth));
 }
-
-/// Places of an edge's blocks; column -1 for a constant pose.
-struct EdgePlace {
-  int i = -1, j = -1;  ///< block columns of its poses
-  int64_t below = 0;   ///< values of the block below the diagonal
-  int stride_below = 0;
-};
 
 template <typename Group>
 class PoseGraphProblemOf final : public PoseGraphProblem {
@@ -157,9 +151,8 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
  private:
   void PlaceEdges(const std::vector<int>& block_of) {
     for (int64_t e = 0; e < graph_.num_edges(); ++e) {
-      EdgePlace place;
-      place.i = block_of[graph_.edges()[2 * e]];
-      place.j = block_of[graph_.edges()[2 * e + 1]];
+      const EdgePlace place = FindPlace(structure_, block_of[graph_.edges()[2 * e]],
+                                        block_of[graph_.edges()[2 * e + 1]]);
       if (place.i < 0 && place.j < 0) {
         double chi2;
         kernels_.chi2(graph_.Arrays(x_records_.data()), &e, 1, &chi2);
@@ -167,11 +160,6 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
         continue;
       }
       active_edges_.push_back(e);
-      if (place.i >= 0 && place.j >= 0) {
-        const int column = std::min(place.i, place.j), row = std::max(place.i, place.j);
-        place.below = structure_.ValueIndex(column, structure_.Entry(column, row), 0, 0);
-        place.stride_below = structure_.panel_stride[column];
-      }
       places_.push_back(place);
     }
   }
@@ -205,43 +193,16 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
 
   void Add(int64_t begin, int64_t end, int thread) {
     const auto [first, last] = Share(0, structure_.num_blocks(), thread);
-    const auto is_mine = [first = first, last = last](int b) { return b >= first && b < last; };
     const double* terms = terms_.data();
     for (int64_t k = begin; k < end; ++k, terms += kNumbers) {
-      const EdgePlace& place = places_[k];
-      if (is_mine(place.i)) AddPose(place.i, terms + Terms::kIi, terms + Terms::kGi);
-      if (is_mine(place.j)) AddPose(place.j, terms + Terms::kJj, terms + Terms::kGj);
-      if (place.i < 0 || place.j < 0 || !is_mine(std::min(place.i, place.j))) continue;
-      const double* const matrix = terms + Terms::kIj;
-      double* const block = system_.values.data() + place.below;
-      const bool rows_are_j = place.j > place.i;
-      for (int c = 0; c < kSize; ++c) {
-        double* const column = block + int64_t{c} * place.stride_below;
-        for (int r = 0; r < kSize; ++r) {
-          column[r] += matrix[rows_are_j ? c * kSize + r : r * kSize + c];
-        }
-      }
-    }
-  }
-
-  double* Diagonal(int b) {
-    return system_.values.data() + structure_.panel_begin[b] + DiagonalRow(b);
-  }
-  int DiagonalRow(int b) const { return structure_.row_in_panel[structure_.column_begin[b]]; }
-
-  /// `triangle`: the upper triangle of a matrix by rows.
-  void AddPose(int b, const double* triangle, const double* gradient) {
-    double* const block = Diagonal(b);
-    const int64_t stride = structure_.panel_stride[b];
-    for (int c = 0; c < kSize; ++c) {
-      for (int r = c; r < kSize; ++r) block[c * stride + r] += *triangle++;
-      gradient_[int64_t{b} * kSize + c] += gradient[c];
+      AddEdge<Group>(structure_, places_[k], terms, static_cast<int>(first), static_cast<int>(last),
+                     system_.values.data(), gradient_.data());
     }
   }
 
   void Damp(double damping) {
     for (int b = 0; b < structure_.num_blocks(); ++b) {
-      double* const block = Diagonal(b);
+      double* const block = system_.values.data() + DiagonalIndex(structure_, b);
       const int64_t stride = structure_.panel_stride[b] + 1;
       for (int c = 0; c < kSize; ++c) {
         const size_t k = size_t{kSize} * b + c;
