@@ -35,7 +35,13 @@ __all__ = [
     "trajectory_path",
 ]
 
-_OF_A_FOLDER = (*MODEL_FILES, *SEQUENCE_FILES, "ground_truth.csv", GEOREFERENCE)
+_OF_SENSORS = [
+    f"{each}/{name}" for each in ("cam0", "imu0") for name in ("data.csv", "sensor.yaml")
+]
+_OF_A_FOLDER = (
+    *(*MODEL_FILES, *SEQUENCE_FILES, "ground_truth.csv", GEOREFERENCE),
+    *(*_OF_SENSORS, *(f"mav0/{name}" for name in _OF_SENSORS)),
+)
 
 
 @dataclass(frozen=True)

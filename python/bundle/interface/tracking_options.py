@@ -22,7 +22,7 @@ class TrackingOptions(Options):
     num_features: int = option(
         100,
         "--num-features",
-        "number of cells of the grid over an image; each has at most one new corner",
+        "number of cells of the grid over the usable pixels; each has at most one new corner",
         minimum=10,
         metavar="N",
     )

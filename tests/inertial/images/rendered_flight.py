@@ -59,6 +59,9 @@ class Flight:
         bare: images from and to which the walls lose most of their texture, as seconds.
         offset: seconds by which stamps of images are too early.
         speed: factor on the frequencies of the motion.
+        pixel_noise: standard deviation of grey values.
+        imu_rate: samples per second.
+        gyro_bias, accel_bias: rad/s, m/s^2.
     """
 
     seed: int = 1
@@ -71,6 +74,9 @@ class Flight:
     offset: float = 0.0
     speed: float = 1.0
     pixel_noise: float = 2.0
+    imu_rate: int = 200
+    gyro_bias: tuple[float, float, float] = (0.012, -0.02, 0.03)
+    accel_bias: tuple[float, float, float] = (0.05, -0.04, 0.06)
     phases: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -162,11 +168,11 @@ def render(flight: Flight, folder: Path) -> Path:
     mav = folder / "mav0"
     for name in ("cam0/data", "imu0", "state_groundtruth_estimate0"):
         (mav / name).mkdir(parents=True)
-    imu_times = np.arange(round(200 * flight.duration) + 1) / 200
+    imu_times = np.arange(round(flight.imu_rate * flight.duration) + 1) / flight.imu_rate
     gyro, accel = flight.samples(imu_times)
-    root = np.sqrt(200)
-    gyro = gyro + np.array([0.012, -0.02, 0.03]) + rng.normal(0, root * 1.7e-4, gyro.shape)
-    accel = accel + np.array([0.05, -0.04, 0.06]) + rng.normal(0, root * 2e-3, accel.shape)
+    root = np.sqrt(flight.imu_rate)
+    gyro = gyro + np.array(flight.gyro_bias) + rng.normal(0, root * 1.7e-4, gyro.shape)
+    accel = accel + np.array(flight.accel_bias) + rng.normal(0, root * 2e-3, accel.shape)
     stamps = START + np.round(1e9 * imu_times).astype(np.int64)
     write_rows(mav / "imu0/data.csv", "#timestamp [ns],w x,w y,w z,a x,a y,a z", stamps,
                np.hstack([gyro, accel]))  # fmt: skip
@@ -213,7 +219,7 @@ def write_calibration(flight: Flight, mav: Path) -> None:
     }
     if flight.offset:
         camera["timeshift_cam_imu"] = flight.offset
-    imu = {"sensor_type": "imu", "T_BS": _matrix(np.eye(4)), "rate_hz": 200, **NOISE}
+    imu = {"sensor_type": "imu", "T_BS": _matrix(np.eye(4)), "rate_hz": flight.imu_rate, **NOISE}
     (mav / "cam0/sensor.yaml").write_text("# comment\n" + yaml.safe_dump(camera))
     (mav / "imu0/sensor.yaml").write_text("# comment\n" + yaml.safe_dump(imu))
 

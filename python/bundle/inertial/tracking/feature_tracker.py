@@ -81,7 +81,8 @@ class FeatureTracker:
     ) -> None:
         self._calibration, self._options = calibration, options
         self._mask = usable_pixels(calibration, size)
-        self._cell = max(8.0, float(np.sqrt(size[0] * size[1] / options.num_features)))
+        area = np.count_nonzero(self._mask)
+        self._cell = max(8.0, float(np.sqrt(area / options.num_features)))
         self._image: Array = np.zeros((0, 0), np.uint8)
         self._features = _Features()
         self._earlier: deque[_Features] = deque(maxlen=BACK)

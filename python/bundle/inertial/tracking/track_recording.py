@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -36,6 +37,7 @@ class Tracking:
         share_lost: share of track steps to the next image that each check ended.
         share_predicted: share of images whose motion the gyroscope predicted.
         time_offset: seconds that were added to the stamps of images.
+        time: seconds of reading and tracking.
         check: comparison of the rotations by tracks and gyroscope.
         notes: sources of the calibration.
     """
@@ -48,6 +50,7 @@ class Tracking:
     share_lost: dict[str, float]
     share_predicted: float
     time_offset: float
+    time: float
     check: RotationCheck
     notes: tuple[str, ...]
 
@@ -68,6 +71,7 @@ def track_recording(
         InputError: the recording fails a check, an image cannot be read, or tracks are missing.
         OSError: an image cannot be read.
     """
+    began = time.perf_counter()
     check_recording(recording)
     calibration = recording.calibration
     first, last = recording.covered()
@@ -123,6 +127,7 @@ def track_recording(
         share_lost={name: lost / steps for name, lost in tracker.lost.items()},
         share_predicted=tracker.num_predicted / max(1, len(ids) - 1),
         time_offset=calibration.time_offset,
+        time=time.perf_counter() - began,
         check=check_rotations(recording, tracker.turns),
         notes=recording.notes,
     )

@@ -21,8 +21,8 @@ from bundle.base.paths import as_path
 from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.file_names import check_name
+from bundle.io.recognition import RECORDINGS, is_recording, sequence_at
 from bundle.io.recognition import SEQUENCE_FILES as FILES
-from bundle.io.recognition import is_recording, sequence_at
 from bundle.io.sequences.csv_tables import CsvTable, csv_lines, read_csv
 from bundle.io.sequences.track_csv import read_track_csv
 from bundle.model.sequence.calibration import calibration_text, load_calibration
@@ -94,9 +94,11 @@ def read_sequence(
             f"{shown(folder)}: expected a folder with {', '.join(FILES)}, found images: "
             "bundle.track_images reads them"
         )
-    if folder.exists() and not folder.is_dir():
+    folder.stat()  # raises the error of a path that does not exist
+    if sequence_at(folder) is None:
         raise InputError(
-            f"{shown(folder)}: expected a folder with {', '.join(FILES)}, found a file"
+            f"{shown(folder)}: expected a folder with {', '.join(FILES)}, or "
+            f"{', '.join(RECORDINGS.values())}, found {_what(folder)}"
         )
     calibration = load_calibration(folder / "calibration.yaml")
     imu = read_csv(folder / "imu.csv", ["timestamp"], ["wx", "wy", "wz", "ax", "ay", "az"])
@@ -164,6 +166,13 @@ def check_sequence_target(path: str | os.PathLike[str]) -> None:
             f"{shown(path)}: expected a sequence folder, an empty folder or a new path, found a "
             f"folder with other content ({shown(others[0])})"
         )
+
+
+def _what(path: Path) -> str:
+    if not path.is_dir():
+        return "a file"
+    names = sorted(file.name for file in path.iterdir())
+    return f"a folder with {', '.join(map(shown, names[:3]))}" if names else "an empty folder"
 
 
 def _by_time(tracks: CsvTable) -> CsvTable:

@@ -18,7 +18,8 @@ def tracking_headline(tracking: Tracking) -> str:
     return (
         f"{plural(tracking.num_tracks, 'track', grouped=True)} of "
         f"{number(tracking.mean_track_length)} images on average, "
-        f"{tracking.tracks_per_image:.0f} per image; checks ended {lost:.1f} % per image. "
+        f"{tracking.tracks_per_image:.0f} per image, tracked in {number(tracking.time)} s; checks "
+        f"ended {lost:.1f} % per image. "
         f"{_offset(tracking)}"
     )
 
