@@ -11,7 +11,7 @@ from bundle.model.rotations import quaternion_rotate
 from bundle.model.shutter_motion import read_positions
 from bundle.synthetic.video.film_motions import DroneGrid
 from bundle.synthetic.video.video_scene import film
-from tests.campaigns.rolling_shutter import HEALTHY, PLANTED, kinds, scene_of
+from tests.campaigns.degenerate_shutters import HEALTHY, PLANTED, kinds, scene_of
 from tests.synthetic.video.test_video_scene import algebra
 
 

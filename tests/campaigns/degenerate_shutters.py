@@ -1,6 +1,6 @@
 """Healthy and degenerate scenes under a rolling shutter: only the degenerate ones are named.
 
-python -m tests.campaigns.rolling_shutter COUNT [SEED]
+python -m tests.campaigns.degenerate_shutters COUNT [SEED]
 """
 
 from __future__ import annotations
