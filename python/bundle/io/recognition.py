@@ -45,6 +45,19 @@ _RECORD = re.compile(
 )
 _SUFFIXES = (".g2o", ".g2o.gz", ".g2o.bz2")
 _ENOUGH = 4096
+_OTHER_PROGRAMS = {
+    rb"<\?xml[^>]*>\s*<document\b": "a project of Metashape, whose XML has no tie points; "
+    "export COLMAP or Bundler",
+    rb"<\?xml[^>]*>\s*<(BlocksExchange|SpatialReferenceSystems)\b": "BlocksExchange XML; export "
+    "COLMAP or Bundler",
+    rb"<x:xmpmeta\b": "XMP of a photograph, such as RealityCapture's; export COLMAP or Bundler",
+    rb"#(cameras\s+\d+|name,x,y)": "a table of RealityCapture, which has no tie points; export "
+    "COLMAP or Bundler",
+    rb"<\?xml[^>]*>\s*<cereal>": "XML of OpenMVG; openMVG_main_ConvertSfM_DataFormat makes JSON",
+    rb'\{\s*"version"\s*:.{,3000}"(featuresFolders|views)"': "a scene of AliceVision or Meshroom; "
+    "export COLMAP",
+}
+"""Beginnings of files of other programs that have a way to this package, as patterns."""
 _BEGINNINGS = {
     b"SQLite format 3": "a database, such as COLMAP's of features and matches",
     b"ply": "a point cloud or mesh (PLY)",
@@ -147,6 +160,11 @@ def other_format_at(path: Path) -> str | None:
     beginning = _beginning(path).lstrip(b"\xef\xbb\xbf \t\r\n")
     if not beginning or beginning[:1].isdigit():
         return None
+    for pattern, words in _OTHER_PROGRAMS.items():
+        if re.match(pattern, beginning, re.DOTALL):
+            return words
+    if path.stem == "sfm_data" and path.suffix in (".bin", ".xml", ".ply", ".baf"):
+        return "OpenMVG's, but not JSON; openMVG_main_ConvertSfM_DataFormat makes sfm_data.json"
     known = (words for begin, words in _BEGINNINGS.items() if beginning.startswith(begin))
     by_name = format_of_name(path) if path.suffix.lower() != ".txt" else None
     return next(known, by_name)

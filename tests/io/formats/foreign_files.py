@@ -65,14 +65,20 @@ def write_bundler(problem, path: Path, *, unregistered=(), names=None) -> None:
         (path.parent / "list.txt").write_text("".join(f"{name} 0 800.5\n" for name in names))
 
 
-def write_nvm(problem, path: Path, distortion=0.0, after="0\n") -> None:
-    lines = ["NVM_V3 ", "", str(problem.num_images)]
+def write_nvm(
+    problem, path: Path, distortion=0.0, after="0\n", *, first="NVM_V3 ", r9t=False
+) -> None:
+    """`r9t`: the variant R9T, which has R and t."""
+    lines = ["NVM_V3_R9T" if r9t else first, "", str(problem.num_images)]
     rotations, centers = matrices(problem), problem.projection_centers
     for image in range(problem.num_images):
         x, y, z, w = Rotation.from_matrix(rotations[image]).as_quat().tolist()
         numbers = (problem.camera_params[problem.image_camera[image], 0], w, x, y, z)
-        numbers += (*centers[image], distortion, 0)
-        lines.append(f"{problem.image_names[image]}\t" + " ".join(str(float(n)) for n in numbers))
+        if r9t:
+            numbers = (numbers[0], *rotations[image].ravel(), *problem.cam_from_world[image, 4:])
+        numbers += (*(() if r9t else centers[image]), distortion, 0)
+        name = problem.image_names[image].replace(" ", '"')
+        lines.append(f"{name}\t" + " ".join(str(float(n)) for n in numbers))
     lines += ["", str(problem.num_points)]
     for point in range(problem.num_points):
         seen = []

@@ -180,3 +180,23 @@ def test_the_next_command_repeats_what_the_file_lacks(tmp_path) -> None:
     found = json.loads(report.read_text())["findings"]
     commands = [finding["command"] for finding in found if finding["command"]]
     assert commands and all("--image-size 800,600" in command for command in commands)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("cameras.xml", '<?xml version="1.0"?>\n<document version="1.4.0">', "Metashape"),
+        ("bundler.xml", '<?xml version="1.0"?><BlocksExchange version="3">', "BlocksExchange"),
+        ("a.xmp", '<x:xmpmeta xmlns:x="adobe:ns:meta/">', "RealityCapture"),
+        ("registration.csv", "#name,x,y,alt,heading\n", "no tie points; export COLMAP or Bundler"),
+        ("scene.xml", '<?xml version="1.0" encoding="utf-8"?>\n<cereal>', "ConvertSfM_DataFormat"),
+        ("sfm_data.bin", "\0\1\2", "OpenMVG's, but not JSON"),
+        ("cameras.sfm", '{"version": ["1", "2"], "views": []}', "AliceVision or Meshroom"),
+        ("frames.json", '{"frames": []}', "found JSON"),
+    ],
+)
+def test_files_of_other_programs_are_named(tmp_path, name, content, message) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(bundle.InputError, match=message) as caught:
+        bundle.load(tmp_path / name)
+    assert "\n" not in str(caught.value)

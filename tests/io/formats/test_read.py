@@ -119,6 +119,29 @@ def test_nvm(tmp_path, distortion) -> None:
     return None
 
 
+def test_nvm_with_matrices_and_spaces_in_names(tmp_path) -> None:
+    truth = small("SIMPLE_PINHOLE")
+    truth = truth.replace(image_names=tuple(f"my photo {k}.jpg" for k in range(4)))
+    for r9t in (False, True):
+        foreign.write_nvm(truth, tmp_path / "model.nvm", r9t=r9t)
+        problem = bundle.load(tmp_path / "model.nvm", image_size="800,600")
+        assert problem.image_names == truth.image_names
+        same(problem, truth)
+    bundle.save(truth, tmp_path / "own.nvm")
+    again = bundle.load(tmp_path / "own.nvm", image_size="800,600")
+    assert again.image_names == truth.image_names
+
+
+def test_nvm_with_a_fixed_calibration(tmp_path) -> None:
+    truth = small("SIMPLE_PINHOLE", shared=True)
+    f, cx, cy = truth.camera_params[0].tolist()
+    foreign.write_nvm(truth, tmp_path / "a.nvm", first=f"NVM_V3 FixedK {f} {cx} {f} {cy} 0")
+    same(bundle.load(tmp_path / "a.nvm"), truth)
+    foreign.write_nvm(truth, tmp_path / "a.nvm", first=f"NVM_V3 FixedK {f} {cx} {f} {cy} 0.1")
+    with pytest.raises(bundle.InputError, match=r"r = 0.1 of the first line in all cameras"):
+        bundle.load(tmp_path / "a.nvm")
+
+
 @pytest.mark.parametrize("version", [0, 1, 2])
 @pytest.mark.parametrize(
     "model", ["RADIAL", "OPENCV", "RADIAL_FISHEYE", "OPENCV_FISHEYE", "EQUIRECTANGULAR"]
@@ -157,6 +180,23 @@ def test_openmvg(tmp_path, model, nested) -> None:
     problem = bundle.load(tmp_path)
     assert set(problem.camera_models) == {model}
     same(problem, truth)
+
+
+def test_what_real_scenes_of_openmvg_have(tmp_path) -> None:
+    truth = small("RADIAL")
+    path = tmp_path / "sfm_data.json"
+    foreign.write_openmvg(truth, path)
+    content = json.loads(path.read_text())
+    for view in content["views"]:
+        view["value"]["ptr_wrapper"]["data"] |= {"local_path": "/", "use_pose_center_prior": True}
+    content["views"][0]["value"]["ptr_wrapper"]["data"]["local_path"] = "day 1/"
+    content["control_points"] = [content["structure"][0]]
+    path.write_text(json.dumps(content))
+    problem = bundle.load(path)
+    same(problem, truth)
+    names = list(truth.image_names)
+    assert problem.image_names == (f"day 1/{names[0]}", *names[1:])
+    assert "1 control point of the file are left out" in problem.source.notes[0]
 
 
 def test_rigs_of_opensfm(tmp_path) -> None:

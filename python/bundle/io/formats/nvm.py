@@ -1,4 +1,4 @@
-"""VisualSFM's NVM files, version 3.
+"""VisualSFM's NVM files, version 3, and their variant R9T of Multicore Bundle Adjustment.
 
 A camera has f, a rotation as quaternion qw qx qy qz, its centre C and a distortion r. The
 projection m of a world point X, x to the right and y down from the centre of the image, solves
@@ -8,6 +8,9 @@ projection m of a world point X, x to the right and y down from the centre of th
 the distortion acts on the measurement. COLMAP has no such lens; with r = 0 it is SIMPLE_PINHOLE,
 otherwise RADIAL is fitted. The sizes of the images are not in the file. They are taken from the
 photographs, if those exist.
+
+R9T has R, row by row, and t = -R C in place of the quaternion and C. A space in the name of an
+image is written as ".
 
 Source: http://ccwu.me/vsfm/doc.html#nvm and PBA (C. Wu et al., Multicore Bundle Adjustment, 2011).
 """
@@ -25,15 +28,18 @@ from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.io.formats.fitted_lens import NUM_RADII, fitted_lens
 from bundle.io.formats.image_sizes import UNKNOWN_SIZES, image_sizes
-from bundle.io.formats.imported_model import Imported, pixels, unique_keys
+from bundle.io.formats.imported_model import Imported, checked_rotations, pixels, unique_keys
 from bundle.io.formats.read_options import ReadOptions
 from bundle.io.formats.text_numbers import Head, number_of
 from bundle.model.problem import Problem
-from bundle.model.rotations import quaternion_rotate, rotation_matrices
+from bundle.model.rotations import quaternion_from_matrix, quaternion_rotate, rotation_matrices
 
-__all__ = ["read", "undistorted_scale"]
+__all__ = ["SPACE", "read", "undistorted_scale"]
 
-_FIELDS = 10  # f qw qx qy qz cx cy cz r 0
+_FIELDS = "f qw qx qy qz cx cy cz r 0"
+_FIELDS_R9T = "f r11 r12 r13 r21 r22 r23 r31 r32 r33 t1 t2 t3 r 0"
+SPACE = '"'
+"""Character of the file for a space in the name of an image."""
 _MARGIN = 1.05  # of the radius of the farthest observation
 
 
@@ -66,23 +72,31 @@ def _head(
     head = Head(path)
     try:
         first = head.next_line("NVM_V3").split()
-        if first[0] != b"NVM_V3":
-            head.fail("NVM_V3", brief(first[0].decode(errors="replace")))
-        fixed = [number_of(token) for token in first[2:6]] if first[1:2] == [b"FixedK"] else []
+        if first[0] not in (b"NVM_V3", b"NVM_V3_R9T"):
+            head.fail("NVM_V3 or NVM_V3_R9T", brief(first[0].decode(errors="replace")))
+        has_matrices = first[0] == b"NVM_V3_R9T"
+        fields = _FIELDS_R9T if has_matrices else _FIELDS
+        count = len(fields.split())
+        fixed = [number_of(token) for token in first[2:]] if first[1:2] == [b"FixedK"] else []
         center = None
         if len(first) > 1:
-            if len(fixed) < 4 or None in fixed or fixed[0] != fixed[2]:
-                head.fail("NVM_V3, or NVM_V3 FixedK f cx f cy", "another first line")
+            if len(fixed) not in (4, 5) or None in fixed or fixed[0] != fixed[2]:
+                head.fail("NVM_V3, or NVM_V3 FixedK f cx f cy r, with one f", "another first line")
             center = np.array([fixed[1], fixed[3]], float)
         num_cameras = head.count("the number of cameras")
         names, rows = [], []
         for camera in range(num_cameras):
-            what = f"camera {camera}: name f qw qx qy qz cx cy cz r 0"
-            words = head.next_line(what).rsplit(None, _FIELDS)
+            what = f"camera {camera}: name {fields}"
+            words = head.next_line(what).rsplit(None, count)
             numbers = [number_of(word) for word in words[1:]]
-            if len(numbers) < _FIELDS or None in numbers:
+            if len(numbers) < count or None in numbers:
                 head.fail(what, "another line")
-            names.append(words[0].decode(errors="surrogateescape"))
+            if len(fixed) == 5 and fixed[4] != numbers[-2]:
+                head.fail(
+                    f"the distortion r = {fixed[4]:g} of the first line in all cameras",
+                    f"{numbers[-2]:g}",
+                )
+            names.append(words[0].decode(errors="surrogateescape").replace(SPACE, " "))
             rows.append(numbers)
         num_points = head.count("the number of points", 2**31 - 1)
     finally:
@@ -90,7 +104,20 @@ def _head(
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"{shown(path)}: expected each image once, found {brief(twice)} twice")
-    return names, np.array(rows, float).reshape(-1, _FIELDS), num_points, head, center
+    cameras = np.array(rows, float).reshape(-1, count)
+    if has_matrices:
+        cameras = _with_quaternions(path, cameras)
+    return names, cameras, num_points, head, center
+
+
+def _with_quaternions(path: Path, cameras: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return cameras of R9T (n, 15) in the form of NVM_V3 (n, 10)."""
+    rotations = checked_rotations(
+        cameras[:, 1:10].reshape(-1, 3, 3), lambda k: f"{shown(path)}: camera {k}"
+    )
+    centers = -np.einsum("nji,nj->ni", rotations, cameras[:, 10:13])
+    wxyz = quaternion_from_matrix(rotations)[:, [3, 0, 1, 2]]
+    return np.column_stack([cameras[:, 0], wxyz, centers, cameras[:, 13:]])
 
 
 def _check_end(path: Path, tracks: dict[str, Any]) -> None:

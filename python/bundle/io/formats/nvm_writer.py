@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from bundle.errors import InputError
 from bundle.io import bal
 from bundle.io.formats.bundler_writer import moved_centers
+from bundle.io.formats.nvm import SPACE
 from bundle.io.formats.written_tracks import (
     check_names,
     colors_of,
@@ -47,7 +48,7 @@ def check(problem: Problem, path: Path) -> None:  # noqa: ARG001
             "camera_params: an NVM file cannot hold them: expected lenses that its one coefficient "
             f"of distortion fits to {MOST_ERROR:g} px, found an error of {error:.3g} px"
         )
-    check_names(problem, "an NVM file", "\n\r\t ")
+    check_names(problem, "an NVM file", "\n\r\t" + SPACE)
 
 
 def write(problem: Problem, path: Path) -> tuple[str, ...]:
@@ -62,7 +63,7 @@ def write(problem: Problem, path: Path) -> tuple[str, ...]:
     with path.open("w", encoding="utf-8", errors="surrogateescape") as file:
         file.write(f"NVM_V3 \n\n{problem.num_images}\n")
         for name, row in zip(names_of(problem), rows.tolist(), strict=True):
-            file.write(f"{name}\t" + "%r " * 9 % tuple(row) + "0\n")
+            file.write(name.replace(" ", SPACE) + "\t" + "%r " * 9 % tuple(row) + "0\n")
         file.write(f"\n{problem.num_points}\n")
         write_tracks(
             file,

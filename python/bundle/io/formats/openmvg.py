@@ -83,12 +83,17 @@ def _view(value: Node) -> _View:
     data = value.get("ptr_wrapper").get("data")
     data = data.find("View") or data
     return _View(
-        name=data.get("local_path").text() + data.get("filename").text()
-        if data.find("local_path") is not None and data.get("local_path").value
-        else data.get("filename").text(),
+        name=_name(data),
         intrinsic=data.get("id_intrinsic").whole(_MOST_ID),
         pose=data.get("id_pose").whole(_MOST_ID),
     )
+
+
+def _name(data: Node) -> str:
+    """Return the path of a photograph below root_path; OpenMVG writes "/" for an empty folder."""
+    folder = data.find("local_path")
+    name = data.get("filename").text()
+    return name if folder is None or folder.value in ("", "/") else folder.text() + name
 
 
 def _intrinsics(node: Node) -> Iterator[tuple[int, MvgCamera]]:
@@ -148,6 +153,10 @@ def _imported(
     if missing:
         is_or_are = "is" if missing == 1 else "are"
         notes.append(f"{plural(missing, 'view')} of {len(views)} {is_or_are} not registered.")
+    targets = node.find("control_points")
+    if targets is not None and targets.value:
+        count = len(list(targets.entries()))
+        notes.append(f"{plural(count, 'control point')} of the file are left out; use --gcp FILE.")
     if keys is None and len(image):
         notes.append("Features are not numbered in the file: an index occurs twice in a view.")
 
