@@ -11,6 +11,7 @@ from tests.campaigns import (
     conventions,
     covariance,
     degenerate,
+    foreign_mutants,
     gauges,
     healthy,
     jacobians,
@@ -55,6 +56,12 @@ def test_nothing_is_wrong(campaign):
     outcomes = campaign(60)
     assert [outcome for outcome in outcomes if not outcome.orderly] == []
     assert {outcome.kind for outcome in outcomes} >= {"ok"}
+
+
+def test_damaged_files_of_other_programs_are_refused_or_read_as_they_are():
+    found = foreign_mutants.campaign(40, seed=3)
+    assert len(found) == 5
+    assert all(set(verdicts) == {"refused", "equal"} for verdicts in found.values()), found
 
 
 def test_kills_leave_the_old_or_the_new():
