@@ -44,7 +44,10 @@ class PointSorter {
     }
     section_ = problem.division.point_section == nullptr ? sections_.data()
                                                          : problem.division.point_section;
-    num_buckets_ = 1 << 16;
+    num_buckets_ = 0;
+    for (int p = 0; p < problem.num_points; ++p) {
+      num_buckets_ = std::max(num_buckets_, section_[p] + 1);
+    }
   }
 
   EliminationPlan Sort() {
