@@ -9,8 +9,6 @@ from numpy.typing import ArrayLike
 
 from bundle.base.arguments import check_function
 from bundle.errors import InputError, brief
-from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
-from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
 from bundle.interface.option_class import takes_options
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
@@ -28,6 +26,7 @@ from bundle.solving.result import Result
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
+    from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
     from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
     from bundle.solving.constraints.applied import Applied
     from bundle.solving.constraints.rule_list import Constraints
@@ -200,6 +199,9 @@ def solve(
         for name, value in (beside | {"align": align, "hold_out": hold_out or None}).items():
             if value is not None and value != ():
                 raise InputError(f"{name}: expected none for a pose graph, found {brief(value)}")
+        # Half of the modules of a first solve.
+        from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
+
         return solve_pose_graph(problem, options, progress=progress, **changes)  # type: ignore[arg-type]
     problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "solve")
