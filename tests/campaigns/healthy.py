@@ -11,7 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 import bundle
-from bundle.interface.scene_options import CAMERA_MODELS, SCENES
+from bundle.interface.scene_options import CAMERA_MODELS
+
+SCENES = ("street", "orbit", "photo_collection")
+"""Sound scenes. Strips of a drone that looks down do not separate focal length and height."""
 
 
 class Verdict(NamedTuple):

@@ -2,6 +2,7 @@ import dataclasses
 
 import pytest
 
+import bundle
 from bundle import InputError, SceneOptions
 
 
@@ -65,3 +66,20 @@ def test_a_seed_may_be_long():
 def test_flags_are_unique():
     flags = [field.metadata["flag"] for field in dataclasses.fields(SceneOptions)]
     assert len(set(flags)) == len(flags)
+
+
+@pytest.mark.parametrize(
+    ("first", "change"),
+    [
+        ({"num_images": 12}, {"num_rings": 13, "scene": "orbit"}),
+        ({"num_images": 12}, {"mean_track_length": 13}),
+        ({"mean_track_length": 5}, {"scene": "drone_grid"}),
+        ({"mean_track_length": 5}, {"rolling_shutter": 0.5}),
+    ],
+)
+def test_changed_options_are_checked_together(first, change):
+    options = bundle.SceneOptions(**first)
+    with pytest.raises(bundle.InputError, match="num_rings|mean_track_length"):
+        options.replace(**change)
+    with pytest.raises(bundle.InputError, match="num_rings|mean_track_length"):
+        bundle.synthesize(options, **change)

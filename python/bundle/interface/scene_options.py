@@ -6,7 +6,9 @@ fields, and the JSON report lists them.
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -173,8 +175,8 @@ class SceneOptions(Options):
         metavar="N",
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self, fields: Iterable[dataclasses.Field[Any]]) -> None:
+        super()._check(fields)
         if 0 < self.mean_track_length < MIN_TRACK_LENGTH:
             raise InputError(
                 f"mean_track_length: expected at least {MIN_TRACK_LENGTH}, or 0, "
