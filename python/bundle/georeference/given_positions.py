@@ -11,6 +11,7 @@ import numpy as np
 
 from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError, brief, nearest
+from bundle.georeference.colmap_database import is_database, read_database_gps
 from bundle.georeference.control_point import GroundControlPoint
 from bundle.georeference.exif_gps import read_exif_gps
 from bundle.georeference.gcp_list import read_gcp_list
@@ -146,5 +147,7 @@ def given_gps(
         return None if gps is None else with_fix(gps)
     if is_path(gps):
         path = as_path(gps, "gps")
+        if is_database(path):
+            return with_fix(read_database_gps(path))
         return with_fix(read_opensfm_gps(path)) if is_opensfm(path) else read_geo_file(path)
     raise InputError(f'gps: expected "exif", a path or GpsPositions, found {brief(gps)}')

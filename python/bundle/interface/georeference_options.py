@@ -44,7 +44,7 @@ class GeoreferenceOptions(Options):
         None,
         "--gps",
         "measured positions; exif: from the EXIF tags of the images; FILE: OpenDroneMap's geo.txt, "
-        "or OpenSfM's reconstruction.json or its folder",
+        "OpenSfM's reconstruction.json or its folder, or COLMAP's database (pose priors)",
         metavar="exif|FILE",
         value="exif or path",
     )
