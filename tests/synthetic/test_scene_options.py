@@ -79,7 +79,7 @@ def test_flags_are_unique():
 )
 def test_changed_options_are_checked_together(first, change):
     options = bundle.SceneOptions(**first)
-    with pytest.raises(bundle.InputError, match="num_rings|mean_track_length"):
+    with pytest.raises(bundle.InputError, match=r"num_rings|mean_track_length"):
         options.replace(**change)
-    with pytest.raises(bundle.InputError, match="num_rings|mean_track_length"):
+    with pytest.raises(bundle.InputError, match=r"num_rings|mean_track_length"):
         bundle.synthesize(options, **change)
