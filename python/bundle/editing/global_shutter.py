@@ -22,7 +22,8 @@ common to an image. The minimum without a rolling shutter differs from that with
     dx = -H^-1 sum J_0^T r,    J_0 = J_s + O(a),    sum (C^-1 J_s)^T r = 0,    C = I - a e_y^T,
 
 with J_s the derivative at the time s, r the residuals, and H the normal equations. So dx is a times
-an ordinary error of estimation: with a below 0.1 less than a tenth of a sigma. A covariance of the
+an ordinary error of estimation, at most: seeded walks, drives and flights with a from 0.015 to 0.1
+differ by 0.001 to 0.015 sigma. A covariance of the
 moved model holds the twists for known, and is too small by what their estimation costs.
 """
 

@@ -72,7 +72,7 @@ def shutter_moves(moved: GlobalShutterModel | None) -> list[str]:
         f"{plural(moved.num_moved, 'observation')} moved to a global shutter, by "
         f"{pixels(moved.median)} px (median) and up to {pixels(moved.largest)} px; residuals stay. "
         f"Images moved by {100 * moved.motion:.2g} % of their height during the readout: a "
-        "refinement without the rolling shutter differs by about this share of a sigma."
+        "refinement without the rolling shutter differs by at most about this share of a sigma."
     ]
     if moved.num_left:
         sentences.append(f"{plural(moved.num_left, 'observation')} without a projection stay.")
