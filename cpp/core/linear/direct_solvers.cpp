@@ -65,10 +65,14 @@ class DenseSolver final : public LinearSolver {
  public:
   DenseSolver(const BlockStructure& structure, int num_threads, bool same_bits, ThreadPool* pool)
       : num_columns_(structure.num_columns()) {
+    if (has_own_kernels_) {
+      pool_ = pool;
+      return;
+    }
     if (num_columns_ >= kColumnsWorthBlasThreads) blas_threads_ = EffectiveNumThreads(num_threads);
-    if (pool != nullptr && num_columns_ >= kColumnsWorthTiles) {
-      if (same_bits || num_columns_ < kColumnsOfSmallTiles) pool_ = pool;
-    } else if (same_bits && num_columns_ >= kColumnsWorthBlasThreads) {
+    if (!same_bits || num_columns_ < kColumnsWorthBlasThreads) return;
+    pool_ = pool;
+    if (pool_ == nullptr) {
       own_pool_ = std::make_unique<ThreadPool>(blas_threads_);
       pool_ = own_pool_.get();
     }
@@ -86,7 +90,7 @@ class DenseSolver final : public LinearSolver {
     if (num_columns_ == 0) return {};
     const ScopedBlasThreads blas_threads(pool_ == nullptr ? blas_threads_ : 1);
     int info = 0;
-    if (pool_ != nullptr) {
+    if (has_own_kernels_ || pool_ != nullptr) {
       info = FactorizeTiled(values_, num_columns_, pool_);
       return info == 0 ? LinearSolution{} : NotPositiveDefinite(info, "");
     }
@@ -99,6 +103,10 @@ class DenseSolver final : public LinearSolver {
     if (num_columns_ == 0 || num_rhs == 0) return {};
     const int64_t size = int64_t{num_columns_} * num_rhs;
     std::copy(rhs, rhs + size, x);
+    if (has_own_kernels_ && num_rhs == 1) {
+      SolveTiled(values_, num_columns_, x);
+      return CheckFinite(x, size);
+    }
     const ScopedBlasThreads blas_threads(pool_ == nullptr ? blas_threads_ : 1);
     int info = 0;
     dpotrs_(&kLower, &num_columns_, &num_rhs, values_, &num_columns_, x, &num_columns_, &info);
@@ -116,6 +124,7 @@ class DenseSolver final : public LinearSolver {
   static constexpr char kLower = 'L';
   double* values_ = nullptr;  ///< S, then L
   const int num_columns_;
+  const bool has_own_kernels_ = HasOwnKernels(num_columns_);
   int blas_threads_ = 1;
   std::unique_ptr<ThreadPool> own_pool_;
   ThreadPool* pool_ = nullptr;  ///< for the tiled factorisation; nullptr: OpenBLAS' threads

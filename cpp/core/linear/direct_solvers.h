@@ -11,10 +11,8 @@
 
 namespace bundle {
 
-/// LAPACK's Cholesky factorisation; requires a dense structure.
-/// `same_bits`: the bits do not depend on the number of threads (tiled_cholesky.h). `pool` as
-/// below; with it, the bits of systems below kColumnsOfSmallTiles never depend on the number of
-/// threads.
+/// Cholesky factorisation; requires a dense structure. `same_bits`: the bits do not depend on the
+/// number of threads. With our own kernels (tiled_cholesky.h) they never do. `pool` as below.
 std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, int num_threads,
                                               bool same_bits = false, ThreadPool* pool = nullptr);
 

@@ -18,12 +18,22 @@ namespace bundle {
 /// architectures, Parallel Computing 35, 2009, without its graph of tasks.) With two threads and
 /// 9,000 columns, it takes a tenth longer than OpenBLAS.
 ///
-/// Small systems have small tiles, because two threads need several tiles to share. With 568
-/// columns and two threads, a factorisation then takes half of the time of one thread.
+/// With AVX-512, and with AVX2 below 2,000 columns, the kernels of supernodal panels take the place
+/// of BLAS. OpenBLAS copies tiles into packed buffers, which it touches for the first time in its
+/// first call, and may not use AVX-512 (Debian 12's does not on processors of AMD): from 100 to
+/// 7,000 columns it takes twice as long, and ten times in the first call with 200. Below
+/// kColumnsWorthTiles one thread is as fast as two.
 ///
-/// Returns 0, or the order of a leading minor that is not positive definite; A is then undefined.
-/// OpenBLAS must use one thread during the call.
-inline constexpr int kColumnsWorthTiles = 192, kColumnsOfSmallTiles = 2000;
+/// Returns 0, or the order of a leading minor that is not positive definite; A is then undefined,
+/// as entries above the diagonal always are. OpenBLAS must use one thread during the call. `pool`:
+/// nullptr: on this thread.
+inline constexpr int kColumnsWorthTiles = 500;
 int FactorizeTiled(double* a, int n, ThreadPool* pool);
+
+/// True if FactorizeTiled uses our kernels.
+bool HasOwnKernels(int n);
+
+/// x = L^-T L^-1 x
+void SolveTiled(const double* l, int n, double* x);
 
 }  // namespace bundle

@@ -20,8 +20,10 @@
 /// For the fused backend, by predicted time. For S of n columns, s stored values and a factor of l
 /// entries and f flops (supernodes.cpp counts both exactly), one solve takes
 ///
-///   dense      n^3 / 3 at the rate of dpotrf, and 8 n^2 bytes for the substitutions
-///   sparse     f at the same rate, and a time for each entry of the factor, which is assembled
+///   dense      n^3 / 3 at the rate of dpotrf or of our kernels (linear/tiled_cholesky), and 8 n^2
+///              bytes for the substitutions
+///   sparse     f at the rate of dpotrf, and a time for each entry of the factor, which is
+///   assembled
 ///              beside the flops and used by the substitutions
 ///   iterative  8 s bytes from memory for each product with S; with two levels
 ///   (preconditioners.cpp) a
@@ -32,9 +34,10 @@
 ///   implicit   a pass over the observations for each product (schur/implicit_product.cpp)
 ///
 /// Measured on a server core (AVX-512, OpenBLAS 0.3.21) in processor time: dpotrf of 2000 columns
-/// 37 GFLOP/s; supernodal_cholesky on bands, grids and random couplings of 33 to 3000 blocks of 9,
-/// f from 2e6 to 3e10: within 30 % of f / 40 GFLOP/s + 7 ns l; products with S 8 GB/s. OpenBLAS'
-/// threads are counted where they are used, and bandwidth as that of at most four cores.
+/// 37 GFLOP/s, our kernels 75 to 110 from 184 to 2000 columns; supernodal_cholesky on bands, grids
+/// and random couplings of 33 to 3000 blocks of 9, f from 2e6 to 3e10: within 30 % of f / 40
+/// GFLOP/s + 7 ns l; products with S 8 GB/s. OpenBLAS' threads are counted where they are used, and
+/// bandwidth as that of at most four cores.
 ///
 /// Conjugate gradients with two levels took 2 to 100 products per step (streets of 50 to 1000
 /// images and 1000 of a photo collection), more towards the end. Their steps gain a little less
@@ -51,8 +54,10 @@
 
 #include "core/linear/block_structure.h"
 #include "core/linear/supernodes.h"
+#include "core/linear/tiled_cholesky.h"
 #include "core/model/coupled_blocks.h"
 #include "core/parallel/blas.h"
+#include "core/parallel/instruction_set.h"
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/memory.h"
 #include "core/symbolic/factor_counts.h"
@@ -76,8 +81,9 @@ double FactorisationCost(int64_t columns, double density) {
   return n * entries * entries;
 }
 
-constexpr double kFlopsPerSecond = 40e9;  // of a core
-constexpr double kBytesPerSecond = 8e9;   // of a core
+constexpr double kFlopsPerSecond = 40e9;     // of a core
+constexpr double kOwnFlopsPerSecond = 80e9;  // of a core with AVX-512
+constexpr double kBytesPerSecond = 8e9;      // of a core
 constexpr double kCoresThatFillMemory = 4;
 constexpr double kSecondsPerFactorEntry = 7e-9;
 constexpr double kSupernodalPadding = 1.2;  // zeros that panels store, and upper triangles
@@ -186,7 +192,11 @@ LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
   LinearSolverCosts costs;
   costs.dense.flops = n * n * n / 3;
   costs.dense.bytes = 8 * n * n;
-  costs.dense.seconds = costs.dense.flops / rate(n) + costs.dense.bytes / bandwidth;
+  double dense_rate = rate(n);
+  if (BestInstructionSet() == InstructionSet::kAvx512) {
+    dense_rate = kOwnFlopsPerSecond * (n >= kColumnsWorthTiles ? threads : 1);
+  }
+  costs.dense.seconds = costs.dense.flops / dense_rate + costs.dense.bytes / bandwidth;
 
   costs.sparse.flops = ordering.flops;
   costs.sparse.bytes = 8 * kSupernodalPadding * ordering.entries;

@@ -25,8 +25,8 @@ Eigen::MatrixXd Factor(Eigen::MatrixXd a, int num_threads, int* info) {
 
 class TiledCholesky : public testing::TestWithParam<int> {};
 
-// Around one and several tiles of 256.
-INSTANTIATE_TEST_SUITE_P(Sizes, TiledCholesky, testing::Values(1, 7, 255, 256, 257, 511, 700));
+// Around one and several tiles of 96 and 256, with one thread and several.
+INSTANTIATE_TEST_SUITE_P(Sizes, TiledCholesky, testing::Values(1, 7, 255, 256, 257, 511, 700, 2100));
 
 TEST_P(TiledCholesky, IsTheFactor) {
   const Eigen::MatrixXd a = PositiveDefinite(GetParam());
@@ -53,6 +53,16 @@ TEST_P(TiledCholesky, NamesTheMinorThatIsNotPositive) {
     Factor(bad, 2, &info);
     EXPECT_EQ(info, row + 1);
   }
+}
+
+TEST_P(TiledCholesky, Solves) {
+  const Eigen::MatrixXd a = PositiveDefinite(GetParam());
+  int info = -1;
+  const Eigen::MatrixXd factor = Factor(a, 2, &info);
+  const Eigen::VectorXd expected = Eigen::VectorXd::Random(a.rows());
+  Eigen::VectorXd x = a * expected;
+  SolveTiled(factor.data(), static_cast<int>(a.rows()), x.data());
+  EXPECT_LE((a * (x - expected)).norm(), 1e-11 * (a * expected).norm());
 }
 
 TEST(TiledCholeskyOfNothing, IsNothing) {
