@@ -30,6 +30,9 @@ __all__ = ["cache_path", "graph_rates", "machine_rates"]
 
 RATE_NAMES = tuple(field.name for field in dataclasses.fields(Rates))
 
+KERNELS = 2
+"""Number of the generation of kernels; rates of earlier ones are measured anew."""
+
 ATTEMPTS = 3
 """Number of calibrations after which implausible rates are used once, without caching them."""
 
@@ -78,6 +81,7 @@ def cache_path(num_threads: int, kind: str = "rates", names: Sequence[str] = RAT
     # Machines may share a home folder, and one processor may offer several instruction sets.
     machine = (
         _core.__version__,
+        KERNELS,
         _core.CERES_VERSION,
         platform.node(),
         platform.machine(),
