@@ -1,6 +1,7 @@
 """GPS positions in EXIF tags, written by Pillow, read by ours."""
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -32,6 +33,20 @@ def test_formats(tmp_path, suffix):
     np.testing.assert_allclose(found.geodetic, [[48.51, -9.255, 420.25]], rtol=0, atol=1e-9)
     assert np.isnan(found.accuracy).all()
     assert found.notes == ()
+
+
+def test_heic(tmp_path, monkeypatch) -> None:
+    """iPhones write HEIC; Pillow needs a package for it."""
+    heif = pytest.importorskip("pillow_heif")
+    heif.register_heif_opener()
+    image, exif = Image.new("RGB", (64, 48)), Image.Exif()
+    exif[0x8825] = HERE
+    image.save(tmp_path / "a.HEIC", format="HEIF", exif=exif.tobytes())
+    found = read_exif_gps(tmp_path, ["a.HEIC"])
+    np.testing.assert_allclose(found.geodetic, [[48.51, -9.255, 420.25]], rtol=0, atol=1e-9)
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    with pytest.raises(InputError, match=r"a.HEIC: expected the package bundle-adjust\[heic\]"):
+        read_exif_gps(tmp_path, ["a.HEIC"])
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import sys
 from importlib.util import find_spec
+from pathlib import Path
 
-from bundle.errors import InputError
+from bundle.errors import InputError, shown
 
-__all__ = ["has_pycolmap", "require_package", "require_pycolmap"]
+__all__ = ["allow_heic", "has_pycolmap", "require_package", "require_pycolmap"]
+
+_HEIC = (".heic", ".heif", ".hif")
 
 
 def has_pycolmap() -> bool:
@@ -47,6 +50,19 @@ def require_package(module: str, package: str, purpose: str) -> None:
             f"{purpose}: expected the package {package}, found that it is not installed; "
             f"pip install {package}"
         )
+
+
+def allow_heic(path: Path) -> None:
+    """Let Pillow open a photograph that is HEIC by its name.
+
+    Raises:
+        InputError: pillow-heif (the extra ``heic``) is not installed.
+    """
+    if path.suffix.lower() in _HEIC:
+        require_package("pillow_heif", "bundle-adjust[heic]", shown(path))
+        import pillow_heif  # late: few photographs need it
+
+        pillow_heif.register_heif_opener()
 
 
 def _is_installed(module: str) -> bool:

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from bundle.base.optional_packages import allow_heic
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.dji_xmp import read_dji
@@ -122,6 +123,7 @@ def _position(path: Path) -> tuple[float, float, float, float, float] | None:
     """
     from PIL import Image  # start-up: loads slowly
 
+    allow_heic(path)
     with path.open("rb") as file:
         try:
             with Image.open(file) as image:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.optional_packages import allow_heic
 from bundle.errors import InputError, shown
 from bundle.io.formats.read_options import UNKNOWN, ReadOptions
 
@@ -54,6 +55,7 @@ def image_sizes(
 def _size(path: Path) -> tuple[int, int]:
     from PIL import Image, UnidentifiedImageError  # late: most inputs have sizes
 
+    allow_heic(path)
     try:
         with Image.open(path) as picture:
             return picture.size

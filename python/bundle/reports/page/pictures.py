@@ -14,6 +14,8 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.optional_packages import allow_heic
+
 __all__ = ["Photograph", "data_uri", "photograph", "png"]
 
 WIDEST = 520
@@ -79,6 +81,7 @@ def photograph(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            allow_heic(path)
             with Image.open(path) as image:
                 size = image.size
                 image.draft("RGB", (widest, widest))
