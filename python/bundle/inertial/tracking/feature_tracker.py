@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bundle.inertial.tracking.relative_rotation import refined_rotation
 from bundle.inertial.tracking.usable_pixels import usable_pixels
 from bundle.interface.tracking_options import TrackingOptions
 from bundle.model.cameras import project
@@ -38,6 +39,7 @@ WEAKEST = 0.01  # of the eigenvalue of strong cells
 BACK = 5  # images
 CONFIDENCE, ITERATIONS = 0.999, 300
 FEWEST = 12  # rays of an essential matrix
+SIGMA = 0.3  # pixels, of a tracked feature
 PATCH = 2  # half a patch, in pixels of the reduced image
 
 
@@ -197,8 +199,15 @@ class FeatureTracker:
         fits[b] = inliers.ravel() > 0
         if self._count - number == BACK:
             # Of both rotations, the other is off by half a turn about the baseline.
-            pair = cv2.decomposeEssentialMat(essential)[:2]
-            self.turns.append(Turn(number, self._count, max(pair, key=np.trace)))
+            *pair, direction = cv2.decomposeEssentialMat(essential)
+            rotation = refined_rotation(
+                one[fits[b]],
+                other[fits[b]],
+                max(pair, key=np.trace),
+                direction,
+                SIGMA / self._calibration.focal,
+            )
+            self.turns.append(Turn(number, self._count, rotation))
         return fits
 
     def _refill(self, image: Array) -> None:

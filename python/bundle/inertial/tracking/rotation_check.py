@@ -104,9 +104,11 @@ def check_rotations(recording: Recording, turns: list[Turn]) -> RotationCheck:
         best, cause, matrix, axes = min(close, key=lambda entry: (order[entry[1]], entry[0]))
         if best > min(RIGHT, BETTER * share):
             cause, matrix, axes = ("unknown" if share > UNKNOWN else ""), lens, ""
-    angle, angle_sigma = _angle(lens, pairs, imu) if not cause else (float("nan"),) * 2
     is_scaled = cause in ("degrees", "unknown")
     shift, sigma = (float("nan"),) * 2 if is_scaled else _time_shift(pairs, matrix)
+    angle, angle_sigma = float("nan"), float("nan")
+    if not cause:
+        angle, angle_sigma = _angle(lens, pairs, pairs.imu(shift if np.isfinite(shift) else 0.0))
     return RotationCheck(
         num_pairs=len(pairs.camera),
         unexplained=share,

@@ -12,8 +12,7 @@ __all__ = ["tracking_findings"]
 
 SIGMAS = 4.0
 LEAST_SHIFT = 3e-3  # s
-LEAST_ANGLE = 3.0  # degrees
-REFUSED = 0.35  # share of the rotation without explanation above which odometry is refused
+LEAST_ANGLE = 2.0  # degrees
 
 
 def tracking_findings(recording: Recording, check: RotationCheck) -> tuple[Finding, ...]:
@@ -48,8 +47,7 @@ def tracking_findings(recording: Recording, check: RotationCheck) -> tuple[Findi
             f"tracks, found that {share} disagrees in {pairs}: wrong stamps, axes or calibration",
         }[check.cause]
         kind = {"degrees": "gyro units", "unknown": "rotation"}.get(check.cause, "axes")
-        wrong = check.cause in ("degrees", "inverse", "axes") or check.unexplained > REFUSED
-        return (Finding(kind=kind, sentence=sentence, evidence=evidence, is_problem=wrong),)
+        return (Finding(kind=kind, sentence=sentence, evidence=evidence, is_problem=True),)
     found = []
     shift, sigma = check.time_shift, check.time_sigma
     if math.isfinite(sigma) and abs(shift) > max(LEAST_SHIFT, SIGMAS * sigma):

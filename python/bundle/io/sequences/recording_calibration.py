@@ -72,8 +72,10 @@ def find_calibration(
     cameras = [path for path, kind in kinds.items() if kind in ("camchain", "camera")]
     imus = [path for path, kind in kinds.items() if kind == "imu"]
     beside = [each for path in cameras for each in _beside(path)]
-    camera_path = _first([*cameras, *camera_files], "the camera", "camchain-imucam.yaml")
-    imu_path = _first([*imus, *beside, *imu_files], "the IMU", "imu.yaml")
+    camera_path = _first(
+        [*cameras, *camera_files], "the camera", "camchain-imucam.yaml", b"intrinsics"
+    )
+    imu_path = _first([*imus, *beside, *imu_files], "the IMU", "imu.yaml", b"noise_density")
     sensor = camera_sensor(camera_path, contents.get(camera_path) or read_yaml(camera_path), camera)
     imu = imu_sensor(imu_path, contents.get(imu_path) or read_yaml(imu_path))
     notes = (
@@ -123,12 +125,12 @@ def _beside(path: Path) -> list[Path]:
     return found if len(found) == 1 else []
 
 
-def _first(paths: Iterable[Path], what: str, kalibr: str) -> Path:
-    """Return the first path that exists or was given."""
+def _first(paths: Iterable[Path], what: str, kalibr: str, key: bytes) -> Path:
+    """Return the first path that exists and has a key; else the first one that exists."""
     tried = list(dict.fromkeys(paths))
-    for path in tried:
-        if path.is_file():
-            return path
+    files = [path for path in tried if path.is_file()]
+    if files:
+        return next((path for path in files if key in path.read_bytes()), files[0])
     missing = "".join(f"{shown(path)} or " for path in tried)
     raise InputError(
         f"calibration of {what}: expected {missing}--calibration FILE, such as Kalibr's {kalibr}"

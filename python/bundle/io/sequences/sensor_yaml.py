@@ -172,7 +172,7 @@ def _lens(place: str, content: Table) -> tuple[str, tuple[float, ...]]:
         )
     if len(inner) != 4:
         raise InputError(f"{place}: intrinsics: expected fx, fy, cx, cy, found {brief(inner)}")
-    if lens in ("none", "null", "") or (lens in _RADTAN and not any(terms)):
+    if lens in ("none", "null", "") or (lens in _RADTAN and not terms):
         return "PINHOLE", tuple(inner)
     if lens in _RADTAN and len(terms) in _PADDED_RADTAN:
         name, count = _PADDED_RADTAN[len(terms)]
