@@ -24,7 +24,7 @@ SHARDED = seq 0 $$(($$(nproc) - 1)) | UBSAN_OPTIONS=print_stacktrace=1 \
   xargs -P 0 -I {} env GTEST_SHARD_INDEX={}
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test sanitize tsan lint lint-python lint-cpp format docs quotes bench clean
+.PHONY: help setup demo test sanitize tsan lint lint-python lint-cpp format docs quotes bench bench-gate clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
@@ -99,6 +99,9 @@ quotes: $(READY)  ## rewrite what documents quote from the code
 
 bench: $(READY_TO_BENCH)  ## measure against the peers, real data and synthetic (half an hour; writes benchmarks/results)
 	$(VENV)/bin/python benchmarks/run.py
+
+bench-gate: $(READY_TO_BENCH)  ## compare the lead over pycolmap with that of the last release (two minutes)
+	$(VENV)/bin/python -m benchmarks.gate
 
 clean:  ## remove all that make made, but for benchmarks/results
 	rm -rf $(VENV) build out .pytest_cache .mypy_cache .ruff_cache
