@@ -34,8 +34,8 @@ def graph_headline(solved: PoseGraphResult) -> list[str]:
     done = short_outcome(summary, plural(len(solved.iterations["iteration"]) - 1, "step"))
     given, start = _given_chi2(solved), summary.chi2_initial
     before = start if given is None else given
-    all_edges = plural(graph.num_edges, "edge", grouped=True)
-    all_edges = f"all {all_edges}" if graph.num_edges > 1 else "the only edge"
+    edges = plural(graph.num_edges, "edge", grouped=True)
+    all_edges = {0: edges, 1: "the only edge"}.get(graph.num_edges, f"all {edges}")
     chi2 = f"chi2 {number(before)} -> {number(summary.chi2_final)}"
     return [
         f"{done}: {chi2} on {all_edges}{_per_degree(solved)}.",
