@@ -107,7 +107,7 @@ def check_rotations(recording: Recording, turns: list[Turn]) -> RotationCheck:
     is_scaled = cause in ("degrees", "unknown")
     shift, sigma = (float("nan"),) * 2 if is_scaled else _time_shift(pairs, matrix)
     angle, angle_sigma = float("nan"), float("nan")
-    if not cause:
+    if cause in ("", "turned"):
         angle, angle_sigma = _angle(lens, pairs, pairs.imu(shift if np.isfinite(shift) else 0.0))
     return RotationCheck(
         num_pairs=len(pairs.camera),

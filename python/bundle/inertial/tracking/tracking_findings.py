@@ -13,6 +13,7 @@ __all__ = ["tracking_findings"]
 SIGMAS = 4.0
 LEAST_SHIFT = 3e-3  # s
 LEAST_ANGLE = 2.0  # degrees
+REFUSED_ANGLE = 15.0  # degrees
 
 
 def tracking_findings(recording: Recording, check: RotationCheck) -> tuple[Finding, ...]:
@@ -47,7 +48,9 @@ def tracking_findings(recording: Recording, check: RotationCheck) -> tuple[Findi
             f"tracks, found that {share} disagrees in {pairs}: wrong stamps, axes or calibration",
         }[check.cause]
         kind = {"degrees": "gyro units", "unknown": "rotation"}.get(check.cause, "axes")
-        return (Finding(kind=kind, sentence=sentence, evidence=evidence, is_problem=True),)
+        # Rays of one plane, or of a narrow lens, confuse small rotations with translations.
+        is_wrong = check.cause != "turned" or check.angle > REFUSED_ANGLE
+        return (Finding(kind=kind, sentence=sentence, evidence=evidence, is_problem=is_wrong),)
     found = []
     shift, sigma = check.time_shift, check.time_sigma
     if math.isfinite(sigma) and abs(shift) > max(LEAST_SHIFT, SIGMAS * sigma):
