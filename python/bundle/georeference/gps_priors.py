@@ -95,7 +95,8 @@ def gps_priors(
 
     Args:
         problem: problem of the images.
-        gps: the path of OpenDroneMap's geo.txt, "exif", or positions.
+        gps: the path of OpenDroneMap's geo.txt, of OpenSfM's reconstruction.json or of COLMAP's
+            database; "exif"; or positions.
         images: folder of the images, for "exif".
         gps_sigma: standard deviation in metres, a number or (horizontal, vertical), for positions
             without their own.
