@@ -14,6 +14,7 @@
 #include "core/error.h"
 #include "core/factors/attitude_factors.h"
 #include "core/factors/factor.h"
+#include "core/factors/image_imu_factor.h"
 #include "core/factors/imu_factor.h"
 #include "core/factors/linear_prior.h"
 #include "core/factors/measurement_factors.h"
@@ -104,6 +105,10 @@ class FactorReader {
       return std::make_unique<bundle::ImuFactor>(
           head_, py::cast<std::shared_ptr<bundle::Preintegration>>(arguments_[0]), At(1),
           has_gravity ? &retractions_.at(5) : nullptr, py::cast<bool>(arguments_[3]));
+    }
+    if (kind_ == "image_imu") {
+      return std::make_unique<bundle::ImageImuFactor>(
+          head_, py::cast<std::shared_ptr<bundle::Preintegration>>(arguments_[0]), At(1), At(2));
     }
     if (kind_ == "function") {
       return std::make_unique<PythonFactor>(head_, retractions_, arguments_[0], start_);

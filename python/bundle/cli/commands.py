@@ -21,6 +21,7 @@ from bundle.cli.analysis_commands import (
 )
 from bundle.cli.dispatch import FLIGHT
 from bundle.cli.flags_by_kind import add_flight_flags, add_pose_graph_flags
+from bundle.cli.inertial_flags import add_inertial_flags
 from bundle.cli.option_flags import add_fields, add_options
 from bundle.cli.path_checks import (
     PathArgument,
@@ -69,6 +70,7 @@ def _refine(parser: Parser) -> None:
     add_options(parser, "HoldOutOptions", "held-out observations")
     add_rules(parser)
     add_georeference(parser)
+    add_inertial_flags(parser)
     add_options(parser, "LensOptions", "cameras of OUTPUT")
     add_fields(parser, "LocalOptions")
     add_options(parser, "LoopOptions", "loops")

@@ -38,7 +38,8 @@ def repeated_flags(arguments: argparse.Namespace) -> tuple[str, ...]:
             inputs.remove(word)
         else:
             kept.append(word)
-    return tuple(_without_images(kept) if "--gps" not in kept else kept)
+    reads_images = {"--gps", "--orientations"} & set(kept)
+    return tuple(kept if reads_images else _without_images(kept))
 
 
 def _without_images(words: list[str]) -> list[str]:

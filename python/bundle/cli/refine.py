@@ -23,6 +23,7 @@ from bundle.cli.georeference_flags import (
     main_flag,
     priors_of,
 )
+from bundle.cli.inertial_flags import adjusted_with_imu
 from bundle.cli.option_flags import naming_flags, with_named_images
 from bundle.cli.output import check_replaced, publish, same_images
 from bundle.cli.problem_edits import (
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
     from bundle.georeference.georeferenced import Georeference
     from bundle.georeference.known_priors import KnownPriors
     from bundle.graphs.loops.loop_closing import LoopClosing
+    from bundle.inertial.offline.imu_adjustment import InertialAdjustment
     from bundle.interface.finding import Finding
     from bundle.model.problem import Problem
     from bundle.solving.result import Result
@@ -104,7 +106,9 @@ def run(arguments: argparse.Namespace) -> int:
             return EXIT_NO_SOLUTION
         closed = _close_loops(asked.loops, opened, progress)
         before = Waiting.now()
-        solved = _with_edits(_solve(asked, opened, closed, progress), opened, closed)
+        inertial = _adjusted_with_imu(asked, opened, progress)
+        result = _solve(asked, opened, closed, progress) if inertial is None else inertial.result
+        solved = _with_edits(result, opened, closed)
         waiting = waiting_since(before)
         known = opened.known
         georeference = None if known is None else known.georeference(solved)
@@ -113,7 +117,7 @@ def run(arguments: argparse.Namespace) -> int:
         written, lost = _write(opened, solved, georeference, progress)
         save_time = perf_counter() - begun
         statistics_time = _measure(opened, solved, progress)
-        findings = _judge(asked, opened, solved)
+        findings = _judge(asked, opened, solved, inertial)
         if asked.page is not None:
             _write_page(asked, asked.page, opened, solved, georeference, findings, progress)
     wall = WallTime(
@@ -127,7 +131,7 @@ def run(arguments: argparse.Namespace) -> int:
     told = (asked.source, opened.loaded, solved, wall, written)
     report = refinement(
         *told, lost, asked.options_beside(), georeference, opened.edits, closed, findings, waiting,
-        attitudes,
+        attitudes, inertial,
     )  # fmt: skip
     publish(report, asked)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
@@ -232,6 +236,18 @@ def _solve(
         return solve_rounds.run(request, plan, progress.iteration)
 
 
+def _adjusted_with_imu(
+    asked: Refinement, opened: Opened, progress: Progress
+) -> InertialAdjustment | None:
+    """Refine the problem with the samples of an IMU; None without samples."""
+    if asked.inertial is None:
+        return None
+    if opened.place is not None:
+        raise InputError("--imu: expected a model without georeference.json, which it would move")
+    progress.stage("adjusting with the IMU")
+    return adjusted_with_imu(asked.inertial, opened.problem, opened.options, progress.iteration)
+
+
 def _with_edits(solved: Result, opened: Opened, closed: LoopClosing | None) -> Result:
     """Return the result with the edits of cameras, rigs and loops before those of the solve."""
     problem = opened.loaded
@@ -281,10 +297,13 @@ def _measure(opened: Opened, solved: Result, progress: Progress) -> float:
     return perf_counter() - begun
 
 
-def _judge(asked: Refinement, opened: Opened, solved: Result) -> tuple[Finding, ...]:
+def _judge(
+    asked: Refinement, opened: Opened, solved: Result, inertial: InertialAdjustment | None
+) -> tuple[Finding, ...]:
     """Return the findings about the result; none about one that is not usable or in slices."""
     if not solved.summary.is_solution_usable or opened.sliced is not None:
         return ()
+    priors: tuple[Any, ...] = () if opened.known is None else opened.known.priors
     return find(
         solved.problem,
         source=asked.source,
@@ -292,7 +311,7 @@ def _judge(asked: Refinement, opened: Opened, solved: Result) -> tuple[Finding, 
         given=asked.given,
         options=solved.options,
         rounds=len(solved.rounds),
-        priors=() if opened.known is None else opened.known.priors,
+        priors=priors if inertial is None else (inertial,),
         is_minimum=solved.summary.termination_type == "CONVERGENCE",
     )
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from bundle.cli.colmap_flag import take_colmap_options
 from bundle.cli.georeference_flags import georeference_given
+from bundle.cli.inertial_flags import InertialFiles, inertial_given
 from bundle.cli.next_run import repeated_flags
 from bundle.cli.option_flags import options_given
 from bundle.cli.problem_edits import rules_as_options, rules_of
@@ -61,6 +62,7 @@ class Refinement:
         lenses: cameras of the output.
         rules: rules as given.
         constraints: the parsed rules.
+        inertial: files of an IMU, or None.
         checkpoints: checkpoint files, for a run that may be killed.
         given: flags that the next command of a finding repeats.
     """
@@ -85,6 +87,7 @@ class Refinement:
     lenses: LensOptions
     rules: RuleOptions
     constraints: Constraints | tuple[()]
+    inertial: InertialFiles | None
     checkpoints: CheckpointOptions
     given: tuple[str, ...]
 
@@ -134,6 +137,7 @@ class Refinement:
             lenses=options_given(arguments, LensOptions),
             rules=rules,
             constraints=constraints,
+            inertial=inertial_given(arguments),
             checkpoints=_checkpoints_given(arguments),
             given=repeated_flags(arguments),
         )

@@ -19,7 +19,7 @@ from bundle.inertial.preintegration.preintegration import Preintegration, as_vec
 from bundle.interface.option_fields import number
 from bundle.model.sequence.imu_noise import ImuNoise
 
-__all__ = ["BiasWalkFactor", "ImuFactor"]
+__all__ = ["BiasWalkFactor", "ImageImuFactor", "ImuFactor"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,6 +92,65 @@ class ImuFactor(Factor):
             self.gravity_key is not None,
             self.scale_key is not None,
         )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ImageImuFactor(Factor):
+    """IMU measurement between two images of a reconstruction in metres.
+
+    The error is that of :class:`ImuFactor` for world_from_imu = cam_from_world^-1 camera_from_imu.
+
+    Attributes:
+        image_i: key of the pose cam_from_world of i, on se3; positions in metres.
+        velocity_i: key of its IMU's velocity in the world, Euclidean (3,), m/s.
+        gyro_bias_i: key of the gyroscope's bias at i, Euclidean (3,), rad/s.
+        accel_bias_i: key of the accelerometer's bias at i, Euclidean (3,), m/s^2.
+        image_j: key of the pose of j.
+        velocity_j: key of the velocity of j.
+        motion: a :class:`bundle.Preintegration`; the factor stores a copy.
+        camera_from_imu: (7,) qx qy qz qw tx ty tz, metres; constant.
+        gravity: (3,) m/s^2 in the world.
+
+    Raises:
+        InputError: a key occurs twice, or gravity is not three finite numbers.
+    """
+
+    image_i: Key
+    velocity_i: Key
+    gyro_bias_i: Key
+    accel_bias_i: Key
+    image_j: Key
+    velocity_j: Key
+    motion: Preintegration
+    camera_from_imu: ArrayLike
+    gravity: ArrayLike = field(default=(0.0, 0.0, -9.81), kw_only=True)
+
+    kind = "image_imu"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(set(self.keys)) < len(self.keys):
+            raise InputError(f"{self.name}: expected different variables, found the same twice")
+        check_type(f"{self.name}: motion", self.motion, Preintegration)
+        self._set("motion", copy.copy(self.motion))
+        self._set("gravity", freeze(as_vector(f"{self.name}: gravity", self.gravity).copy()))
+        self._freeze_row("camera_from_imu")
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Variables in the order of the Jacobians."""
+        return (
+            self.image_i,
+            self.velocity_i,
+            self.gyro_bias_i,
+            self.accel_bias_i,
+            self.image_j,
+            self.velocity_j,
+        )
+
+    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
+        """See :meth:`Factor.core_arguments`."""
+        return self.motion.core_motion(), self.gravity, self.camera_from_imu
 
 
 @dataclass(frozen=True, eq=False, repr=False)

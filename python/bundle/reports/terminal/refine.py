@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from bundle.georeference.attitudes import AttitudeErrors
     from bundle.georeference.georeferenced import Georeference
     from bundle.graphs.loops.loop_closing import LoopClosing
+    from bundle.inertial.offline.imu_adjustment import InertialAdjustment
     from bundle.interface.finding import Finding
     from bundle.interface.process_record import ProcessRecord
     from bundle.solving.round_record import RestRecord
@@ -57,6 +58,7 @@ def refinement(
     findings: Sequence[Finding] = (),
     waiting: Waiting | None = None,
     attitudes: Sequence[AttitudeErrors] = (),
+    inertial: InertialAdjustment | None = None,
 ) -> Report:
     """Return the report on one solve.
 
@@ -74,6 +76,7 @@ def refinement(
         findings: findings about the result.
         waiting: waiting for cores during the solve.
         attitudes: residuals of gravity, orientations and headings.
+        inertial: adjustment with an IMU, or None.
     """
     summary, changes = solved.summary, camera_changes(solved)
     warnings = (*(edits.warnings if edits else ()), *summary.warnings)
@@ -111,6 +114,7 @@ def refinement(
         **({"sensors": sensor_changes(solved)} if problem.num_frames else {}),
         "worst_images": solved.worst_images,
         **({} if georeference is None else {"georeference": georeference.asdict()}),
+        **({} if inertial is None else {"imu": inertial.asdict()}),
         **{ATTITUDE_KEYS[errors.noun]: errors.asdict() for errors in attitudes},
         "wall_time": wall,
         "environment": environment_data(waiting),
@@ -119,7 +123,12 @@ def refinement(
     return Report(
         command="refine",
         input=about_problem(path, problem) | {"digests": content_digests(problem)},
-        headline=[*headline(solved), *places, *(errors.sentence for errors in attitudes)],
+        headline=[
+            *headline(solved),
+            *places,
+            *(errors.sentence for errors in attitudes),
+            *([] if inertial is None else [inertial.sentence]),
+        ],
         findings=findings,
         warnings=[*warnings, *place_warnings, *(f"lost: {what}" for what in lost)],
         sections=[

@@ -1,0 +1,147 @@
+"""Samples of an IMU in `bundle refine`: flags, refusals, and the adjustment."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bundle.cli.option_flags import naming_flags
+from bundle.cli.path_checks import a_path
+from bundle.errors import InputError
+
+if TYPE_CHECKING:
+    from bundle.inertial.offline.imu_adjustment import InertialAdjustment
+    from bundle.interface.options import SolveOptions
+    from bundle.interface.solve_record import Progress
+    from bundle.model.problem import Problem
+
+__all__ = ["InertialFiles", "add_inertial_flags", "adjusted_with_imu", "inertial_given"]
+
+ELSEWHERE = (
+    *("num_rounds", "only_images", "hold_out", "checkpoint", "resume", "loops", "rules"),
+    *("constraints", "gps", "gcp", "gravity", "orientations", "rig_config", "fixed_image_ids"),
+    "fixed_point_ids",
+)
+"""Arguments of other ways to refine, which are not valid with an IMU."""
+
+
+@dataclass(frozen=True)
+class InertialFiles:
+    """Files of an adjustment with an IMU.
+
+    Attributes:
+        imu: samples: timestamp in ns, three rates in rad/s, three forces in m/s^2.
+        frame_times: name and time in ns of each image.
+        calibration: calibration.yaml, or Kalibr's two files.
+        noise_scale: factor on the noise densities; None: the default.
+    """
+
+    imu: str
+    frame_times: str
+    calibration: tuple[str, ...]
+    noise_scale: float | None
+
+
+def add_inertial_flags(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of an adjustment with an IMU."""
+    group = parser.add_argument_group(
+        "samples of an IMU between the images of a video",
+        "The model is brought into metres with z up, and adjusted with the IMU's motions.",
+    )
+    group.add_argument(
+        "--imu",
+        metavar="FILE",
+        type=a_path,
+        help="samples: timestamp in ns, rates in rad/s, forces in m/s^2, comma separated, as "
+        "EuRoC's (default: none)",
+    )
+    group.add_argument(
+        "--frame-times",
+        metavar="FILE",
+        type=a_path,
+        help="lines of image name and time in ns on the clock of the camera; only with --imu "
+        "(default: none)",
+    )
+    group.add_argument(
+        "--calibration",
+        metavar="FILE",
+        type=a_path,
+        action="append",
+        help="calibration.yaml, or Kalibr's camchain-imucam.yaml and, in a second --calibration, "
+        "imu.yaml: camera_from_imu, noise, time offset; only with --imu (default: none)",
+    )
+    group.add_argument(
+        "--imu-noise-scale",
+        metavar="X",
+        type=float,
+        help="factor on the noise densities of gyroscope and accelerometer, because data sheets "
+        "do not include vibration; only with --imu (default: 5)",
+    )
+
+
+def inertial_given(arguments: argparse.Namespace) -> InertialFiles | None:
+    """Return the files of the IMU; None without any.
+
+    Raises:
+        InputError: a file is missing, or another flag is not valid with an IMU.
+    """
+    given: dict[str, Any] = {
+        "--frame-times": arguments.frame_times,
+        "--calibration": arguments.calibration,
+        "--imu-noise-scale": arguments.imu_noise_scale,
+    }
+    if arguments.imu is None:
+        for flag, value in given.items():
+            if value is not None:
+                raise InputError(f"{flag}: valid only with --imu")
+        return None
+    for flag in ("--frame-times", "--calibration"):
+        if given[flag] is None:
+            raise InputError(f"--imu: expected {flag} FILE, too")
+    for name in ELSEWHERE:
+        if getattr(arguments, name, None) not in (None, (), False):
+            raise InputError(f"{arguments.flags[name]}: not valid with --imu")
+    return InertialFiles(
+        arguments.imu,
+        arguments.frame_times,
+        tuple(map(str, arguments.calibration)),
+        arguments.imu_noise_scale,
+    )
+
+
+def adjusted_with_imu(
+    given: InertialFiles, problem: Problem, options: SolveOptions, progress: Progress
+) -> InertialAdjustment:
+    """Adjust a problem with the samples of an IMU.
+
+    Raises:
+        InputError: a file is wrong, or the samples do not fit the images.
+        OSError: a file cannot be read.
+    """
+    from bundle.inertial.offline.image_times import read_image_times
+    from bundle.inertial.offline.imu_adjustment import NOISE_SCALE, ImuSamples, adjust_with_imu
+    from bundle.io.sequences.csv_tables import read_csv
+    from bundle.io.sequences.recording_calibration import find_calibration
+    from bundle.model.sequence.sequence import check_imu
+
+    times = read_image_times(given.frame_times, problem)
+    table = read_csv(given.imu, ["timestamp"], ["wx", "wy", "wz", "ax", "ay", "az"])
+    samples = ImuSamples(table.whole[:, 0], table.numbers[:, :3], table.numbers[:, 3:])
+    check_imu(*samples, table.place)
+    paths = [Path(path) for path in given.calibration]
+    stamps = (times, samples.timestamps_ns)
+    calibration = find_calibration(paths, [], [], "cam0", stamps).calibration
+    scale = NOISE_SCALE if given.noise_scale is None else given.noise_scale
+    with naming_flags(imu="--imu", imu_noise_scale="--imu-noise-scale"):
+        return adjust_with_imu(
+            problem,
+            samples,
+            times + round(1e9 * calibration.time_offset),
+            calibration.camera_from_imu,
+            calibration.noise,
+            options,
+            imu_noise_scale=scale,
+            progress=progress,
+        )

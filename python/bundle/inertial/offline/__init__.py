@@ -1,0 +1,1 @@
+"""Adjustment of a reconstruction of a video together with the samples of its IMU."""

@@ -1,0 +1,243 @@
+r"""Scale, gravity, velocities and biases of a reconstruction whose images have IMU samples.
+
+The gyroscope's bias b makes the preintegrated rotations dR_k(b) those of the images:
+
+    Log(dR_k(b)^T R_k^T R_{k+1}) = 0,        R = world_from_imu,
+
+by Gauss-Newton steps over all intervals, with Cauchy weights. The rotations of the images do not
+drift, so that the specific force, turned by them, is integrated twice over segments of some
+seconds. With c_k the projection centre in units of the model, s their length in metres, l_k the arm
+from the camera to the IMU in the world, t the time since the begin of the segment, and P_k, V_k the
+integrals of the turned force, Q_k and W_k their derivatives by the accelerometer's bias a,
+
+    s c_k + l_k = p_0 + v_0 t + 1/2 g t^2 + P_k + Q_k a,        v_k = v_0 + g t + V_k + W_k a.
+
+The first equation is linear in s, g, a and the p_0 and v_0 of every segment, which are eliminated
+from each segment by a QR factorisation. A prior keeps a near 0, which short segments confuse with
+g. Then g is moved on its sphere by two coordinates (Mur-Artal and Tardos, "Visual-inertial
+monocular SLAM with map reuse", 2017, solve for the same unknowns from three consecutive images at a
+time, which amplifies the noise of the images).
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.inertial.preintegration.preintegration import Preintegration
+from bundle.inertial.vio.window_frame import ImuInterval
+from bundle.model.rotations import (
+    quaternion_from_matrix,
+    vector_from_quaternion,
+)
+from bundle.model.sequence.imu_noise import ImuNoise
+
+__all__ = ["InertialStart", "preintegrated", "solve_inertial_start"]
+
+Array = NDArray[np.float64]
+
+SEGMENT = 4.0
+"""Least duration of a segment in seconds."""
+LEAST_IMAGES = 5
+"""Least number of images of a segment: six numbers are its own."""
+ACCEL_BIAS_SIGMA = 0.2
+"""Standard deviation of the prior on the accelerometer's bias, m/s^2."""
+POSITION_SIGMA = 0.02
+"""Assumed standard deviation of a position over a segment, m; weighs the prior."""
+STEPS, SPHERE_STEPS = 8, 6
+
+
+class InertialStart(NamedTuple):
+    """Start in the world of the model.
+
+    Attributes:
+        scale: metres per unit of the model.
+        scale_sigma: relative standard deviation of the scale, from the residuals.
+        gravity: (3,) m/s^2, of the given length.
+        gyro_bias: (3,) rad/s.
+        accel_bias: (3,) m/s^2.
+        velocities: (n, 3) of the IMU at the images, along the axes of the model, m/s.
+        rms: root mean square of the residuals of positions in metres.
+    """
+
+    scale: float
+    scale_sigma: float
+    gravity: Array
+    gyro_bias: Array
+    accel_bias: Array
+    velocities: Array
+    rms: float
+
+
+class _Rows(NamedTuple):
+    """Equations of a segment after the elimination of its own unknowns.
+
+    Columns: s, g (3), a (3), right side.
+    """
+
+    rows: Array
+    first: int
+    own: Array
+    shared: Array
+    known: Array
+
+
+def preintegrated(
+    intervals: list[ImuInterval], noise: ImuNoise, biases: Array, rule: str
+) -> list[Preintegration]:
+    """Return the intervals preintegrated at (n, 6) biases, or at one row for all."""
+    rows = np.broadcast_to(biases, (len(intervals), 6))
+    states = np.concatenate([np.zeros((len(rows), 10)), rows], axis=1)
+    return [
+        interval.integrated(noise, state, rule)
+        for interval, state in zip(intervals, states, strict=True)
+    ]
+
+
+def solve_inertial_start(
+    rotations: Array,
+    centers: Array,
+    arms: Array,
+    intervals: list[ImuInterval],
+    noise: ImuNoise,
+    gravity: float,
+    rule: str,
+) -> InertialStart:
+    """Return the start of n images.
+
+    Args:
+        rotations: (n, 3, 3) world_from_imu.
+        centers: (n, 3) projection centres in units of the model.
+        arms: (n, 3) vectors from the camera to the IMU along the axes of the model, metres.
+        intervals: samples between consecutive images, n - 1.
+        noise: noise of the IMU.
+        gravity: length of gravity, m/s^2.
+        rule: rule of preintegration.
+    """
+    gyro_bias = _gyro_bias(rotations, intervals, noise, rule)
+    motions = preintegrated(intervals, noise, np.append(gyro_bias, np.zeros(3)), rule)
+    times = np.cumsum([0.0, *(motion.duration for motion in motions)])
+    parts = _segments(times)
+    segments = [_segment(part, rotations, centers, arms, motions, times) for part in parts]
+    prior = np.zeros((3, 8))
+    prior[:, 4:7] = np.eye(3) * POSITION_SIGMA / ACCEL_BIAS_SIGMA
+    system = np.vstack([*(segment.rows for segment in segments), prior])
+    x = np.linalg.lstsq(system[:, :7], system[:, 7], rcond=None)[0]
+    direction = x[1:4] / np.linalg.norm(x[1:4])
+    for _ in range(SPHERE_STEPS):  # g = length (direction + basis y), then normalised
+        basis = np.linalg.svd(direction[None])[2][1:].T
+        reduced = np.column_stack([system[:, 0], gravity * system[:, 1:4] @ basis, system[:, 4:7]])
+        right = system[:, 7] - gravity * system[:, 1:4] @ direction
+        y = np.linalg.lstsq(reduced, right, rcond=None)[0]
+        direction = direction + basis @ y[1:3]
+        direction /= np.linalg.norm(direction)
+    x = np.concatenate([y[:1], gravity * direction, y[3:]])
+    residual = reduced @ y - right
+    rms = float(np.sqrt((residual**2).mean()))
+    covariance = np.linalg.pinv(reduced.T @ reduced) * max(rms, 1e-9) ** 2
+    velocities = np.empty_like(centers)
+    for part, segment in zip(parts, segments, strict=True):
+        _velocities(part, segment, x, rotations, motions, times, velocities)
+    return InertialStart(
+        scale=float(x[0]),
+        scale_sigma=float(np.sqrt(covariance[0, 0]) / abs(x[0])) if x[0] != 0 else np.inf,
+        gravity=x[1:4],
+        gyro_bias=gyro_bias,
+        accel_bias=x[4:7],
+        velocities=velocities,
+        rms=rms,
+    )
+
+
+def _gyro_bias(rotations: Array, intervals: list[ImuInterval], noise: ImuNoise, rule: str) -> Array:
+    """Return the bias for which preintegrated rotations are those of the images."""
+    bias = np.zeros(3)
+    between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]
+    for _ in range(STEPS):
+        motions = preintegrated(intervals, noise, np.append(bias, np.zeros(3)), rule)
+        deltas = np.array([motion.delta_rotation for motion in motions])
+        errors = vector_from_quaternion(quaternion_from_matrix(np.swapaxes(deltas, 1, 2) @ between))
+        # Log(dR(b + d)^T B) = e - J d to first order, with J the derivative of dR at small e.
+        jacobians = np.array([motion.d_rotation_d_gyro_bias for motion in motions])
+        lengths = np.linalg.norm(errors, axis=1)
+        weights = 1 / (1 + (lengths / (2 * np.median(lengths) + 1e-12)) ** 2)
+        normal = np.einsum("n,nji,njk->ik", weights, jacobians, jacobians)
+        step = np.linalg.solve(normal, np.einsum("n,nji,nj->i", weights, jacobians, errors))
+        bias = bias + step
+        if np.linalg.norm(step) < 1e-10:
+            break
+    return bias
+
+
+def _segments(times: Array) -> list[range]:
+    """Return ranges of images; consecutive ranges share an image."""
+    parts, first = [], 0
+    for k in range(1, len(times)):
+        if times[k] - times[first] >= SEGMENT and k - first + 1 >= LEAST_IMAGES:
+            parts.append(range(first, k + 1))
+            first = k
+    if not parts:
+        return [range(len(times))]
+    if first < len(times) - 1:  # the rest belongs to the last segment
+        parts[-1] = range(parts[-1][0], len(times))
+    return parts
+
+
+def _integrals(
+    part: range, rotations: Array, motions: list[Preintegration]
+) -> tuple[Array, Array, Array, Array]:
+    """Return P, Q, V, W of the images of a segment."""
+    n = len(part)
+    p, v = np.zeros((n, 3)), np.zeros((n, 3))
+    q, w = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
+    for k, (image, _) in enumerate(pairwise(part)):
+        motion, turn = motions[image], rotations[image]
+        p[k + 1] = p[k] + v[k] * motion.duration + turn @ motion.delta_position
+        q[k + 1] = q[k] + w[k] * motion.duration + turn @ motion.d_position_d_accel_bias
+        v[k + 1] = v[k] + turn @ motion.delta_velocity
+        w[k + 1] = w[k] + turn @ motion.d_velocity_d_accel_bias
+    return p, q, v, w
+
+
+def _segment(
+    part: range,
+    rotations: Array,
+    centers: Array,
+    arms: Array,
+    motions: list[Preintegration],
+    times: Array,
+) -> _Rows:
+    p, q, _, _ = _integrals(part, rotations, motions)
+    rows = slice(part[0], part[-1] + 1)
+    t = times[rows] - times[part[0]]
+    n = len(t)
+    shared, own = np.zeros((n, 3, 7)), np.zeros((n, 3, 6))
+    middle = centers[rows].mean(axis=0)
+    shared[:, :, 0] = centers[rows] - middle  # the mean is part of p_0
+    shared[:, :, 1:4] = -0.5 * t[:, None, None] ** 2 * np.eye(3)
+    shared[:, :, 4:7] = -q
+    own[:, :, :3], own[:, :, 3:] = -np.eye(3), -t[:, None, None] * np.eye(3)
+    known = (p - arms[rows]).reshape(-1)
+    by_own, by_shared = own.reshape(-1, 6), shared.reshape(-1, 7)
+    basis = np.linalg.qr(by_own)[0]
+    stacked = np.column_stack([by_shared, known])
+    projected = stacked - basis @ (basis.T @ stacked)
+    return _Rows(projected, part[0], by_own, by_shared, known)
+
+
+def _velocities(
+    part: range,
+    segment: _Rows,
+    x: Array,
+    rotations: Array,
+    motions: list[Preintegration],
+    times: Array,
+    out: Array,
+) -> None:
+    own: Any = np.linalg.lstsq(segment.own, segment.known - segment.shared @ x, rcond=None)[0]
+    _, _, v, w = _integrals(part, rotations, motions)
+    t = times[part[0] : part[-1] + 1] - times[part[0]]
+    out[part[0] : part[-1] + 1] = own[3:] + np.outer(t, x[1:4]) + v + w @ x[4:7]

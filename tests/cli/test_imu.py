@@ -1,0 +1,112 @@
+"""`bundle refine --imu` from the outside: files, output in metres with z up, refusals."""
+
+import json
+import shutil
+
+import pytest
+
+import bundle
+from bundle.io.sequences.sequence_folder import save_sequence
+from tests.inertial.offline.models import model_of
+from tests.inertial.offline.test_imu_adjustment import error_of
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A model, its times, and the files of the IMU, with the flight that they come from."""
+    folder = tmp_path_factory.mktemp("imu")
+    flight = bundle.synthesize_flight(duration=6.0, num_tracks=80, seed=3)
+    problem, stamps = model_of(flight.sequence, flight.ground_truth, 6)
+    bundle.save(problem, folder / "model", "colmap")
+    save_sequence(flight.sequence, folder / "sequence")
+    lines = [f"{name},{stamp}" for name, stamp in zip(problem.image_names, stamps, strict=True)]
+    (folder / "times.csv").write_text("\n".join(["name,timestamp_ns", *lines]))
+    return folder, flight, stamps
+
+
+@pytest.fixture
+def folder(made, tmp_path):
+    shutil.copytree(made[0], tmp_path / "files")
+    return tmp_path / "files"
+
+
+def words_of(folder):
+    return [
+        "--imu", folder / "sequence" / "imu.csv",
+        "--frame-times", folder / "times.csv",
+        "--calibration", folder / "sequence" / "calibration.yaml",
+    ]  # fmt: skip
+
+
+def refine(run, folder, *words):
+    out, report = folder / "out", folder / "r.json"
+    return run("refine", folder / "model", "-o", out, "--json", report, *words)
+
+
+def test_models_are_written_in_metres_with_z_up(run, folder, made):
+    _, flight, stamps = made
+    words = [*words_of(folder), "--refine", "poses,points", "--imu-noise-scale", "2"]
+    code, out, _ = refine(run, folder, *words, "--max-iterations", "40")
+    assert code == 0
+    assert "In metres, z up" in out
+    refined = bundle.load(folder / "out")
+    error = error_of(None, refined, stamps, flight.sequence, flight.ground_truth)
+    assert error.scale == pytest.approx(1, abs=0.05)
+    assert error.rotation_rms < 1.5
+    report = json.loads((folder / "r.json").read_text())
+    assert report["imu"]["similarity"]["scale"] == pytest.approx(3.7, rel=0.5)
+    assert report["options"]["backend"] == "CERES"
+    assert refined.num_points == bundle.load(folder / "model").num_points
+    assert not [f for f in report["findings"] if f["kind"] == "not_refined"]
+
+
+def test_files_that_do_not_fit_are_one_line(run, folder):
+    times = folder / "times.csv"
+    lines = times.read_text().splitlines()
+    first, last = lines[1].split(",")[1], lines[-1].split(",")[1]
+    cases = {
+        "one missing": ("\n".join(lines[:-1]), "1 image"),
+        "not ascending": ("\n".join([*lines[:3], lines[1], *lines[3:]]), "line 4: expected a time"),
+        "empty": ("", "found 0"),
+        "no number": ("\n".join([*lines, "x.png,soon"]), "nanoseconds"),
+        "outside": ("\n".join(lines).replace(f",{last}", f",{last}000"), "--imu: expected images between"),
+        "no overlap": (
+            "\n".join(f"{line.split(',')[0]},{10 * k + 1}" for k, line in enumerate(lines[1:])),
+            "all images are outside",
+        ),
+    }  # fmt: skip
+    assert first != last
+    for text, word in cases.values():
+        times.write_text(text)
+        code, out, err = refine(run, folder, *words_of(folder))
+        line = err.splitlines()[-1]
+        assert (code, out) == (2, "") and line.startswith("error: ") and word in line, line
+    assert not (folder / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("more", "expected"),
+    [
+        (["--rounds", "2"], ["--rounds", "--imu"]),
+        (["--only-images", "1-4"], ["--only-images", "--imu"]),
+        (["--hold-out", "10"], ["--hold-out", "--imu"]),
+        (["--set", "cameras *: f fixed"], ["--set", "--imu"]),
+        (["--fix-images", "1"], ["--fix-images", "--imu"]),
+        (["--backend", "fused"], ["--imu", "ceres"]),
+        (["--imu-noise-scale", "0"], ["--imu-noise-scale"]),
+    ],
+)
+def test_other_ways_to_refine_are_refused(run, folder, more, expected):
+    code, out, err = refine(run, folder, *words_of(folder), *more)
+    line = err.splitlines()[-1]
+    assert (code, out) == (2, "")
+    assert line.startswith("error: ") and all(word in line for word in expected), line
+
+
+def test_files_need_each_other(run, folder):
+    words = words_of(folder)
+    for part, word in ((words[:2], "--frame-times"), (words[:4], "--calibration")):
+        code, _, err = refine(run, folder, *part)
+        assert code == 2 and word in err.splitlines()[-1]
+    code, _, err = refine(run, folder, *words[2:])
+    assert code == 2 and "only with --imu" in err.splitlines()[-1]
