@@ -69,7 +69,11 @@ def test_files_that_do_not_fit_are_one_line(run, folder):
         "not ascending": ("\n".join([*lines[:3], lines[1], *lines[3:]]), "line 4: expected a time"),
         "empty": ("", "found 0"),
         "no number": ("\n".join([*lines, "x.png,soon"]), "nanoseconds"),
-        "outside": ("\n".join(lines).replace(f",{last}", f",{last}000"), "--imu: expected images between"),
+        "outside": (
+            "\n".join(lines).replace(f",{last}", f",{int(last) + 10**12}"),
+            "--imu: expected images between",
+        ),
+        "huge": ("\n".join([*lines, f"x.png,{10**19}"]), "nanoseconds"),
         "no overlap": (
             "\n".join(f"{line.split(',')[0]},{10 * k + 1}" for k, line in enumerate(lines[1:])),
             "all images are outside",

@@ -124,7 +124,10 @@ def adjusted_with_imu(
     from bundle.inertial.offline.imu_adjustment import NOISE_SCALE, ImuSamples, adjust_with_imu
     from bundle.io.sequences.csv_tables import read_csv
     from bundle.io.sequences.recording_calibration import find_calibration
+    from bundle.io.sequences.sensor_yaml import kind_of_yaml
+    from bundle.model.sequence.calibration import load_calibration
     from bundle.model.sequence.sequence import check_imu
+    from bundle.model.sequence.yaml_files import read_yaml
 
     times = read_image_times(given.frame_times, problem)
     table = read_csv(given.imu, ["timestamp"], ["wx", "wy", "wz", "ax", "ay", "az"])
@@ -132,7 +135,10 @@ def adjusted_with_imu(
     check_imu(*samples, table.place)
     paths = [Path(path) for path in given.calibration]
     stamps = (times, samples.timestamps_ns)
-    calibration = find_calibration(paths, [], [], "cam0", stamps).calibration
+    if len(paths) == 1 and kind_of_yaml(read_yaml(paths[0])) == "own":
+        calibration = load_calibration(paths[0])  # its camera model is not used
+    else:
+        calibration = find_calibration(paths, [], [], "cam0", stamps).calibration
     scale = NOISE_SCALE if given.noise_scale is None else given.noise_scale
     with naming_flags(imu="--imu", imu_noise_scale="--imu-noise-scale"):
         return adjust_with_imu(

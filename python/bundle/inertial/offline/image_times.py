@@ -19,6 +19,8 @@ from bundle.model.problem import Problem
 
 __all__ = ["read_image_times"]
 
+LIMIT = 2**63
+
 
 def read_image_times(path: str | os.PathLike[str], problem: Problem) -> NDArray[np.int64]:
     """Return the (n,) times of the problem's images in nanoseconds.
@@ -36,7 +38,8 @@ def read_image_times(path: str | os.PathLike[str], problem: Problem) -> NDArray[
         place = f"{shown(path)}: line {number}"
         name, _, word = text.replace(",", " ").replace("\t", " ").rpartition(" ")
         name = name.strip().strip('"')
-        if not word.isascii() or not word.lstrip("-").isdigit() or not name:
+        is_stamp = word.isascii() and word.lstrip("-").isdigit() and len(word) < 20
+        if not is_stamp or not name or not -LIMIT < int(word) < LIMIT:
             if not times and last is None and not any(c.isdigit() for c in word):
                 continue  # a header
             raise InputError(
