@@ -142,7 +142,11 @@ OPTIONS = {
         ),
         ("None", "word", "bytes", "itself"),
     ),
-    **dict.fromkeys(("deterministic", "check_solution", "refine_sensor_from_rig"), OF_A_FLAG),
+    **dict.fromkeys(
+        ("deterministic", "check_solution", "refine_sensor_from_rig", "refine_readout"), OF_A_FLAG
+    ),
+    "twists": ("None", "word", "bytes", "itself"),
+    "twist_sigma": ("word", "1.5", "bytes", "None", "NaN rows"),
     "refine": ("word", *OF_A_LIST),
     "fixed_image_ids": OF_IDS,
     "fixed_camera_ids": ("word", "bytes", "1.5"),
@@ -158,6 +162,7 @@ SCENE_OPTIONS = {
     "image_size": ("None", "1.5", "word", "()", "NaN rows"),
     "loop_closure": OF_A_FLAG,
     "num_rings": ("-1", "1.5", "2**70"),
+    "rolling_shutter": ("nan", "-1", "word"),
     "seed": ("-1", "1.5", "word", "None"),
 }
 

@@ -140,7 +140,7 @@ py::tuple CheckReprojections(const py::object& problem,
                              const std::string& cheirality, double relative_precision,
                              int num_threads) {
   const bundle::AdjustmentProblem view(ViewProblem(problem));
-  const py::ssize_t n = observations.size(), two = 2, columns = 6 + view.camera_params_stride + 3;
+  const py::ssize_t n = observations.size(), two = 2, columns = bundle::NumCheckedColumns(view);
   const std::vector<py::ssize_t> shape = {n, two, columns};
   py::array_t<double> analytic(shape), reference(shape), uncertainty(shape), ceres(shape);
   py::array_t<double> rounding(n);

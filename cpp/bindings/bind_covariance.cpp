@@ -45,6 +45,10 @@ py::dict Covariance(const py::object& problem, const py::dict& options,
   d["frames"] = ToImmutableNumpy(std::move(output.frames), {frames, 6, 6});
   d["sensors"] = ToImmutableNumpy(std::move(output.sensors), {sensors, 6, 6});
   d["cameras"] = ToImmutableNumpy(std::move(output.cameras), {cameras, stride, stride});
+  if (!output.twists.empty()) {
+    d["twists"] = ToImmutableNumpy(std::move(output.twists), {images, 6, 6});
+    d["readouts"] = ToImmutableNumpy(std::move(output.readouts), {cameras});
+  }
   if (of_points) d["points"] = ToImmutableNumpy(std::move(output.points), {points, 3, 3});
   d["relative"] = ToImmutableNumpy(std::move(output.relative), {count(relative), 6, 6});
   const py::ssize_t num_null = count(output.null_points);

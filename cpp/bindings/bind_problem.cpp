@@ -74,7 +74,7 @@ py::tuple ReprojectionResiduals(const py::object& problem, int num_threads,
   return py::make_tuple(residuals, behind);
 }
 
-/// Returns (residual, d_pose, d_params, d_point); `rotation_offsets` is (num_images, 3).
+/// Returns (residual, d_pose, d_params, d_point, d_twist); `rotation_offsets` is (num_images, 3).
 py::tuple Linearize(const py::object& problem, const std::string& cheirality,
                     const py::array_t<double, py::array::c_style>& rotation_offsets) {
   const bundle::ProblemView view = ViewProblem(problem);
@@ -83,15 +83,17 @@ py::tuple Linearize(const py::object& problem, const std::string& cheirality,
   py::array_t<double> d_pose({n, two, py::ssize_t{6}});
   py::array_t<double> d_params({n, two, py::ssize_t{view.camera_params_stride}});
   py::array_t<double> d_point({n, two, py::ssize_t{3}});
+  py::array_t<double> d_twist({n, two, py::ssize_t{6}});
   const bundle::ReprojectionDerivatives out{residual.mutable_data(), d_pose.mutable_data(),
-                                            d_params.mutable_data(), d_point.mutable_data()};
+                                            d_params.mutable_data(), d_point.mutable_data(),
+                                            d_twist.mutable_data()};
   const double* offsets = rotation_offsets.data();
   const bundle::Cheirality named = CheiralityFromName(cheirality);
   {
     py::gil_scoped_release release;
     bundle::Linearize(view, offsets, named, out);
   }
-  return py::make_tuple(residual, d_pose, d_params, d_point);
+  return py::make_tuple(residual, d_pose, d_params, d_point, d_twist);
 }
 
 }  // namespace

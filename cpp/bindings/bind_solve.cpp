@@ -45,6 +45,10 @@ py::dict ToPython(const bundle::ProblemView& view, bundle::SolveOutput output) {
   result["camera_params"] =
       ToImmutableNumpy(std::move(output.camera_params), {num_cameras, stride});
   result["points"] = ToImmutableNumpy(std::move(output.points), {num_points, 3});
+  if (!output.twists.empty()) {
+    result["twist"] = ToImmutableNumpy(std::move(output.twists), {num_images, 6});
+    result["readout"] = ToImmutableNumpy(std::move(output.readouts), {num_cameras});
+  }
   const auto num_factors = static_cast<py::ssize_t>(output.factor_costs_after.size());
   result["factor_costs_before"] =
       ToImmutableNumpy(std::move(output.factor_costs_before), {num_factors});

@@ -24,11 +24,13 @@ class GivenFactors {
     for (const pybind11::handle& place : pybind11::cast<pybind11::sequence>(parts[2])) {
       const auto [kind, index] = pybind11::cast<std::pair<std::string, int>>(place);
       using Kind = bundle::ProblemVariable::Kind;
-      factors_.variables.push_back({kind == "image"    ? Kind::kImage
-                                    : kind == "camera" ? Kind::kCamera
-                                    : kind == "frame"  ? Kind::kFrame
-                                    : kind == "sensor" ? Kind::kSensor
-                                                       : Kind::kPoint,
+      factors_.variables.push_back({kind == "image"     ? Kind::kImage
+                                    : kind == "camera"  ? Kind::kCamera
+                                    : kind == "frame"   ? Kind::kFrame
+                                    : kind == "sensor"  ? Kind::kSensor
+                                    : kind == "twist"   ? Kind::kTwist
+                                    : kind == "readout" ? Kind::kReadout
+                                                        : Kind::kPoint,
                                     index});
     }
   }

@@ -18,6 +18,7 @@
 #include "core/factors/imu_factor.h"
 #include "core/factors/linear_prior.h"
 #include "core/factors/measurement_factors.h"
+#include "core/factors/twist_tie.h"
 
 namespace py = pybind11;
 
@@ -60,6 +61,11 @@ class FactorReader {
     }
     if (kind_ == "relative_pose") {
       return std::make_unique<bundle::RelativePoseFactor>(head_, At(0), At(1));
+    }
+    if (kind_ == "twist_tie") {
+      return std::make_unique<bundle::TwistTieFactor>(head_, py::cast<double>(arguments_[0]),
+                                                      py::cast<double>(arguments_[1]),
+                                                      py::cast<double>(arguments_[2]));
     }
     if (kind_ == "position") {
       return std::make_unique<bundle::PositionFactor>(head_, At(0), At(1), At(2));

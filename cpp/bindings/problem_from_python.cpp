@@ -69,6 +69,30 @@ void ViewRigs(const py::handle& problem, bundle::ProblemView* view) {
   view->sensor_camera_ids = Data<int64_t>(problem, "sensor_camera_ids", {view->num_sensors});
 }
 
+/// Python has checked that images of rolling shutters have a size and a pose of their own.
+void ViewRollingShutter(const py::handle& problem, bundle::ProblemView* view) {
+  if (!py::hasattr(problem, "rolling_shutter")) return;
+  const py::object shutter = problem.attr("rolling_shutter");
+  if (shutter.is_none()) return;
+  const auto* const axis = Data<int8_t>(shutter, "axis", {view->num_cameras});
+  const auto* const sizes = Data<int64_t>(problem, "camera_sizes", {view->num_cameras, 2});
+  view->row_scale.assign(2 * static_cast<size_t>(view->num_cameras), 0.0);
+  for (int c = 0; c < view->num_cameras; ++c) {
+    const int64_t length = axis[c] == 2 ? sizes[2 * c] : sizes[2 * c + 1];
+    if (axis[c] == 0 || length <= 0) continue;
+    view->row_scale[2 * c + (axis[c] == 2 ? 0 : 1)] = 1 / static_cast<double>(length);
+  }
+  view->twists = Data<double>(shutter, "twist", {view->num_images, 6});
+  view->readouts = Data<double>(shutter, "readout", {view->num_cameras});
+  view->at_observed_row = py::cast<std::string>(shutter.attr("row_time")) == "observed";
+  if (!shutter.attr("neighbours").is_none()) {
+    view->twist_neighbours = Data<int32_t>(shutter, "neighbours", {view->num_images, 2});
+  }
+  if (!shutter.attr("frames").is_none()) {
+    view->image_frames = Data<double>(shutter, "frames", {view->num_images});
+  }
+}
+
 }  // namespace
 
 bundle::ProblemView ViewProblem(const py::handle& problem) {
@@ -87,6 +111,7 @@ bundle::ProblemView ViewProblem(const py::handle& problem) {
   view.camera_params_stride =
       static_cast<int>(py::cast<py::array>(problem.attr("camera_params")).shape(1));
   Data<int64_t>(problem, "camera_sizes", {view.num_cameras, 2});
+  ViewRollingShutter(problem, &view);
   view.points = Data<double>(problem, "points", {-1, 3});
   view.point_ids = Data<int64_t>(problem, "point_ids", {view.num_points});
   view.observation_image = Data<int32_t>(problem, "observation_image", {view.num_observations});

@@ -206,6 +206,9 @@ def test_every_flag_reaches_the_solve(run, model, tmp_path, monkeypatch):
         fixed_camera_ids=(0, 2),
         fixed_image_ids=(1,),
         fixed_point_ids=(3, 4, 5, 9),
+        twists="tied",
+        twist_sigma=(0.002, 0.01),
+        refine_readout=True,
         gauge="three_points",
         cheirality="zero",
         check_solution=False,
@@ -234,6 +237,7 @@ def test_every_flag_reaches_the_solve(run, model, tmp_path, monkeypatch):
         "--max-invalid-steps", 4, "--min-lm-diagonal", "1e-5",
         "--max-lm-diagonal", "1e30", "--use-nonmonotonic-steps",
         "--max-nonmonotonic-steps", 3, "--schur-complement", "explicit",
+        "--twists", "tied", "--twist-sigma", "0.002,0.01", "--refine-readout",
     )  # fmt: skip
     assert code == 0, err
     assert seen == [wanted]

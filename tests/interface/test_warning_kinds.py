@@ -16,6 +16,7 @@ DECLARED = re.findall(
 
 
 IN_PYTHON = [
+    "readout_outside",
     *("weak_baseline", "several_components", "local_minimum", "better_start"),
     *("unproven_set", "one_process", "wrong_factor", "free_directions", "prior_spectrum"),
     "ordering",

@@ -73,7 +73,7 @@ void CeresSolve::AddBounds() {
 void CeresSolve::AddObservation(int64_t i) {
   const int image = problem_.observation_image[i];
   const int point = problem_.observation_point[i];
-  double* blocks[5];
+  double* blocks[ParameterLayout::kNumPlaces + 1];
   int num_blocks = 0;
   if (layout_.point_is_free(point)) blocks[num_blocks++] = PointData(point);
   for (const int index : layout_.blocks_of(image)) {

@@ -100,7 +100,11 @@ class SingleObservation final : public ceres::CostFunction {
     for (int k = 0; k < block().size; ++k) {
       const int column = block().columns[k];
       const double turn = at.lever > 0 ? reach / at.lever : kAny;
-      steps.push_back(column < 3 ? turn : column < kPoseSize ? reach : kAny);
+      const bool is_twist = column >= kFirstTwist;
+      const int of_motion = is_twist ? column - kFirstTwist : column;
+      steps.push_back(of_motion < 3           ? (is_twist ? std::min(turn, kShare) : turn)
+                      : of_motion < kPoseSize ? reach
+                                              : kAny);
     }
     double residual[2];
     const std::vector<const double*> at_start = start();
@@ -145,6 +149,12 @@ class SingleObservation final : public ceres::CostFunction {
     one.point_ids = problem.point_ids + point;
     one.observation_image = one.observation_point = &kFirst;
     one.observation_xy = problem.observation_xy + 2 * observation;
+    if (!problem.row_scale.empty()) {
+      one.row_scale.assign(problem.RowScaleOf(image), problem.RowScaleOf(image) + 2);
+      one.twists = problem.TwistOf(image);
+      one.readouts = problem.readouts + camera;
+      one.at_observed_row = problem.at_observed_row;
+    }
     if (problem.observation_sigma != nullptr) {
       one.observation_sigma = problem.observation_sigma + observation;
     }
@@ -156,6 +166,10 @@ class SingleObservation final : public ceres::CostFunction {
     double camera_point[3], xy[2];
     MatrixVector3(pose.rotation, point, camera_point);
     for (int i = 0; i < 3; ++i) camera_point[i] += pose.translation[i];
+    if (const ImageShutter* const shutter = states_.shutter(0)) {
+      return ResidualByRow(*problem_.camera_models[0], states_.params(0), *shutter, camera_point,
+                           problem_.observation_xy, xy);
+    }
     return problem_.camera_models[0]->project(states_.params(0), camera_point, xy, nullptr,
                                               nullptr);
   }
@@ -180,8 +194,11 @@ class SingleObservation final : public ceres::CostFunction {
 /// the columns of ReprojectionCheck.
 class Columns {
  public:
-  Columns(const CameraBlock& block, int stride)
-      : block_(block), size_(kPoseSize + stride + 3), sources_(3 + block.size) {}
+  Columns(const CameraBlock& block, const ProblemView& problem)
+      : block_(block),
+        first_twist_(kPoseSize + problem.camera_params_stride),
+        size_(NumCheckedColumns(problem)),
+        sources_(3 + block.size) {}
 
   int size() const { return size_; }
 
@@ -189,13 +206,16 @@ class Columns {
   void Scatter(const double* from, double* to) const {
     for (int row = 0; row < 2; ++row, from += sources_, to += size_) {
       std::copy_n(from, 3, to + size_ - 3);
-      for (int k = 0; k < block_.size; ++k) to[block_.columns[k]] = from[3 + k];
+      for (int k = 0; k < block_.size; ++k) {
+        const int column = block_.columns[k];
+        to[column < kFirstTwist ? column : first_twist_ + column - kFirstTwist] = from[3 + k];
+      }
     }
   }
 
  private:
   const CameraBlock& block_;
-  const int size_, sources_;
+  const int first_twist_, size_, sources_;
 };
 
 /// Evaluates with Jacobians, concatenated as in NumericJacobian. True if the residual equals that
@@ -223,7 +243,7 @@ void CheckReprojections(const AdjustmentProblem& problem, const int64_t* observa
                         int64_t num_checked, const double* offsets, Cheirality cheirality,
                         double relative_precision, int num_threads, const ReprojectionCheck& out) {
   CheckCameraModelsKnown(problem);
-  const int64_t entries = 2 * (int64_t{kPoseSize} + problem.camera_params_stride + 3);
+  const int64_t entries = 2 * int64_t{NumCheckedColumns(problem)};
   const Manifolds flat(2, nullptr);
   const auto check = [&](int64_t i) {
     // Differences use the formula on both sides of the camera.
@@ -236,7 +256,7 @@ void CheckReprojections(const AdjustmentProblem& problem, const int64_t* observa
     const SingleObservation::Surroundings at = cost.surroundings();
     out.rounding[i] = at.rounding / at.distance;
     if (out.counts[i] == 0) return;
-    const Columns columns(cost.block(), problem.camera_params_stride);
+    const Columns columns(cost.block(), problem);
     std::vector<double> analytic;
     out.stable[i] = EvaluateJacobian(cost, &analytic) ? 1 : 0;
     columns.Scatter(analytic.data(), out.analytic + entries * i);

@@ -10,7 +10,8 @@
 namespace bundle {
 
 /// Output arrays for checked observations. Jacobians are num_checked x 2 x columns, row-major. The
-/// columns are (w, t) of the pose, the camera's parameters (camera_params_stride), and the point.
+/// columns are (w, t) of the pose, the camera's parameters (camera_params_stride), the twist (6) if
+/// any shutter rolls, and the point.
 /// Columns that the model does not have or never refines stay zero.
 struct ReprojectionCheck {
   double* analytic = nullptr;     ///< from the cost function of the solve
@@ -22,6 +23,10 @@ struct ReprojectionCheck {
   uint8_t* agrees = nullptr;      ///< num_checked: GradientChecker's own verdict
   uint8_t* stable = nullptr;  ///< num_checked: the residual is the same with and without Jacobians
 };
+
+inline int NumCheckedColumns(const ProblemView& problem) {
+  return 6 + problem.camera_params_stride + (problem.row_scale.empty() ? 0 : 6) + 3;
+}
 
 /// Checks the observations with these indices, each at its image's pose, which is written as Exp(w)
 /// R0 with w = offsets (num_checked x 3). So the Jacobian is tested away from the origin of its

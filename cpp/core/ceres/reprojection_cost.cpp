@@ -20,6 +20,7 @@ class ReprojectionCost final : public ceres::CostFunction {
     const int point = problem.observation_point[observation];
     image_ = problem.observation_image[observation];
     pose_ = &context.states.pose(image_);
+    shutter_ = context.states.shutter(image_);
     params_ = context.states.params(problem.image_camera[image_]);
     measurement_ = problem.observation_xy + 2 * observation;
 
@@ -48,13 +49,13 @@ class ReprojectionCost final : public ceres::CostFunction {
     const double* point = fixed_point_ != nullptr ? fixed_point_ : parameters[0];
     if (jacobians == nullptr) {
       const bool in_front = EvaluateReprojection<Model, kParams>(
-          *pose_, params_, point, measurement_, context_.cheirality, residuals, nullptr);
+          *pose_, params_, point, measurement_, context_.cheirality, residuals, nullptr, shutter_);
       if (context_.watch != nullptr) AtCandidate(in_front, residuals);
       return true;
     }
     ReprojectionJacobian<kParams> jacobian;
-    const bool in_front = EvaluateReprojection<Model>(*pose_, params_, point, measurement_,
-                                                      context_.cheirality, residuals, &jacobian);
+    const bool in_front = EvaluateReprojection<Model>(
+        *pose_, params_, point, measurement_, context_.cheirality, residuals, &jacobian, shutter_);
     if (context_.watch != nullptr) AtStateOrCandidate(in_front, residuals, &jacobian);
     if (fixed_point_ == nullptr) {
       if (jacobians[0] != nullptr) std::copy_n(jacobian.point, 6, jacobians[0]);
@@ -138,16 +139,20 @@ class ReprojectionCost final : public ceres::CostFunction {
   void GatherMapped(const ReprojectionJacobian<kParams>& jacobian, int place,
                     const CameraBlock& block, double* out) const {
     ColumnMap map;
-    context_.layout.FillMap(context_.problem, image_, place, *pose_, &map);
+    context_.layout.FillMap(context_.problem, image_, place, *pose_,
+                            context_.states.twist_map(image_), &map);
     std::fill_n(out, 2 * block.size, 0.0);
     for (int i = 0; i < map.num_columns; ++i) {
-      const int column = map.columns[i];
-      const bool is_pose = column < kPoseSize;
-      const double* x = is_pose ? jacobian.pose + column : jacobian.params + (column - kPoseSize);
       const double* const row = map.values + i * block.size;
-      AddMultiple(x[0], row, block.size, out);
-      AddMultiple(x[is_pose ? kPoseSize : kParams], row, block.size, out + block.size);
+      AddMultiple(*EntryOf(jacobian, 0, map.columns[i]), row, block.size, out);
+      AddMultiple(*EntryOf(jacobian, 1, map.columns[i]), row, block.size, out + block.size);
     }
+  }
+
+  static const double* EntryOf(const ReprojectionJacobian<kParams>& jacobian, int row, int column) {
+    if (column < kPoseSize) return jacobian.pose + kPoseSize * row + column;
+    if (column < kFirstTwist) return jacobian.params + kParams * row + (column - kPoseSize);
+    return jacobian.twist + kTwistSize * row + (column - kFirstTwist);
   }
 
   static void AddMultiple(double factor, const double* from, int size, double* to) {
@@ -157,26 +162,25 @@ class ReprojectionCost final : public ceres::CostFunction {
   static void Gather(const ReprojectionJacobian<kParams>& jacobian, const CameraBlock& block,
                      double* out) {
     for (int k = 0; k < block.size; ++k) {
-      const int column = block.columns[k];
-      const bool is_pose = column < kPoseSize;
-      const double* x = is_pose ? jacobian.pose + column : jacobian.params + (column - kPoseSize);
-      out[k] = x[0];
-      out[block.size + k] = x[is_pose ? kPoseSize : kParams];
+      for (int row = 0; row < 2; ++row) {
+        out[row * block.size + k] = *EntryOf(jacobian, row, block.columns[k]);
+      }
     }
   }
 
   const ReprojectionContext& context_;
   const PoseState* pose_;
+  const ImageShutter* shutter_;
   const double* params_;
   const double* fixed_point_ = nullptr;
   const double* measurement_;
-  const CameraBlock* blocks_[4] = {};
+  const CameraBlock* blocks_[ParameterLayout::kNumPlaces] = {};
   mutable double held_[2] = {0, 0};  ///< residual while the observation does not count
   int image_;
   int8_t num_blocks_ = 0;
-  int8_t place_[4] = {};         ///< per block: its place in ImageBlocks
-  bool has_map_[4] = {};         ///< per block
-  mutable bool counted_ = true;  ///< at the last state
+  int8_t place_[ParameterLayout::kNumPlaces] = {};  ///< per block: its place in ImageBlocks
+  bool has_map_[ParameterLayout::kNumPlaces] = {};  ///< per block
+  mutable bool counted_ = true;                     ///< at the last state
 };
 
 /// A reprojection cost divided by the observation's sigma. The held residual is stored in pixels by

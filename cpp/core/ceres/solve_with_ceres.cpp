@@ -131,6 +131,8 @@ std::optional<Continuation> CeresSolve::FindContinuation(
   refined.cam_from_world = poses.data();
   refined.camera_params = states_.camera_params().data();
   refined.points = numbers_.data();
+  const std::vector<double> twists = states_.Twists();
+  if (!twists.empty()) refined.twists = twists.data();
   if (CountLeftOut(refined, layout_, options_, num_held) == 0) return std::nullopt;
   return Continuation{};
 }
@@ -227,6 +229,8 @@ void CeresSolve::Collect(const ceres::Solver::Summary& summary, SolveOutput* out
   output->sensor_from_rig = states_.SensorFromRig();
   output->camera_params = states_.camera_params();
   output->points.assign(numbers_.data(), State());
+  output->twists = states_.Twists();
+  output->readouts = states_.readouts();
   if (options_.check_solution) {
     output->summary.num_information_nonzeros = NumInformationNonzeros(problem_, layout_);
   }

@@ -93,6 +93,7 @@ bool RejectImpossibleSolution(const AdjustmentProblem& problem, SolveOutput* out
   refined.sensor_from_rig = output->sensor_from_rig.data();
   refined.camera_params = output->camera_params.data();
   refined.points = output->points.data();
+  output->PutShutters(&refined);
   std::string found;
   try {
     ValidateState(refined);  // all other values are constant during a solve
@@ -145,7 +146,8 @@ SolutionUnderCheck::SolutionUnderCheck(const AdjustmentProblem& problem,
 uint32_t SolutionUnderCheck::FreeColumns(int64_t observation) const {
   const int image = problem_.observation_image[observation];
   const int camera = problem_.image_camera[image];
-  uint32_t free = layout_.RefinedColumns(problem_, image);
+  // Columns of twists are not in x.
+  uint32_t free = layout_.RefinedColumns(problem_, image) & ((1u << kFirstTwist) - 1);
   // In local coordinates, all six pose numbers of a rig image may change.
   const bool has_sensor = layout_.blocks_of(image)[ParameterLayout::kSensorBlock] >= 0;
   const bool moves = has_sensor || (free & FreeParameters::kWholePose) != 0;
@@ -190,12 +192,12 @@ bool SolutionUnderCheck::operator()(int64_t observation, const double* x, double
     const double *params = x + kPoseSize, *point = params + kParams;
     if (jacobian == nullptr) {
       counts = EvaluateReprojection<Model, kParams>(pose, params, point, measurement, cheirality_,
-                                                    residual, nullptr);
+                                                    residual, nullptr, states_.shutter(image));
       return;
     }
     ReprojectionJacobian<kParams> parts;
     counts = EvaluateReprojection<Model>(pose, params, point, measurement, cheirality_, residual,
-                                         &parts);
+                                         &parts, states_.shutter(image));
     for (int row = 0; row < 2; ++row) {
       jacobian = std::copy_n(parts.pose + kPoseSize * row, kPoseSize, jacobian);
       jacobian = std::copy_n(parts.params + kParams * row, kParams, jacobian);

@@ -85,6 +85,7 @@ void JudgeLostObservations(const AdjustmentProblem& problem, const ParameterLayo
   refined.cam_from_world = output->cam_from_world.data();
   refined.camera_params = output->camera_params.data();
   refined.points = output->points.data();
+  output->PutShutters(&refined);
   const std::vector<uint8_t> before = FindBehind(problem, options);
   const std::vector<uint8_t> after = FindBehind(refined, options);
   Communicator* const communicator = problem.division.communicator;

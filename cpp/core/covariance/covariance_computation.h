@@ -214,11 +214,15 @@ class CovarianceComputation {
     const int num_cameras = view().num_cameras, stride = view().camera_params_stride;
     output_.poses.resize(36 * size_t(view().num_images));
     output_.cameras.assign(size_t(num_cameras) * stride * stride, kUnknown);
+    const bool rolls = !view().row_scale.empty();
+    output_.twists.resize(rolls ? 36 * size_t(view().num_images) : 0);
+    if (rolls) FindReadouts();
     std::vector<uint8_t> is_done(num_cameras);
     const std::vector<uint8_t> is_observed = FindObservedImages(view());
     for (int i = 0; i < view().num_images; ++i) {
       const Matrix joint = OfImage(i);
       Put(MovedBack(i, joint.topLeftCorner<6, 6>()), i, &output_.poses);
+      if (rolls) Put(joint.block<6, 6>(kFirstTwist, kFirstTwist), i, &output_.twists);
       if (is_observed[i] == 0) {
         const bool is_free = !system_.evaluator().maps(i).empty();
         if (!is_free) std::fill_n(&output_.poses[36 * size_t(i)], 36, kUnknown);
@@ -226,6 +230,14 @@ class CovarianceComputation {
         is_done[camera] = 1;
         PutCamera(i, joint, &output_.cameras[size_t(camera) * stride * stride]);
       }
+    }
+  }
+
+  void FindReadouts() {
+    output_.readouts.assign(view().num_cameras, std::numeric_limits<double>::quiet_NaN());
+    for (int c = 0; c < view().num_cameras; ++c) {
+      const int block = layout().readout_block(c);
+      if (block >= 0) output_.readouts[c] = BlockOf(block, block)(0, 0);
     }
   }
 
@@ -274,7 +286,7 @@ class CovarianceComputation {
   /// below this threshold, or a variance is above it, because of rounding. The ratios of regular
   /// blocks stay below 1e10.
   static constexpr double kSingular = 1e-13;
-  static constexpr int kLocal = kPoseSize + kMaxCameraParams;
+  static constexpr int kLocal = kImageColumns;
 
   // factorize.cpp
   LongMatrix SumHeld(bool by_rows) const;

@@ -58,9 +58,12 @@ SimilarityMoves::SimilarityMoves(const AdjustmentProblem& problem, const Paramet
     } else {  // the position of a sensor on its rig scales with the world
       for (int i = 0; i < 3; ++i) rows[(3 + i) * kSimilarities + 6] = state.translation[i];
     }
-    for (int k = 0; k < block.size && block.columns[k] < kPoseSize; ++k) {
-      std::copy_n(rows + block.columns[k] * kSimilarities, kSimilarities,
-                  &cameras_[size_t(block.offset + k) * kSimilarities]);
+    for (int k = 0; k < block.size; ++k) {
+      const int column = block.columns[k];
+      double* const to = &cameras_[size_t(block.offset + k) * kSimilarities];
+      // The velocity of a twist scales with the world.
+      if (column >= kFirstTwist + 3) to[6] = states.twist(pose)[column - kFirstTwist];
+      if (column < kPoseSize) std::copy_n(rows + column * kSimilarities, kSimilarities, to);
     }
   }
 }

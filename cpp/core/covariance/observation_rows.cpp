@@ -11,7 +11,7 @@
 namespace bundle {
 namespace {
 
-constexpr int kMaxLocal = kPoseSize + kMaxCameraParams;
+constexpr int kMaxLocal = kImageColumns;
 
 /// A block whose unknowns equal local columns.
 LocalMap PlainMap(int index, const CameraBlock& block) {
@@ -21,9 +21,9 @@ LocalMap PlainMap(int index, const CameraBlock& block) {
 }
 
 LocalMap MapOfLayout(const AdjustmentProblem& problem, const ParameterLayout& layout,
-                     const PoseState& pose, int image, int place) {
+                     const CameraStates& states, int image, int place) {
   ColumnMap of_layout;
-  layout.FillMap(problem, image, place, pose, &of_layout);
+  layout.FillMap(problem, image, place, states.pose(image), states.twist_map(image), &of_layout);
   const int index = layout.blocks_of(image)[place];
   LocalMap map{index, layout.blocks()[index].size, {}, {}};
   map.columns.assign(of_layout.columns, of_layout.columns + of_layout.num_columns);
@@ -55,14 +55,16 @@ void HoldUnknowns(const std::vector<uint8_t>& held, int offset, LocalMap* map) {
   }
 }
 
-/// Rows by (w, t), followed by those by the model's parameters.
+/// Rows by (w, t), followed by those by the model's parameters, and from kFirstTwist on by the
+/// twist.
 template <typename Model>
-bool EvaluateLocal(const PoseState& pose, const double* params, const double* point,
-                   const double* xy, Cheirality cheirality, double* residual, double* local,
-                   double* by_point) {
+bool EvaluateLocal(const PoseState& pose, const ImageShutter* shutter, const double* params,
+                   const double* point, const double* xy, Cheirality cheirality, double* residual,
+                   double* local, double* by_point) {
   constexpr int kParams = kNumParams<Model>;
   ReprojectionJacobian<kParams> jacobian;
-  if (!EvaluateReprojection<Model>(pose, params, point, xy, cheirality, residual, &jacobian)) {
+  if (!EvaluateReprojection<Model>(pose, params, point, xy, cheirality, residual, &jacobian,
+                                   shutter)) {
     return false;
   }
   std::copy_n(jacobian.point, 6, by_point);
@@ -70,6 +72,8 @@ bool EvaluateLocal(const PoseState& pose, const double* params, const double* po
     double* const to = local + kMaxLocal * row;
     std::copy_n(jacobian.pose + kPoseSize * row, kPoseSize, to);
     std::copy_n(jacobian.params + kParams * row, kParams, to + kPoseSize);
+    if (shutter == nullptr) continue;
+    std::copy_n(jacobian.twist + kTwistSize * row, kTwistSize, to + kFirstTwist);
   }
   return true;
 }
@@ -107,7 +111,7 @@ std::vector<LocalMap> FindLocalMaps(const AdjustmentProblem& problem, const Para
       is_sensor ? SensorMap(rig, whole) : FrameMap(rig, whole);
       maps.push_back(MapOfRig(of[place], block, whole));
     } else if (layout.HasMap(problem, image, place)) {
-      maps.push_back(MapOfLayout(problem, layout, states.pose(image), image, place));
+      maps.push_back(MapOfLayout(problem, layout, states, image, place));
     } else {
       maps.push_back(PlainMap(of[place], block));
     }
@@ -142,7 +146,7 @@ bool ObservationEvaluator::Evaluate(int64_t observation, ObservationRows* rows) 
   bool counts = false;
   VisitCameraModel(*problem_.camera_models[camera], [&](auto model) {
     counts = EvaluateLocal<decltype(model)>(
-        states_.pose(image), states_.params(camera),
+        states_.pose(image), states_.shutter(image), states_.params(camera),
         problem_.points + 3 * int64_t{problem_.observation_point[observation]},
         problem_.observation_xy + 2 * observation, cheirality_, rows->residual, local, rows->point);
   });

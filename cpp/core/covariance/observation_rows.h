@@ -40,7 +40,7 @@ std::vector<LocalMap> FindLocalMaps(const AdjustmentProblem& problem, const Para
 
 /// Whitened by the sigma and weighted by the loss, row-major.
 struct ObservationRows {
-  static constexpr int kMaxBlocks = 4;
+  static constexpr int kMaxBlocks = ParameterLayout::kNumPlaces;
   double residual[2];
   double point[2 * 3];
   double bend;  ///< beta

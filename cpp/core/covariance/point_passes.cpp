@@ -102,6 +102,7 @@ void PointPasses::FillMoves(const GaugeSums& gauge, std::vector<double>* images,
     });
     const auto whole = gauge.moves().OfPose(schur_.cameras().pose(image));
     bool is_whole = setup.parts.part_of(image, kOwnPart) >= 0;
+    if (setup.problem.HasRollingShutter(image)) is_whole &= setup.layout.free().twist[image] != 0;
     for (int c = 0; c < kPoseSize && is_whole; ++c) {
       is_whole = group.columns[c] == c;
       for (int m = 0; m < kSimilarities; ++m) is_whole &= rows[c * kMoves + m] == whole(c, m);

@@ -79,7 +79,8 @@ std::vector<int> FindPieces(const AdjustmentProblem& problem, const std::vector<
   std::vector<int> pieces;
   for (const UnknownName& name : names) {
     int piece = -1;
-    if (name.kind == UnknownName::kImage) piece = image_piece[name.index];
+    const bool is_of_image = name.kind == UnknownName::kImage || name.kind == UnknownName::kTwist;
+    if (is_of_image) piece = image_piece[name.index];
     if (name.kind == UnknownName::kFrame) piece = frame_piece[name.index];
     if (name.kind == UnknownName::kSensor && num_pieces == 1) piece = 0;
     pieces.push_back(piece);
@@ -135,6 +136,7 @@ class SpectrumSearch {
       if (name.kind == UnknownName::kCamera) {
         unit = std::max(1.0, std::abs(problem_.ParamsOf(name.index)[name.coordinate]));
       }
+      if (name.kind == UnknownName::kReadout) unit = 1;
       units.push_back(unit);
     }
     return units;

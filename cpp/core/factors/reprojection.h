@@ -38,12 +38,18 @@
 #include <limits>
 
 #include "core/cameras/camera_model.h"
+#include "core/factors/rolling_shutter.h"
 #include "core/geometry/rotation.h"
 
 namespace bundle {
 
 /// Tangent coordinates of a pose: rotation w, translation t.
 inline constexpr int kPoseSize = 6;
+
+/// Columns of a Jacobian by the parameters of an image: (w, t) of its pose, the parameters of its
+/// camera, its twist if it has a rolling shutter (rolling_shutter.h).
+inline constexpr int kFirstTwist = kPoseSize + kMaxCameraParams;
+inline constexpr int kImageColumns = kFirstTwist + kTwistSize;
 
 /// Pose of an image in one evaluation, shared by its observations.
 struct PoseState {
@@ -83,6 +89,7 @@ struct ReprojectionJacobian {
   double pose[2 * 6];
   double params[2 * kNumModelParams];
   double point[2 * 3];
+  double twist[2 * kTwistSize];  ///< only with a rolling shutter
 };
 
 /// Pixels of a world point, and how it projects.
@@ -103,23 +110,39 @@ inline bool Counts(Projection projection, Cheirality cheirality) {
 }
 
 /// The residual, and its derivatives unless `jacobian` is nullptr. Returns false, with everything
-/// set to zero, if the observation does not count.
+/// set to zero, if the observation does not count. `shutter`: nullptr for a global shutter.
 template <typename Model, int kNumModelParams>
 bool EvaluateReprojection(const PoseState& pose, const double* params, const double* point,
                           const double* measurement, Cheirality cheirality, double* residual,
-                          ReprojectionJacobian<kNumModelParams>* jacobian) {
+                          ReprojectionJacobian<kNumModelParams>* jacobian,
+                          const ImageShutter* shutter = nullptr) {
   double rotated[3], camera_point[3], xy[2], d_point[6];
   MatrixVector3(pose.rotation, point, rotated);
   for (int i = 0; i < 3; ++i) camera_point[i] = rotated[i] + pose.translation[i];
-  const Projection projection =
-      jacobian == nullptr ? Model::Project(params, camera_point, xy, nullptr, nullptr)
-                          : Model::Project(params, camera_point, xy, d_point, jacobian->params);
+  Projection projection;
+  if (shutter == nullptr) {
+    projection = jacobian == nullptr
+                     ? Model::Project(params, camera_point, xy, nullptr, nullptr)
+                     : Model::Project(params, camera_point, xy, d_point, jacobian->params);
+  } else {
+    const auto project = [&](const double* at, double* r, double* by_point, double* by_params) {
+      const Projection found = Model::Project(params, at, xy, by_point, by_params);
+      if (!Counts(found, cheirality)) return Projection::kUndefined;
+      ModelDifference<Model>(params, xy, measurement, r);
+      return found;
+    };
+    projection = jacobian == nullptr
+                     ? ProjectByRow(project, kNumModelParams, *shutter, camera_point, measurement,
+                                    residual, nullptr, nullptr, nullptr)
+                     : ProjectByRow(project, kNumModelParams, *shutter, camera_point, measurement,
+                                    residual, d_point, jacobian->params, jacobian->twist);
+  }
   if (!Counts(projection, cheirality)) {
     residual[0] = residual[1] = 0;
     if (jacobian != nullptr) *jacobian = {};
     return false;
   }
-  ModelDifference<Model>(params, xy, measurement, residual);
+  if (shutter == nullptr) ModelDifference<Model>(params, xy, measurement, residual);
   if (jacobian == nullptr) return true;
   for (int row = 0; row < 2; ++row) {
     const double* a = d_point + 3 * row;

@@ -92,6 +92,13 @@ inline constexpr NamedValue<SchurComplement> kSchurComplements[] = {
     {"explicit", SchurComplement::kExplicit},
     {"implicit", SchurComplement::kImplicit}};
 
+/// Twists of images with rolling shutters (factors/rolling_shutter.h): variables, without or with
+/// factors that tie them to the poses of their neighbours, or functions of these poses.
+enum class Twists { kFree, kTied, kHard };
+
+inline constexpr NamedValue<Twists> kTwists[] = {
+    {"free", Twists::kFree}, {"tied", Twists::kTied}, {"hard", Twists::kHard}};
+
 /// Ids of the rig and of the camera.
 using SensorId = std::pair<int64_t, int64_t>;
 
@@ -124,6 +131,8 @@ struct SolveOptions {
   bool refine_focal = true;
   bool refine_principal_point = false;
   bool refine_extra = true;
+  bool refine_readout = false;  ///< readouts of rolling shutters, by tied twists
+  Twists twists = Twists::kFree;
   bool refine_sensor_from_rig = false;  ///< positions and rotations of sensors on their rigs
   std::vector<int64_t> fixed_camera_ids;
   std::vector<int64_t> fixed_image_ids;
@@ -175,6 +184,8 @@ void VisitOptions(const Visitor& visit) {
   visit(kNever, "fixed_point_ids", &Options::fixed_point_ids);
   visit(kNever, "refine_sensor_from_rig", &Options::refine_sensor_from_rig);
   visit(kNever, "fixed_sensors", &Options::fixed_sensors);
+  visit(kNever, "refine_readout", &Options::refine_readout);
+  visit(kNever, "twists", &Options::twists, kTwists);
   visit(kNever, "gauge", &Options::gauge, kGauges);
   visit(kNever, "cheirality", &Options::cheirality, kCheiralities);
   visit(kBetweenSolves, "check_solution", &Options::check_solution);

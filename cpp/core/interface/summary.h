@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "core/interface/options.h"
+#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -215,15 +216,23 @@ struct SolveRecord {
 };
 
 struct SolveOutput : SolveRecord {
-  std::vector<double> cam_from_world;   ///< as in ProblemView
-  std::vector<double> rig_from_world;   ///< as in ProblemView
-  std::vector<double> sensor_from_rig;  ///< as in ProblemView
-  std::vector<double> camera_params;    ///< as in ProblemView
-  std::vector<double> points;           ///< as in ProblemView
+  std::vector<double> cam_from_world;    ///< as in ProblemView
+  std::vector<double> rig_from_world;    ///< as in ProblemView
+  std::vector<double> sensor_from_rig;   ///< as in ProblemView
+  std::vector<double> camera_params;     ///< as in ProblemView
+  std::vector<double> points;            ///< as in ProblemView
+  std::vector<double> twists, readouts;  ///< as in ProblemView; empty without rolling shutters
   /// Cost 1/2 rho(||r||^2) of each factor other than observations, at the start and at the
   /// solution; NaN if it has no value.
   std::vector<double> factor_costs_before;
   std::vector<double> factor_costs_after;
+
+  /// Makes a view read the twists and readouts of this solution.
+  void PutShutters(ProblemView* view) const {
+    if (twists.empty()) return;
+    view->twists = twists.data();
+    view->readouts = readouts.data();
+  }
 };
 
 }  // namespace bundle

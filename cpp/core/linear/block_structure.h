@@ -111,7 +111,7 @@ struct BlockSystem {
 
   /// Both constants equal those of the model's parameters (asserted in schur/schur_setup.cpp).
   static constexpr int kNumGaugeDirections = 7;
-  static constexpr int kMaxBlockSize = 22;
+  static constexpr int kMaxBlockSize = 28;
 };
 
 /// Asks the operating system for large pages in memory that is not touched yet. Only a hint.

@@ -26,6 +26,7 @@ void CameraStates::Reset() {
       problem_.camera_params,
       problem_.camera_params + static_cast<std::ptrdiff_t>(problem_.num_cameras) * stride_);
   std::fill(charts_.begin(), charts_.end(), 0.0);
+  ResetShutters();
   const int num_poses = NumPoses(problem_);
   auto anchors = std::make_shared<PoseAnchors>(num_poses);
   for (int p = 0; p < num_poses; ++p) {
@@ -40,8 +41,24 @@ void CameraStates::Reset() {
   Update(layout_.InitialState(problem_).data());
 }
 
+void CameraStates::ResetShutters() {
+  if (problem_.row_scale.empty()) return;
+  readouts_.assign(problem_.readouts, problem_.readouts + problem_.num_cameras);
+  twists_.assign(problem_.twists, problem_.TwistOf(problem_.num_images));
+  shutters_.resize(problem_.num_images);
+  if (layout_.HasHardTwists()) twist_maps_.resize(problem_.num_images);
+  for (int i = 0; i < problem_.num_images; ++i) {
+    std::copy_n(problem_.RowScaleOf(i), 2, shutters_[i].row_scale);
+    shutters_[i].at_observed_row = problem_.at_observed_row;
+  }
+}
+
 void CameraStates::Update(const double* state) {
-  layout_.Scatter(problem_, state, charts_.data(), camera_params_.data());
+  layout_.Scatter(problem_, state, charts_.data(), camera_params_.data(), twists_.data(),
+                  readouts_.data());
+  for (size_t i = 0; i < shutters_.size(); ++i) {
+    std::copy_n(&twists_[kTwistSize * i], kTwistSize, shutters_[i].twist);
+  }
   for (int i = 0; problem_.restrictions.held_pose_parts != nullptr && i < problem_.num_images;
        ++i) {
     if (TurnsAboutCentre(problem_, i)) TurnAboutCentre(i);
@@ -74,9 +91,26 @@ void CameraStates::Expand() {
     ChartOf(p, chart);
     ExpandPose((*anchors_)[p].rotation, chart, &poses_[p]);
   }
+  FollowPoses();
   if (problem_.num_frames == 0) return;
   for (int i = 0; i < problem_.num_images; ++i) {
     if (const RigPose of = rig(i); of.frame != nullptr) ComposePose(of, &poses_[i]);
+  }
+}
+
+void CameraStates::FollowPoses() {
+  for (size_t i = 0; i < twist_maps_.size(); ++i) {
+    const auto image = static_cast<int>(i);
+    if (!layout_.HasHardTwist(image)) continue;
+    const int a = problem_.twist_neighbours[2 * i], b = problem_.twist_neighbours[2 * i + 1];
+    double before[7], after[7];
+    ValueOf(a, before);
+    ValueOf(b, after);
+    NormalizeQuaternion(before);
+    NormalizeQuaternion(after);
+    HardTwist(before, after, poses_[a], poses_[b],
+              problem_.image_frames[b] - problem_.image_frames[a],
+              readouts_[problem_.image_camera[image]], shutters_[i].twist, &twist_maps_[i]);
   }
 }
 
@@ -173,6 +207,14 @@ std::vector<double> CameraStates::Values(int first, int count) const {
 }
 
 std::vector<double> CameraStates::CamFromWorld() const { return Values(0, problem_.num_images); }
+
+std::vector<double> CameraStates::Twists() const {
+  std::vector<double> twists;
+  for (const ImageShutter& shutter : shutters_) {
+    twists.insert(twists.end(), shutter.twist, shutter.twist + kTwistSize);
+  }
+  return twists;
+}
 
 std::vector<double> CameraStates::RigFromWorld() const {
   return Values(problem_.num_images, problem_.num_frames);

@@ -18,9 +18,9 @@ namespace bundle {
 using PoseAnchors = std::vector<PoseAnchor>;
 
 /// The camera parameters of a problem at one state, expanded once per evaluation so that an
-/// observation only reads them: rotation, translation and left Jacobian of each image, parameters
-/// of each camera. Poses of rig images follow from their frames and sensors (factors/rig_pose.h);
-/// their coordinates here are the local ones.
+/// observation only reads them: rotation, translation and left Jacobian of each image, its shutter,
+/// parameters of each camera. Poses of rig images follow from their frames and sensors
+/// (factors/rig_pose.h); their coordinates here are the local ones.
 ///
 /// A state is defined relative to its anchors: a candidate needs the anchors of the state from
 /// which its step starts.
@@ -46,6 +46,16 @@ class CameraStates {
   const PoseState& pose(int pose) const { return poses_[pose]; }
   /// Frame and sensor from which the pose of an image follows.
   RigPose rig(int image) const;
+  /// Shutter of an image; nullptr: global.
+  const ImageShutter* shutter(int image) const {
+    return problem_.HasRollingShutter(image) ? &shutters_[image] : nullptr;
+  }
+  const double* twist(int image) const { return shutters_[image].twist; }
+  /// Derivatives of a hard-tied twist; nullptr if it is not.
+  const TwistMap* twist_map(int image) const {
+    return layout_.HasHardTwist(image) ? &twist_maps_[image] : nullptr;
+  }
+  const double* readout(int camera) const { return &readouts_[camera]; }
   const double* params(int camera) const {
     return camera_params_.data() + static_cast<int64_t>(camera) * stride_;
   }
@@ -64,8 +74,13 @@ class CameraStates {
   /// Refined pose of one image, frame or sensor, by its number.
   void ValueOf(int pose, double value[7]) const;
   const std::vector<double>& camera_params() const { return camera_params_; }
+  /// Refined twists and readouts; empty if all shutters are global.
+  std::vector<double> Twists() const;
+  const std::vector<double>& readouts() const { return readouts_; }
 
  private:
+  void ResetShutters();
+  void FollowPoses();
   void Expand();
   void TurnAboutCentre(int image);
   void ChartOf(int pose, double* chart) const;
@@ -81,6 +96,9 @@ class CameraStates {
   std::vector<double> charts_;  ///< (w, t) of each pose
   std::vector<PoseState> poses_;
   std::vector<double> camera_params_;
+  std::vector<ImageShutter> shutters_;  ///< per image; empty if all are global
+  std::vector<double> twists_, readouts_;
+  std::vector<TwistMap> twist_maps_;  ///< per image; empty if no twist is hard-tied
 };
 
 }  // namespace bundle

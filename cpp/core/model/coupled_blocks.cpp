@@ -69,7 +69,8 @@ class ColumnBits {
 void CollectBlocks(const ParameterLayout& layout, const int32_t* begin, const int32_t* end,
                    std::vector<int>* blocks) {
   blocks->clear();
-  ParameterLayout::ImageBlocks last = {-1, -1, -1, -1};
+  ParameterLayout::ImageBlocks last;
+  last.fill(-1);
   for (const int32_t* image = begin; image != end; ++image) {
     const ParameterLayout::ImageBlocks& of = layout.blocks_of(*image);
     for (size_t k = 0; k < of.size(); ++k) {
@@ -112,7 +113,7 @@ std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const AdjustmentProblem&
     }
   }
   const bool is_unique = problem.factors == nullptr && problem.num_frames == 0 &&
-                         problem.restrictions.camera_tie == nullptr;
+                         problem.restrictions.camera_tie == nullptr && !layout.HasHardTwists();
   if (is_unique) return columns;
   for (std::vector<int>& rows : columns) {
     std::sort(rows.begin(), rows.end());

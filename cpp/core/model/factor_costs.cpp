@@ -46,7 +46,6 @@ double LargestRelativeChange(const std::vector<double>& before, const std::vecto
 }
 
 std::vector<double> FactorCosts(const AdjustmentProblem& problem) {
-  using Kind = ProblemVariable::Kind;
   constexpr int kNumbers = 7;  // of a pose
   std::vector<double> costs;
   if (problem.factors == nullptr) return costs;
@@ -56,7 +55,7 @@ std::vector<double> FactorCosts(const AdjustmentProblem& problem) {
     for (size_t v = 0; v < factor->blocks().size(); ++v) {
       const ProblemVariable& variable = problem.factors->variables[factor->blocks()[v]];
       values.push_back(ValueOf(variable, problem));
-      if (variable.kind == Kind::kCamera || variable.kind == Kind::kPoint) continue;
+      if (factor->retractions()[v].manifold() == Manifold::kEuclidean) continue;
       double* const pose = poses.data() + kNumbers * v;
       std::copy_n(values.back(), kNumbers, pose);
       NormalizeQuaternion(pose);

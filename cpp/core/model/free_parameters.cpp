@@ -142,6 +142,11 @@ void FreeTouched(const AdjustmentProblem& problem, const SolveOptions& options,
         free->camera[variable.index] =
             FreeCameraParameters(*problem.camera_models[variable.index], options);
         break;
+      case ProblemVariable::Kind::kTwist:
+        break;  // as its image
+      case ProblemVariable::Kind::kReadout:
+        free->readout[variable.index] = options.refine_readout ? 1 : 0;
+        break;
       case ProblemVariable::Kind::kPoint:
         if (options.refine_points) free->point[variable.index] = 1;
         break;
@@ -201,6 +206,21 @@ void FreeTied(const AdjustmentProblem& problem, FreeParameters* free) {
   });
 }
 
+/// A twist is free if its image moves, unless it follows from poses and a readout.
+void FreeTwists(const AdjustmentProblem& problem, const SolveOptions& options,
+                FreeParameters* free) {
+  const std::vector<uint8_t> observed = FindObservedImages(problem);
+  for (int i = 0; i < problem.num_images; ++i) {
+    if (!problem.HasRollingShutter(i) || !observed[i]) continue;
+    if (options.twists != Twists::kHard) {
+      free->twist[i] = free->pose[i] != 0 ? 1 : 0;
+    } else if (problem.twist_neighbours != nullptr && problem.twist_neighbours[2 * i] >= 0) {
+      free->hard_twist[i] = 1;
+      if (options.refine_readout) free->readout[problem.image_camera[i]] = 1;
+    }
+  }
+}
+
 }  // namespace
 
 FreeParameters SelectFreeParameters(const AdjustmentProblem& problem, const SolveOptions& options) {
@@ -210,6 +230,9 @@ FreeParameters SelectFreeParameters(const AdjustmentProblem& problem, const Solv
   free.point.resize(problem.num_points);
   free.frame.resize(problem.num_frames);
   free.sensor.resize(problem.num_sensors);
+  free.twist.resize(problem.num_images);
+  free.readout.resize(problem.num_cameras);
+  free.hard_twist.resize(problem.num_images);
   const std::vector<uint8_t> observed = FindObservedImages(problem);
   for (int i = 0; i < problem.num_images; ++i) {
     if (!observed[i]) continue;
@@ -232,6 +255,7 @@ FreeParameters SelectFreeParameters(const AdjustmentProblem& problem, const Solv
   ForEachIndex("point", options.fixed_point_ids, problem.point_ids, problem.num_points,
                [&](int index) { free.point[index] = 0; });
   FreeTied(problem, &free);
+  FreeTwists(problem, options, &free);
   return free;
 }
 

@@ -20,6 +20,10 @@ struct FreeParameters {
   std::vector<uint8_t> point;    ///< num_points: 0 or 1
   std::vector<uint8_t> frame;    ///< num_frames: of rig_from_world
   std::vector<uint8_t> sensor;   ///< num_sensors: of sensor_from_rig
+  std::vector<uint8_t> twist;    ///< num_images: 1 if it moves with the pose of its image
+  std::vector<uint8_t> readout;  ///< num_cameras: 0 or 1
+  /// num_images: 1 if the twist follows from the poses of its neighbours and the readout
+  std::vector<uint8_t> hard_twist;
 
   /// Bits of the pose with this number (NumPoses): of an image's own pose, a frame or a sensor.
   uint8_t& OfPose(int number) {
@@ -33,7 +37,8 @@ struct FreeParameters {
 
   bool operator==(const FreeParameters& other) const {
     return pose == other.pose && camera == other.camera && point == other.point &&
-           frame == other.frame && sensor == other.sensor;
+           frame == other.frame && sensor == other.sensor && twist == other.twist &&
+           readout == other.readout && hard_twist == other.hard_twist;
   }
 };
 

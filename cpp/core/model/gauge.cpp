@@ -200,6 +200,7 @@ std::vector<double> GaugeDirections(const AdjustmentProblem& problem, const Para
   constexpr int kCount = kNumGaugeDirections;
   std::vector<double> gauge_directions(static_cast<size_t>(layout.state_size()) * kCount, 0.0);
   const std::array<double, 3> centre = MeanCentre(cameras, problem.num_images);
+  // The velocities of twists scale with the world.
   // The scaling of the world is not used as a direction of a sensor. A sensor's block is better as
   // a cluster of its own that has all its columns (linear/coarse_space.cpp).
   for (int i = 0; i < problem.num_images + problem.num_frames; ++i) {
@@ -208,9 +209,10 @@ std::vector<double> GaugeDirections(const AdjustmentProblem& problem, const Para
     double rows[kPoseSize * kCount];
     GaugeRowsOfPose(cameras.pose(i), centre.data(), rows);
     for (int k = 0; k < block.size; ++k) {
-      if (block.columns[k] >= kPoseSize) break;
+      const int column = block.columns[k];
       double* const to = &gauge_directions[static_cast<size_t>(block.offset + k) * kCount];
-      for (int m = 0; m < kCount; ++m) to[m] = rows[block.columns[k] * kCount + m];
+      if (column >= kFirstTwist + 3) to[6] = cameras.twist(i)[column - kFirstTwist];
+      for (int m = 0; m < kCount && column < kPoseSize; ++m) to[m] = rows[column * kCount + m];
     }
   }
   return gauge_directions;

@@ -31,7 +31,8 @@ ParameterLayout::ParameterLayout(const AdjustmentProblem& problem, FreeParameter
     : free_(std::move(free)),
       pose_block_(NumPoses(problem), -1),
       camera_block_(problem.num_cameras, -1),
-      params_block_(problem.num_cameras, -1) {
+      params_block_(problem.num_cameras, -1),
+      readout_block_(problem.num_cameras, -1) {
   const std::vector<uint32_t> own = FindTies(problem);
   const std::vector<uint8_t> observed = FindObservedImages(problem);
   std::vector<int> users(problem.num_cameras);  // number of observed images of each camera
@@ -43,7 +44,7 @@ ParameterLayout::ParameterLayout(const AdjustmentProblem& problem, FreeParameter
   for (int i = 0; i < problem.num_images; ++i) {
     const int camera = problem.image_camera[i];
     const bool own_camera = observed[i] && users[camera] == 1;
-    pose_block_[i] = AddBlock(free_.pose[i], own_camera ? own[camera] : 0);
+    pose_block_[i] = AddBlock(free_.pose[i], own_camera ? own[camera] : 0, free_.twist[i] != 0);
     if (own_camera && own[camera] != 0) params_block_[camera] = pose_block_[i];
   }
   for (int f = 0; f < problem.num_frames; ++f) {
@@ -56,6 +57,10 @@ ParameterLayout::ParameterLayout(const AdjustmentProblem& problem, FreeParameter
     if (users[c] != 1) params_block_[c] = camera_block_[c] = AddBlock(0, own[c]);
   }
   AddTiedBlocks();
+  for (int c = 0; c < problem.num_cameras; ++c) {
+    // Its column is a placeholder outside the columns of a pose.
+    if (free_.readout[c] != 0) readout_block_[c] = AddBlock(0, 1);
+  }
   FindImageBlocks(problem);
   num_free_points_ = static_cast<int>(std::count(free_.point.begin(), free_.point.end(), 1));
 }
@@ -67,15 +72,28 @@ void ParameterLayout::FindImageBlocks(const AdjustmentProblem& problem) {
     image_blocks_[i] = {pose_block_[MovingPose(problem, i)],
                         sensor < 0 ? -1 : pose_block_[PoseOfSensor(problem, sensor)],
                         camera_block_[problem.image_camera[i]],
-                        tied_block_.empty() ? -1 : tied_block_[problem.image_camera[i]]};
+                        tied_block_.empty() ? -1 : tied_block_[problem.image_camera[i]],
+                        -1,
+                        -1,
+                        -1};
+    if (!HasHardTwist(i)) continue;
+    for (const int side : {0, 1}) {
+      const int other = problem.twist_neighbours[2 * i + side];
+      if (other != i && free_.pose[other] != 0) {
+        image_blocks_[i][kBeforeBlock + side] = pose_block_[other];
+      }
+    }
+    image_blocks_[i][kReadoutBlock] = readout_block_[problem.image_camera[i]];
   }
 }
 
-int ParameterLayout::AddBlock(uint8_t pose_bits, uint32_t camera_bits) {
+int ParameterLayout::AddBlock(uint8_t pose_bits, uint32_t camera_bits, bool has_twist) {
+  static_assert(kImageColumns <= 32);
   CameraBlock block;
   block.offset = state_size_;
-  const uint32_t bits = pose_bits | camera_bits << kPoseSize;
-  for (int8_t j = 0; j < kPoseSize + kMaxCameraParams; ++j) {
+  const uint32_t of_twist = has_twist ? (1u << kTwistSize) - 1 : 0;
+  const uint32_t bits = pose_bits | camera_bits << kPoseSize | of_twist << kFirstTwist;
+  for (int8_t j = 0; j < kImageColumns; ++j) {
     if (bits >> j & 1u) block.columns[block.size++] = j;
   }
   if (block.size == 0) return -1;
@@ -96,7 +114,7 @@ void ParameterLayout::Reorder(const std::vector<int>& order) {
   }
   blocks_ = std::move(blocks);
   const auto renumber = [&](int& block) { block = block < 0 ? -1 : position[block]; };
-  for (std::vector<int>* index : {&pose_block_, &camera_block_, &params_block_}) {
+  for (std::vector<int>* index : {&pose_block_, &camera_block_, &params_block_, &readout_block_}) {
     std::for_each(index->begin(), index->end(), renumber);
   }
   for (ImageBlocks& of : image_blocks_) std::for_each(of.begin(), of.end(), renumber);
@@ -129,9 +147,10 @@ std::set<int> ParameterLayout::BlocksBesideFirst() const {
   return beside;
 }
 
-template <typename Pose>
+template <typename Pose, typename Readout>
 std::vector<double> ParameterLayout::Gather(const AdjustmentProblem& problem, const Pose& of_pose,
-                                            const double* camera_params) const {
+                                            const double* camera_params,
+                                            const Readout& of_readout) const {
   std::vector<double> state(state_size_);
   const auto fill = [&](int index, int pose, int camera) {
     if (index < 0) return;
@@ -140,8 +159,8 @@ std::vector<double> ParameterLayout::Gather(const AdjustmentProblem& problem, co
         camera_params + static_cast<int64_t>(camera) * problem.camera_params_stride;
     for (int k = 0; k < block.size; ++k) {
       const int column = block.columns[k];
-      state[block.offset + k] =
-          column < kPoseSize ? of_pose(pose, column) : params[column - kPoseSize];
+      const bool is_param = column >= kPoseSize && column < kFirstTwist;
+      state[block.offset + k] = is_param ? params[column - kPoseSize] : of_pose(pose, column);
     }
   };
   for (int p = 0; p < NumPoses(problem); ++p) {
@@ -155,24 +174,28 @@ std::vector<double> ParameterLayout::Gather(const AdjustmentProblem& problem, co
       if (!tie.is_first) continue;
       state[blocks_[tie.block].offset + tie.entry] = params[tie.column - kPoseSize] / tie.scale;
     }
+    if (readout_block_[c] >= 0) state[blocks_[readout_block_[c]].offset] = of_readout(c);
   }
   return state;
 }
 
 std::vector<double> ParameterLayout::InitialState(const AdjustmentProblem& problem) const {
   const auto of_pose = [&](int pose, int column) {
+    if (column >= kFirstTwist) return problem.TwistOf(pose)[column - kFirstTwist];
     return column < 3 ? 0.0 : ValueOfPose(problem, pose)[4 + column - 3];
   };
-  return Gather(problem, of_pose, problem.camera_params);
+  return Gather(problem, of_pose, problem.camera_params,
+                [&](int camera) { return problem.readouts[camera]; });
 }
 
 StateBounds ParameterLayout::Bounds(const AdjustmentProblem& problem) const {
   if (problem.restrictions.camera_lower == nullptr) return {};
   constexpr double kNone = std::numeric_limits<double>::infinity();
   StateBounds bounds;
-  bounds.lower =
-      Gather(problem, [](int, int) { return -kNone; }, problem.restrictions.camera_lower);
-  bounds.upper = Gather(problem, [](int, int) { return kNone; }, problem.restrictions.camera_upper);
+  const auto below = [](auto...) { return -kNone; };
+  const auto above = [](auto...) { return kNone; };
+  bounds.lower = Gather(problem, below, problem.restrictions.camera_lower, below);
+  bounds.upper = Gather(problem, above, problem.restrictions.camera_upper, above);
   const auto is_none = [](double bound) { return std::isinf(bound); };
   const bool has_none = std::all_of(bounds.lower.begin(), bounds.lower.end(), is_none) &&
                         std::all_of(bounds.upper.begin(), bounds.upper.end(), is_none);
@@ -180,13 +203,16 @@ StateBounds ParameterLayout::Bounds(const AdjustmentProblem& problem) const {
 }
 
 void ParameterLayout::Scatter(const AdjustmentProblem& problem, const double* state, double* poses,
-                              double* camera_params) const {
-  const auto write = [&](int index, double* pose, double* params) {
+                              double* camera_params, double* twists, double* readouts) const {
+  const auto write = [&](int index, double* pose, double* params, double* twist) {
     if (index < 0) return;
     const CameraBlock& block = blocks_[index];
     for (int k = 0; k < block.size; ++k) {
       const int column = block.columns[k];
-      (column < kPoseSize ? pose[column] : params[column - kPoseSize]) = state[block.offset + k];
+      double& to = column < kPoseSize     ? pose[column]
+                   : column < kFirstTwist ? params[column - kPoseSize]
+                                          : twist[column - kFirstTwist];
+      to = state[block.offset + k];
     }
   };
   const auto params_of = [&](int camera) {
@@ -194,10 +220,12 @@ void ParameterLayout::Scatter(const AdjustmentProblem& problem, const double* st
   };
   for (int p = 0; p < NumPoses(problem); ++p) {
     write(pose_block_[p], poses + static_cast<int64_t>(p) * kPoseSize,
-          p < problem.num_images ? params_of(problem.image_camera[p]) : nullptr);
+          p < problem.num_images ? params_of(problem.image_camera[p]) : nullptr,
+          p < problem.num_images && twists != nullptr ? twists + int64_t{kTwistSize} * p : nullptr);
   }
   for (int c = 0; c < problem.num_cameras; ++c) {
-    write(camera_block_[c], nullptr, params_of(c));
+    write(camera_block_[c], nullptr, params_of(c), nullptr);
+    if (readout_block_[c] >= 0) readouts[c] = state[blocks_[readout_block_[c]].offset];
     for (const TiedParameter& tie : tied(c)) {
       params_of(c)[tie.column - kPoseSize] =
           tie.scale * state[blocks_[tie.block].offset + tie.entry];

@@ -4,13 +4,15 @@
 ///
 /// The state is [block 0 | block 1 | ...]. A block has the free numbers of one image (pose, then
 /// its camera's intrinsics if no other image uses that camera), or of one frame or one sensor of
-/// rigs. Other blocks have the free numbers of one camera: a camera that several images or an image
-/// of a rig use, or that has factors and no observations. Points are a separate array. A block has
-/// only refined numbers, so that no solver gets constant numbers, subset manifolds or zero columns.
-/// Blocks have equal sizes if the problem allows it, which fixed-size Schur kernels such as Ceres'
-/// (2,3,6) and (2,3,9) require.
+/// rigs. An image with a rolling shutter has its twist there, too. Other blocks have the free
+/// numbers of one camera: a camera that several images or an image of a rig use, or that has
+/// factors and no observations; or the readout of a camera. Points are a separate array. A block
+/// has only refined numbers, so that no solver gets constant numbers, subset manifolds or zero
+/// columns. Blocks have equal sizes if the problem allows it, which fixed-size Schur kernels such
+/// as Ceres' (2,3,6) and (2,3,9) require.
 ///
-/// Column j of a camera Jacobian row counts (w, t) of the pose as 0..5 and intrinsics from 6.
+/// Column j of a camera Jacobian row counts (w, t) of the pose as 0..5 and intrinsics from 6, and
+/// the twist from kFirstTwist.
 
 #include <algorithm>
 #include <array>
@@ -21,6 +23,7 @@
 
 #include "core/cameras/camera_model.h"
 #include "core/factors/reprojection.h"
+#include "core/factors/twist_tie.h"
 #include "core/interface/adjustment_problem.h"
 #include "core/model/free_parameters.h"
 #include "core/problem/problem_view.h"
@@ -57,7 +60,7 @@ struct TiedParameter {
 /// Map from a step of the unknowns of a block to the columns of an image: M of schur/column_map.h
 /// without its zero rows, num_columns x size, row-major.
 struct ColumnMap {
-  static constexpr int kMaxSize = kPoseSize + kMaxCameraParams;
+  static constexpr int kMaxSize = kImageColumns;
   int num_columns = 0;
   int8_t columns[kMaxSize] = {};
   double values[kMaxSize * kMaxSize];
@@ -76,7 +79,7 @@ inline bool TurnsAboutCentre(const AdjustmentProblem& problem, int image) {
 struct CameraBlock {
   int offset = 0;  ///< index of its first number in the state
   int size = 0;
-  int8_t columns[kPoseSize + kMaxCameraParams] = {};  ///< columns of the image or camera, ascending
+  int8_t columns[kImageColumns] = {};  ///< columns of the image or camera, ascending
 };
 
 /// Bounds of the numbers in a state; empty if no number has bounds.
@@ -122,9 +125,19 @@ class ParameterLayout {
 
   /// Blocks on which an image's observations depend; -1: no block. They are: the block of its pose
   /// (its own, including intrinsics if merged, or its frame's), of its sensor, of its camera if not
-  /// merged, and of the parameters that its camera shares with others.
-  using ImageBlocks = std::array<int, 4>;
-  enum { kPoseBlock, kSensorBlock, kCameraBlock, kTiedBlock };
+  /// merged, of the parameters that its camera shares with others, and, if its twist is hard-tied,
+  /// of the poses before and after and of the readout, as far as they differ from the first.
+  enum {
+    kPoseBlock,
+    kSensorBlock,
+    kCameraBlock,
+    kTiedBlock,
+    kBeforeBlock,
+    kAfterBlock,
+    kReadoutBlock,
+    kNumPlaces
+  };
+  using ImageBlocks = std::array<int, kNumPlaces>;
   const ImageBlocks& blocks_of(int image) const { return image_blocks_[image]; }
 
   /// Index of the block with a pose, and with an image's intrinsics if merged; -1 if all are
@@ -136,6 +149,8 @@ class ParameterLayout {
   int camera_block(int camera) const { return camera_block_[camera]; }
   /// Index of the block with a camera's intrinsics, its own or an image's; -1 if all are constant.
   int params_block(int camera) const { return params_block_[camera]; }
+  /// Index of the block with a camera's readout only; -1 if it is constant.
+  int readout_block(int camera) const { return readout_block_[camera]; }
   /// The parameters of a camera that are multiples of unknowns, except the unknowns themselves.
   const std::vector<TiedParameter>& tied(int camera) const {
     return tied_.empty() ? no_ties_ : tied_[camera];
@@ -143,9 +158,15 @@ class ParameterLayout {
   /// True if the unknowns of an image's block, given by its index in ImageBlocks, move the columns
   /// of the image by a map. Not for blocks of sensors.
   bool HasMap(const AdjustmentProblem& problem, int image, int place) const;
-  /// Writes this map, at a pose of the image.
+  /// Writes this map, at a pose of the image. `twist`: of an image with a hard-tied twist; nullptr:
+  /// only the columns of the map are needed.
   void FillMap(const AdjustmentProblem& problem, int image, int place, const PoseState& pose,
-               ColumnMap* map) const;
+               const TwistMap* twist, ColumnMap* map) const;
+  /// True if the observations of an image depend on the poses of others.
+  bool HasHardTwist(int image) const { return free_.hard_twist[image] != 0; }
+  bool HasHardTwists() const {
+    return std::find(free_.hard_twist.begin(), free_.hard_twist.end(), 1) != free_.hard_twist.end();
+  }
   /// Bit j: the observations of an image depend on unknowns through column j. Sensors are ignored.
   uint32_t RefinedColumns(const AdjustmentProblem& problem, int image) const;
   /// True if an observation depends on a free parameter.
@@ -160,28 +181,30 @@ class ParameterLayout {
 
   StateBounds Bounds(const AdjustmentProblem& problem) const;
 
-  /// Writes a state into poses (NumPoses x 6) and camera parameters (as in ProblemView). Numbers
-  /// that are not in the state are not changed.
+  /// Writes a state into poses (NumPoses x 6), camera parameters (as in ProblemView), twists and
+  /// readouts. Numbers that are not in the state are not changed.
   void Scatter(const AdjustmentProblem& problem, const double* state, double* poses,
-               double* camera_params) const;
+               double* camera_params, double* twists, double* readouts) const;
 
  private:
-  int AddBlock(uint8_t pose_bits, uint32_t camera_bits);
+  int AddBlock(uint8_t pose_bits, uint32_t camera_bits, bool has_twist = false);
   /// Free parameters of each camera, except those in tied_. The blocks of tied parameters are not
   /// known yet, only the number of their component.
   std::vector<uint32_t> FindTies(const AdjustmentProblem& problem);
   void AddTiedBlocks();
   void FindImageBlocks(const AdjustmentProblem& problem);
-  /// A state: of_pose(pose, column), and camera parameters (as in ProblemView).
-  template <typename Pose>
+  /// A state: of_pose(pose, column), also for columns of twists, camera parameters (as in
+  /// ProblemView), of_readout(camera).
+  template <typename Pose, typename Readout>
   std::vector<double> Gather(const AdjustmentProblem& problem, const Pose& pose,
-                             const double* camera_params) const;
+                             const double* camera_params, const Readout& of_readout) const;
 
   FreeParameters free_;
   std::vector<CameraBlock> blocks_;
   std::vector<int> pose_block_;
   std::vector<int> camera_block_;
   std::vector<int> params_block_;
+  std::vector<int> readout_block_;
   std::vector<ImageBlocks> image_blocks_;
   std::vector<std::vector<TiedParameter>> tied_;  ///< per camera; empty: no camera has ties
   std::vector<int> tied_block_;                   ///< per camera; -1: no block

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "core/cameras/camera_model.h"
+#include "core/factors/twist_tie.h"
 #include "core/geometry/rotation.h"
 #include "core/model/factor_costs.h"
 
@@ -24,7 +25,9 @@ const ProblemVariable& VariableOf(const Factor& factor, const AdjustmentProblem&
   return problem.factors->variables[factor.blocks()[place]];
 }
 
-bool IsPose(Kind kind) { return kind != Kind::kCamera && kind != Kind::kPoint; }
+bool IsPose(Kind kind) {
+  return kind == Kind::kImage || kind == Kind::kFrame || kind == Kind::kSensor;
+}
 
 /// The number of a pose variable (NumPoses).
 int PoseNumber(Kind kind, int index, const AdjustmentProblem& problem) {
@@ -49,6 +52,14 @@ std::vector<VariableBlock> BlocksOf(const ProblemVariable& variable,
     if (block >= 0) blocks.push_back({block, is_of_rig, rig_column});
   };
   if (variable.kind == Kind::kPoint) return blocks;
+  if (variable.kind == Kind::kTwist) {
+    add(layout.pose_block(variable.index), false, 0);
+    return blocks;
+  }
+  if (variable.kind == Kind::kReadout) {
+    add(layout.readout_block(variable.index), false, 0);
+    return blocks;
+  }
   if (variable.kind == Kind::kCamera) {
     add(layout.params_block(variable.index), false, 0);
     for (const TiedParameter& tie : layout.tied(variable.index)) {
@@ -71,12 +82,17 @@ template <typename Visit>
 void ForFreeColumns(const ProblemVariable& variable, const ParameterLayout& layout, int index,
                     const Visit& visit) {
   const CameraBlock& block = layout.blocks()[index];
+  if (variable.kind == Kind::kReadout) {
+    visit(0, 0, 1.0);
+    return;
+  }
   const bool is_camera = variable.kind == Kind::kCamera;
+  const int first = variable.kind == Kind::kTwist ? kFirstTwist : is_camera ? kPoseSize : 0;
+  const int last = is_camera ? kFirstTwist : IsPose(variable.kind) ? kPoseSize : kImageColumns;
   if (!is_camera || index == layout.params_block(variable.index)) {
     for (int k = 0; k < block.size; ++k) {
       const int column = block.columns[k];
-      const bool is_pose = column < kPoseSize;
-      if (is_pose == IsPose(variable.kind)) visit(k, is_pose ? column : column - kPoseSize, 1.0);
+      if (column >= first && column < last) visit(k, column - first, 1.0);
     }
   }
   if (!is_camera) return;
@@ -115,6 +131,10 @@ const double* ValueOf(const ProblemVariable& variable, const AdjustmentProblem& 
       return problem.ParamsOf(variable.index);
     case Kind::kPoint:
       return problem.points + 3 * index;
+    case Kind::kTwist:
+      return problem.TwistOf(variable.index);
+    case Kind::kReadout:
+      return problem.readouts + index;
     default:
       return ValueOfPose(problem, PoseNumber(variable.kind, variable.index, problem));
   }
@@ -130,11 +150,22 @@ std::vector<FactorUnknowns> FindFactorUnknowns(const AdjustmentProblem& problem,
   return result;
 }
 
-bool MayFixGauge(const AdjustmentProblem& problem) {
+bool DependsOnPoses(const AdjustmentProblem& problem) {
   if (problem.factors == nullptr) return false;
   const auto& variables = problem.factors->variables;
   return std::any_of(variables.begin(), variables.end(), [](const ProblemVariable& variable) {
     return variable.kind != Kind::kCamera;
+  });
+}
+
+bool MayFixGauge(const AdjustmentProblem& problem) {
+  if (!DependsOnPoses(problem)) return false;
+  const auto& factors = problem.factors->factors;
+  return std::any_of(factors.begin(), factors.end(), [&](const std::unique_ptr<Factor>& factor) {
+    if (dynamic_cast<const TwistTieFactor*>(factor.get()) != nullptr) return false;
+    return std::any_of(factor->blocks().begin(), factor->blocks().end(), [&](int block) {
+      return problem.factors->variables[block].kind != Kind::kCamera;
+    });
   });
 }
 
@@ -254,6 +285,10 @@ bool ChartedFactor::Evaluate(const CameraStates& cameras, const double* const* p
              variable.kind == Kind::kSensor ? kNoOrigin : problem_.origin, value);
     } else if (variable.kind == Kind::kCamera) {
       values[v] = cameras.params(variable.index);
+    } else if (variable.kind == Kind::kTwist) {
+      values[v] = cameras.twist(variable.index);
+    } else if (variable.kind == Kind::kReadout) {
+      values[v] = cameras.readout(variable.index);
     } else {
       const double* const point = variable.free_point >= 0
                                       ? points[variable.free_point]

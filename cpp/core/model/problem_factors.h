@@ -25,8 +25,8 @@
 /// is the identity here. M_f and M_s then map the row to rows by its frame and its sensor. Frames
 /// and sensors are also variables, like images; a change of origin does not move a sensor.
 ///
-/// Cameras and points are Euclidean: their coordinates are the unknowns. A layout keeps only the
-/// free columns of all of these (CameraBlock::columns).
+/// Cameras, points, twists and readouts are Euclidean: their coordinates are the unknowns. A layout
+/// keeps only the free columns of all of these (CameraBlock::columns).
 
 #include <cstdint>
 #include <memory>
@@ -41,9 +41,9 @@ namespace bundle {
 
 /// A variable of a problem: an image's cam_from_world (qx qy qz qw tx ty tz, SE(3)), a camera's
 /// parameters in COLMAP's order, a point's coordinates, a frame's rig_from_world or a sensor's
-/// sensor_from_rig.
+/// sensor_from_rig; the twist of an image or the readout of a camera with a rolling shutter.
 struct ProblemVariable {
-  enum class Kind { kImage, kCamera, kPoint, kFrame, kSensor };
+  enum class Kind { kImage, kCamera, kPoint, kFrame, kSensor, kTwist, kReadout };
   Kind kind = Kind::kImage;
   int index = 0;  ///< index in the problem's arrays
 };
@@ -73,7 +73,10 @@ inline bool LeavesPointsApart(const FactorUnknowns& unknowns) {
   return unknowns.points.empty() || (unknowns.points.size() == 1 && unknowns.blocks.empty());
 }
 
-/// True if a factor depends on variables other than cameras, and may therefore fix the world.
+/// True if a factor depends on variables other than cameras.
+bool DependsOnPoses(const AdjustmentProblem& problem);
+/// True if such a factor may fix the world: one that is not a tie of a twist, which no motion of
+/// the world changes, but for its scale, which it cannot hold (factors/twist_tie.h).
 bool MayFixGauge(const AdjustmentProblem& problem);
 
 /// A factor as a function of a solver's unknowns. Several threads may evaluate it at the same time

@@ -217,6 +217,7 @@ void JudgeFarPoints(const AdjustmentProblem& problem, const FarPoints& far,
   refined.cam_from_world = output->cam_from_world.data();
   refined.camera_params = output->camera_params.data();
   refined.points = output->points.data();
+  output->PutShutters(&refined);
   const std::vector<double> before = SquaredErrors(problem, options);
   const std::vector<double> after = SquaredErrors(refined, options);
   double rho[3];

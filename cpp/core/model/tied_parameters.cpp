@@ -83,9 +83,9 @@ std::vector<uint32_t> ParameterLayout::FindTies(const AdjustmentProblem& problem
 void ParameterLayout::AddTiedBlocks() {
   std::vector<int> block_of(component_sizes_.size());
   for (size_t k = 0; k < component_sizes_.size(); ++k) {
-    if (component_sizes_[k] > ColumnMap::kMaxSize - kPoseSize) {
+    if (component_sizes_[k] > kMaxCameraParams) {
       throw InputError("camera_params: expected a group of cameras that share at most " +
-                       std::to_string(ColumnMap::kMaxSize - kPoseSize) + " numbers, found " +
+                       std::to_string(kMaxCameraParams) + " numbers, found " +
                        std::to_string(component_sizes_[k]));
     }
     block_of[k] = AddBlock(0, (1u << component_sizes_[k]) - 1);
@@ -108,7 +108,12 @@ void ParameterLayout::AddTiedBlocks() {
 bool ParameterLayout::HasMap(const AdjustmentProblem& problem, int image, int place) const {
   const int block = image_blocks_[image][place];
   if (block < 0 || place == kSensorBlock) return false;
-  if (place == kTiedBlock) return true;
+  if (place >= kTiedBlock) return true;
+  if (place == kPoseBlock && HasHardTwist(image) && free_.pose[image] != 0 &&
+      (problem.twist_neighbours[2 * image] == image ||
+       problem.twist_neighbours[2 * image + 1] == image)) {
+    return true;
+  }
   if (place == kPoseBlock && free_.pose[image] != 0 && TurnsAboutCentre(problem, image)) {
     return true;
   }
@@ -118,7 +123,7 @@ bool ParameterLayout::HasMap(const AdjustmentProblem& problem, int image, int pl
 }
 
 void ParameterLayout::FillMap(const AdjustmentProblem& problem, int image, int place,
-                              const PoseState& pose, ColumnMap* map) const {
+                              const PoseState& pose, const TwistMap* twist, ColumnMap* map) const {
   const int index = image_blocks_[image][place];
   const CameraBlock& block = blocks_[index];
   map->num_columns = 0;
@@ -128,6 +133,24 @@ void ParameterLayout::FillMap(const AdjustmentProblem& problem, int image, int p
     map->columns[map->num_columns++] = static_cast<int8_t>(column);
     return row;
   };
+  const auto add_twist = [&](const double* by_pose) {
+    for (int i = 0; i < kTwistSize; ++i) {
+      double* const row = add_row(kFirstTwist + i);
+      for (int k = 0; by_pose != nullptr && k < block.size && block.columns[k] < kPoseSize; ++k) {
+        row[k] = by_pose[kPoseSize * i + block.columns[k]];
+      }
+    }
+  };
+  if (place >= kBeforeBlock) {
+    if (place == kReadoutBlock) {
+      for (int i = 0; i < kTwistSize; ++i) {
+        add_row(kFirstTwist + i)[0] = twist == nullptr ? 0 : twist->readout[i];
+      }
+    } else {
+      add_twist(twist == nullptr ? nullptr : place == kBeforeBlock ? twist->before : twist->after);
+    }
+    return;
+  }
   if (place != kTiedBlock) {
     for (int k = 0; k < block.size; ++k) add_row(block.columns[k])[k] = 1;
   }
@@ -140,6 +163,11 @@ void ParameterLayout::FillMap(const AdjustmentProblem& problem, int image, int p
         row[k] = by_turn[3 * i + block.columns[k]];
       }
     }
+  }
+  if (place == kPoseBlock && HasHardTwist(image) && free_.pose[image] != 0) {
+    const int32_t* const sides = problem.twist_neighbours + 2 * int64_t{image};
+    if (sides[0] == image) add_twist(twist == nullptr ? nullptr : twist->before);
+    if (sides[1] == image) add_twist(twist == nullptr ? nullptr : twist->after);
   }
   for (const TiedParameter& tie : tied(problem.image_camera[image])) {
     if (tie.block == index) add_row(tie.column)[tie.entry] = tie.scale;
@@ -158,6 +186,11 @@ uint32_t ParameterLayout::RefinedColumns(const AdjustmentProblem& problem, int i
     bits |= FreeParameters::kWholePose;
   }
   for (const TiedParameter& tie : tied(problem.image_camera[image])) bits |= 1u << tie.column;
+  bool has_twist = HasHardTwist(image) && HasMap(problem, image, kPoseBlock);
+  for (const int place : {kBeforeBlock, kAfterBlock, kReadoutBlock}) {
+    has_twist |= image_blocks_[image][place] >= 0;
+  }
+  if (has_twist) bits |= ((1u << kTwistSize) - 1) << kFirstTwist;
   return bits;
 }
 

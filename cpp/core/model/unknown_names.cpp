@@ -14,6 +14,8 @@ std::vector<UnknownName> NameUnknowns(const AdjustmentProblem& problem,
   };
   for (int c = 0; c < problem.num_cameras; ++c)
     own(layout.camera_block(c), UnknownName::kCamera, c);
+  for (int c = 0; c < problem.num_cameras; ++c)
+    own(layout.readout_block(c), UnknownName::kReadout, c);
   for (int i = 0; i < problem.num_images; ++i) own(layout.pose_block(i), UnknownName::kImage, i);
   for (int f = 0; f < problem.num_frames; ++f) {
     own(layout.pose_block(PoseOfFrame(problem, f)), UnknownName::kFrame, f);
@@ -30,6 +32,8 @@ std::vector<UnknownName> NameUnknowns(const AdjustmentProblem& problem,
       const int column = block.columns[k];
       if (column < kPoseSize) {
         name.coordinate = column;
+      } else if (column >= kFirstTwist) {
+        name = {UnknownName::kTwist, name.index, column - kFirstTwist};
       } else {
         if (name.kind == UnknownName::kImage) {
           name = {UnknownName::kCamera, problem.image_camera[name.index], 0};
@@ -54,6 +58,13 @@ std::string Words(const AdjustmentProblem& problem, const UnknownName& name) {
     const CameraModel* const model = problem.camera_models[name.index];
     return std::string(model->params[name.coordinate].name) + " of camera " +
            std::to_string(problem.camera_ids[name.index]);
+  }
+  if (name.kind == UnknownName::kReadout) {
+    return "readout of camera " + std::to_string(problem.camera_ids[name.index]);
+  }
+  if (name.kind == UnknownName::kTwist) {
+    return std::string("twist ") + (name.coordinate < 3 ? "w" : "v") + "xyz"[name.coordinate % 3] +
+           " of image " + std::to_string(problem.image_ids[name.index]);
   }
   const std::string part = name.coordinate < 3 ? "rotation " : "translation ";
   std::string whose = "image " + std::to_string(problem.image_ids[name.index]);

@@ -22,6 +22,12 @@ void MultiplyTranslations(double scale, std::vector<double>* poses) {
   *poses = ScalePoses(poses->data(), static_cast<int>(poses->size() / 7), scale);
 }
 
+std::vector<double> ScaleTwists(const double* twists, size_t size, double scale) {
+  std::vector<double> scaled(twists, twists + size);
+  for (size_t i = 0; i < size; ++i) scaled[i] *= i % kTwistSize >= 3 ? scale : 1;
+  return scaled;
+}
+
 }  // namespace
 
 ScaledProblem::ScaledProblem(const AdjustmentProblem& problem) : scaled_(problem), frame_(problem) {
@@ -29,7 +35,7 @@ ScaledProblem::ScaledProblem(const AdjustmentProblem& problem) : scaled_(problem
   if (!(size > 0) || !std::isfinite(size) || (size > kSmallestWorld && size < kLargestWorld)) {
     return;
   }
-  if (MayFixGauge(problem)) {
+  if (DependsOnPoses(problem)) {
     std::ostringstream sentence;
     sentence << "The size of the scene is " << size
              << " units, and priors or other factors fix this "
@@ -49,6 +55,10 @@ ScaledProblem::ScaledProblem(const AdjustmentProblem& problem) : scaled_(problem
     sensor_from_rig_ = ScalePoses(problem.sensor_from_rig, problem.num_sensors, scale);
     scaled_.sensor_from_rig = sensor_from_rig_.data();
   }
+  if (problem.twists != nullptr) {
+    twists_ = ScaleTwists(problem.twists, size_t{kTwistSize} * problem.num_images, scale);
+    scaled_.twists = twists_.data();
+  }
   points_.assign(problem.points, problem.points + 3 * static_cast<int64_t>(problem.num_points));
   for (double& coordinate : points_) coordinate *= scale;
   scaled_.points = points_.data();
@@ -61,6 +71,7 @@ void ScaledProblem::ScaleBack(SolveOutput* output) const {
   MultiplyTranslations(frame_.unit, &output->cam_from_world);
   MultiplyTranslations(frame_.unit, &output->rig_from_world);
   MultiplyTranslations(frame_.unit, &output->sensor_from_rig);
+  output->twists = ScaleTwists(output->twists.data(), output->twists.size(), frame_.unit);
   for (double& coordinate : output->points) coordinate *= frame_.unit;
   for (double& coordinate : output->summary.origin) coordinate *= frame_.unit;
 }

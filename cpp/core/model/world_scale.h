@@ -43,7 +43,7 @@ class ScaledProblem {
   void ScaleBack(SolveOutput* output) const;
 
  private:
-  std::vector<double> cam_from_world_, rig_from_world_, sensor_from_rig_, points_;
+  std::vector<double> cam_from_world_, rig_from_world_, sensor_from_rig_, points_, twists_;
   AdjustmentProblem scaled_;
   SceneFrame frame_;
   std::string warning_;

@@ -51,10 +51,12 @@ struct Mask {
 
   friend Mask operator|(const Mask& a, const Mask& b) { return {a.bits | b.bits}; }
   friend Mask operator&(const Mask& a, const Mask& b) { return {a.bits & b.bits}; }
+  Mask operator~() const { return {~bits}; }
 };
 
 inline Mask operator<=(const Pack& a, const Pack& b) { return {a.v <= b.v}; }
 inline Mask operator>=(const Pack& a, const Pack& b) { return {a.v >= b.v}; }
+inline Mask operator>(const Pack& a, const Pack& b) { return {a.v > b.v}; }
 
 inline Pack Select(const Mask& mask, const Pack& yes, const Pack& no) {
   return Pack(mask.bits ? yes.v : no.v);

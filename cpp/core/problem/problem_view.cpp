@@ -248,6 +248,10 @@ void CheckSameStructure(const ProblemView& expected, const ProblemView& given) {
     CheckSameArray("sensor_camera_ids", expected.sensor_camera_ids, given.sensor_camera_ids,
                    expected.num_sensors);
   }
+  CheckSameCount("rolling_shutter", static_cast<int64_t>(expected.row_scale.size()),
+                 static_cast<int64_t>(given.row_scale.size()));
+  CheckSameArray("rolling_shutter", expected.row_scale.data(), given.row_scale.data(),
+                 static_cast<int64_t>(expected.row_scale.size()));
   CheckSameArray("camera_ids", expected.camera_ids, given.camera_ids, expected.num_cameras);
   CheckSameArray("point_ids", expected.point_ids, given.point_ids, expected.num_points);
   CheckSameArray("observation_image", expected.observation_image, given.observation_image,

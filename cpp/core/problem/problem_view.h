@@ -2,6 +2,7 @@
 
 /// The arrays of a bundle adjustment problem, validated, and its observations grouped by point.
 
+#include <cstddef>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -53,6 +54,25 @@ struct ProblemView {
   /// num_observations, pixels: sigmas by which a solve divides residuals before the loss; nullptr:
   /// all are 1.
   const double* observation_sigma = nullptr;
+
+  /// Rolling shutters (factors/rolling_shutter.h). `row_scale` is num_cameras x 2, the derivatives
+  /// of a row's time s by x and by y; zeros: a global shutter; empty: all shutters are global, and
+  /// the arrays below are nullptr.
+  std::vector<double> row_scale;
+  const double* twists = nullptr;    ///< num_images x 6, per frame height, in the camera's frame
+  const double* readouts = nullptr;  ///< num_cameras: share of a frame; NaN: unknown
+  /// num_images x 2: images between which the twist is constant; -1: none. nullptr: all none.
+  const int32_t* twist_neighbours = nullptr;
+  const double* image_frames = nullptr;  ///< num_images: time in frames; nullptr: unknown
+  bool at_observed_row = false;          ///< rows are the measured ones
+
+  bool HasRollingShutter(int image) const {
+    return !row_scale.empty() && (RowScaleOf(image)[0] != 0 || RowScaleOf(image)[1] != 0);
+  }
+  const double* RowScaleOf(int image) const {
+    return &row_scale[2 * static_cast<size_t>(image_camera[image])];
+  }
+  const double* TwistOf(int image) const { return twists + 6 * int64_t{image}; }
 
   const double* ParamsOf(int camera) const {
     return camera_params + static_cast<int64_t>(camera) * camera_params_stride;

@@ -33,6 +33,16 @@ PoseState PoseAt(const double* cam_from_world, const double* w) {
   return pose;
 }
 
+/// The shutter of an image at the problem's own values; false if it is global.
+bool FindShutter(const ProblemView& problem, int64_t image, ImageShutter* shutter) {
+  const int i = static_cast<int>(image);
+  if (!problem.HasRollingShutter(i)) return false;
+  std::copy_n(problem.TwistOf(i), kTwistSize, shutter->twist);
+  std::copy_n(problem.RowScaleOf(i), 2, shutter->row_scale);
+  shutter->at_observed_row = problem.at_observed_row;
+  return true;
+}
+
 template <typename Model>
 void LinearizeOne(const ProblemView& problem, const PoseState& pose, int64_t i,
                   Cheirality cheirality, const ReprojectionDerivatives& out) {
@@ -40,11 +50,19 @@ void LinearizeOne(const ProblemView& problem, const PoseState& pose, int64_t i,
   const int camera = problem.image_camera[problem.observation_image[i]];
   const int stride = problem.camera_params_stride;
   ReprojectionJacobian<kParams> jacobian;
-  EvaluateReprojection<Model>(
-      pose, problem.ParamsOf(camera), problem.points + 3 * int64_t{problem.observation_point[i]},
-      problem.observation_xy + 2 * i, cheirality, out.residual + 2 * i, &jacobian);
+  ImageShutter shutter;
+  const bool rolls = FindShutter(problem, problem.observation_image[i], &shutter);
+  EvaluateReprojection<Model>(pose, problem.ParamsOf(camera),
+                              problem.points + 3 * int64_t{problem.observation_point[i]},
+                              problem.observation_xy + 2 * i, cheirality, out.residual + 2 * i,
+                              &jacobian, rolls ? &shutter : nullptr);
   std::copy_n(jacobian.pose, 12, out.d_pose + 12 * i);
   std::copy_n(jacobian.point, 6, out.d_point + 6 * i);
+  if (out.d_twist != nullptr) {
+    double* const d_twist = out.d_twist + 2 * kTwistSize * i;
+    std::fill_n(d_twist, 2 * kTwistSize, 0.0);
+    if (rolls) std::copy_n(jacobian.twist, 2 * kTwistSize, d_twist);
+  }
   double* d_params = out.d_params + 2 * stride * i;
   std::fill_n(d_params, 2 * stride, 0.0);
   for (int row = 0; row < 2; ++row) {
@@ -74,13 +92,20 @@ void ForResiduals(const ProblemView& problem, int num_threads, Cheirality cheira
       for (int j = 0; j < 3; ++j) point[j] += translation[j];
       const CameraModel& model = *problem.camera_models[camera];
       const double* params = problem.ParamsOf(camera);
-      const Projection projection = model.project(params, point, xy, nullptr, nullptr);
-      behind[i] = !Counts(projection, seen);
+      const double* const measured = problem.observation_xy + 2 * i;
       constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
       double residual[2] = {kNaN, kNaN};
-      if (projection != Projection::kUndefined) {
-        model.difference(params, xy, problem.observation_xy + 2 * i, residual);
+      Projection projection;
+      if (ImageShutter shutter; FindShutter(problem, image, &shutter)) {
+        projection = ResidualByRow(model, params, shutter, point, measured, residual);
+      } else {
+        projection = model.project(params, point, xy, nullptr, nullptr);
+        if (projection != Projection::kUndefined) {
+          model.difference(params, xy, measured, residual);
+        }
       }
+      behind[i] = !Counts(projection, seen);
+      if (projection == Projection::kUndefined) residual[0] = residual[1] = kNaN;
       visit(i, residual);
     }
   });

@@ -34,6 +34,7 @@ struct ReprojectionDerivatives {
   double* d_pose = nullptr;    ///< n x 2 x 6, by the chart (w, t) of reprojection.h
   double* d_params = nullptr;  ///< n x 2 x camera_params_stride, zero beyond the model's parameters
   double* d_point = nullptr;   ///< n x 2 x 3
+  double* d_twist = nullptr;   ///< n x 2 x 6, zero for global shutters; nullptr: not needed
 };
 
 /// Evaluates all observations, with each image's rotation multiplied by Exp(w), where w is from

@@ -32,7 +32,7 @@ struct PartBlock {
   bool is_shared = false;     ///< other own parts may depend on the block
   bool is_contiguous = true;  ///< local[k] = local[0] + k
   int num_local = 0;          ///< number of local columns; equals `size` without a map
-  int8_t local[kPoseSize + kMaxCameraParams] = {};
+  int8_t local[kImageColumns] = {};
   /// M without its zero rows, num_local x size; nullptr: unknown k is local column k.
   const double* map = nullptr;
 
@@ -48,15 +48,14 @@ struct PartBlock {
 };
 
 /// Maximum columns of two parts in whole quads, and therefore of two blocks' unknowns.
-inline constexpr int kMaxMapped =
-    (kPoseSize + kMaxCameraParams + 3) / 4 * 4 * (kPoseSize + kMaxCameraParams);
+inline constexpr int kMaxMapped = (kImageColumns + 3) / 4 * 4 * kImageColumns;
 
 /// to = sum over k of factor[index[k] * stride] times row k of a matrix with `size` columns. If
 /// kSize is not 0, it equals `size`.
 template <int kSize>
 inline void CombineRows(const double* factor, const int8_t* index, int stride, int count,
                         const double* rows, int size, double* to) {
-  constexpr int kMax = kSize > 0 ? kSize : kPoseSize + kMaxCameraParams;
+  constexpr int kMax = kSize > 0 ? kSize : kImageColumns;
   const int columns = kSize > 0 ? kSize : size;
   double sum[kMax] = {};
   for (int k = 0; k < count; ++k) {
@@ -91,9 +90,9 @@ inline void MapBlock(const PartBlock& a, const PartBlock& b, const double* block
     CombineRows(row, b.local, 1, b.num_local, b.map, b.size, to);
   }
   if (a.map == nullptr) return;
-  constexpr int8_t kInTurn[] = {0,  1,  2,  3,  4,  5,  6,  7,  8,  9,  10,
-                                11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21};
-  static_assert(sizeof kInTurn == kPoseSize + kMaxCameraParams);
+  constexpr int8_t kInTurn[] = {0,  1,  2,  3,  4,  5,  6,  7,  8,  9,  10, 11, 12, 13,
+                                14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27};
+  static_assert(sizeof kInTurn == kImageColumns);
   for (int u = 0; u < a.size; ++u) {
     CombineRows(a.map + u, kInTurn, a.size, a.num_local, right, b.size, out + u * b.size);
   }

@@ -10,8 +10,10 @@
 namespace bundle {
 namespace {
 
-constexpr int kNumColumns = kPoseSize + kMaxCameraParams;
+constexpr int kNumColumns = kImageColumns;
 constexpr uint32_t kPoseBits = (1u << kPoseSize) - 1;
+/// Columns of a pose, and of the twist that belongs to it.
+constexpr uint32_t kMotionBits = kPoseBits | ((1u << kTwistSize) - 1) << kFirstTwist;
 constexpr int8_t kPoseColumns[] = {0, 1, 2, 3, 4, 5};
 static_assert(sizeof kPoseColumns == kPoseSize);
 
@@ -42,10 +44,10 @@ ImageParts::ImageParts(const AdjustmentProblem& problem, const ParameterLayout& 
 }
 
 void ImageParts::GroupImages(const AdjustmentProblem& problem, const ParameterLayout& layout) {
-  // Model; if the camera is a part, if the sensor is one; and if the own part, without a camera, is
-  // that of a frame. Such a part has a pose only, as for the other images of the frame. An image
-  // alone of the same model may have its camera in it.
-  using Key = std::tuple<int, bool, bool, bool>;
+  // Model; if the camera is a part, if the sensor is one; if the own part, without a camera, is
+  // that of a frame; and if the shutter rolls. Such a part has a pose only, as for the other images
+  // of the frame. An image alone of the same model may have its camera in it.
+  using Key = std::tuple<int, bool, bool, bool, bool>;
   std::map<Key, int> group_of;
   std::vector<uint32_t> own_bits, camera_bits;
   std::vector<uint32_t> bits_of_model(kNumCameraModels);  // of cameras that are parts
@@ -65,22 +67,24 @@ void ImageParts::GroupImages(const AdjustmentProblem& problem, const ParameterLa
     }
     const auto model_index = static_cast<int>(model - AllCameraModels());
     const bool is_frame_alone = !has_camera && problem.FrameOf(i) >= 0;
-    const Key key = {model_index, has_camera, has_sensor, is_frame_alone};
+    const bool rolls = problem.HasRollingShutter(i);
+    const Key key = {model_index, has_camera, has_sensor, is_frame_alone, rolls};
     const auto [at, is_new] = group_of.try_emplace(key, static_cast<int>(groups_.size()));
     if (is_new) {
       ModelGroup fresh;
       fresh.model = model_index;
+      fresh.rolls = rolls;
       fresh.num_params = model->num_params;
       groups_.push_back(fresh);
       keys.push_back(key);
       own_bits.push_back(0);
     }
-    own_bits[at->second] |= has_camera ? columns & kPoseBits : columns;
-    if (has_camera) bits_of_model[model_index] |= columns & ~kPoseBits;
+    own_bits[at->second] |= has_camera ? columns & kMotionBits : columns;
+    if (has_camera) bits_of_model[model_index] |= columns & ~kMotionBits;
     image_group_.push_back(static_cast<uint8_t>(at->second));
   }
   for (size_t g = 0; g < groups_.size(); ++g) {
-    const auto [model, has_camera, has_sensor, is_frame_alone] = keys[g];
+    const auto [model, has_camera, has_sensor, is_frame_alone, rolls] = keys[g];
     ModelGroup& group = groups_[g];
     std::fill(std::begin(group.columns), std::end(group.columns), ModelGroup::kNoColumn);
     AppendPart(own_bits[g], kOwnPart, &group);
@@ -122,7 +126,8 @@ void ImageParts::NumberParts(const AdjustmentProblem& problem, const ParameterLa
   for (const int i : order) {
     const ParameterLayout::ImageBlocks& blocks = layout.blocks_of(i);
     const bool is_own =
-        blocks[ParameterLayout::kPoseBlock] >= 0 ||
+        blocks[ParameterLayout::kPoseBlock] >= 0 || blocks[ParameterLayout::kBeforeBlock] >= 0 ||
+        blocks[ParameterLayout::kAfterBlock] >= 0 || blocks[ParameterLayout::kReadoutBlock] >= 0 ||
         (!HasCameraPart(problem, layout, i) && blocks[ParameterLayout::kTiedBlock] >= 0);
     if (has_model(i) && is_own) number(i, kOwnPart, &own, MovingPose(problem, i));
   }

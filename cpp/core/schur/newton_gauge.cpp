@@ -16,7 +16,7 @@ constexpr double kSingular = 1e-14;  // of N^T D^2 N in units of its diagonal
 /// True if a factor on this rank may fix the position or orientation of the world.
 bool MayHoldWorld(const AdjustmentProblem& problem, const ParameterLayout& layout,
                   const EliminationPlan& plan) {
-  if (MayFixGauge(problem) || plan.num_points() > plan.num_free_points) return true;
+  if (DependsOnPoses(problem) || plan.num_points() > plan.num_free_points) return true;
   const std::vector<uint8_t> observed = FindObservedImages(problem);
   const FreeParameters& free = layout.free();
   for (int i = 0; i < problem.num_images; ++i) {

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "core/cameras/registry.h"
 #include "core/model/factor_costs.h"
 #include "core/model/gauge.h"
 #include "core/parallel/thread_pool.h"
@@ -55,7 +56,8 @@ SchurProblem::SchurProblem(const AdjustmentProblem& problem, const ParameterLayo
   scale_.resize(n);
   d_squared_.resize(n);
   newton_.resize(n);
-  if (setup_.sums == SumOrder::kGrid) {
+  // A hard-tied twist has no column of its own, by whose norm the grid could be chosen.
+  if (setup_.sums == SumOrder::kGrid && !layout.HasHardTwists()) {
     grid_ = std::make_unique<SumGrid>(input_, assembler_, structure_, setup_.parts.num_parts());
     sums_.UseGrid(grid_.get());
   }
@@ -169,13 +171,17 @@ bool SchurProblem::ReleaseHeld() {
     const int64_t point = next - plan_.first.begin() - 1;
     const int image = plan_.image[held.observation];
     const int camera = problem_.image_camera[image];
-    const PoseState& pose = x_->cameras().pose(image);
-    double in_camera[3], xy[2];
-    MatrixVector3(pose.rotation, &x_->points[3 * point], in_camera);
-    for (int i = 0; i < 3; ++i) in_camera[i] += pose.translation[i];
-    return Counts(problem_.camera_models[camera]->project(x_->cameras().params(camera), in_camera,
-                                                          xy, nullptr, nullptr),
-                  input_.cheirality);
+    const CameraStates& cameras = x_->cameras();
+    double residual[2];
+    bool counts_now = false;
+    VisitCameraModel(*problem_.camera_models[camera], [&](auto model) {
+      using Model = decltype(model);
+      counts_now = EvaluateReprojection<Model, kNumParams<Model>>(
+          cameras.pose(image), cameras.params(camera), &x_->points[3 * point],
+          &plan_.xy[2 * held.observation], input_.cheirality, residual, nullptr,
+          cameras.shutter(image));
+    });
+    return counts_now;
   };
   if (SumOverRanks(communicator_, x_->held.Release(counts)) == 0) return false;
   solver_->ForgetValues();

@@ -24,9 +24,14 @@ bool RefinesSensors(const AdjustmentProblem& problem, const ParameterLayout& lay
   return false;
 }
 
+int ShutterSize(const AdjustmentProblem& problem) {
+  return problem.row_scale.empty() ? 0 : kShutter;
+}
+
 int RecordStride(const AdjustmentProblem& problem, bool has_sensor_maps) {
   return StateRecords::kParams + RoundedParams(problem) +
-         (problem.num_frames > 0 ? kTranslationJacobian : 0) + (has_sensor_maps ? kSensorMap : 0);
+         (problem.num_frames > 0 ? kTranslationJacobian : 0) + (has_sensor_maps ? kSensorMap : 0) +
+         ShutterSize(problem);
 }
 
 }  // namespace
@@ -57,10 +62,12 @@ StateRecords State::records() const {
   StateRecords records;
   records.images = images_.data();
   records.stride = stride_;
-  if (has_sensor_maps_) records.sensor_map = stride_ - kSensorMap;
+  const int end = stride_ - ShutterSize(problem_);
+  if (end < stride_) records.shutter = end;
+  records.at_observed_row = problem_.at_observed_row;
+  if (has_sensor_maps_) records.sensor_map = end - kSensorMap;
   if (problem_.num_frames > 0) {
-    records.translation_jacobian =
-        stride_ - kTranslationJacobian - (has_sensor_maps_ ? kSensorMap : 0);
+    records.translation_jacobian = end - kTranslationJacobian - (has_sensor_maps_ ? kSensorMap : 0);
   }
   records.points = points.data();
   records.held = held.all().data();
@@ -87,6 +94,10 @@ void State::Update() {
     std::copy_n(pose.translation, 3, record + StateRecords::kTranslation);
     std::copy_n(pose.left_jacobian, 9, record + StateRecords::kLeftJacobian);
     if (problem_.num_frames > 0) PutFrameChart(cameras_.rig(i), record);
+    if (const ImageShutter* const shutter = cameras_.shutter(i)) {
+      double* const to = std::copy_n(shutter->twist, kTwistSize, record + stride_ - kShutter);
+      std::copy_n(shutter->row_scale, 2, to);
+    }
     if (problem_.camera_models[camera] == nullptr) continue;  // camera without observations
     std::copy_n(cameras_.params(camera), problem_.camera_models[camera]->num_params,
                 record + StateRecords::kParams);
@@ -96,9 +107,10 @@ void State::Update() {
 /// Derivatives by the chart of the frame: R_s J_f and R_s. Without a rig, the translation is a
 /// coordinate itself. Also K of the sensor.
 void State::PutFrameChart(const RigPose& rig, double* record) const {
-  double* translation = record + stride_ - kTranslationJacobian;
+  const int end = stride_ - ShutterSize(problem_);
+  double* translation = record + end - kTranslationJacobian;
   if (has_sensor_maps_) {
-    double* const map = record + stride_ - kSensorMap;
+    double* const map = record + end - kSensorMap;
     translation -= kSensorMap;
     if (rig.sensor != nullptr) SensorByFrameMap(rig, map);
   }
@@ -132,12 +144,15 @@ CameraStep::CameraStep(const AdjustmentProblem& problem, const ParameterLayout& 
       layout_(layout),
       poses_(static_cast<int64_t>(NumPoses(problem)) * kPoseSize),
       camera_params_(static_cast<int64_t>(problem.num_cameras) * problem.camera_params_stride),
-      stride_(StepRecords::kParams + RoundedParams(problem)) {
+      twists_(problem.row_scale.empty() ? 0 : size_t{kTwistSize} * problem.num_images),
+      readouts_(problem.num_cameras),
+      stride_(StepRecords::kParams + RoundedParams(problem) + ShutterSize(problem)) {
   images_.resize(static_cast<int64_t>(problem.num_images) * stride_);
 }
 
 void CameraStep::Set(const std::vector<double>& camera_state, const CameraStates& at) {
-  layout_.Scatter(problem_, camera_state.data(), poses_.data(), camera_params_.data());
+  layout_.Scatter(problem_, camera_state.data(), poses_.data(), camera_params_.data(),
+                  twists_.data(), readouts_.data());
   for (int i = 0; i < problem_.num_images; ++i) {
     double* const record = images_.data() + static_cast<int64_t>(i) * stride_;
     const double* const pose = PoseStep(i);
@@ -151,10 +166,27 @@ void CameraStep::Set(const std::vector<double>& camera_state, const CameraStates
         Cross3(record, at.pose(i).translation, record + StepRecords::kTranslation);
       }
     }
+    if (const TwistMap* const map = at.twist_map(i)) {
+      SetHardTwist(i, *map, record + stride_ - kShutter);
+    } else if (problem_.HasRollingShutter(i)) {
+      std::copy_n(&twists_[size_t{kTwistSize} * i], kTwistSize, record + stride_ - kShutter);
+    }
     if (problem_.camera_models[camera] == nullptr) continue;
     std::copy_n(
         camera_params_.data() + static_cast<int64_t>(camera) * problem_.camera_params_stride,
         problem_.camera_models[camera]->num_params, record + StepRecords::kParams);
+  }
+}
+
+void CameraStep::SetHardTwist(int image, const TwistMap& map, double* step) const {
+  const double* const before = PoseStep(problem_.twist_neighbours[2 * int64_t{image}]);
+  const double* const after = PoseStep(problem_.twist_neighbours[2 * int64_t{image} + 1]);
+  for (int i = 0; i < kTwistSize; ++i) {
+    step[i] = map.readout[i] * readouts_[problem_.image_camera[image]];
+    for (int j = 0; j < kPoseSize; ++j) {
+      step[i] +=
+          map.before[kPoseSize * i + j] * before[j] + map.after[kPoseSize * i + j] * after[j];
+    }
   }
 }
 

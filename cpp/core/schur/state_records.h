@@ -15,6 +15,9 @@ namespace bundle {
 
 /// The states and steps of a solve in the form that the passes read (kernels.h).
 
+/// Space of a shutter at the end of a record: twist, row scale.
+inline constexpr int kShutter = kTwistSize + 2;
+
 /// One state: the camera parameters as a vector of the layout, their expanded form, and the points
 /// of the plan.
 class State {
@@ -60,10 +63,14 @@ class CameraStep {
   CameraStep(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
   void Set(const std::vector<double>& camera_state, const CameraStates& at);
-  StepRecords records() const { return {images_.data(), stride_}; }
+  StepRecords records() const {
+    const bool has_twists = !problem_.row_scale.empty();
+    return {has_twists ? stride_ - kShutter : 0, images_.data(), stride_};
+  }
 
  private:
   void SetOnRig(int image, const RigPose& rig, double* record) const;
+  void SetHardTwist(int image, const TwistMap& map, double* step) const;
   const double* PoseStep(int pose) const {
     return poses_.data() + static_cast<int64_t>(pose) * kPoseSize;
   }
@@ -72,6 +79,7 @@ class CameraStep {
   const ParameterLayout& layout_;
   std::vector<double> poses_;  ///< zero for constant poses
   std::vector<double> camera_params_;
+  std::vector<double> twists_, readouts_;
   std::vector<double> images_;
   int stride_;
 };

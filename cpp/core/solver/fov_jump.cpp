@@ -61,6 +61,7 @@ class SeveralSolves {
     view.sensor_from_rig = state.sensor_from_rig.data();
     view.camera_params = state.camera_params.data();
     view.points = state.points.data();
+    state.PutShutters(&view);
     return view;
   }
 

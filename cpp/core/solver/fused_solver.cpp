@@ -304,6 +304,8 @@ void FusedSolver::CollectState(SolveOutput* output) {
   output->sensor_from_rig = cameras.SensorFromRig();
   output->camera_params = cameras.camera_params();
   output->points = schur_->Points();
+  output->twists = cameras.Twists();
+  output->readouts = cameras.readouts();
 }
 
 int64_t FusedSolver::CountInformation() {

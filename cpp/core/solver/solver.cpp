@@ -97,6 +97,7 @@ void SetFactorCosts(const AdjustmentProblem& given, const ProblemFactors* factor
   refined.cam_from_world = output->cam_from_world.data();
   refined.camera_params = output->camera_params.data();
   refined.points = output->points.data();
+  output->PutShutters(&refined);
   output->factor_costs_after = FactorCosts(refined);
 }
 
@@ -198,6 +199,8 @@ class Solver::Impl {
     problem_.sensor_from_rig = from.sensor_from_rig;
     problem_.camera_params = from.camera_params;
     problem_.points = from.points;
+    problem_.twists = from.twists;
+    problem_.readouts = from.readouts;
     problem_.observation_xy = from.observation_xy;
     problem_.observation_sigma = from.observation_sigma;
     std::copy_n(from.origin, 3, problem_.origin);

@@ -116,7 +116,8 @@ class _Check:
             hopeless = rows[rounding[rows] > CENTER]
             rows = rows[rounding[rows] <= CENTER]
             if name not in self.models:
-                self.models[name] = ModelCheck.make(name, self.settings.tolerance)
+                rolls = self.problem.rolling_shutter is not None
+                self.models[name] = ModelCheck.make(name, self.settings.tolerance, rolls=rolls)
             model = self.models[name]
             analytic, reference, uncertainty = (
                 matrix[rows][..., model.source] for matrix in answer[:3]
@@ -238,7 +239,7 @@ class _Check:
 
         def reference_at(k: int, parameter: int) -> Array | None:
             column = parameter - 6
-            if not 0 <= column < len(model.tally.columns) - 9:
+            if not 0 <= column < model.num_params:
                 return None  # only camera parameters can have missing terms
             observation = np.array([numbers[k]], np.int64)
             image = self.problem.observation_image[observation[0]]
@@ -270,12 +271,14 @@ class _Check:
     def _parameters(self, model: ModelCheck, observations: NDArray[np.intp]) -> Array:
         problem = self.problem
         images = problem.observation_image[observations]
-        count = len(model.tally.columns) - 9
+        count = model.num_params
+        shutter = problem.rolling_shutter
         return np.hstack(
             [
                 np.array([model.offsets[int(i)] for i in observations]),
                 problem.cam_from_world[images, 4:],
                 problem.camera_params[problem.image_camera[images], :count],
+                *(() if shutter is None else (shutter.twist[images],)),
                 problem.points[problem.observation_point[observations]],
             ]
         )
@@ -287,7 +290,7 @@ class _Check:
         point = int(problem.point_ids[problem.observation_point[entry.point]])
         column = model.tally.columns[entry.column].name
         camera_id = int(problem.camera_ids[camera])
-        if entry.column < 6:
+        if entry.column < 6 or column.startswith("twist "):
             parameter = f"{self._image(image)} {column}"
         elif column.startswith("point "):
             parameter = f"point {point} {column.removeprefix('point ')}"

@@ -72,6 +72,7 @@ def _refine(parser: Parser) -> None:
     add_georeference(parser)
     add_inertial_flags(parser)
     add_options(parser, "LensOptions", "cameras of OUTPUT")
+    add_options(parser, "ShutterOptions", "rolling shutters")
     add_fields(parser, "LocalOptions")
     add_options(parser, "LoopOptions", "loops")
     add_options(parser, "CheckpointOptions", "runs that may be killed")

@@ -11,6 +11,8 @@ from bundle.cli.option_flags import naming_flags
 from bundle.errors import InputError
 from bundle.interface.camera_edit_options import LensOptions, RuleOptions
 from bundle.interface.loop_options import LoopOptions
+from bundle.interface.options import SolveOptions
+from bundle.interface.rolling_shutter_options import ShutterOptions
 
 if TYPE_CHECKING:
     from bundle.editing.cameras.edit_record import CameraEdits
@@ -18,7 +20,14 @@ if TYPE_CHECKING:
     from bundle.model.problem import Problem
     from bundle.solving.constraints.rule_list import Constraints
 
-__all__ = ["cameras_edited", "loops_closed", "rules_as_options", "rules_of", "with_rigs"]
+__all__ = [
+    "cameras_edited",
+    "loops_closed",
+    "rules_as_options",
+    "rules_of",
+    "with_rigs",
+    "with_shutters",
+]
 
 
 def with_rigs(problem: Problem, path: str | None) -> Problem:
@@ -33,6 +42,24 @@ def with_rigs(problem: Problem, path: str | None) -> Problem:
     from bundle.editing.rig_config import apply_rig_config
 
     return apply_rig_config(problem, path)
+
+
+def with_shutters(
+    problem: Problem, given: ShutterOptions, options: SolveOptions
+) -> tuple[Problem, SolveOptions]:
+    """Return the problem with the given rolling shutters, and the options with their readout.
+
+    Raises:
+        InputError: as :func:`bundle.editing.rolling_shutters.with_shutters`.
+        OSError: the file of times cannot be read.
+    """
+    if not given.changed():
+        return problem, options
+    from bundle.editing import rolling_shutters
+
+    names = ShutterOptions, SolveOptions
+    with naming_flags(*names, refine_readout="--readout estimate"):
+        return rolling_shutters.with_shutters(problem, given, options)
 
 
 def cameras_edited(given: LensOptions, problem: Problem) -> CameraEdits | None:

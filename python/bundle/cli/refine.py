@@ -9,6 +9,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from bundle.base.waiting_time import Waiting, waiting_since
 from bundle.cli.carried_georeference import (
     carry_georeference,
@@ -30,6 +32,7 @@ from bundle.cli.problem_edits import (
     cameras_edited,
     loops_closed,
     with_rigs,
+    with_shutters,
 )
 from bundle.cli.progress import Progress
 from bundle.cli.refinement import Refinement
@@ -129,9 +132,11 @@ def run(arguments: argparse.Namespace) -> int:
         total=perf_counter() - started,
     )
     told = (asked.source, opened.loaded, solved, wall, written)
+    sigmas = _readout_sigmas(asked, opened, closed, solved)
+    beside = asked.options_beside()
     report = refinement(
-        *told, lost, asked.options_beside(), georeference, opened.edits, closed, findings, waiting,
-        attitudes, inertial,
+        *told, lost, beside, georeference, opened.edits, closed, findings, waiting,
+        attitudes, inertial, sigmas,
     )  # fmt: skip
     publish(report, asked)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
@@ -155,7 +160,8 @@ def _open(asked: Refinement, progress: Progress) -> Opened:
         raise InputError(f"{shown(source)}: expected observations to refine, found 0")
     edits = cameras_edited(asked.lenses, loaded)
     problem = with_rigs(loaded if edits is None else edits.problem, asked.rig_config)
-    options = with_named_images(asked.options, asked.fixed_images, problem)
+    problem, options = with_shutters(problem, asked.shutters, asked.options)
+    options = with_named_images(options, asked.fixed_images, problem)
     output = _checked_output(asked, problem, options)
     given = asked.georeference
     for what, path in (
@@ -314,6 +320,30 @@ def _judge(
         priors=priors if inertial is None else (inertial,),
         is_minimum=solved.summary.termination_type == "CONVERGENCE",
     )
+
+
+def _readout_sigmas(
+    asked: Refinement, opened: Opened, closed: LoopClosing | None, solved: Result
+) -> dict[int, float]:
+    """Return the standard deviation of each refined readout, by camera id."""
+    shutter = solved.problem.rolling_shutter
+    if not solved.options.refine_readout or not solved.summary.is_solution_usable:
+        return {}
+    if shutter is None or np.isnan(shutter.readout[shutter.is_rolling]).any():
+        return {}  # not determined; a warning says so
+    from bundle.analysis.uncertainty.covariance_by_input import covariance  # few runs need it
+
+    found = covariance(
+        solved.problem,
+        solved.options,
+        of="intrinsics",
+        scale="sigma0",
+        factors=() if closed is None else closed.factors,
+        priors=() if opened.known is None else opened.known.priors,
+        constraints=asked.constraints,
+    )
+    variances = zip(found.camera_ids.tolist(), found.readout_covariance.tolist(), strict=True)
+    return {camera: variance**0.5 for camera, variance in variances if variance >= 0}
 
 
 def _write_page(

@@ -23,6 +23,7 @@ from bundle.interface.camera_edit_options import LensOptions, RuleOptions
 from bundle.interface.georeference_options import GeoreferenceOptions
 from bundle.interface.loop_options import LoopOptions
 from bundle.interface.options import SolveOptions
+from bundle.interface.rolling_shutter_options import ShutterOptions
 from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
 from bundle.interface.validation_options import HoldOutOptions
 from bundle.io.formats.read_options import ReadOptions
@@ -60,6 +61,7 @@ class Refinement:
         georeference: options of positions and control points.
         loops: loops to close before the solve.
         lenses: cameras of the output.
+        shutters: rolling shutters.
         rules: rules as given.
         constraints: the parsed rules.
         inertial: files of an IMU, or None.
@@ -85,6 +87,7 @@ class Refinement:
     georeference: GeoreferenceOptions
     loops: LoopOptions
     lenses: LensOptions
+    shutters: ShutterOptions
     rules: RuleOptions
     constraints: Constraints | tuple[()]
     inertial: InertialFiles | None
@@ -135,6 +138,7 @@ class Refinement:
             georeference=georeference,
             loops=loops,
             lenses=options_given(arguments, LensOptions),
+            shutters=options_given(arguments, ShutterOptions),
             rules=rules,
             constraints=constraints,
             inertial=inertial_given(arguments),

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bundle.interface.options import SolveOptions
-from bundle.io.atomic.model_files import is_text_model, missing_model_files
+from bundle.io.atomic.model_files import ROLLING_SHUTTER, is_text_model, missing_model_files
 from bundle.io.open import output_format, recover
 from bundle.io.recognition import imported_format
 from bundle.solving.ranks.launch import current
@@ -44,6 +44,8 @@ def sliced_input(
         return None
     path = Path(source)
     recover(path)
+    if (path / ROLLING_SHUTTER).is_file():  # slices know only global shutters
+        return None
     source_format = _format(path)
     if source_format is None:
         return None

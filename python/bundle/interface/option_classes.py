@@ -32,6 +32,7 @@ OPTION_CLASSES = {
     "RuleOptions": "camera_edit_options",
     "SceneOptions": "scene_options",
     "ShapeOptions": "inspect_options",
+    "ShutterOptions": "rolling_shutter_options",
     "SolveOptions": "options",
     "TrackingOptions": "tracking_options",
     "TriageOptions": "triage_options",

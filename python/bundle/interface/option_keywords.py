@@ -50,6 +50,9 @@ class SolveKeywords(TypedDict, total=False):
     fixed_point_ids: Iterable[int]  # ()
     refine_sensor_from_rig: bool  # False
     fixed_sensors: Iterable[tuple[int, int]]  # ()
+    twists: str  # 'free'
+    twist_sigma: Iterable[float]  # ()
+    refine_readout: bool  # False
     gauge: str  # 'auto'
     cheirality: str  # 'auto'
     check_solution: bool  # True

@@ -55,9 +55,12 @@ REFINABLE = ("poses", "points", "focal", "principal_point", "extra")
 GAUGES = ("auto", "none", "two_cameras", "three_points")
 CHEIRALITIES = ("auto", "algebraic", "zero")
 
+TWISTS = ("free", "tied", "hard")
+
 REFINED = (
     *("num_threads", "refine", "fixed_camera_ids", "fixed_image_ids", "fixed_point_ids"),
     *("refine_sensor_from_rig", "fixed_sensors"),
+    *("twists", "twist_sigma", "refine_readout"),
 )
 """Options of the commands that examine a problem without solving it, and the thread count."""
 PATTERN = (*REFINED, "gauge")
@@ -227,6 +230,30 @@ class SolveOptions(Options):
         metavar="SENSORS",
         value="sensors",
     )
+    twists: str = option(
+        "free",
+        "--twists",
+        "motion of images with rolling shutters during their readout. free: its own, six numbers "
+        "per image. tied: its own, but near the readout times the motion per frame between the "
+        "neighbours in the video. hard: equal to that, which makes all standard deviations too "
+        "small",
+        choices=TWISTS,
+    )
+    twist_sigma: tuple[float, ...] = option(
+        (),
+        "--twist-sigma",
+        "standard deviations of tied twists per frame height: of the rotation in radians, and of "
+        "the translation in the reconstruction's length unit",
+        metavar="W,V",
+        late=True,
+        only_with=("twists", ("tied",)),
+    )
+    refine_readout: bool = option(
+        False,
+        "--refine-readout",
+        "refine the readout of each camera, from tied or hard twists",
+        only_with=("twists", ("tied", "hard")),
+    )
     gauge: str = option(
         "auto",
         "--gauge",
@@ -261,7 +288,17 @@ class SolveOptions(Options):
             object.__setattr__(self, "refine", refine)
             object.__setattr__(self, f"refine_{SENSORS}", True)
 
+        if self.refine_readout and self.twists == "free":
+            raise InputError(
+                "refine_readout: expected tied or hard twists, found free ones, of which only the "
+                "product of readout and motion is visible"
+            )
+        if self.twists == "tied" and not self.twist_sigma:
+            raise InputError("twists: tied needs twist_sigma, two numbers above 0")
+
     def _checked(self, field: dataclasses.Field[Any], value: Any) -> Any:
+        if field.name == "twist_sigma":
+            return _twist_sigma(value)
         if field.name == "refine":
             return _names(value)
         if field.name == "fixed_sensors":
@@ -284,6 +321,21 @@ def _names(value: Any) -> tuple[str, ...]:
     every = (*REFINABLE, SENSORS)
     chosen = {choice("refine", word, every) for word in named}
     return tuple(name for name in every if name in chosen)
+
+
+def _twist_sigma(value: Any) -> tuple[float, ...]:
+    """Return the sigmas of the angular and the other part of a twist; () without any."""
+    if isinstance(value, tuple | list) and not value:
+        return ()
+    expected = f"twist_sigma: expected two numbers above 0, found {brief(value)}"
+    try:
+        parts = value.split(",") if isinstance(value, str) else list(value)
+        w, v = (float(part) for part in parts)
+    except (TypeError, ValueError):
+        raise InputError(expected) from None
+    if not (0 < w < float("inf") and 0 < v < float("inf")):
+        raise InputError(expected)
+    return w, v
 
 
 def _sensors(value: Any) -> tuple[tuple[int, int], ...]:

@@ -32,6 +32,7 @@ WARNING_KINDS = {
     "steep_end": "steps became too short although the model still predicts a decrease",
     "formula_jump": "omega of FOV met the jump of COLMAP's formula at 0.01",
     "world_scale": "the size of the scene is extreme, and factors fix the unit of length",
+    "readout_outside": "a readout ended outside of 0 to 1 frame: it is not determined",
     "weak_baseline": "focal lengths and baselines of rigs, hardly separable, changed together",
     "several_components": "no edge or factor connects parts of a graph: their relation is free",
     "local_minimum": "a pose graph converged above the cost of another start",

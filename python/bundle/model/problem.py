@@ -157,6 +157,7 @@ class Problem(Displayed):
         }
         object.__setattr__(self, "camera_models", tuple(canonical[model] for model in models))
         rig_arrays.settle(self)
+        rolling_shutter.check_counts(self, self.rolling_shutter)
         _core.validate(self)
         check_values(self)
         rig_arrays.check(self)

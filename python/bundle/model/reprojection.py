@@ -55,12 +55,15 @@ class Linearization(NamedTuple):
         d_params: (N, 2, width) derivative by the parameters of the camera, in COLMAP's order; zero
             in columns beyond the parameters of its model.
         d_point: (N, 2, 3) derivative by the point.
+        d_twist: (N, 2, 6) derivative by the twist of the observation's image; zero for global
+            shutters.
     """
 
     residual: NDArray[np.float64]
     d_pose: NDArray[np.float64]
     d_params: NDArray[np.float64]
     d_point: NDArray[np.float64]
+    d_twist: NDArray[np.float64]
 
 
 def resolve_cheirality(problem: Problem, cheirality: str) -> str:

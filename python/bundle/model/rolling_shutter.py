@@ -27,7 +27,15 @@ from bundle.errors import InputError, brief
 from bundle.interface.option_fields import choice
 from bundle.model.problem_arrays import ProblemArrays
 
-__all__ = ["DIRECTIONS", "ROW_TIMES", "RollingShutter", "check", "selected"]
+__all__ = [
+    "DIRECTIONS",
+    "ROW_TIMES",
+    "RollingShutter",
+    "check",
+    "check_counts",
+    "refuse",
+    "selected",
+]
 
 
 def _unknown() -> Any:
@@ -128,11 +136,52 @@ class RollingShutter(FrozenArrays, Displayed):
                 f"rolling_shutter: neighbours: expected indices from -1 to {len(known) - 1}, found "
                 f"{known.min() if known.min() < -1 else known.max()}"
             )
+        half = (known < 0).any(axis=1) & (known >= 0).any(axis=1)
+        if half.any():
+            raise InputError(
+                "rolling_shutter: neighbours: expected two images or twice -1, found "
+                f"{known[half][0].tolist()}"
+            )
 
     @property
     def is_rolling(self) -> NDArray[np.bool_]:
         """(num_cameras,) mask of the cameras with a rolling shutter."""
         return np.asarray(self.axis > 0)
+
+    def tied(self, problem: ProblemArrays) -> NDArray[np.bool_]:
+        """Return the mask of images with a rolling shutter and with neighbours."""
+        if self.neighbours is None:
+            return np.zeros(len(self.twist), bool)
+        rolls = np.asarray(self.is_rolling[problem.image_camera])
+        return np.asarray(rolls & (self.neighbours[:, 0] >= 0) & (self.neighbours[:, 1] >= 0))
+
+    def check_tied(self, problem: ProblemArrays) -> None:
+        """Check that twists can be tied to the poses of neighbours.
+
+        Raises:
+            InputError: no image has neighbours, or a time or a readout is unknown.
+        """
+        tied = self.tied(problem)
+        if self.frames is None or self.neighbours is None or not tied.any():
+            raise InputError(
+                "twists: expected images with times and neighbours in the same video "
+                "(RollingShutter.frames and neighbours; --frames), found 0 images with both"
+            )
+        apart = self.frames[self.neighbours[:, 1]] - self.frames[self.neighbours[:, 0]]
+        wrong = tied & ~(apart > 0)
+        if wrong.any():
+            image = int(np.argmax(wrong))
+            raise InputError(
+                f"rolling_shutter: image {problem.image_ids[image]}: expected neighbours in the "
+                f"order of time, found {apart[image]:g} frames from one to the other"
+            )
+        unknown = tied & np.isnan(self.readout[problem.image_camera])
+        if unknown.any():
+            camera = problem.image_camera[int(np.argmax(unknown))]
+            raise InputError(
+                f"rolling_shutter: camera {problem.camera_ids[camera]}: expected a readout for "
+                "tied twists, found an unknown one"
+            )
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some fields replaced."""
@@ -149,12 +198,11 @@ class RollingShutter(FrozenArrays, Displayed):
         )
 
 
-def check(problem: ProblemArrays, shutter: Any) -> None:
-    """Check that a rolling shutter fits the problem.
+def check_counts(problem: ProblemArrays, shutter: Any) -> None:
+    """Check that a rolling shutter has the cameras and images of the problem.
 
     Raises:
-        InputError: the counts differ, an image has no size, or an image of a rig has a rolling
-            shutter.
+        InputError: it is something else, or the counts differ.
     """
     if shutter is None:
         return
@@ -163,13 +211,23 @@ def check(problem: ProblemArrays, shutter: Any) -> None:
             f"rolling_shutter: expected a bundle.RollingShutter or None, found {brief(shutter)}"
         )
     for what, expected, found in (
-        ("cameras", len(problem.camera_ids), len(shutter.direction)),
-        ("images", len(problem.image_ids), len(shutter.twist)),
+        ("cameras", len(problem.camera_params), len(shutter.direction)),
+        ("images", len(problem.cam_from_world), len(shutter.twist)),
     ):
         if expected != found:
             raise InputError(
                 f"rolling_shutter: expected the problem's {expected} {what}, found {found}"
             )
+
+
+def check(problem: ProblemArrays, shutter: RollingShutter | None) -> None:
+    """Check that a rolling shutter fits a problem whose arrays are valid.
+
+    Raises:
+        InputError: an image has no size, or an image of a rig has a rolling shutter.
+    """
+    if shutter is None:
+        return
     rolls = shutter.is_rolling[problem.image_camera]
     sizes = problem.camera_sizes[problem.image_camera]
     axis = shutter.axis[problem.image_camera]
@@ -220,4 +278,20 @@ def selected(
         twist=freeze(shutter.twist[images]),
         frames=frames,
         neighbours=neighbours,
+    )
+
+
+def refuse(problem: ProblemArrays, shutter: RollingShutter | None, what: str) -> None:
+    """Raise an InputError if an image has a rolling shutter.
+
+    Args:
+        problem: the problem.
+        shutter: its rolling shutters.
+        what: argument or command that does not support rolling shutters.
+    """
+    if shutter is None or not shutter.is_rolling.any():
+        return
+    camera = problem.camera_ids[int(np.argmax(shutter.is_rolling))]
+    raise InputError(
+        f"{what}: expected cameras with global shutters, found a rolling shutter (camera {camera})"
     )

@@ -9,6 +9,7 @@ import bundle._core as _core
 from bundle.base.arguments import check_function
 from bundle.base.log_messages import log, logged_iterations
 from bundle.interface.solve_record import Progress
+from bundle.solving.layout import refuse_shrinking
 from bundle.solving.prepare import Executor, Prepared
 from bundle.solving.ranks.launch import current
 from bundle.solving.ranks.one_process import warning
@@ -62,6 +63,7 @@ def solve_prepared(
     """
     check_function("progress", progress)
     executor = _default_executor() if executor is None else executor
+    refuse_shrinking(prepared.layout)
     log("info", "solving %s", prepared.start)
     result = prepared.result(executor.run(prepared, logged_iterations(progress)))
     log("info", "%s", result.outcome)

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import bundle._core as _core
+from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.model.reprojection import resolve_cheirality
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.restrictions import Restrictions
     from bundle.solving.request import Bounds
 
-__all__ = ["Layout", "lay_out", "resolve_defaults"]
+__all__ = ["Layout", "lay_out", "refuse_shrinking", "resolve_defaults"]
 
 
 class Layout(NamedTuple):
@@ -54,10 +55,16 @@ def lay_out(
     if applied is not None and applied.factors:
         factors = (*factors, *applied.factors)
     known = _problem_factors(problem, factors)
+    if problem.rolling_shutter is not None or options.twists != "free":
+        known, options = _with_twists(problem, options, factors, known)
     locate = (known is not None and known.locate) or (applied is not None and applied.locate)
     if locate and options.gauge == "auto":
         options = options.replace(gauge="none")
     limits = _restrictions(problem, bounds, applied)
+    if options.twists == "hard" and limits is not None and limits.held_pose_parts is not None:
+        raise InputError(
+            "constraints: expected free rotations and positions with hard twists, which follow them"
+        )
     return Layout(resolve_defaults(problem, options), known, limits)
 
 
@@ -69,6 +76,51 @@ def _restrictions(
     from bundle.solving.constraints.restrictions import Restrictions  # slow to import
 
     return Restrictions.make(problem, bounds, applied)
+
+
+def _with_twists(
+    problem: Problem,
+    options: SolveOptions,
+    factors: Iterable[Factor],
+    known: ProblemFactors | None,
+) -> tuple[ProblemFactors | None, SolveOptions]:
+    """Add the ties of twists, and hold the scale of the world, which ties would make small.
+
+    Raises:
+        InputError: twists cannot be tied.
+    """
+    from bundle.graphs.factors.twist_ties import twist_ties  # only with rolling shutters
+
+    shutter = problem.rolling_shutter
+    if shutter is None:
+        raise InputError(
+            f"twists: expected free for a problem without rolling shutters, found {options.twists}"
+        )
+    if options.twists == "hard":
+        shutter.check_tied(problem)
+    if options.twists != "tied":
+        return known, options
+    holds = known is not None and known.locate
+    ties = twist_ties(problem, options.twist_sigma)
+    if not holds and options.gauge == "auto":
+        options = options.replace(gauge="two_cameras")
+    return _problem_factors(problem, (*factors, *ties)), options
+
+
+def refuse_shrinking(layout: Layout) -> None:
+    """Refuse a solve with tied twists in which nothing holds the scale of the world.
+
+    Raises:
+        InputError: the gauge is none, and neither factors nor constant images hold the scale.
+    """
+    options, known, _ = layout
+    if options.twists != "tied" or options.gauge != "none" or options.fixed_image_ids:
+        return
+    if known is None or not known.locate:
+        raise InputError(
+            "gauge: expected two-cameras or positions with tied twists, which always fit a smaller "
+            "world better, found gauge none without positions"
+        )
 
 
 def _problem_factors(problem: Problem, factors: Iterable[Factor]) -> ProblemFactors | None:

@@ -18,6 +18,7 @@ from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.interface.solve_record import Progress, record_fields, with_warnings
 from bundle.model.problem import Problem
+from bundle.model.rolling_shutter import refuse
 from bundle.solving.kept_errors import Edit
 from bundle.solving.layout import Layout, lay_out
 from bundle.solving.placed_problem import PlacedProblem, place_at_priors
@@ -25,6 +26,7 @@ from bundle.solving.points_first_look import with_model_alarm
 from bundle.solving.request import Bounds, PartRequest, SolveRequest
 from bundle.solving.result import Result
 from bundle.solving.sensor_changes import weak_baseline
+from bundle.solving.shutter_gain import refined_shutter
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
@@ -93,8 +95,12 @@ class Prepared:
         """Return the output of an executor as a result of the start, with all warnings."""
         options, known, limits = self.layout
         before = self.before
-        refined = before._moved(**{name: output[name] for name in STATE if name in output})
+        moved = {name: output[name] for name in STATE if name in output}
         warnings = {"one_process": output.get("alone", "")}
+        if "twist" in output and before.rolling_shutter is not None:
+            moved["rolling_shutter"], outside = refined_shutter(before, output)
+            warnings["readout_outside"] = outside
+        refined = before._moved(**moved)
         if known is not None and options.check_solution:
             from bundle.graphs.factors.problem_factors import wrong_factor  # slow to import
 
@@ -258,6 +264,7 @@ def _within(part: LocalPart, whole: Prepared) -> Prepared:
     if part.is_marginal:
         from bundle.solving.rounds.rest_prior import marginalize_rest  # for this rest only
 
+        refuse(given, given.rolling_shutter, "rest: marginal")
         if applied is not None:
             raise InputError("rest: expected fixed with constraints, found marginal")
         rest = marginalize_rest(given, part, options, whole.bounds)

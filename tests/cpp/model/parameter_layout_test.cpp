@@ -93,7 +93,7 @@ void CheckLayout(const Scene& scene, const FreeParameters& free, const Parameter
   for (size_t k = 0; k < state.size(); ++k) state[k] = 7000 + static_cast<double>(k);
   std::vector<double> poses(kPoseSize * problem.num_images, -1);
   std::vector<double> params(scene.camera_params.size(), -1);
-  layout.Scatter(problem, state.data(), poses.data(), params.data());
+  layout.Scatter(problem, state.data(), poses.data(), params.data(), nullptr, nullptr);
   std::set<double> arrived;
   for (int i = 0; i < problem.num_images; ++i) {
     for (int j = 0; j < kPoseSize; ++j) {

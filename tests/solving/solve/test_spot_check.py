@@ -24,7 +24,7 @@ def spot_check(problem, rotation_offsets=None, lie=None, **options):
 
     def claim(_, jacobian):
         pose, params, point = np.split(jacobian, [6, jacobian.shape[1] - 3], axis=1)
-        parts = lie(Linearization(np.zeros(2), pose, params, point))
+        parts = lie(Linearization(np.zeros(2), pose, params, point, np.zeros((2, 6))))
         return np.hstack([parts.d_pose, parts.d_params, parts.d_point])
 
     return _core.spot_check(problem, options, rotation_offsets, claim if lie else None)

@@ -32,6 +32,11 @@ Assembler::Assembler(const AdjustmentProblem& problem, const ParameterLayout& la
     AddBlock(p,
              part.kind == kOwnPart ? ParameterLayout::kPoseBlock : ParameterLayout::kCameraBlock);
     if (part.kind == kCameraPart || !has_camera_part) AddBlock(p, ParameterLayout::kTiedBlock);
+    if (part.kind != kOwnPart) continue;
+    for (const int place : {ParameterLayout::kBeforeBlock, ParameterLayout::kAfterBlock,
+                            ParameterLayout::kReadoutBlock}) {
+      AddBlock(p, place);
+    }
   }
   // The addresses of the values do not change from here on.
   for (const MapOf& map : maps_) parts_[map.part].of[map.k].map = &map_values_[map.first];
@@ -39,10 +44,12 @@ Assembler::Assembler(const AdjustmentProblem& problem, const ParameterLayout& la
 
 void Assembler::SetMaps(const CameraStates& cameras) {
   for (const MapOf& of : maps_) {
-    if (of.place != ParameterLayout::kPoseBlock) continue;  // the map is constant
-    ColumnMap map;
     const int image = image_parts_.part(of.part).image;
-    layout_.FillMap(problem_, image, of.place, cameras.pose(image), &map);
+    const bool is_constant =
+        of.place != ParameterLayout::kPoseBlock && of.place < ParameterLayout::kBeforeBlock;
+    if (is_constant) continue;
+    ColumnMap map;
+    layout_.FillMap(problem_, image, of.place, cameras.pose(image), cameras.twist_map(image), &map);
     std::copy_n(map.values, map.num_columns * parts_[of.part].of[of.k].size,
                 &map_values_[of.first]);
   }
@@ -58,11 +65,11 @@ void Assembler::AddBlock(int part, int place) {
   PartBlock& added = parts_[part].of[parts_[part].count];
   added.block = block;
   added.size = added.num_local = columns.size;
-  added.is_shared = place != ParameterLayout::kPoseBlock;
+  added.is_shared = place != ParameterLayout::kPoseBlock || layout_.HasHardTwists();
   own_parts_have_shared_blocks_ |= added.is_shared && of_part.kind == kOwnPart;
   if (place != ParameterLayout::kSensorBlock && layout_.HasMap(problem_, of_part.image, place)) {
     maps_.push_back({part, place, parts_[part].count, map_values_.size()});
-    layout_.FillMap(problem_, of_part.image, place, PoseState(), &map);
+    layout_.FillMap(problem_, of_part.image, place, PoseState(), nullptr, &map);
     map_values_.insert(map_values_.end(), map.values, map.values + map.num_columns * columns.size);
     added.num_local = map.num_columns;
     local = map.columns;

@@ -110,7 +110,7 @@ class Assembler {
 
  private:
   struct PartBlocks {
-    PartBlock of[2];
+    PartBlock of[5];
     int count = 0;
     int num_columns = 0;  ///< number of local columns
   };

@@ -47,6 +47,7 @@ inline double LinearizeLanes(const EliminationInput& input, const StateRecords& 
     residuals.ChainPose(state, row, d_pose);
     residuals.ChainPoint(state, row, d_point);
     const Pack* const d_params = residuals.d_params + row * group.num_params;
+    const Pack* const d_twist = residuals.d_twist + row * kTwistSize;
     if (group.parts[kSensorPart].num_columns > 0) {
       ChainSensor(x, lanes, input.plan->image.data(), d_pose, d_sensor);
     }
@@ -57,8 +58,9 @@ inline double LinearizeLanes(const EliminationInput& input, const StateRecords& 
         const int column = group.columns[j + k];
         quad[k] = column == ModelGroup::kNoColumn ? &zero
                   : column < kPoseSize            ? d_pose + column
+                  : column < kFirstTwist          ? d_params + (column - kPoseSize)
                   : column < ModelGroup::kFirstOfSensor
-                      ? d_params + (column - kPoseSize)
+                      ? d_twist + (column - kFirstTwist)
                       : d_sensor + (column - ModelGroup::kFirstOfSensor);
       }
       ScatterRecords(quad, out, kRecordHead + row * width + j);
@@ -161,7 +163,8 @@ inline void Eliminate(const EliminationInput& input, const StateRecords& x, cons
       {&EliminateChunk<3, 0>, kAny, kAny},
       {&EliminateChunk<4, 0>, kAny, kAny},
       {&EliminateChunk<5, 0>, kAny, kAny},
-      {&EliminateChunk<6, 0>, kAny, kAny}};
+      {&EliminateChunk<6, 0>, kAny, kAny},
+      {kAny, kAny, kAny}};
   const Function eliminate =
       input.camera_quads < 3 ? kFor[input.own_quads][input.camera_quads] : kAny;
   eliminate(input, x, chunk, damping, first, squared_scale, memory, sum);

@@ -41,7 +41,7 @@ namespace bundle::BUNDLE_ISA {
 /// Number of doubles in a record before the two rows of the camera parameters: (a, r) of each row.
 inline constexpr int kRecordHead = 8;
 inline constexpr int kMaxRecordQuads = sizeof(ModelGroup::columns) / 4;
-inline constexpr int kMaxQuads = (kPoseSize + kMaxCameraParams + 3) / 4;  ///< most quads of a part
+inline constexpr int kMaxQuads = (kImageColumns + 3) / 4;  ///< most quads of a part
 
 /// Records of a tile: [a_0 r_0 | a_1 r_1 | row 0 | row 1] per observation. The rows are as wide as
 /// those of the image's group. All records have the length of the widest.
@@ -115,7 +115,8 @@ void AddFactor(const double* rows, int stride, const double* head, bool is_first
 }
 
 inline constexpr decltype(&AddFactor<1>) kAddFactor[] = {
-    &AddFactor<1>, &AddFactor<2>, &AddFactor<3>, &AddFactor<4>, &AddFactor<5>, &AddFactor<6>};
+    &AddFactor<1>, &AddFactor<2>, &AddFactor<3>, &AddFactor<4>,
+    &AddFactor<5>, &AddFactor<6>, &AddFactor<7>};
 
 /// Adds an observation with a white record to the factors `w` of its entries. kOwn, kCamera: quads
 /// of the parts of every image (EliminationInput::own_quads), or 0 and 0.

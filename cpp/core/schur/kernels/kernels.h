@@ -21,15 +21,16 @@ struct ModelGroup {
     int num_quads = 0;    ///< num_columns, rounded up
     int first_quad = 0;
   };
-  static constexpr int kFirstOfSensor = kPoseSize + kMaxCameraParams;
+  static constexpr int kFirstOfSensor = kImageColumns;
   static constexpr int8_t kNoColumn = -1;
 
   int model = 0;       ///< index into CameraModels
+  bool rolls = false;  ///< images of rolling shutters
   int num_params = 0;  ///< parameters of the model
   Part parts[kMaxParts];
   int num_quads = 0;  ///< quads in a row of the record
-  /// Per column of a row: the column in ParameterLayout; that of the sensor's pose from
-  /// kFirstOfSensor on; kNoColumn: padding.
+  /// Per column of a row: the column in ParameterLayout, which for twists begins at kFirstTwist;
+  /// that of the sensor's pose from kFirstOfSensor on; kNoColumn: padding.
   int8_t columns[4 * 8] = {};
 };
 
@@ -76,6 +77,9 @@ struct StateRecords {
   /// Offset in a record of K (factors/rig_pose.h), 6 x 6: a step of the sensor times K is a step of
   /// the frame.
   int sensor_map = 0;
+  /// Offset in a record of the twist and the row scale (8 numbers); 0: all shutters are global.
+  int shutter = 0;
+  bool at_observed_row = false;
   const double* images = nullptr;
   int stride = 0;  ///< stride of `images`; a multiple of 4
   const double* points = nullptr;
@@ -113,9 +117,10 @@ struct ChunkSum {
 };
 
 /// A step of the camera parameters in the form that the passes read. A record per image: J_l dw
-/// (3), dt (3) of cam_from_world, 2 unused, dparams from 8 on.
+/// (3), dt (3) of cam_from_world, 2 unused, dparams from 8 on, and from `twist` on dtwist (6).
 struct StepRecords {
   static constexpr int kTranslation = 3, kParams = 8;
+  int twist = 0;  ///< 0: all shutters are global
   const double* images = nullptr;
   int stride = 0;
 };

@@ -30,7 +30,8 @@ void AddReduced(const ImageRecords& records, int first, double* vector) {
 }
 
 inline constexpr decltype(&AddReduced<1>) kAddReduced[] = {
-    &AddReduced<1>, &AddReduced<2>, &AddReduced<3>, &AddReduced<4>, &AddReduced<5>, &AddReduced<6>};
+    &AddReduced<1>, &AddReduced<2>, &AddReduced<3>, &AddReduced<4>,
+    &AddReduced<5>, &AddReduced<6>, &AddReduced<7>};
 
 inline void MultiplySchur(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
                           double damping, const double* squared_scale, const StepRecords& step,

@@ -45,7 +45,8 @@ void AddScatter(const double* z, int width, int64_t stride, const EntryPair* pai
 }
 
 inline constexpr decltype(&AddScatter<1>) kAddScatter[] = {
-    &AddScatter<1>, &AddScatter<2>, &AddScatter<3>, &AddScatter<4>, &AddScatter<5>, &AddScatter<6>};
+    &AddScatter<1>, &AddScatter<2>, &AddScatter<3>, &AddScatter<4>,
+    &AddScatter<5>, &AddScatter<6>, &AddScatter<7>};
 
 /// L^-T X L^-1, of a symmetric X; row-major.
 inline void Unwhiten(const PointBlock& block, const double (*x)[3], double* out) {

@@ -10,6 +10,7 @@
 #include "core/factors/reprojection.h"
 #include "core/schur/kernels/kernels.h"
 #include "core/schur/kernels/project_lanes.h"
+#include "core/schur/kernels/rolling_lanes.h"
 
 namespace bundle::BUNDLE_ISA {
 
@@ -143,6 +144,7 @@ struct LaneResiduals {
   Pack rho;
   Pack d_camera_point[2 * 3];
   Pack d_params[2 * kMaxCameraParams];
+  Pack d_twist[2 * kTwistSize];  ///< only of groups that roll
 
   /// Forced inline: compilers would not inline it because Hold uses it too, which took 3 % of a
   /// step.
@@ -156,9 +158,13 @@ struct LaneResiduals {
     }
     const int model = lanes.group->model;
     Mask counts;
-    kProjectLanes[model](AllCameraModels()[model], state.params, state.camera_point, measurement,
-                         input.cheirality, r, derive ? d_camera_point : nullptr,
-                         derive ? d_params : nullptr, &counts, lanes.count);
+    if (lanes.group->rolls) {
+      RollLanes(input, x, state, lanes, measurement, &counts);
+    } else {
+      kProjectLanes[model](AllCameraModels()[model], state.params, state.camera_point, measurement,
+                           input.cheirality, r, derive ? d_camera_point : nullptr,
+                           derive ? d_params : nullptr, &counts, lanes.count);
+    }
     if (input.inverse_sigma != nullptr) DivideBySigmas(input, lanes, derive);
     if (!All(counts) || x.num_held > 0) Hold(input, x, lanes, counts, derive);
     const LossLanes loss = EvaluateLoss(input.loss, input.loss_scale, r[0] * r[0] + r[1] * r[1]);
@@ -167,6 +173,27 @@ struct LaneResiduals {
     for (Pack& value : r) value *= loss.weight;
     for (Pack& value : d_camera_point) value *= loss.weight;
     for (int i = 0; i < 2 * lanes.group->num_params; ++i) d_params[i] *= loss.weight;
+    if (lanes.group->rolls) ScaleTwist(loss.weight);
+  }
+
+  /// Not inlined, so that the code for global shutters does not change.
+  __attribute__((noinline)) void RollLanes(const EliminationInput& input, const StateRecords& x,
+                                           const LaneState& state, const Lanes& lanes,
+                                           const Pack* measurement, Mask* counts) {
+    const int32_t* const image = input.plan->image.data();
+    const double* records[kLanes];
+    for (int lane = 0; lane < kLanes; ++lane) {
+      records[lane] = x.images + int64_t{image[lanes.observation[lane]]} * x.stride + x.shutter;
+    }
+    Pack shutter[kTwistSize + 2];
+    GatherRecords(records, kTwistSize + 2, shutter);
+    ProjectByRow(*lanes.group, state.params, shutter, x.at_observed_row, state.camera_point,
+                 measurement, input.cheirality, r, d_camera_point, d_params, d_twist, counts,
+                 lanes.count);
+  }
+
+  __attribute__((noinline)) void ScaleTwist(const Pack& weight) {
+    for (Pack& value : d_twist) value *= weight;
   }
 
   /// Not inlined, so that the code for problems without sigmas does not change.
@@ -180,6 +207,7 @@ struct LaneResiduals {
     if (!derive) return;
     for (Pack& value : d_camera_point) value *= weight;
     for (int i = 0; i < 2 * lanes.group->num_params; ++i) d_params[i] *= weight;
+    if (lanes.group->rolls) ScaleTwist(weight);
   }
 
   /// Sets residuals and derivatives to zero in lanes that hold a residual (factors/reprojection.h).
@@ -204,6 +232,7 @@ struct LaneResiduals {
       for (int i = 0; i < 2; ++i) r[i].v[lane] = 0;
       for (int i = 0; i < 6 && derive; ++i) d_camera_point[i].v[lane] = 0;
       for (int i = 0; i < 2 * lanes.group->num_params && derive; ++i) d_params[i].v[lane] = 0;
+      for (int i = 0; i < 2 * kTwistSize && lanes.group->rolls; ++i) d_twist[i].v[lane] = 0;
       if (x.sink.add != nullptr) x.sink.add(x.sink.list, held);
     }
   }
@@ -257,6 +286,18 @@ struct LaneResiduals {
       for (int k = 0; k < num_params; ++k) {
         out[row] += d_params[row * num_params + k] * d[StepRecords::kParams + k];
       }
+    }
+    if (lanes.group->rolls) AddAlongTwist(step, records, out);
+  }
+
+  __attribute__((noinline)) void AddAlongTwist(const StepRecords& step,
+                                               const double* const* records, Pack* out) const {
+    const double* twists[kLanes];
+    for (int lane = 0; lane < kLanes; ++lane) twists[lane] = records[lane] + step.twist;
+    Pack d[kTwistSize + 2];
+    GatherRecords(twists, kTwistSize + 2, d);
+    for (int row = 0; row < 2; ++row) {
+      for (int k = 0; k < kTwistSize; ++k) out[row] += d_twist[kTwistSize * row + k] * d[k];
     }
   }
 };

@@ -252,13 +252,14 @@ inline void SubtractNine(const double* w, int64_t stride, const EntryPair* pairs
 
 /// Functions by the quads of a block's rows, minus one.
 inline constexpr decltype(&SubtractPairs<1>) kSubtractPairs[] = {
-    &SubtractPairs<1>, &SubtractPairs<2>, &SubtractPairs<3>,
-    &SubtractPairs<4>, &SubtractPairs<5>, &SubtractPairs<6>};
-inline constexpr decltype(&AddProducts<1>) kAddProducts[] = {&AddProducts<1>, &AddProducts<2>,
-                                                             &AddProducts<3>, &AddProducts<4>,
-                                                             &AddProducts<5>, &AddProducts<6>};
+    &SubtractPairs<1>, &SubtractPairs<2>, &SubtractPairs<3>, &SubtractPairs<4>,
+    &SubtractPairs<5>, &SubtractPairs<6>, &SubtractPairs<7>};
+inline constexpr decltype(&AddProducts<1>) kAddProducts[] = {
+    &AddProducts<1>, &AddProducts<2>, &AddProducts<3>, &AddProducts<4>,
+    &AddProducts<5>, &AddProducts<6>, &AddProducts<7>};
 inline constexpr decltype(&AddVectors<1>) kAddVectors[] = {
-    &AddVectors<1>, &AddVectors<2>, &AddVectors<3>, &AddVectors<4>, &AddVectors<5>, &AddVectors<6>};
+    &AddVectors<1>, &AddVectors<2>, &AddVectors<3>, &AddVectors<4>,
+    &AddVectors<5>, &AddVectors<6>, &AddVectors<7>};
 
 /// Adds the own products of the observations of one image.
 inline void AddImage(const EliminationInput& input, const ModelGroup& group,

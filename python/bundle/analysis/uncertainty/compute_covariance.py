@@ -98,6 +98,12 @@ def intrinsics_covariance(problem: Problem, options: SolveOptions) -> Covariance
     return _Recipe(request, ("intrinsics",), gauge, "sigma0", "weights").compute([])
 
 
+HARD_TWISTS = (
+    "Hard twists leave out that a camera's motion differs from that of its neighbours: standard "
+    "deviations are too small, those of readouts by a factor of about 5. Use tied twists."
+)
+
+
 @dataclass(frozen=True)
 class _Recipe:
     """All inputs of a covariance; supports pickling."""
@@ -151,6 +157,8 @@ class _Recipe:
             )
         sigma0 = float(np.sqrt(out["weighted_squares"] / dof)) if dof > 0 else float("nan")
         notes = list(out["warnings"])
+        if layout.options.twists == "hard":
+            notes.append(HARD_TWISTS)
         if out["gauge_degrees"] > 0 and (
             far := note_on_far_points(ready.start, out["null_points"])
         ):
@@ -200,6 +208,13 @@ class _Recipe:
             "camera": some("intrinsics", problem.camera_ids, out["cameras"]),
             "point": some("points", problem.point_ids, points),
         }
+        shutters = {
+            f"{name}_covariance": out[f"{name}s"]
+            if factor == 1
+            else freeze(out[f"{name}s"] * factor)
+            for name, part in (("twist", "poses"), ("readout", "intrinsics"))
+            if f"{name}s" in out and part in self.of
+        }
         null = out["null_points"]
         relative = out["relative"]
         return Covariance(
@@ -214,6 +229,7 @@ class _Recipe:
             scale=self.scale,
             robust=self.robust,
             notes=notes,
+            **shutters,
             _relative=replace(self, of=("poses",)).compute,
         )
 

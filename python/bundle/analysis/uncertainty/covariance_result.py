@@ -53,6 +53,10 @@ class Covariance(FrozenArrays, Displayed):
         sensor_covariance: (n, 6, 6) of sensor_from_rig, as for poses.
         relative_ids: (m, 2) ids of images a and b.
         relative_covariance: (m, 6, 6) of cam_b_from_cam_a, as for poses.
+        twist_covariance: (n, 6, 6) of the twists of images; 0 for global shutters, empty if all are
+            global.
+        readout_covariance: variance of each camera's readout; NaN for constant ones; empty if all
+            shutters are global.
         null_point_ids: ids of points without parallax; they were left out along their undetermined
             direction.
         sigma0: root of the weighted sum of squares of all residuals over their degrees of freedom;
@@ -85,6 +89,8 @@ class Covariance(FrozenArrays, Displayed):
     scale: str
     robust: str
     notes: tuple[str, ...] = ()
+    twist_covariance: _Floats = field(default_factory=lambda: np.zeros((0, 6, 6)))
+    readout_covariance: _Floats = field(default_factory=lambda: np.zeros(0))
     _relative: Callable[[list[tuple[int, int]]], Covariance] | None = field(
         default=None, repr=False, compare=False
     )

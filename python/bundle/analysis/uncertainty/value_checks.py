@@ -114,10 +114,14 @@ def rows_of(problem: Problem, pairs: list[Any]) -> list[tuple[int, int]]:
 
 def check_same_factors(result: Result, *given: Iterable[Any]) -> None:
     """Refuse a result without the factors of its solve: it is a minimum with them only."""
-    if len(result.factor_costs_after) and not any(_is_given(one) for one in given):
+    count = len(result.factor_costs_after)
+    shutter = result.problem.rolling_shutter
+    if result.options.twists == "tied" and shutter is not None:
+        count -= int(shutter.tied(result.problem).sum())  # from the options
+    if count and not any(_is_given(one) for one in given):
         raise InputError(
             "problem: expected the factors, priors or constraints of the solve "
-            f"({len(result.factor_costs_after)}) together with its result"
+            f"({count}) together with its result"
         )
 
 

@@ -8,6 +8,8 @@ key                                    manifold   value
 ``("sensor", (rig_id, camera_id))``    se3        sensor_from_rig, the same numbers
 ``("camera", camera_id)``              euclidean  the camera's parameters, in COLMAP's order
 ``("point", point_id)``                euclidean  x y z
+``("twist", image_id)``                euclidean  motion per frame height of a rolling shutter
+``("readout", camera_id)``             euclidean  readout of a rolling shutter
 =====================================  =========  ===========================================
 
 A factor of an image of a rig constrains its frame, and its sensor if that is refined.
@@ -29,7 +31,7 @@ from bundle.graphs.factors.factor_report import FactorCheck
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.variables import Array, Key, as_list
 from bundle.model.problem import Problem
-from bundle.model.problem_keys import KINDS, ProblemKeys, parameter_names
+from bundle.model.problem_keys import KINDS, SHUTTER_KINDS, ProblemKeys, parameter_names
 
 __all__ = ["ProblemFactors", "check_factors", "wrong_factor"]
 
@@ -97,7 +99,8 @@ class ProblemFactors:
 
     def __init__(self, problem: Problem, factors: Iterable[Factor]) -> None:
         self._problem = problem
-        self._keys = ProblemKeys(problem, KINDS, "variable")
+        kinds = KINDS if problem.rolling_shutter is None else (*KINDS, *SHUTTER_KINDS)
+        self._keys = ProblemKeys(problem, kinds, "variable")
         self._graph = FactorGraph()
         self._places: list[tuple[str, int]] = []
         for position, factor in enumerate(as_list("factors", "factors", factors)):
@@ -118,8 +121,9 @@ class ProblemFactors:
     def values_in(self, output: Mapping[str, Any]) -> dict[Key, Array]:
         """Return the values of the variables in the output of the core's solver, by key."""
         arrays = {**_POSES, "camera": "camera_params", "point": "points"}
+        arrays |= {kind: kind for kind in SHUTTER_KINDS}
         return {
-            key: np.asarray(output[arrays[kind]])[index][: len(value)]
+            key: np.atleast_1d(np.asarray(output[arrays[kind]])[index])[: len(value)]
             for (kind, index), (key, value) in zip(
                 self._places, self._graph.values.items(), strict=True
             )
@@ -133,7 +137,15 @@ class ProblemFactors:
     @property
     def locate(self) -> bool:
         """True if some factors determine positions of images or points."""
-        return any(kind != "camera" for kind, _ in self._places)
+        kinds: dict[Key, str] = {
+            key: kind for key, (kind, _) in zip(self._graph.keys, self._places, strict=True)
+        }
+        return any(
+            kinds[key] != "camera"
+            for factor in self.factors
+            if factor.kind != "twist_tie"  # holds neither position nor scale
+            for key in factor.keys
+        )
 
     def information(self) -> tuple[list[tuple[str, int, int]], Array]:
         """Return kind, index and tangent size of the variables, and the factors' information.
@@ -169,5 +181,8 @@ class ProblemFactors:
             return pose, "se3"
         if kind == "point":
             return problem.points[index], "euclidean"
+        if kind in SHUTTER_KINDS and problem.rolling_shutter is not None:
+            value = getattr(problem.rolling_shutter, kind)[index]
+            return np.atleast_1d(value), "euclidean"
         parameters = parameter_names(name, problem, index)
         return problem.camera_params[index, : len(parameters)], "euclidean"

@@ -19,6 +19,7 @@ from bundle.reports.sections import Column, Report, Section, Table
 from bundle.reports.terminal.camera_edit_rows import edit_data, edit_rows
 from bundle.reports.terminal.inputs import about_problem, problem_facts, rig_fact, written
 from bundle.reports.terminal.rig_tables import sensor_sections
+from bundle.reports.terminal.shutter_tables import solved_data, solved_sentences
 from bundle.reports.terminal.solve_data import ERRORS, ROUNDS, factor_fact, result_data
 from bundle.reports.terminal.timing import WallTime, environment_data, wall_section
 from bundle.solving.camera_changes import CameraChange, camera_changes
@@ -59,6 +60,7 @@ def refinement(
     waiting: Waiting | None = None,
     attitudes: Sequence[AttitudeErrors] = (),
     inertial: InertialAdjustment | None = None,
+    readout_sigma: dict[int, float] | None = None,
 ) -> Report:
     """Return the report on one solve.
 
@@ -77,7 +79,9 @@ def refinement(
         waiting: waiting for cores during the solve.
         attitudes: residuals of gravity, orientations and headings.
         inertial: adjustment with an IMU, or None.
+        readout_sigma: standard deviation of each refined readout, by camera id.
     """
+    sigmas = readout_sigma or {}
     summary, changes = solved.summary, camera_changes(solved)
     warnings = (*(edits.warnings if edits else ()), *summary.warnings)
     places, place_warnings = _places(georeference)
@@ -116,6 +120,7 @@ def refinement(
         **({} if georeference is None else {"georeference": georeference.asdict()}),
         **({} if inertial is None else {"imu": inertial.asdict()}),
         **{ATTITUDE_KEYS[errors.noun]: errors.asdict() for errors in attitudes},
+        **solved_data(solved, sigmas),
         "wall_time": wall,
         "environment": environment_data(waiting),
         "output": output,
@@ -125,6 +130,7 @@ def refinement(
         input=about_problem(path, problem) | {"digests": content_digests(problem)},
         headline=[
             *headline(solved),
+            *solved_sentences(solved, sigmas),
             *places,
             *(errors.sentence for errors in attitudes),
             *([] if inertial is None else [inertial.sentence]),

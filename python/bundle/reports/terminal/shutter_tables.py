@@ -8,11 +8,20 @@ import numpy as np
 
 from bundle.base.words import number, pixels, plural
 from bundle.model.problem import Problem
+from bundle.solving.shutter_gain import shutter_gain
 
 if TYPE_CHECKING:
     from bundle.editing.global_shutter import GlobalShutterModel
+    from bundle.solving.result import Result
 
-__all__ = ["about_shutter", "shutter_data", "shutter_fact", "shutter_moves"]
+__all__ = [
+    "about_shutter",
+    "shutter_data",
+    "shutter_fact",
+    "shutter_moves",
+    "solved_data",
+    "solved_sentences",
+]
 
 
 def shutter_fact(problem: Problem) -> list[tuple[str, str]]:
@@ -85,3 +94,51 @@ def shutter_data(moved: GlobalShutterModel | None) -> dict[str, Any]:
         return {}
     names = ("num_moved", "num_left", "median", "largest", "motion")
     return {"global_shutter": {name: getattr(moved, name) for name in names}}
+
+
+def solved_data(solved: Result, readout_sigma: dict[int, float]) -> dict[str, Any]:
+    """Return the outcome of a solve with rolling shutters for programs; empty without any.
+
+    Args:
+        solved: the result.
+        readout_sigma: standard deviation of each refined readout, by camera id.
+    """
+    gain = shutter_gain(solved)
+    if gain is None:
+        return {}
+    about = about_shutter(solved.problem)["rolling_shutter"]
+    for camera in about["cameras"]:
+        camera["readout_sigma"] = readout_sigma.get(camera["camera_id"])
+    return {
+        "rolling_shutter": about
+        | {
+            "twists": solved.options.twists,
+            "twist_rms": {"rotation": gain.turn, "translation": gain.shift},
+            "rmse_global_shutter": gain.rmse_global,
+            "rmse": gain.rmse,
+        }
+    }
+
+
+def solved_sentences(solved: Result, readout_sigma: dict[int, float]) -> list[str]:
+    """Return what rolling shutters gained; empty without any."""
+    gain = shutter_gain(solved)
+    if gain is None or not solved.summary.is_solution_usable:
+        return []
+    shutter, problem = solved.problem.rolling_shutter, solved.problem
+    assert shutter is not None
+    words = (
+        f"Rolling shutter: RMSE {pixels(gain.rmse_global)} px with the input's poses and global "
+        f"shutters, {pixels(gain.rmse)} px now; images turn by {number(gain.turn)} degrees (rms) "
+        "per readout of their height"
+    )
+    refined = [
+        f"camera {key}: {shutter.readout[problem.camera_ids == key][0]:.4g} +- {sigma:.2g}"
+        for key, sigma in readout_sigma.items()
+    ]
+    more = f" and {len(refined) - 3} more" if len(refined) > 3 else ""
+    if refined:
+        words += f"; readout in frames of {', '.join(refined[:3])}{more}"
+    if solved.options.twists == "hard":
+        words += " (hard twists: standard deviations are too small)"
+    return [f"{words}."]

@@ -43,7 +43,10 @@ class AllProcesses:
         """See :meth:`Executor.run`."""
         layout = prepared.layout
         options, factors = layout.options.asdict(), layout.core_factors()
+        shutter = prepared.start.rolling_shutter
         reason = reason_to_be_alone(options, factors)
+        if shutter is not None and shutter.is_rolling.any():
+            reason = reason or "Rolling shutters are not divided (rolling_shutter)."
         if reason:
             output = self.alone.run(prepared, progress)
             return output | {"alone": warning(reason, self.crew.num_ranks)}

@@ -1,0 +1,87 @@
+"""Ties of twists to the poses of neighbours in a video, as factors of a solve.
+
+``cpp/core/factors/twist_tie.h`` derives the residual (m - readout * xi) / sigma: m is the twist of
+an image, xi the motion per frame from one neighbour to the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bundle.errors import InputError
+from bundle.graphs.factors.factors import Factor
+from bundle.graphs.factors.variables import Key
+from bundle.model.problem import Problem
+
+__all__ = ["TwistTieFactor", "twist_ties"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TwistTieFactor(Factor):
+    """Tie of an image's twist m to the poses of two images of the same video.
+
+    Attributes:
+        twist: key of the twist, ``("twist", image_id)``.
+        readout: key of the readout, ``("readout", camera_id)``.
+        before: key of the earlier image, ``("image", image_id)``.
+        after: key of the later image.
+        num_frames: frame times from the earlier to the later image, above 0.
+        sigma_w: standard deviation of the angular part of m, radians.
+        sigma_v: standard deviation of the other part, in the length unit.
+
+    Raises:
+        InputError: a number is not above 0 (once the factor is added to a problem).
+    """
+
+    twist: Key
+    readout: Key
+    before: Key
+    after: Key
+    num_frames: float
+    sigma_w: float
+    sigma_v: float
+
+    kind = "twist_tie"
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Variables in the order of the Jacobians."""
+        return self.twist, self.readout, self.before, self.after
+
+    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
+        """See :meth:`Factor.core_arguments`."""
+        return self.num_frames, self.sigma_w, self.sigma_v
+
+
+def twist_ties(problem: Problem, sigma: tuple[float, ...]) -> tuple[TwistTieFactor, ...]:
+    """Return a tie for each image with known neighbours.
+
+    Raises:
+        InputError: no image has neighbours, or times or readouts are unknown.
+    """
+    shutter = problem.rolling_shutter
+    if shutter is None:
+        raise InputError("twists: tied is valid only with rolling shutters")
+    shutter.check_tied(problem)
+    sigma_w, sigma_v = sigma
+    images, frames, neighbours = problem.image_ids, shutter.frames, shutter.neighbours
+    assert frames is not None
+    assert neighbours is not None
+    ties = []
+    for image in np.flatnonzero(shutter.tied(problem)).tolist():
+        a, b = neighbours[image].tolist()
+        ties.append(
+            TwistTieFactor(
+                ("twist", int(images[image])),
+                ("readout", int(problem.camera_ids[problem.image_camera[image]])),
+                ("image", int(images[a])),
+                ("image", int(images[b])),
+                float(frames[b] - frames[a]),
+                sigma_w,
+                sigma_v,
+            )
+        )
+    return tuple(ties)
