@@ -198,6 +198,13 @@ def test_large_scenes_are_streamed(run, tmp_path, monkeypatch):
     assert (tmp_path / "d.txt.gz").read_bytes()[:2] == b"\x1f\x8b"
 
 
+def test_a_bal_file_says_that_it_has_no_rolling_shutter(run, tmp_path):
+    flags = ("--scene", "orbit", "--images", 8, "--points", 150)
+    found = run("synth", tmp_path / "a.txt", *flags, "--rolling-shutter", 0.5)
+    assert found.code == 0 and "rolling shutter is left out" in " ".join(found.out.split())
+    assert "left out" not in run("synth", tmp_path / "b.txt", *flags).out
+
+
 @pytest.mark.parametrize("scene", ["street", "orbit", "drone-grid"])
 def test_a_filmed_scene_and_its_truth(run, tmp_path, scene):
     flags = ("--scene", scene, "--images", 12, "--points", 300, "--rolling-shutter", 0.8)

@@ -14,6 +14,7 @@ from bundle.cli.progress import Progress
 from bundle.errors import shown
 from bundle.interface.scene_options import SceneOptions
 from bundle.io.open import check_target, output_format, save
+from bundle.io.rolling_shutter_file import LOST_ROLLING_SHUTTER
 from bundle.model.reprojection import reprojection_error
 from bundle.reports.terminal.synth import synthesized
 from bundle.synthetic.blocks import SceneInBlocks
@@ -21,6 +22,9 @@ from bundle.synthetic.streamed import SceneTally, write_bal_scene
 from bundle.synthetic.synthesis import SyntheticScene, assemble, filmed
 
 __all__ = ["run"]
+
+LOSSES = (LOST_ROLLING_SHUTTER,)
+"""Losses of a format that a user who asked for a scene does not expect."""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -40,6 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
         format = output_format(images.format, path, arguments.format)
         check_target(images, path, format)
         check_target(images, truth_path, format)
+        lost: list[str] = []
         is_plain = not any(name.lower().endswith((".gz", ".bz2")) for name in (path, truth_path))
         streams = format == "bal" and is_plain
         if streams and isinstance(scene, SceneInBlocks) and scene.num_blocks > 1:
@@ -49,10 +54,10 @@ def run(arguments: argparse.Namespace) -> int:
             tally = _tally(made)
             progress.stage(f"writing {shown(path)}")
             save(made.problem, path, format)
-            save(made.ground_truth, truth_path, format)
+            lost = [one for one in save(made.ground_truth, truth_path, format) if one in LOSSES]
     output = {"path": path, "format": format}
     truth = {"path": truth_path, "format": format}
-    report = synthesized(options, images.num_cameras, tally, output, truth)
+    report = synthesized(options, images.num_cameras, tally, output, truth, lost)
     publish(report, arguments)
     return EXIT_DONE
 

@@ -9,7 +9,7 @@ from bundle.errors import InputError
 from bundle.model.problem import Problem
 from bundle.model.rolling_shutter import RollingShutter
 
-__all__ = ["check_same_shutter", "scaled", "shutter_of_cameras"]
+__all__ = ["can_roll", "check_same_shutter", "scaled", "shutter_of_cameras"]
 
 
 def scaled(shutter: RollingShutter | None, scale: ArrayLike) -> RollingShutter | None:
@@ -38,6 +38,14 @@ def shutter_of_cameras(
         direction=tuple(shutter.direction[row] for row in rows.tolist()),
         readout=shutter.readout[rows],
     )
+
+
+def can_roll(problem: Problem) -> bool:
+    """Return True if rolling shutters can be added: known sizes, no rigs, no shutters so far."""
+    sizes = problem.camera_sizes[problem.image_camera]
+    shutter = problem.rolling_shutter
+    is_global = shutter is None or not shutter.is_rolling.any()
+    return bool(is_global and not problem.num_frames and sizes.size and (sizes > 0).all())
 
 
 def check_same_shutter(problem: Problem, cameras: NDArray[np.int64]) -> None:

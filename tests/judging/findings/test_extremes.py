@@ -117,4 +117,6 @@ def test_real_models_have_the_findings_of_an_expert(bundle_data):
 def test_rows_of_a_rolling_shutter_are_named(bundle_data):
     (found,) = find(bundle.load(bundle_data / "rolling_shutter/phone/model"))
     assert found.kind == "motion" and "rows" in found.sentence
+    assert found.command.endswith("--rolling-shutter rows")
+    assert found.evidence["explained"] > 0.9
     assert found.evidence["rows"] > 1.5 * found.evidence["columns"]

@@ -156,6 +156,9 @@ def test_motion_vetoes_a_lens_per_image(monkeypatch):
     assert found.verdict == "vetoed"
     assert found.candidates[found.recommended].share == "size"
     assert any("rolling shutter" in sentence for sentence in found.headline)
+    (finding,) = found.findings
+    assert finding.kind == "motion"
+    assert finding.command == f"{found.command} --rolling-shutter rows"
 
 
 def test_candidates_that_cannot_start_leave_the_others():

@@ -21,7 +21,8 @@ Rows against columns. Linear fields cannot tell them apart: rotation has absorbe
 The derivatives D of the pose can: a velocity times the row y gives the columns y D, times the
 column x gives x D. With S(y), S(x) and S(x, y) the sums of squares that these explain, rows explain
 S(x, y) - S(x) beyond columns, and columns S(x, y) - S(y) beyond rows. A direction is named if its
-part is 1.5 times the other.
+part is 1.5 times the other. A rolling shutter is proposed if these velocities explain at least half
+of what the linear fields explain; it is read by rows unless columns are named.
 
 Single images. Without motion in general, an image has systematic residuals if b_i^T V_i^-1 b_i >
 3 + 6 sqrt(6) + 20 + 2 log m and its field has an rms of half a scale. It is weak if its scale is
@@ -44,11 +45,13 @@ from bundle.judging.findings.lens_terms import lens_size
 from bundle.judging.findings.measured import Measured, median
 from bundle.judging.findings.systematic import SystematicResiduals
 from bundle.model.problem import Problem
+from bundle.model.shutter_changes import can_roll
 
 __all__ = ["image_residuals", "motion"]
 
 RATIO, SIZE, LENS_SIZES = 4.0, 0.45, 8.0
 ROWS_AGAINST_COLUMNS = 1.5
+EXPLAINED = 0.5
 FEWEST_IMAGES = 6
 FIELD = 0.5
 WEAK, WEAK_WITHOUT_FIELD = 1.75, 1.5
@@ -90,11 +93,12 @@ def motion(measured: Measured, found: SystematicResiduals, fits: ImageFits) -> F
         fires |= ratio > RATIO and excess > 0 and tau > least * measured.scale
     if not fires:
         return None
-    rows, columns = direction(found)
-    where = "the direction is not clear"
+    rows, columns, explained = direction(found)
+    where, order = "the direction is not clear", "rows"
     if rows > ROWS_AGAINST_COLUMNS * columns:
         where = "along the rows' order, as a rolling shutter does"
     elif columns > ROWS_AGAINST_COLUMNS * rows:
+        order = "columns"
         where = "along the columns' order, as a rolling shutter of a turned camera does"
     worst = max(ratios, key=lambda name: ratios[name])
     return Finding(
@@ -102,12 +106,13 @@ def motion(measured: Measured, found: SystematicResiduals, fits: ImageFits) -> F
         sentence=f"Motion or a rolling shutter: the {worst} of the residuals differs from image to "
         f"image, {number(ratios[worst])} times as much as the noise explains ({where}). Keep one "
         "lens: a lens per image would absorb it and move the cameras.",
-        command=_shared(measured),
+        command=_command(measured, order if explained > EXPLAINED else ""),
         evidence={
             "chi2_per_dof": ratios,
             "sizes": sizes,
             "rows": rows,
             "columns": columns,
+            "explained": explained,
             "image_ids": _ids(found, np.argsort(-fits.sizes)[:NAMED]),
         },
     )
@@ -198,16 +203,23 @@ def between_images(values: Floats, variances: Floats) -> tuple[float, float, flo
     return statistic / dof, tau, statistic - (dof + 6.0 * np.sqrt(2.0 * dof) + 20.0)
 
 
-def direction(found: SystematicResiduals) -> tuple[float, float]:
-    """Return the sums of squares that rows explain beyond columns, and columns beyond rows."""
-    by_row, by_column, by_both = 0.0, 0.0, 0.0
+def direction(found: SystematicResiduals) -> tuple[float, float, float]:
+    """Return how well velocities times rows or columns explain the residuals.
+
+    Returns:
+        Sum of squares that rows explain beyond columns, that of columns beyond rows, and what the
+        better of both explains as a share of what the linear fields explain.
+    """
+    by_row, by_column, by_both, by_fields = 0.0, 0.0, 0.0, 0.0
     for one in found.images:
         pose, xy = found.d_pose[one.rows], found.xy[one.rows][:, None, :]
         row, column = pose * xy[:, :, 1:], pose * xy[:, :, :1]
         by_row += found.explained(one, row)
         by_column += found.explained(one, column)
         by_both += found.explained(one, np.concatenate([row, column], axis=2))
-    return by_both - by_column, by_both - by_row
+        by_fields += found.explained(one, found.image_fields(one)[0])
+    explained = max(by_row, by_column) / by_fields if by_fields > 0 else 0.0
+    return by_both - by_column, by_both - by_row, explained
 
 
 def _weak(
@@ -230,15 +242,25 @@ def _weak(
     return np.flatnonzero(is_weak), ratio
 
 
-def _shared(measured: Measured) -> str:
-    """Return the command that shares the cameras of one size; "" if they are shared already."""
+def _command(measured: Measured, order: str) -> str:
+    """Return the command that shares the cameras of one size and adds a rolling shutter.
+
+    Args:
+        measured: the model.
+        order: "rows" or "columns", or "" if a rolling shutter does not explain the residuals.
+    """
     problem = measured.whole
+    flags = ["--share-cameras", "all"] if _can_share(problem) else []
+    if order and can_roll(problem):
+        flags += ["--rolling-shutter", order]
+    return measured.command.refine(*flags) if flags else ""
+
+
+def _can_share(problem: Problem) -> bool:
     used = distinct(problem.image_camera)
     if len(used) < 2 or np.ptp(problem.camera_sizes[used], axis=0).any():
-        return ""
-    if len({problem.camera_models[camera] for camera in used.tolist()}) > 1:
-        return ""
-    return measured.command.refine("--share-cameras", "all")
+        return False
+    return len({problem.camera_models[camera] for camera in used.tolist()}) == 1
 
 
 def _ids(found: SystematicResiduals, rows: NDArray[np.int64]) -> list[int]:

@@ -8,6 +8,8 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.words import number
+from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
 from bundle.judging.validation.candidate_fits import CandidateFit, Fitting
 from bundle.judging.validation.candidates import groups_of
@@ -24,6 +26,7 @@ from bundle.model.cameras import param_kinds
 from bundle.model.clipped_errors import summarize_clipped
 from bundle.model.folds import are_repeated
 from bundle.model.problem import Problem
+from bundle.model.shutter_changes import can_roll
 
 __all__ = ["judged"]
 
@@ -90,6 +93,7 @@ def judged(
         verdict=found.verdict,
         headline=found.headline,
         command=records[decision.recommended].command,
+        findings=_findings(test, problem, records[decision.recommended].command),
         num_folds=num_folds,
         seed=seed,
         clip=clip,
@@ -142,6 +146,22 @@ def _veto(fit: CandidateFit, test: RowTest | None) -> str:
     if fit.error or test is None or not test.fires:
         return ""
     return MOTION if fit.candidate.share in ("each", "focal") else ""
+
+
+def _findings(test: RowTest | None, problem: Problem, command: str) -> tuple[Finding, ...]:
+    """Return the finding about motion, with the command that adds a rolling shutter."""
+    if test is None or not test.fires:
+        return ()
+    return (
+        Finding(
+            kind="motion",
+            sentence="Motion or a rolling shutter: shear differs from image to image, "
+            f"{number(test.shear)} times as much as the noise explains. Keep one lens, and give "
+            "the images a motion.",
+            command=f"{command} --rolling-shutter rows" if can_roll(problem) else "",
+            evidence={"shear": test.shear, "anisotropy": test.anisotropy, "size": test.size},
+        ),
+    )
 
 
 def _lenses(fit: CandidateFit) -> set[int]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
 from bundle.base.words import plural
+from bundle.interface.finding import Finding
 from bundle.judging.validation.candidates import SHARING, Candidate
 from bundle.judging.validation.decision import Decision, DecisionRule
 from bundle.judging.validation.row_test import RowTest
@@ -111,6 +112,7 @@ class Validation(Displayed):
         headline: the verdict in sentences.
         command: command line that refines the input as recommended; "" if the input is as
             recommended.
+        findings: the finding about motion or a rolling shutter, if the row test fires.
         num_folds: number of folds.
         seed: seed of the folds.
         clip: largest error that counts in ``held_out_rmse``, in pixels.
@@ -134,6 +136,7 @@ class Validation(Displayed):
     verdict: str
     headline: tuple[str, ...]
     command: str
+    findings: tuple[Finding, ...]
     num_folds: int
     seed: int
     clip: float

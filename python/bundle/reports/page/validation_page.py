@@ -54,6 +54,10 @@ def write_validation(
 def _recommendation(found: Validation) -> str:
     lines = [tag("p", escape(sentence)) for sentence in found.headline]
     lines.append(tag("pre", tag("code", escape(found.command))))
+    for finding in found.findings:
+        lines.append(tag("p", escape(finding.sentence)))
+        if finding.command:
+            lines.append(tag("pre", tag("code", escape(finding.command))))
     predicted = plural(len(found.observations), "observation", grouped=True)
     scope = (
         f"{plural(len(found.candidates), 'candidate')} predicted {predicted} in "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from collections.abc import Sequence as Sentences
 
 from bundle.base.words import format_name, number, pixels, plural
 from bundle.errors import shown
@@ -24,6 +25,7 @@ def synthesized(
     tally: SceneTally,
     output: dict[str, str],
     truth: dict[str, str],
+    lost: Sentences[str] = (),
 ) -> Report:
     """Return the report on a scene.
 
@@ -33,6 +35,7 @@ def synthesized(
         tally: statistics of its observations.
         output: path and format of the start.
         truth: path and format of the ground truth.
+        lost: sentences on information that the format does not hold.
     """
     counts = {
         "num_cameras": num_cameras,
@@ -60,6 +63,7 @@ def synthesized(
     return Report(
         command="synth",
         headline=headline,
+        warnings=lost,
         sections=[
             Section(
                 is_detail=True,

@@ -35,6 +35,7 @@ def validated(path: str, problem: Problem, found: Validation, options: Mapping[s
         command="validate",
         input=about_problem(path, problem),
         headline=found.headline,
+        findings=found.findings,
         sections=[
             Section(command=found.command),
             Section(tables=[table], notes=_legend(found)),
