@@ -189,12 +189,10 @@ def diagnose(
     modes = [*(apart if is_loose else ()), *turning, *modes]
     modes += weak_modes(unknowns, found["eigenvalues"], found["directions"], tracks, modes)
     # With ties, the poses of the neighbours determine the twists.
-    if (
-        getattr(options, "twists", "free") == "free"
-        and "poses" in options.refine
-        and layout.known is None
-    ):
-        modes += shutter_modes(start)
+    if options.twists == "free" and layout.known is None and "poses" in options.refine:
+        of_twists = shutter_modes(start)
+        unnamed = "undetermined_poses" if of_twists else ""
+        modes = [mode for mode in modes if mode.kind != unnamed] + of_twists
     points = check_points(start, tracks)
     null = np.asarray(found["null_points"], np.int64)
     # Any ray fits a point at a camera; this differs from points whose rays are parallel.
