@@ -3,10 +3,11 @@
 /// Several numbers in one register, and the 4 x 4 transpositions that bring records of numbers into
 /// that form and back.
 ///
-/// Included only by files that are compiled once for each instruction set, each time with a separate
-/// namespace, BUNDLE_ISA. Two copies of an inline function compiled for different instruction sets
-/// must never share a name, because the linker keeps only one of them. For the same reason, no code
-/// here, and no code that these kernels call, uses an inline function of the standard library.
+/// Included only by files that are compiled once for each instruction set, each time with a
+/// separate namespace, BUNDLE_ISA. Two copies of an inline function compiled for different
+/// instruction sets must never share a name, because the linker keeps only one of them. For the
+/// same reason, no code here, and no code that these kernels call, uses an inline function of the
+/// standard library.
 
 #include <cstdint>
 

@@ -26,7 +26,8 @@ Eigen::MatrixXd Factor(Eigen::MatrixXd a, int num_threads, int* info) {
 class TiledCholesky : public testing::TestWithParam<int> {};
 
 // Around one and several tiles of 96 and 256, with one thread and several.
-INSTANTIATE_TEST_SUITE_P(Sizes, TiledCholesky, testing::Values(1, 7, 255, 256, 257, 511, 700, 2100));
+INSTANTIATE_TEST_SUITE_P(Sizes, TiledCholesky,
+                         testing::Values(1, 7, 255, 256, 257, 511, 700, 2100));
 
 TEST_P(TiledCholesky, IsTheFactor) {
   const Eigen::MatrixXd a = PositiveDefinite(GetParam());
