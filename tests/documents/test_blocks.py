@@ -177,6 +177,8 @@ def test_the_blocks_of_a_page_run(
         workspace.two_pieces(tmp_path)
     elif name == "docs/vio_input.md":
         workspace.images(tmp_path)
+    elif name == "docs/rolling_shutter.md":
+        workspace.video(tmp_path)
     else:
         workspace.base(tmp_path)
     if name in WITH_DATA:

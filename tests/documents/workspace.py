@@ -68,6 +68,24 @@ def base(folder: Path) -> None:
     (folder / "gravity.txt").write_text("\n".join([*lines, ""]))
 
 
+def video(folder: Path) -> None:
+    """sparse/0 of a film, the times of its frames and the positions of the camera."""
+    scene = bundle.synthesize(
+        scene="orbit", num_images=20, num_points=400, rolling_shutter=0.8, seed=4
+    )  # fmt: skip
+    truth = scene.ground_truth
+    (folder / "sparse").mkdir()
+    bundle.save(scene.problem, folder / "sparse" / "0", "colmap")
+    frames = [f"{image},{k}" for k, image in enumerate(truth.image_ids.tolist())]
+    (folder / "frames.csv").write_text("\n".join(["image_id,frame", *frames, ""]))
+    places = FRAME.to_geodetic(METRES * truth.projection_centers).tolist()
+    lines = [
+        f"{name} {lon!r} {lat!r} {h!r}"
+        for name, (lat, lon, h) in zip(truth.image_names, places, strict=True)
+    ]
+    (folder / "positions.txt").write_text("\n".join(["EPSG:4326", *lines, ""]))
+
+
 def degrees(value: float) -> tuple[float, float, float]:
     """Degrees, minutes and seconds."""
     minutes, seconds = divmod(value * 3600, 60)

@@ -61,7 +61,7 @@ def nullity(problem, *, fixed=(), points=(), arms=False, focal=False, priors=(),
         priors: indices of images whose position is measured.
         attitudes: (index of an image, (k, 6) rows by its left perturbation) of other priors.
     """
-    _, d_pose, d_params, d_point = _core.linearize(
+    _, d_pose, d_params, d_point, _ = _core.linearize(
         problem, "algebraic", np.zeros((problem.num_images, 3))
     )
     through = image_derivatives(problem)

@@ -8,7 +8,7 @@ from bundle import InputError, SolveOptions, _core
 from tests import scenes
 
 # What only Python knows: "auto" of the gauge is resolved by the problem's format.
-PYTHON_ONLY = {"gauge": "auto"}
+PYTHON_ONLY = {"gauge": "auto", "twist_sigma": ()}
 
 
 def test_defaults_are_the_same_in_cpp():

@@ -136,7 +136,7 @@ class Validation(Displayed):
     verdict: str
     headline: tuple[str, ...]
     command: str
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding, ...] = ()
     num_folds: int
     seed: int
     clip: float
