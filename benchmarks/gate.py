@@ -19,7 +19,7 @@ import bundle
 from benchmarks import machine, problems, rows, series, solvers, table
 
 RECORD = Path(__file__).with_name("gate.json")
-OURS, THEIRS = "bundle-auto", "pycolmap-auto"
+OURS, THEIRS = "bundle auto", "pycolmap auto"
 NAMES = ("16-22106", "49-7776", "vr_opencv", "video48", "lund_door", "bartoszek", "batmo_rigs")
 SLOWER = 0.15
 
@@ -51,7 +51,7 @@ def slower(found: Mapping[str, float], recorded: Mapping[str, float]) -> list[st
 
 def measured(names: Sequence[str], options: argparse.Namespace) -> Leads:
     """Return the leads on the problems of the data folder that have these names."""
-    wanted = solvers.chosen(f"{OURS},{THEIRS}")
+    wanted = [solver for solver in solvers.SOLVERS if solver.name in (OURS, THEIRS)]
     chosen = [p for p in problems.find(problems.data_folder()) if p.name in names]
     every = [s for p in chosen for s in series.of_problem(p, wanted, options.threads, quick=True)]
     return leads_of(series.run_interleaved(every, options))
