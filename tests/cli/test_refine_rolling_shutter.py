@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle.cli.main import main
 from bundle.interface.scene_options import SceneOptions
 from bundle.io.frame_times import neighbours_in_time, read_frame_times
 from bundle.synthetic.video.video_scene import film
@@ -120,3 +121,13 @@ def test_a_long_gap_separates_videos():
     assert found.tolist() == [[0, 1], [0, 2], [1, 2], [3, 4], [3, 4], [-1, -1]]
     apart = neighbours_in_time(frames, np.array([0, 1, 0, 1, 0, 0], np.int32))
     assert (apart[1] == [1, 3]).all()
+
+
+def test_a_shutter_is_no_edit_of_rigs(tmp_path, capsys):
+    scene = bundle.synthesize(
+        scene="orbit", num_images=12, num_points=150, seed=2, rolling_shutter=0.8
+    )
+    bundle.save(scene.problem, tmp_path / "in", "colmap")
+    given = ["refine", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--json", "-"]
+    assert main([*given, "--rolling-shutter", "rows"]) == 0
+    assert json.loads(capsys.readouterr().out).get("edits", []) == []

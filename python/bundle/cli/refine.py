@@ -111,7 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
         before = Waiting.now()
         inertial = _adjusted_with_imu(asked, opened, progress)
         result = _solve(asked, opened, closed, progress) if inertial is None else inertial.result
-        solved = _with_edits(result, opened, closed)
+        solved = _with_edits(result, asked, opened, closed)
         waiting = waiting_since(before)
         known = opened.known
         georeference = None if known is None else known.georeference(solved)
@@ -254,17 +254,19 @@ def _adjusted_with_imu(
     return adjusted_with_imu(asked.inertial, opened.problem, opened.options, progress.iteration)
 
 
-def _with_edits(solved: Result, opened: Opened, closed: LoopClosing | None) -> Result:
+def _with_edits(
+    solved: Result, asked: Refinement, opened: Opened, closed: LoopClosing | None
+) -> Result:
     """Return the result with the edits of cameras, rigs and loops before those of the solve."""
     problem = opened.loaded
     edits = []
     for edit, edited in (
         *(() if opened.edits is None else opened.edits.stages),
-        ("rig_config", opened.problem),
+        ("" if asked.rig_config is None else "rig_config", opened.problem),  # "": only a shutter
         ("loops", opened.problem if closed is None else closed.problem),
     ):
         if edited is not problem:
-            edits.append(Edit(edit, problem, edited))
+            edits += [Edit(edit, problem, edited)] if edit else []
             problem = edited
     return dataclasses.replace(solved, edits=(*edits, *solved.edits)) if edits else solved
 
