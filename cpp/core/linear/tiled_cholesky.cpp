@@ -25,7 +25,9 @@ void ForTiles(int64_t count, ThreadPool* pool, const Visit& visit) {
 
 int FactorizeByOwnKernels(double* a, int n, ThreadPool* pool) {
   const PanelKernels& kernels = SelectPanelKernels();
-  if (pool == nullptr || pool->num_threads() == 1 || n < kColumnsWorthTiles) {
+  const bool is_alone = pool == nullptr || pool->num_threads() == 1;
+  // Without tiles, every eight columns read all columns before them.
+  if (n < kColumnsWorthTiles || (is_alone && n < kLargeSystem)) {
     return kernels.factorize(a, n, n, n);
   }
   const int tile_size = n < kLargeSystem ? kSmallTile : kLargeTile;
@@ -77,18 +79,15 @@ int FactorizeTiled(double* a, int n, ThreadPool* pool) {
   constexpr char kRight = 'R', kLower = 'L', kTransposed = 'T', kNot = 'N';
   constexpr double kOne = 1, kMinusOne = -1;
   if (HasOwnKernels(n)) return FactorizeByOwnKernels(a, n, pool);
-  const int tile_size = kTile;
-  const int num_tiles = (n + tile_size - 1) / tile_size;
-  const auto tile = [&](int i, int j) {
-    return a + int64_t{i} * tile_size + int64_t{j} * tile_size * n;
-  };
-  const auto size = [&](int i) { return std::min(tile_size, n - i * tile_size); };
+  const int num_tiles = (n + kTile - 1) / kTile;
+  const auto tile = [&](int i, int j) { return a + int64_t{i} * kTile + int64_t{j} * kTile * n; };
+  const auto size = [&](int i) { return std::min(kTile, n - i * kTile); };
   for (int k = 0; k < num_tiles; ++k) {
     ThrowIfInterrupted();
     const int width = size(k);
     int info = 0;
     dpotrf_(&kLower, &width, tile(k, k), &n, &info);
-    if (info != 0) return k * tile_size + info;
+    if (info != 0) return k * kTile + info;
     const int below = num_tiles - 1 - k;
     ForTiles(below, pool, [&](int64_t number) {
       const int i = k + 1 + static_cast<int>(number), height = size(i);
