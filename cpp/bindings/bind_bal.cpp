@@ -25,19 +25,6 @@ namespace {
 template <typename T>
 using Array = py::array_t<T, py::array::c_style>;
 
-/// Calls `read(path, on_block)` without the GIL.
-template <typename Read>
-auto ReadFile(const py::object& given_path, Read read, const py::object& progress = py::none()) {
-  const std::filesystem::path path = PathFromPython(given_path);
-  BlockWatch watch(progress, kReadBlockSize);
-  try {
-    const py::gil_scoped_release release;
-    return read(path, watch.OnBlock());
-  } catch (const std::system_error& error) {
-    ThrowOsError(error, path);
-  }
-}
-
 py::tuple ToTuple(BalProblem problem) {
   const auto num_images = static_cast<py::ssize_t>(problem.cam_from_world.size() / 7);
   const auto num_points = static_cast<py::ssize_t>(problem.points.size() / 3);

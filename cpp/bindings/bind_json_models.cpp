@@ -1,12 +1,9 @@
 #include <pybind11/pybind11.h>
 
-#include <filesystem>
-#include <system_error>
 #include <utility>
 
 #include "bindings/columns.h"
 #include "bindings/file_access.h"
-#include "core/io/input_file.h"
 #include "core/io/json_models.h"
 
 namespace py = pybind11;
@@ -14,21 +11,8 @@ namespace py = pybind11;
 namespace bundle {
 namespace {
 
-/// Calls `read(path, on_block)` without the GIL.
-template <typename Read>
-auto ReadJson(const py::object& given_path, const py::object& progress, Read read) {
-  const std::filesystem::path path = PathFromPython(given_path);
-  BlockWatch watch(progress, kReadBlockSize);
-  try {
-    const py::gil_scoped_release release;
-    return read(path, watch.OnBlock());
-  } catch (const std::system_error& error) {
-    ThrowOsError(error, path);
-  }
-}
-
 py::dict OpenMvg(const py::object& path, const py::object& progress) {
-  OpenMvgStructure data = ReadJson(path, progress, ReadOpenMvg);
+  OpenMvgStructure data = ReadFile(path, ReadOpenMvg, progress);
   py::dict found;
   found["rest"] = py::bytes(data.rest);
   found["ids"] = Column(std::move(data.ids));
@@ -41,9 +25,10 @@ py::dict OpenMvg(const py::object& path, const py::object& progress) {
 }
 
 py::dict OpenSfm(const py::object& path, int64_t entry, const py::object& progress) {
-  OpenSfmPoints data = ReadJson(path, progress, [&](const auto& file, const auto& on_block) {
-    return ReadOpenSfm(file, entry, on_block);
-  });
+  OpenSfmPoints data = ReadFile(
+      path,
+      [&](const auto& file, const auto& on_block) { return ReadOpenSfm(file, entry, on_block); },
+      progress);
   py::dict found;
   found["rest"] = py::bytes(data.rest);
   found["names"] = py::bytes(data.names.text);

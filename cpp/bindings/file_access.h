@@ -13,6 +13,7 @@
 #include <system_error>
 
 #include "core/error.h"
+#include "core/io/input_file.h"
 #include "core/io/output_file.h"
 
 namespace bundle {
@@ -62,6 +63,20 @@ inline std::filesystem::path PathFromPython(const pybind11::object& given) {
   // pathlib.Path.
   PyErr_SetFromErrnoWithFilenameObject(PyExc_OSError, name.ptr());
   throw pybind11::error_already_set();
+}
+
+/// Calls `read(path, on_block)` without the GIL, for readers with blocks of kReadBlockSize.
+template <typename Read>
+auto ReadFile(const pybind11::object& given_path, Read read,
+              const pybind11::object& progress = pybind11::none()) {
+  const std::filesystem::path path = PathFromPython(given_path);
+  BlockWatch watch(progress, kReadBlockSize);
+  try {
+    const pybind11::gil_scoped_release release;
+    return read(path, watch.OnBlock());
+  } catch (const std::system_error& error) {
+    ThrowOsError(error, path);
+  }
 }
 
 inline Compression CompressionFromName(const std::string& name) {

@@ -136,7 +136,7 @@ class GraphSpectrumSearch {
 GraphSpectrum FindGraphSpectrum(const PoseGraph& graph, const double* null_directions, int num_null,
                                 int num_threads) {
   GraphSpectrumSearch search(graph, num_threads);
-  const int tangent = graph.dimension() == 2 ? Se2::kTangent : Se3::kTangent;
+  const int tangent = TangentSize(graph.dimension());
   const std::vector<int>& poses = search.pose_of_blocks();
   Eigen::MatrixXd open(static_cast<Eigen::Index>(poses.size()) * tangent, num_null);
   for (size_t b = 0; b < poses.size(); ++b) {

@@ -20,7 +20,7 @@ using SmallMatrix =
 /// Edges of a chordal cost. A point is a matrix with a block [Y_i t_i] of dimension + 1 columns per
 /// pose, and `dimension` rows, or more in a relaxation.
 struct ChordalProblem {
-  PoseGraph graph;        ///< poses are free; without roots of information
+  PoseGraph graph;        ///< poses are free
   FillOrdering ordering;  ///< elimination of its poses
   int num_threads = 1;
   std::vector<double> rotations;     ///< measured, num_edges x d x d, column-major

@@ -27,10 +27,6 @@ Adjacency EdgesAtPoses(const PoseGraph& graph) {
   return at;
 }
 
-Retraction RetractionOf(const PoseGraph& graph) {
-  return {graph.dimension() == 2 ? Manifold::kSe2 : Manifold::kSe3, graph.dimension() == 2 ? 3 : 7};
-}
-
 /// Sets the pose at the other end of an edge: X_j = X_i Z, or X_i = X_j Z^-1.
 void Compose(const PoseGraph& graph, const Retraction& retraction, int64_t edge, int32_t from,
              std::vector<double>* poses) {
@@ -77,7 +73,7 @@ HeldPoses HoldPoses(int64_t num_poses, int64_t num_edges, const int32_t* edges,
 
 std::vector<double> SpanningTreePoses(const PoseGraph& graph) {
   const Adjacency at = EdgesAtPoses(graph);
-  const Retraction retraction = RetractionOf(graph);
+  const Retraction retraction = RetractionOf(graph.dimension());
   std::vector<double> poses = graph.poses;
   std::vector<uint8_t> reached = graph.held;
   std::vector<int32_t> queue;
@@ -137,7 +133,7 @@ std::pair<int32_t, int32_t> FindOdometryGap(const PoseGraph& graph, const int64_
 
 std::vector<double> OdometryPoses(const PoseGraph& graph, const int64_t* ids) {
   const std::vector<OdometryEdge> chain = FindOdometry(graph, ids);
-  const Retraction retraction = RetractionOf(graph);
+  const Retraction retraction = RetractionOf(graph.dimension());
   std::vector<double> poses = graph.poses;
   std::vector<uint8_t> reached = graph.held;
   for (const OdometryEdge& link : chain) {

@@ -33,13 +33,11 @@ class PoseEdgeFactor final : public Factor {
     const bool wanted = jacobians != nullptr;
     double records[2][Group::kRecord];
     for (int k = 0; k < 2; ++k) Group::Record(values[k], records[k]);
-    EvaluateRelativePose<Group>(graph_.errors.error, records[0], records[1],
-                                graph_.prepared->records.data() + edge_ * Group::kRecord, residual,
-                                wanted ? a : nullptr, wanted ? adjoint : nullptr);
-    const double* const root = RootOf<Group>(graph_, edge_);
-    ApplyRoot<kSize, 1>(root, residual);
+    EvaluateWhitened<Group>(graph_.errors.error, records[0], records[1],
+                            graph_.prepared->records.data() + edge_ * Group::kRecord,
+                            RootOf<Group>(graph_, edge_), residual, wanted ? a : nullptr,
+                            wanted ? adjoint : nullptr);
     if (!wanted) return true;
-    ApplyRoot<kSize, kSize>(root, a);
     for (int r = 0; r < kSize; ++r) {
       for (int c = 0; c < kSize; ++c) {
         if (jacobians[1] != nullptr) jacobians[1][r * kSize + c] = a[r * kSize + c];

@@ -68,11 +68,6 @@ void CheckEnds(int64_t num_poses, int64_t num_edges, const int32_t* ends) {
   }
 }
 
-Retraction RetractionOf(int dimension) {
-  return {dimension == 2 ? Manifold::kSe2 : Manifold::kSe3,
-          dimension == 2 ? Se2::kAmbient : Se3::kAmbient};
-}
-
 /// Normalises quaternions.
 std::vector<double> Normalized(const Retraction& retraction, const char* name, int64_t count,
                                const double* values) {
@@ -101,7 +96,7 @@ PoseGraphEdges PrepareEdges(int dimension, int64_t num_poses, int64_t num_edges,
   edges.measurements = Normalized(RetractionOf(dimension), "measurements", num_edges, measurements);
   edges.records =
       dimension == 2 ? PoseRecords<Se2>(edges.measurements) : PoseRecords<Se3>(edges.measurements);
-  const int tangent = dimension == 2 ? Se2::kTangent : Se3::kTangent;
+  const int tangent = TangentSize(dimension);
   const int64_t root_size = RootSize(tangent);
   edges.roots.resize(num_edges * root_size);
   for (int64_t e = 0; e < num_edges; ++e) {

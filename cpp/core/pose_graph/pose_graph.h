@@ -13,6 +13,13 @@
 
 namespace bundle {
 
+/// Shape of a pose in the plane or in space.
+inline int AmbientSize(int dimension) { return dimension == 2 ? Se2::kAmbient : Se3::kAmbient; }
+inline int TangentSize(int dimension) { return dimension == 2 ? Se2::kTangent : Se3::kTangent; }
+inline Retraction RetractionOf(int dimension) {
+  return {dimension == 2 ? Manifold::kSe2 : Manifold::kSe3, AmbientSize(dimension)};
+}
+
 /// Numbers of a root in PoseGraphEdges: a triangle, then zeros up to a multiple of 4.
 constexpr int RootSize(int tangent) { return (tangent * (tangent + 1) / 2 + 3) / 4 * 4; }
 
@@ -48,8 +55,8 @@ struct PoseGraphView {
 
   int dimension() const { return edges->dimension; }
   int64_t num_edges() const { return static_cast<int64_t>(edges->ends.size() / 2); }
-  int ambient() const { return dimension() == 2 ? Se2::kAmbient : Se3::kAmbient; }
-  int tangent() const { return dimension() == 2 ? Se2::kTangent : Se3::kTangent; }
+  int ambient() const { return AmbientSize(dimension()); }
+  int tangent() const { return TangentSize(dimension()); }
 };
 
 /// The error function of a graph, and its loss.

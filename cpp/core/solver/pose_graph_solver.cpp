@@ -20,8 +20,8 @@ namespace {
 SolveSummary SummarizePoseGraph(const PoseGraph& graph, const PoseGraphProblem& problem,
                                 const SolveOptions& options, const MinimizerSummary& minimum) {
   SolveSummary result;
-  const int tangent = graph.dimension() == 2 ? Se2::kTangent : Se3::kTangent;
-  const int ambient = graph.dimension() == 2 ? Se2::kAmbient : Se3::kAmbient;
+  const int tangent = TangentSize(graph.dimension());
+  const int ambient = AmbientSize(graph.dimension());
   SummarizeChoices(options, &result);
   SummarizeMinimum(minimum, problem.fixed_cost(), Counted::kAccepted, &result);
   SetSizes(problem.num_free_poses(), ambient * problem.num_free_poses(), problem.num_active_edges(),
