@@ -32,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.model.cameras import camera_models, project
+from bundle.model.observation_part import part_of_observations
 from bundle.model.point_elimination import eliminate_points
 from bundle.model.problem import Problem
 from bundle.model.rotations import (
@@ -78,7 +79,9 @@ def shutter_spectrum(problem: Problem) -> ShutterSpectrum | None:
     """Return the spectrum of the images with a rolling shutter; None for fewer than two."""
     shutter = problem.rolling_shutter
     assert shutter is not None
-    rows = _part(problem, shutter.is_rolling[problem.image_camera])
+    rolls = shutter.is_rolling[problem.image_camera]
+    rows = np.flatnonzero(rolls[problem.observation_image])
+    rows = rows[part_of_observations(problem, rows, MOST_IMAGES, MOST_POINTS)]
     if not len(rows):
         return None
     jacobian, d_point, known = shutter_jacobians(problem, rows)
@@ -183,24 +186,3 @@ def _gauge(problem: Problem, images: Rows) -> Floats:
     found[:, :, 3:6] += found[:, :, :3] @ cross_matrices(center[None])[0].T
     found[:, :, 6] += found[:, :, :3] @ center
     return found.reshape(-1, _GAUGE)
-
-
-def _part(problem: Problem, rolls: NDArray[np.bool_]) -> Rows:
-    """Return the observations that take part: points that at least two chosen images see."""
-    image, point = problem.observation_image, problem.observation_point
-    rows = np.flatnonzero(rolls[image])
-    number = np.bincount(image[rows], minlength=problem.num_images)
-    if (number > 0).sum() > MOST_IMAGES:
-        seen = np.zeros(problem.num_points, bool)
-        seen[point[image == np.argmax(number)]] = True
-        common = np.bincount(image[rows][seen[point[rows]]], minlength=problem.num_images)
-        taken = np.zeros(problem.num_images, bool)
-        taken[np.argsort(-common, kind="stable")[:MOST_IMAGES]] = True
-        rows = rows[taken[image[rows]]]
-    tracks = np.bincount(point[rows], minlength=problem.num_points)
-    useful = np.flatnonzero(tracks >= 2)
-    if len(useful) > MOST_POINTS:
-        useful = useful[np.linspace(0, len(useful) - 1, MOST_POINTS).astype(np.int64)]
-    kept = np.zeros(problem.num_points, bool)
-    kept[useful] = True
-    return rows[kept[point[rows]]]

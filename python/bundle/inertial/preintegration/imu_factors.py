@@ -22,8 +22,23 @@ from bundle.model.sequence.imu_noise import ImuNoise
 __all__ = ["BiasWalkFactor", "ImageImuFactor", "ImuFactor"]
 
 
+class _MotionFactor(Factor):
+    """Base of factors of a preintegrated motion, of which they store a copy."""
+
+    motion: Preintegration
+    gravity: ArrayLike
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(set(self.keys)) < len(self.keys):
+            raise InputError(f"{self.name}: expected different variables, found the same twice")
+        check_type(f"{self.name}: motion", self.motion, Preintegration)
+        self._set("motion", copy.copy(self.motion))
+        self._set("gravity", freeze(as_vector(f"{self.name}: gravity", self.gravity).copy()))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class ImuFactor(Factor):
+class ImuFactor(_MotionFactor):
     """IMU measurement between two states i and j.
 
     Let R, p, v be the state of i (world_from_imu) and R', p', v' that of j, T seconds later. Let g
@@ -63,14 +78,6 @@ class ImuFactor(Factor):
 
     kind = "imu"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if len(set(self.keys)) < len(self.keys):
-            raise InputError(f"{self.name}: expected different variables, found the same twice")
-        check_type(f"{self.name}: motion", self.motion, Preintegration)
-        self._set("motion", copy.copy(self.motion))
-        self._set("gravity", freeze(as_vector(f"{self.name}: gravity", self.gravity).copy()))
-
     @property
     def keys(self) -> tuple[Key, ...]:
         """Variables in the order of the Jacobians."""
@@ -95,7 +102,7 @@ class ImuFactor(Factor):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ImageImuFactor(Factor):
+class ImageImuFactor(_MotionFactor):
     """IMU measurement between two images of a reconstruction in metres.
 
     The error is that of :class:`ImuFactor` for world_from_imu = cam_from_world^-1 camera_from_imu.
@@ -129,11 +136,6 @@ class ImageImuFactor(Factor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(set(self.keys)) < len(self.keys):
-            raise InputError(f"{self.name}: expected different variables, found the same twice")
-        check_type(f"{self.name}: motion", self.motion, Preintegration)
-        self._set("motion", copy.copy(self.motion))
-        self._set("gravity", freeze(as_vector(f"{self.name}: gravity", self.gravity).copy()))
         self._freeze_row("camera_from_imu")
 
     @property

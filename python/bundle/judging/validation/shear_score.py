@@ -37,6 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.model.cameras import param_kinds
+from bundle.model.observation_part import part_of_observations
 from bundle.model.point_elimination import SINGULAR, eliminate_points
 from bundle.model.problem import Problem
 from bundle.model.reprojection import linearize
@@ -78,7 +79,7 @@ def shear_score(
         residual: (rows, 2) projection minus measurement.
         refine: kinds of lens parameters that the fit refined.
     """
-    chosen = _part(problem, rows)
+    chosen = part_of_observations(problem, rows, MOST_IMAGES, MOST_POINTS)
     rows, position, residual = rows[chosen], position[chosen], residual[chosen]
     if not len(rows):
         return ShearScore(np.nan, 0.0)
@@ -118,27 +119,6 @@ def shear_score(
         begin + len(images),
     )
     return _test(normal, square, 2 * len(rows) - rank, begin)
-
-
-def _part(problem: Problem, rows: _Rows) -> _Rows:
-    """Return the places in ``rows`` of the observations to test."""
-    image, point = problem.observation_image[rows], problem.observation_point[rows]
-    chosen = np.arange(len(rows))
-    number = np.bincount(image, minlength=problem.num_images)
-    if (number > 0).sum() > MOST_IMAGES:
-        seen = np.zeros(problem.num_points, bool)
-        seen[point[image == np.argmax(number)]] = True
-        common = np.bincount(image[seen[point]], minlength=problem.num_images)
-        taken = np.zeros(problem.num_images, bool)
-        taken[np.argsort(-common, kind="stable")[:MOST_IMAGES]] = True
-        chosen = chosen[taken[image]]
-    tracks = np.bincount(point[chosen], minlength=problem.num_points)
-    useful = np.flatnonzero(tracks >= 2)
-    if len(useful) > MOST_POINTS:
-        useful = useful[np.linspace(0, len(useful) - 1, MOST_POINTS).astype(np.int64)]
-    kept = np.zeros(problem.num_points, bool)
-    kept[useful] = True
-    return chosen[kept[point[chosen]]]
 
 
 def _lens_columns(
