@@ -106,22 +106,9 @@ class SceneInBlocks:
         """Return the true images and cameras, without points."""
         images, cameras, kind = self._scene.images, self.cameras, self.options.scene
         translations = -rotate(images.rotations, images.centers)
-        num_images, num_cameras = len(images.centers), len(cameras.params)
-        return Problem(
-            cam_from_world=np.concatenate(
-                [quaternion_from_matrix(images.rotations), translations], axis=1
-            ),
-            image_ids=np.arange(1, num_images + 1),
-            image_names=tuple(f"{kind}_{i:04d}.jpg" for i in range(1, num_images + 1)),
-            image_camera=cameras.image_camera,
-            camera_ids=np.arange(1, num_cameras + 1),
-            camera_models=(cameras.model,) * num_cameras,
-            camera_params=cameras.params,
-            camera_sizes=cameras.sizes,
-            points=np.zeros((0, 3)),
-            observation_image=np.zeros(0, np.int32),
-            observation_point=np.zeros(0, np.int32),
-            observation_xy=np.zeros((0, 2)),
+        return cameras.problem_of(
+            np.concatenate([quaternion_from_matrix(images.rotations), translations], axis=1),
+            tuple(f"{kind}_{i:04d}.jpg" for i in range(1, len(images.centers) + 1)),
         )
 
     def blocks(self) -> Iterator[Block]:

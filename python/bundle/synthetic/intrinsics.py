@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.model.cameras import camera_models
+from bundle.model.problem import Problem
 from bundle.synthetic.scene import Images
 
 __all__ = ["FOCAL_PARAMS", "RADIAL_PARAMS", "TANGENTIAL_PARAMS", "Intrinsics", "draw_intrinsics"]
@@ -39,6 +40,24 @@ class Intrinsics:
         """Return the parameters (num_params,) of the camera of an image."""
         row: NDArray[np.float64] = self.params[self.image_camera[image]]
         return row
+
+    def problem_of(self, cam_from_world: NDArray[np.float64], names: tuple[str, ...]) -> Problem:
+        """Return a problem of the images with these poses (n, 7) and names, without points."""
+        num_cameras = len(self.params)
+        return Problem(
+            cam_from_world=cam_from_world,
+            image_ids=np.arange(1, len(names) + 1),
+            image_names=names,
+            image_camera=self.image_camera,
+            camera_ids=np.arange(1, num_cameras + 1),
+            camera_models=(self.model,) * num_cameras,
+            camera_params=self.params,
+            camera_sizes=self.sizes,
+            points=np.zeros((0, 3)),
+            observation_image=np.zeros(0, np.int32),
+            observation_point=np.zeros(0, np.int32),
+            observation_xy=np.zeros((0, 2)),
+        )
 
     def columns(self, names: tuple[str, ...]) -> list[int]:
         """Return the columns of ``params`` that contain any of the named parameters."""

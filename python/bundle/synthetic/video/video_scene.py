@@ -159,21 +159,9 @@ def _images(
         ball_radii=np.zeros(count),
     )
     cameras = draw_intrinsics(rng, images, options.camera_model, shared=options.has_shared_camera)
-    num_cameras = len(cameras.params)
-    return Problem(
-        cam_from_world=motion.poses(motion.frames.astype(float)),
-        image_ids=np.arange(1, count + 1),
-        image_names=tuple(f"frame_{frame:06d}.jpg" for frame in motion.frames.tolist()),
-        image_camera=cameras.image_camera,
-        camera_ids=np.arange(1, num_cameras + 1),
-        camera_models=(cameras.model,) * num_cameras,
-        camera_params=cameras.params,
-        camera_sizes=cameras.sizes,
-        points=np.zeros((0, 3)),
-        observation_image=np.zeros(0, np.int32),
-        observation_point=np.zeros(0, np.int32),
-        observation_xy=np.zeros((0, 2)),
-    ), cameras
+    poses = motion.poses(motion.frames.astype(float))
+    names = tuple(f"frame_{frame:06d}.jpg" for frame in motion.frames.tolist())
+    return cameras.problem_of(poses, names), cameras
 
 
 def _observe(
