@@ -151,7 +151,7 @@ def test_both_backends_take_the_same_steps(mode, solver):
     assert runs["fused"].summary.backend_used == "FUSED"
     costs = [run.iterations["cost"] for run in runs.values()]
     count = min(map(len, costs))
-    assert count > 4
+    assert count >= 4
     taken = np.asarray(runs["ceres"].iterations["step_is_successful"][:count], bool)
     taken[0] = True
     np.testing.assert_allclose(costs[1][:count][taken], costs[0][:count][taken], rtol=1e-9)

@@ -24,6 +24,10 @@ inline Quad LoadQuad(const double* from) {
   return quad;
 }
 
+/// Two or three numbers, which may be the last of an array, and padding.
+inline Quad LoadPair(const double* from) { return Quad{from[0], from[1]}; }
+inline Quad LoadTriple(const double* from) { return Quad{from[0], from[1], from[2]}; }
+
 inline void StoreQuad(const Quad& quad, double* to) { __builtin_memcpy(to, &quad, sizeof quad); }
 
 /// One double of each lane; arithmetic is lane by lane.
@@ -81,52 +85,115 @@ inline Pack Max(const Pack& a, const Pack& b) { return Select(a >= b, a, b); }
 #ifdef __has_builtin
 #if __has_builtin(__builtin_shufflevector)
 #define BUNDLE_SHUFFLE(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#define BUNDLE_CHANGES_WIDTH
 #endif
 #endif
 #ifndef BUNDLE_SHUFFLE
-using QuadIndex = int64_t __attribute__((vector_size(32)));
-#define BUNDLE_SHUFFLE(a, b, ...) __builtin_shuffle(a, b, QuadIndex{__VA_ARGS__})
+#define BUNDLE_SHUFFLE(a, b, ...) __builtin_shuffle(a, b, Pack::Bits{__VA_ARGS__})
 #endif
 
-/// Transposes four rows of four.
-inline void Transpose(Quad* rows) {
-  const Quad ab_even = BUNDLE_SHUFFLE(rows[0], rows[1], 0, 4, 2, 6);
-  const Quad ab_odd = BUNDLE_SHUFFLE(rows[0], rows[1], 1, 5, 3, 7);
-  const Quad cd_even = BUNDLE_SHUFFLE(rows[2], rows[3], 0, 4, 2, 6);
-  const Quad cd_odd = BUNDLE_SHUFFLE(rows[2], rows[3], 1, 5, 3, 7);
-  rows[0] = BUNDLE_SHUFFLE(ab_even, cd_even, 0, 1, 4, 5);
-  rows[1] = BUNDLE_SHUFFLE(ab_odd, cd_odd, 0, 1, 4, 5);
-  rows[2] = BUNDLE_SHUFFLE(ab_even, cd_even, 2, 3, 6, 7);
-  rows[3] = BUNDLE_SHUFFLE(ab_odd, cd_odd, 2, 3, 6, 7);
+/// Row i of the square of lanes 0 to 3 and, of eight lanes, row i of the square of lanes 4 to 7.
+using SquareRow = Pack::Vector;
+
+/// The rows of a lane and of the lane four further on are joined and split in registers: a load
+/// that spans two stores waits until both have reached the cache.
+#if BUNDLE_LANES == 8 && defined(BUNDLE_CHANGES_WIDTH)
+inline SquareRow JoinRows(const Quad* rows) {
+  return BUNDLE_SHUFFLE(rows[0], rows[4], 0, 1, 2, 3, 4, 5, 6, 7);
+}
+inline void SplitRows(const SquareRow& both, Quad* rows) {
+  rows[0] = BUNDLE_SHUFFLE(both, both, 0, 1, 2, 3);
+  rows[4] = BUNDLE_SHUFFLE(both, both, 4, 5, 6, 7);
+}
+#else
+inline SquareRow JoinRows(const Quad* rows) {
+  SquareRow both;
+  for (int lane = 0; lane < kLanes; lane += 4) {
+    __builtin_memcpy(reinterpret_cast<double*>(&both) + lane, rows + lane, sizeof(Quad));
+  }
+  return both;
+}
+inline void SplitRows(const SquareRow& both, Quad* rows) {
+  for (int lane = 0; lane < kLanes; lane += 4) {
+    __builtin_memcpy(rows + lane, reinterpret_cast<const double*>(&both) + lane, sizeof(Quad));
+  }
+}
+#endif
+
+/// Transposes each square of four rows.
+inline void TransposeSquares(SquareRow* rows) {
+#if BUNDLE_LANES == 8
+#define BUNDLE_EVEN 0, 8, 2, 10, 4, 12, 6, 14
+#define BUNDLE_ODD 1, 9, 3, 11, 5, 13, 7, 15
+#define BUNDLE_FIRST_PAIRS 0, 1, 8, 9, 4, 5, 12, 13
+#define BUNDLE_LAST_PAIRS 2, 3, 10, 11, 6, 7, 14, 15
+#else
+#define BUNDLE_EVEN 0, 4, 2, 6
+#define BUNDLE_ODD 1, 5, 3, 7
+#define BUNDLE_FIRST_PAIRS 0, 1, 4, 5
+#define BUNDLE_LAST_PAIRS 2, 3, 6, 7
+#endif
+  const SquareRow ab_even = BUNDLE_SHUFFLE(rows[0], rows[1], BUNDLE_EVEN);
+  const SquareRow ab_odd = BUNDLE_SHUFFLE(rows[0], rows[1], BUNDLE_ODD);
+  const SquareRow cd_even = BUNDLE_SHUFFLE(rows[2], rows[3], BUNDLE_EVEN);
+  const SquareRow cd_odd = BUNDLE_SHUFFLE(rows[2], rows[3], BUNDLE_ODD);
+  rows[0] = BUNDLE_SHUFFLE(ab_even, cd_even, BUNDLE_FIRST_PAIRS);
+  rows[1] = BUNDLE_SHUFFLE(ab_odd, cd_odd, BUNDLE_FIRST_PAIRS);
+  rows[2] = BUNDLE_SHUFFLE(ab_even, cd_even, BUNDLE_LAST_PAIRS);
+  rows[3] = BUNDLE_SHUFFLE(ab_odd, cd_odd, BUNDLE_LAST_PAIRS);
+#undef BUNDLE_EVEN
+#undef BUNDLE_ODD
+#undef BUNDLE_FIRST_PAIRS
+#undef BUNDLE_LAST_PAIRS
 }
 
 #undef BUNDLE_SHUFFLE
+#undef BUNDLE_CHANGES_WIDTH
+
+/// packs[j] = entry j of the row of each lane, for j in [0, 4).
+inline void PacksOfRows(const Quad* rows, Pack* packs) {
+  SquareRow square[4];
+  for (int i = 0; i < 4; ++i) square[i] = JoinRows(rows + i);
+  TransposeSquares(square);
+  for (int i = 0; i < 4; ++i) packs[i].v = square[i];
+}
 
 /// packs[j] = entry j of each lane's record; `count` a multiple of 4.
 inline void GatherRecords(const double* const* records, int count, Pack* packs) {
   for (int j = 0; j < count; j += 4) {
-    for (int lane = 0; lane < kLanes; lane += 4) {
-      Quad rows[4];
-      for (int i = 0; i < 4; ++i) rows[i] = LoadQuad(records[lane + i] + j);
-      Transpose(rows);
-      for (int i = 0; i < 4; ++i) {
-        __builtin_memcpy(reinterpret_cast<double*>(&packs[j + i].v) + lane, &rows[i], sizeof(Quad));
-      }
-    }
+    Quad rows[kLanes];
+    for (int lane = 0; lane < kLanes; ++lane) rows[lane] = LoadQuad(records[lane] + j);
+    PacksOfRows(rows, packs + j);
   }
 }
 
 /// Entries 0 to 3 of each lane's record = packs[0] to packs[3].
 inline void ScatterRecords(const Pack* const* packs, double* const* records, int entry) {
-  for (int lane = 0; lane < kLanes; lane += 4) {
-    Quad rows[4];
-    for (int i = 0; i < 4; ++i) {
-      __builtin_memcpy(&rows[i], reinterpret_cast<const double*>(&packs[i]->v) + lane,
-                       sizeof(Quad));
-    }
-    Transpose(rows);
-    for (int i = 0; i < 4; ++i) StoreQuad(rows[i], records[lane + i] + entry);
-  }
+  SquareRow square[4];
+  for (int i = 0; i < 4; ++i) square[i] = packs[i]->v;
+  TransposeSquares(square);
+  Quad rows[kLanes];
+  for (int i = 0; i < 4; ++i) SplitRows(square[i], rows + i);
+  for (int lane = 0; lane < kLanes; ++lane) StoreQuad(rows[lane], records[lane] + entry);
+}
+
+/// packs[0], packs[1] = the two numbers of each lane.
+inline void GatherPairs(const double* const* pairs, Pack* packs) {
+  Quad rows[kLanes];
+  for (int lane = 0; lane < kLanes; ++lane) rows[lane] = LoadPair(pairs[lane]);
+  Pack four[4];
+  PacksOfRows(rows, four);
+  packs[0] = four[0];
+  packs[1] = four[1];
+}
+
+/// packs[0] to packs[2] = the three numbers of each lane.
+inline void GatherTriples(const double* const* triples, Pack* packs) {
+  Quad rows[kLanes];
+  for (int lane = 0; lane < kLanes; ++lane) rows[lane] = LoadTriple(triples[lane]);
+  Pack four[4];
+  PacksOfRows(rows, four);
+  for (int i = 0; i < 3; ++i) packs[i] = four[i];
 }
 
 }  // namespace bundle::BUNDLE_ISA

@@ -23,7 +23,7 @@ inline constexpr int kStepRecord = 12;
 inline void LinearizeAlong(const EliminationInput& input, const StateRecords& x, const Strip& strip,
                            const Lanes& lanes, const StepRecords& step, const StepRecords* other,
                            double* records) {
-  const LaneState state(input, x, lanes, true);
+  const LaneState state(input, x, lanes, false);  // neither chart nor its Jacobians
   const LaneResiduals residuals(input, x, state, lanes, true);
   double* out[kLanes];
   double discarded[kStepRecord];
@@ -55,14 +55,32 @@ inline void BackSubstitute(const PointBlock& block, const double* records, int64
   SolveTransposed(block, -block.Whiten(sum), step);
 }
 
-inline double CandidateCost(const EliminationInput& input, const StateRecords& x,
-                            const Strip& strip) {
-  double cost = 0;
-  VisitLanes(input, strip, [&](const Lanes& lanes) {
-    const LaneState state(input, x, lanes, false);
-    cost += Sum(LaneResiduals(input, x, state, lanes, false).rho, lanes.count);
-  });
-  return 0.5 * cost;
+/// Adds the costs of a strip's observations to the lanes of `twice_cost`, twice.
+inline void AddCosts(const EliminationInput& input, const StateRecords& x, const Lanes& lanes,
+                     Pack* twice_cost) {
+  const LaneState state(input, x, lanes, false);
+  AddLanes(LaneResiduals(input, x, state, lanes, false).rho, lanes.count, twice_cost);
+}
+
+/// Adds m^T (r + m / 2) to the lanes of a sum, with m = A d + B dX: the change of the model's cost.
+/// `steps`: dX of the strip's points.
+inline void AddModel(const Strip& strip, const Lanes& lanes, const double* records,
+                     const Quad* steps, Pack* sum) {
+  const double* of_lanes[kLanes];
+  Quad rows[kLanes];
+  for (int lane = 0; lane < kLanes; ++lane) {
+    of_lanes[lane] = records + (lanes.observation[lane] - strip.begin) * kStepRecord;
+    rows[lane] = steps[lanes.point[lane] - strip.first];
+  }
+  Pack record[kStepRecord], d[4], change = 0.0;
+  GatherRecords(of_lanes, kStepRecord, record);
+  PacksOfRows(rows, d);
+  for (int row = 0; row < 2; ++row) {
+    const Pack* const a = record + 4 * row;
+    const Pack m = record[8 + row] + a[0] * d[0] + a[1] * d[1] + a[2] * d[2];
+    change += m * (a[3] + 0.5 * m);
+  }
+  AddLanes(change, lanes.count, sum);
 }
 
 /// p^T J^T J q and p^T J^T r of the factors of a point.
@@ -80,6 +98,9 @@ inline void EvaluateNewtonStep(const EliminationInput& input, const StateRecords
                                double* candidate_points, double* memory, CandidateSum* sum) {
   const int64_t* const begin = input.plan->first.data();
   PointBlock blocks[kStripPoints];
+  Quad steps[kStripPoints];
+  Pack twice_cost = 0.0, model = 0.0;
+  Quad step_squared = {}, state_squared = {};
   for (int point = chunk.first_point; point < chunk.last_point && chunk.first_row == 0;) {
     const Strip strip(input, point, chunk.last_point);
     VisitLanes(input, strip, [&](const Lanes& lanes) {
@@ -87,32 +108,31 @@ inline void EvaluateNewtonStep(const EliminationInput& input, const StateRecords
     });
     FormPointBlocks(input, strip, memory, kStepRecord, damping, false, squared_scale, blocks);
     for (int p = strip.first; p < strip.last; ++p) {
-      const int64_t count = begin[p + 1] - begin[p];
-      const double* const records = memory + (begin[p] - strip.begin) * kStepRecord;
-      double d[3] = {};
-      if (p < input.plan->num_free_points) {
-        BackSubstitute(blocks[p - strip.first], records, count, 8, d);
+      const bool is_free = p < input.plan->num_free_points;
+      double d[4] = {};
+      if (is_free) {
+        BackSubstitute(blocks[p - strip.first], memory + (begin[p] - strip.begin) * kStepRecord,
+                       begin[p + 1] - begin[p], 8, d);
       }
-      for (int j = 0; j < 3; ++j) {
-        const double moved = x.points[3 * p + j] + d[j];
-        candidate_points[3 * p + j] = moved;
-        if (p >= input.plan->num_free_points) continue;
-        sum->step_squared += d[j] * d[j];
-        sum->state_squared += moved * moved;
-      }
+      const Quad by = LoadQuad(d), moved = LoadTriple(x.points + 3 * p) + by;
+      steps[p - strip.first] = by;
+      for (int j = 0; j < 3; ++j) candidate_points[3 * p + j] = moved[j];
+      step_squared += by * by;
+      if (is_free) state_squared += moved * moved;
       if (const double* const prior = input.PriorOf(p)) {
         sum->model_cost_change -= PriorGradient(prior, d) + 0.5 * PriorProduct(prior, d, d);
       }
-      for (const double* at = records; at < records + count * kStepRecord; at += kStepRecord) {
-        for (int row = 0; row < 2; ++row) {
-          const double model = at[8 + row] + Dot3(at + 4 * row, d);
-          sum->model_cost_change -= model * (at[4 * row + 3] + 0.5 * model);
-        }
-      }
     }
-    sum->cost += CandidateCost(input, candidate, strip);
+    VisitLanes(input, strip, [&](const Lanes& lanes) {
+      AddModel(strip, lanes, memory, steps, &model);
+      AddCosts(input, candidate, lanes, &twice_cost);
+    });
     point = strip.last;
   }
+  sum->model_cost_change -= SumOfLanes(model);
+  sum->cost += 0.5 * SumOfLanes(twice_cost);
+  sum->step_squared += step_squared[0] + step_squared[1] + step_squared[2];
+  sum->state_squared += state_squared[0] + state_squared[1] + state_squared[2];
 }
 
 inline void AddProducts(const double* record, const double* p, const double* q, ProductSum* sum) {
@@ -166,13 +186,13 @@ inline void Products(const EliminationInput& input, const StateRecords& x, const
 }
 
 inline double Cost(const EliminationInput& input, const StateRecords& x, const Chunk& chunk) {
-  double cost = 0;
+  Pack twice_cost = 0.0;
   for (int point = chunk.first_point; point < chunk.last_point && chunk.first_row == 0;) {
     const Strip strip(input, point, chunk.last_point);
-    cost += CandidateCost(input, x, strip);
+    VisitLanes(input, strip, [&](const Lanes& lanes) { AddCosts(input, x, lanes, &twice_cost); });
     point = strip.last;
   }
-  return cost;
+  return 0.5 * SumOfLanes(twice_cost);
 }
 
 /// d^T J^T r at x, for a step of the cameras and a step of the points (3 numbers each).

@@ -26,12 +26,12 @@ inline void ChainSensor(const StateRecords& x, const Lanes& lanes, const int32_t
   }
 }
 
-/// Writes the records of observations in lanes and returns their cost. With kAlong, the records
-/// have A d in place of the residual, for a step d of the camera parameters.
+/// Writes the records of observations in lanes and adds their costs to the lanes of `twice_cost`,
+/// twice. With kAlong, the records have A d in place of the residual, for a step d of the camera
+/// parameters.
 template <bool kAlong>
-inline double LinearizeLanes(const EliminationInput& input, const StateRecords& x,
-                             const Lanes& lanes, const TileRecords& records,
-                             const StepRecords* step) {
+inline void LinearizeLanes(const EliminationInput& input, const StateRecords& x, const Lanes& lanes,
+                           const TileRecords& records, const StepRecords* step, Pack* twice_cost) {
   const LaneState state(input, x, lanes, true);
   LaneResiduals residuals(input, x, state, lanes, true);
   if constexpr (kAlong) residuals.Along(input, *step, lanes, state, residuals.r);
@@ -40,35 +40,36 @@ inline double LinearizeLanes(const EliminationInput& input, const StateRecords& 
   for (int lane = 0; lane < kLanes; ++lane) {
     out[lane] = lane < lanes.count ? records.Of(lanes.observation[lane]) : discarded;
   }
-  const Pack zero = 0.0;
   const ModelGroup& group = *lanes.group;
+  // By the numbers of ModelGroup::columns, after zeros for kNoColumn.
+  Pack columns[1 + ModelGroup::kFirstOfSensor + kPoseSize];
+  Pack* const derivative = columns + 1;
+  static_assert(ModelGroup::kNoColumn == -1);
+  columns[0] = 0.0;
   for (int row = 0; row < 2; ++row) {
-    Pack d_pose[kPoseSize], d_sensor[kPoseSize], d_point[3];
-    residuals.ChainPose(state, row, d_pose);
+    Pack d_point[3];
+    residuals.ChainPose(state, row, derivative);
     residuals.ChainPoint(state, row, d_point);
-    const Pack* const d_params = residuals.d_params + row * group.num_params;
-    const Pack* const d_twist = residuals.d_twist + row * kTwistSize;
+    for (int k = 0; k < group.num_params; ++k) {
+      derivative[kPoseSize + k] = residuals.d_params[row * group.num_params + k];
+    }
+    for (int k = 0; k < kTwistSize && group.rolls; ++k) {
+      derivative[kFirstTwist + k] = residuals.d_twist[kTwistSize * row + k];
+    }
     if (group.parts[kSensorPart].num_columns > 0) {
-      ChainSensor(x, lanes, input.plan->image.data(), d_pose, d_sensor);
+      ChainSensor(x, lanes, input.plan->image.data(), derivative,
+                  derivative + ModelGroup::kFirstOfSensor);
     }
     const int width = 4 * group.num_quads;
     for (int j = 0; j < width; j += 4) {
       const Pack* quad[4];
-      for (int k = 0; k < 4; ++k) {
-        const int column = group.columns[j + k];
-        quad[k] = column == ModelGroup::kNoColumn ? &zero
-                  : column < kPoseSize            ? d_pose + column
-                  : column < kFirstTwist          ? d_params + (column - kPoseSize)
-                  : column < ModelGroup::kFirstOfSensor
-                      ? d_twist + (column - kFirstTwist)
-                      : d_sensor + (column - ModelGroup::kFirstOfSensor);
-      }
+      for (int k = 0; k < 4; ++k) quad[k] = derivative + group.columns[j + k];
       ScatterRecords(quad, out, kRecordHead + row * width + j);
     }
     const Pack* const head[4] = {d_point, d_point + 1, d_point + 2, residuals.r + row};
     ScatterRecords(head, out, 4 * row);
   }
-  return 0.5 * Sum(residuals.rho, lanes.count);
+  AddLanes(residuals.rho, lanes.count, twice_cost);
 }
 
 /// Linearises the strips of points [first_point, last_point) of a tile and calls visit(p, block of
@@ -79,18 +80,18 @@ inline void VisitPoints(const EliminationInput& input, const StateRecords& x, in
                         const TileRecords& records, double* total_cost, const Visit& visit,
                         const StepRecords* step = nullptr) {
   PointBlock blocks[kStripPoints];
+  Pack twice_cost = 0.0;
   for (int point = first_point; point < last_point;) {
     const Strip strip(input, point, last_point);
-    double cost = 0;
     VisitLanes(input, strip, [&](const Lanes& lanes) {
-      cost += LinearizeLanes<kAlong>(input, x, lanes, records, step);
+      LinearizeLanes<kAlong>(input, x, lanes, records, step, &twice_cost);
     });
     FormPointBlocks(input, strip, records.Of(strip.begin), records.stride(), damping, first,
                     squared_scale, blocks);
-    *total_cost += cost;
     for (int p = strip.first; p < strip.last; ++p) visit(p, blocks[p - strip.first]);
     point = strip.last;
   }
+  *total_cost += 0.5 * SumOfLanes(twice_cost);
 }
 
 /// The tiles of a chunk, one after the other, with their lists.
@@ -125,25 +126,24 @@ void EliminateChunk(const EliminationInput& input, const StateRecords& x, const 
   TileCursor at = {chunk};
   for (const Tile* tile = chunk.tiles.data(); at.first_point < chunk.last_point; ++tile) {
     const TileRecords records(input, memory, at.first_point);
-    VisitPoints(
-        input, x, at.first_point, tile->last_point, damping, first, squared_scale, records,
-        counts ? &sum->cost : &ignored, [&](int p, const PointBlock& of_point) {
-          for (int j = 0; j < 3 && first && counts; ++j) {
-            squared_scale[3 * p + j] = of_point.squared_scale[j];
-          }
-          const PointBlock* const block = p < input.plan->num_free_points ? &of_point : nullptr;
-          const int num_refined = CountRefined(input, begin[p], begin[p + 1]);
-          if (block != nullptr) {
-            for (int j = 0; j < 3 && counts; ++j) {
-              const double g = block->Gradient(j), size = __builtin_fabs(g);
-              sum->gradient_squared += g * g;
-              if (!(size <= sum->gradient_max)) sum->gradient_max = size;
-            }
-            WhitenRows(records, begin[p], begin[p] + num_refined, *block);
-            FormFactors<kOwn, kCamera>(input, chunk, records, begin[p], num_refined, memory);
-          }
-          FinishHeads(input, records, begin[p], num_refined, block);
-        });
+    VisitPoints(input, x, at.first_point, tile->last_point, damping, first, squared_scale, records,
+                counts ? &sum->cost : &ignored, [&](int p, const PointBlock& block) {
+                  for (int j = 0; j < 3 && first && counts; ++j) {
+                    squared_scale[3 * p + j] = block.squared_scale[j];
+                  }
+                  const int num_refined = CountRefined(input, begin[p], begin[p + 1]);
+                  if (p >= input.plan->num_free_points) {
+                    FinishConstantHeads(records, begin[p], num_refined);
+                    return;
+                  }
+                  for (int j = 0; j < 3 && counts; ++j) {
+                    const double g = block.Gradient(j), size = __builtin_fabs(g);
+                    sum->gradient_squared += g * g;
+                    if (!(size <= sum->gradient_max)) sum->gradient_max = size;
+                  }
+                  FormFactors<kOwn, kCamera, true>(input, chunk, records, begin[p], num_refined,
+                                                   block, memory);
+                });
     AddImages(input, chunk, at.image, at.EndOfImages(*tile), at.observations, begin[at.first_point],
               records, *sum);
     SubtractTile(input, chunk, at.block, at.EndOfBlocks(*tile), at.pairs, memory, *sum);

@@ -35,6 +35,7 @@
 ///   r_0 r_1, the entries of r - Y h, and the upper triangle of I - Y Y^T or I.
 
 #include "core/schur/kernels/point_block.h"
+#include "core/schur/kernels/wide_row.h"
 
 namespace bundle::BUNDLE_ISA {
 
@@ -71,16 +72,12 @@ class TileRecords {
   double* data_;
 };
 
-/// Replaces the head (a, r) of each record of a point by (y, r), for observations [begin, end).
-inline void WhitenRows(const TileRecords& records, int64_t begin, int64_t end,
-                       const PointBlock& block) {
-  for (int64_t i = begin; i < end; ++i) {
-    double* const head = records.Of(i);
-    for (double* at = head; at < head + kRecordHead; at += 4) {
-      Quad y = block.Whiten(LoadQuad(at));
-      y[3] = at[3];
-      StoreQuad(y, at);
-    }
+/// Replaces the head (a, r) of a record by (y, r).
+inline void WhitenHead(const PointBlock& block, double* head) {
+  for (double* at = head; at < head + kRecordHead; at += 4) {
+    Quad y = block.Whiten(LoadQuad(at));
+    y[3] = at[3];
+    StoreQuad(y, at);
   }
 }
 
@@ -105,12 +102,13 @@ inline bool IsSingle(const uint16_t* entry, int num_kinds, bool is_last) {
 /// w = A^T Y, or w += A^T Y unless `is_first`; three rows, one per column of Y.
 template <int kQuads>
 void AddFactor(const double* rows, int stride, const double* head, bool is_first, double* w) {
-  for (int k = 0; k < 3; ++k) {
-    for (int q = 0; q < kQuads; ++q, w += 4) {
-      const Quad product =
-          head[k] * LoadQuad(rows + 4 * q) + head[4 + k] * LoadQuad(rows + stride + 4 * q);
-      StoreQuad(is_first ? product : LoadQuad(w) + product, w);
-    }
+  using Row = WideRow<kQuads>;
+  const Row row_0 = Row::Load(rows), row_1 = Row::Load(rows + stride);
+  for (int k = 0; k < 3; ++k, w += 4 * kQuads) {
+    Row sum = is_first ? Row{} : Row::Load(w);
+    sum.Add(head[k], row_0);
+    sum.Add(head[4 + k], row_1);
+    sum.Store(w);
   }
 }
 
@@ -148,44 +146,47 @@ inline void AddFactors(const EliminationInput& input, const ModelGroup& group,
   }
 }
 
-/// Computes the factors of a point from its white records, for observations from `begin` on.
-template <int kOwn, int kCamera>
+/// Replaces the head (y, r) of a record by what the own products of the observation need. `h`: 3
+/// numbers of the point's block.
+inline void FinishHead(const double* h, bool is_single, double* head) {
+  const double *y_0 = head, *y_1 = head + 4;
+  const double r_0 = y_0[3], r_1 = y_1[3];
+  const Quad residuals = {r_0, r_1, r_0 - Dot3(y_0, h), r_1 - Dot3(y_1, h)};
+  Quad middle = {1, 0, 1, 0};
+  if (is_single) middle -= Quad{Dot3(y_0, y_0), Dot3(y_0, y_1), Dot3(y_1, y_1), 0};
+  StoreQuad(residuals, head);
+  StoreQuad(middle, head + 4);
+}
+
+/// The same for all observations of a constant point, whose heads are (a, r).
+inline void FinishConstantHeads(const TileRecords& records, int64_t begin, int num_refined) {
+  for (int64_t i = begin; i < begin + num_refined; ++i) {
+    double* const head = records.Of(i);
+    const Quad residuals = {head[3], head[7], head[3], head[7]};
+    StoreQuad(residuals, head);
+    StoreQuad(Quad{1, 0, 1, 0}, head + 4);
+  }
+}
+
+/// Whitens the heads of a point's records, from observation `begin` on, computes the factors of its
+/// entries, and with kFinish finishes the heads.
+template <int kOwn, int kCamera, bool kFinish>
 inline void FormFactors(const EliminationInput& input, const Chunk& chunk,
-                        const TileRecords& records, int64_t begin, int num_refined, double* w) {
+                        const TileRecords& records, int64_t begin, int num_refined,
+                        const PointBlock& block, double* w) {
   const EliminationPlan& plan = *input.plan;
   const int num_kinds = kOwn == 0 ? plan.num_kinds : kCamera > 0 ? 2 : 1;
   const int32_t* const image = plan.image.data() + begin;
   const uint16_t* const in_chunk = plan.image_in_chunk.data() + begin;
   const uint16_t* entry = plan.entry.data() + begin * num_kinds;
+  double h[4];
+  StoreQuad(block.h, h);
   for (int i = 0; i < num_refined; ++i, entry += num_kinds) {
     const ModelGroup& group = input.groups[kOwn > 0 ? 0 : input.image_group[image[i]]];
-    AddFactors<kOwn, kCamera>(input, group, chunk.images.data()[in_chunk[i]], records.Of(begin + i),
-                              entry, w);
-  }
-}
-
-/// Replaces the heads of a point's records by what its own products need. `block`: nullptr for a
-/// constant point.
-inline void FinishHeads(const EliminationInput& input, const TileRecords& records, int64_t begin,
-                        int num_refined, const PointBlock* block) {
-  const int num_kinds = input.plan->num_kinds;
-  const uint16_t* entry = input.plan->entry.data() + begin * num_kinds;
-  double h[4] = {};
-  if (block != nullptr) StoreQuad(block->h, h);
-  for (int i = 0; i < num_refined; ++i, entry += num_kinds) {
-    double* const head = records.Of(begin + i);
-    const double *y_0 = head, *y_1 = head + 4;
-    const double r_0 = y_0[3], r_1 = y_1[3];
-    Quad residuals = {r_0, r_1, r_0, r_1}, middle = {1, 0, 1, 0};
-    if (block != nullptr) {
-      residuals[2] -= Dot3(y_0, h);
-      residuals[3] -= Dot3(y_1, h);
-      if (IsSingle(entry, num_kinds, i + 1 == num_refined)) {
-        middle -= Quad{Dot3(y_0, y_0), Dot3(y_0, y_1), Dot3(y_1, y_1), 0};
-      }
-    }
-    StoreQuad(residuals, head);
-    StoreQuad(middle, head + 4);
+    double* const record = records.Of(begin + i);
+    WhitenHead(block, record);
+    AddFactors<kOwn, kCamera>(input, group, chunk.images.data()[in_chunk[i]], record, entry, w);
+    if constexpr (kFinish) FinishHead(h, IsSingle(entry, num_kinds, i + 1 == num_refined), record);
   }
 }
 

@@ -9,7 +9,7 @@
 ///   survey_points.h     sums over points, for covariances,   point_covariances.h   of points
 ///   point_block.h       the 3x3 blocks of points
 ///   strip.h             the walk through a chunk, and residuals several at a time
-///   project_lanes.h     camera models and losses,   parallel/pack.h   registers
+///   project_lanes.h     camera models and losses,   wide_row.h, parallel/pack.h   registers
 ///
 /// No array of the size of the Jacobian is stored. A pass reads each observation once: 20 bytes of
 /// image and measurement, 4 bytes or more for its places in chunk and tile and 4 bytes per pair. A

@@ -44,11 +44,20 @@ inline void MultiplySchur(const EliminationInput& input, const StateRecords& x, 
     VisitPoints<true>(
         input, x, at.first_point, tile->last_point, damping, false, squared_scale, records,
         &ignored,
-        [&](int p, const PointBlock& of_point) {
-          const PointBlock* const block = p < input.plan->num_free_points ? &of_point : nullptr;
+        [&](int p, const PointBlock& block) {
           const int num_refined = CountRefined(input, begin[p], begin[p + 1]);
-          if (block != nullptr) WhitenRows(records, begin[p], begin[p] + num_refined, *block);
-          FinishHeads(input, records, begin[p], num_refined, block);
+          if (p >= input.plan->num_free_points) {
+            FinishConstantHeads(records, begin[p], num_refined);
+            return;
+          }
+          const uint16_t* entry = input.plan->entry.data() + begin[p] * input.plan->num_kinds;
+          double h[4];
+          StoreQuad(block.h, h);
+          for (int i = 0; i < num_refined; ++i, entry += input.plan->num_kinds) {
+            double* const head = records.Of(begin[p] + i);
+            WhitenHead(block, head);
+            FinishHead(h, IsSingle(entry, input.plan->num_kinds, i + 1 == num_refined), head);
+          }
         },
         &step);
     ForImages(input, at.image, at.EndOfImages(*tile), at.observations, begin[at.first_point],

@@ -24,11 +24,6 @@ struct PointBlock {
   Quad h;
   double d_squared[4];  ///< D_j^2; the last unused
 
-  /// Adds one residual: `row` is (a, r).
-  void Add(const Quad& row) {
-    for (int i = 0; i < 3; ++i) sum[i] += row[i] * row;
-  }
-
   /// y = L^-1 a, the last entry zero.
   Quad Whiten(const Quad& row) const {
     return column[0] * row[0] + column[1] * row[1] + column[2] * row[2];
@@ -101,15 +96,18 @@ inline void FormPointBlocks(const EliminationInput& input, const Strip& strip, c
   const int64_t* const begin = input.plan->first.data();
   for (int p = strip.first; p < strip.last; ++p) {
     PointBlock& block = blocks[p - strip.first];
-    for (Quad& row : block.sum) row = Quad{};
+    Quad sum[3] = {};
     if (const double* const prior = input.PriorOf(p)) {
-      for (int i = 0; i < 3; ++i) block.sum[i] = LoadQuad(prior + 4 * i);
+      for (int i = 0; i < 3; ++i) sum[i] = LoadQuad(prior + 4 * i);
     }
     for (int64_t i = begin[p]; i < begin[p + 1]; ++i) {
       const double* const at = rows + (i - strip.begin) * stride;
-      block.Add(LoadQuad(at));
-      block.Add(LoadQuad(at + 4));
+      for (int row = 0; row < 8; row += 4) {
+        const Quad a_r = LoadQuad(at + row);
+        for (int j = 0; j < 3; ++j) sum[j] += a_r[j] * a_r;
+      }
     }
+    for (int i = 0; i < 3; ++i) block.sum[i] = sum[i];
     for (int j = 0; j < 3; ++j) block.squared_scale[j] = first ? 0 : squared_scale[3 * p + j];
     block.squared_scale[3] = 0;
   }

@@ -167,8 +167,7 @@ inline void PointCovariances(const EliminationInput& input, const StateRecords& 
     const TileRecords records(input, memory, first_point);
     const auto white = [&](int p, const PointBlock& block) {
       const int refined = CountRefined(input, begin[p], begin[p + 1]);
-      WhitenRows(records, begin[p], begin[p] + refined, block);
-      FormFactors<0, 0>(input, chunk, records, begin[p], refined, memory);
+      FormFactors<0, 0, false>(input, chunk, records, begin[p], refined, block, memory);
       const int number = p - first_point;
       for (int k = 0; k < 9; ++k) tile_memory.sums[9 * number + k] = Quad{};
       for (int k = 0; k < 3; ++k) tile_memory.columns[3 * number + k] = block.column[k];

@@ -100,12 +100,12 @@ struct LaneState {
             bool for_derivatives)
       : has_translation_jacobian(for_derivatives && x.translation_jacobian > 0) {
     const int32_t* const image = input.plan->image.data();
-    const double* records[kLanes];
+    const double *records[kLanes], *points[kLanes];
     for (int lane = 0; lane < kLanes; ++lane) {
       records[lane] = x.images + static_cast<int64_t>(image[lanes.observation[lane]]) * x.stride;
-      const double* at = x.points + 3 * static_cast<int64_t>(lanes.point[lane]);
-      for (int i = 0; i < 3; ++i) point[i].v[lane] = at[i];
+      points[lane] = x.points + 3 * static_cast<int64_t>(lanes.point[lane]);
     }
+    GatherTriples(points, point);
     GatherRecords(records, for_derivatives ? 24 : 12, pose);
     if (has_translation_jacobian) {
       const double* more[kLanes];
@@ -152,10 +152,10 @@ struct LaneResiduals {
                                                const LaneState& state, const Lanes& lanes,
                                                bool derive) {
     const double* const xy = input.plan->xy.data();
+    const double* pairs[kLanes];
+    for (int lane = 0; lane < kLanes; ++lane) pairs[lane] = xy + 2 * lanes.observation[lane];
     Pack measurement[2];
-    for (int lane = 0; lane < kLanes; ++lane) {
-      for (int i = 0; i < 2; ++i) measurement[i].v[lane] = xy[2 * lanes.observation[lane] + i];
-    }
+    GatherPairs(pairs, measurement);
     const int model = lanes.group->model;
     Mask counts;
     if (lanes.group->rolls) {
@@ -302,9 +302,18 @@ struct LaneResiduals {
   }
 };
 
-inline double Sum(const Pack& pack, int count) {
+/// Adds the first `count` lanes of `values` to the lanes of a sum.
+inline void AddLanes(const Pack& values, int count, Pack* sum) {
+  if (count == kLanes) {
+    *sum += values;
+    return;
+  }
+  for (int lane = 0; lane < count; ++lane) sum->v[lane] += values.v[lane];
+}
+
+inline double SumOfLanes(const Pack& pack) {
   double sum = 0;
-  for (int lane = 0; lane < count; ++lane) sum += pack.v[lane];
+  for (int lane = 0; lane < kLanes; ++lane) sum += pack.v[lane];
   return sum;
 }
 

@@ -13,68 +13,9 @@
 
 #include "core/parallel/pack.h"
 #include "core/schur/kernels/eliminate_point.h"
+#include "core/schur/kernels/wide_row.h"
 
 namespace bundle::BUNDLE_ISA {
-
-/// A row of kQuads quads in the widest registers of the instruction set.
-template <int kQuads>
-struct WideRow {
-  static constexpr int kOcts = kLanes == 8 ? kQuads / 2 : 0;
-  static constexpr int kRest = kQuads - 2 * kOcts;
-  using Oct = double __attribute__((vector_size(64)));
-  Oct oct[kOcts > 0 ? kOcts : 1];
-  Quad quad[kRest > 0 ? kRest : 1];
-
-  static WideRow Load(const double* from) {
-    WideRow row;
-#pragma GCC unroll 4
-    for (int k = 0; k < kOcts; ++k) __builtin_memcpy(&row.oct[k], from + 8 * k, sizeof(Oct));
-#pragma GCC unroll 8
-    for (int k = 0; k < kRest; ++k) row.quad[k] = LoadQuad(from + 8 * kOcts + 4 * k);
-    return row;
-  }
-  void Store(double* to) const {
-#pragma GCC unroll 4
-    for (int k = 0; k < kOcts; ++k) __builtin_memcpy(to + 8 * k, &oct[k], sizeof(Oct));
-#pragma GCC unroll 8
-    for (int k = 0; k < kRest; ++k) StoreQuad(quad[k], to + 8 * kOcts + 4 * k);
-  }
-  /// -= factor * row
-  void Subtract(double factor, const WideRow& row) {
-#pragma GCC unroll 4
-    for (int k = 0; k < kOcts; ++k) oct[k] -= factor * row.oct[k];
-#pragma GCC unroll 8
-    for (int k = 0; k < kRest; ++k) quad[k] -= factor * row.quad[k];
-  }
-  /// += factor * row
-  void Add(double factor, const WideRow& row) {
-#pragma GCC unroll 4
-    for (int k = 0; k < kOcts; ++k) oct[k] += factor * row.oct[k];
-#pragma GCC unroll 8
-    for (int k = 0; k < kRest; ++k) quad[k] += factor * row.quad[k];
-  }
-  /// += row * row, number by number
-  void AddSquares(const WideRow& row) {
-#pragma GCC unroll 4
-    for (int k = 0; k < kOcts; ++k) oct[k] += row.oct[k] * row.oct[k];
-#pragma GCC unroll 8
-    for (int k = 0; k < kRest; ++k) quad[k] += row.quad[k] * row.quad[k];
-  }
-  /// The product with a row, in four parts.
-  Quad Times(const WideRow& row) const {
-    Quad sum = {};
-#pragma GCC unroll 4
-    for (int k = 0; k < kOcts; ++k) {
-      Quad half[2];
-      const Oct product = oct[k] * row.oct[k];
-      __builtin_memcpy(half, &product, sizeof product);
-      sum += half[0] + half[1];
-    }
-#pragma GCC unroll 8
-    for (int k = 0; k < kRest; ++k) sum += quad[k] * row.quad[k];
-    return sum;
-  }
-};
 
 /// Rows of a panel, so that it fits the registers.
 template <int kQuads>
@@ -250,6 +191,47 @@ inline void SubtractNine(const double* w, int64_t stride, const EntryPair* pairs
   block[12 * 8 + 8] += last;
 }
 
+/// block += sum of A^T M A of 9 columns, upper triangle. As above, the last column is summed by
+/// rows.
+template <bool kHasMiddle>
+void AddNine(const ImageRecords& records, int first, double* block) {
+  using Row = WideRow<2>;
+  Row sum[8], last_column = {};
+  double last = 0;
+#pragma GCC unroll 8
+  for (int r = 0; r < 8; ++r) sum[r] = Row::Load(block + 12 * r);
+  for (int i = 0; i < records.count; ++i) {
+    const double* const record = records.first + records.stride * records.observations[i];
+    const double *a_0 = record + first, *a_1 = a_0 + records.row_stride;
+    const Row a[2] = {Row::Load(a_0), Row::Load(a_1)};
+    Row b[2] = {a[0], a[1]};
+    double end[2] = {a_0[8], a_1[8]};
+    if constexpr (kHasMiddle) {
+      const double* const m = record + 4;
+      b[0] = b[1] = {};
+      for (int row = 0; row < 2; ++row) {
+        b[row].Add(m[row], a[0]);
+        b[row].Add(m[row + 1], a[1]);
+        end[row] = m[row] * a_0[8] + m[row + 1] * a_1[8];
+      }
+    }
+#pragma GCC unroll 8
+    for (int r = 0; r < 8; ++r) {
+      sum[r].Add(a_0[r], b[0]);
+      sum[r].Add(a_1[r], b[1]);
+    }
+    last_column.Add(end[0], a[0]);
+    last_column.Add(end[1], a[1]);
+    last += end[0] * a_0[8] + end[1] * a_1[8];
+  }
+  double column[8];
+  last_column.Store(column);
+#pragma GCC unroll 8
+  for (int r = 0; r < 8; ++r) sum[r].Store(block + 12 * r);
+  for (int r = 0; r < 8; ++r) block[12 * r + 8] += column[r];
+  block[12 * 8 + 8] += last;
+}
+
 /// Functions by the quads of a block's rows, minus one.
 inline constexpr decltype(&SubtractPairs<1>) kSubtractPairs[] = {
     &SubtractPairs<1>, &SubtractPairs<2>, &SubtractPairs<3>, &SubtractPairs<4>,
@@ -260,6 +242,16 @@ inline constexpr decltype(&AddProducts<1>) kAddProducts[] = {
 inline constexpr decltype(&AddVectors<1>) kAddVectors[] = {
     &AddVectors<1>, &AddVectors<2>, &AddVectors<3>, &AddVectors<4>,
     &AddVectors<5>, &AddVectors<6>, &AddVectors<7>};
+
+/// block += sum of A^T M A of the columns of a part, upper triangle.
+inline void AddOwnProducts(const ImageRecords& records, int first, bool has_middle,
+                           const ModelGroup::Part& of, double* block) {
+  if (kLanes == 8 && of.num_columns == 9) {
+    (has_middle ? AddNine<true> : AddNine<false>)(records, first, block);
+  } else {
+    kAddProducts[of.num_quads - 1](records, first, first, has_middle, of.num_columns, block);
+  }
+}
 
 /// Adds the own products of the observations of one image.
 inline void AddImage(const EliminationInput& input, const ModelGroup& group,
@@ -272,11 +264,9 @@ inline void AddImage(const EliminationInput& input, const ModelGroup& group,
     const int64_t begin = sum.block_begin[part];
     kAddVectors[of.num_quads - 1](
         records, first, sum.vectors + int64_t{ChunkSum::kVectors} * input.part_columns * part);
-    kAddProducts[of.num_quads - 1](records, first, first, kind == kOwnPart, of.num_columns,
-                                   sum.blocks + begin);
+    AddOwnProducts(records, first, kind == kOwnPart, of, sum.blocks + begin);
     if (sum.camera_diagonal != nullptr) {
-      kAddProducts[of.num_quads - 1](records, first, first, false, of.num_columns,
-                                     sum.camera_diagonal + begin);
+      AddOwnProducts(records, first, false, of, sum.camera_diagonal + begin);
     }
     for (int other = kind + 1; other < input.plan->num_kinds; ++other) {
       if (image.part[other] == Chunk::Image::kNone) continue;
