@@ -25,3 +25,10 @@ def test_on_the_command_line(tmp_path, run):
     assert sensors[1]["baseline"] == pytest.approx(np.linalg.norm(STEREO[0][3:]))
     done = run("info", tmp_path / "in", "--rig-config", write(tmp_path, "[]"))
     assert done.code == 2
+
+
+def test_a_sequence_takes_no_rig_configuration(tmp_path, run):
+    assert run("synth", tmp_path / "s", "--scene", "flight", "--duration", "3").code == 0
+    done = run("info", tmp_path / "s", "--rig-config", write(tmp_path, config(2)))
+    assert done.code == 2
+    assert "--rig-config: valid only with a reconstruction, found a sequence" in done.err

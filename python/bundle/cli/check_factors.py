@@ -28,6 +28,7 @@ from bundle.interface.check_options import CheckOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.g2o_files import load_g2o
 from bundle.io.python_objects import load_object, user_error
+from bundle.io.recognition import Kind
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.reports.sections import Report
@@ -64,7 +65,7 @@ def check_edges_of_file(arguments: argparse.Namespace) -> int:
 def check_object(arguments: argparse.Namespace) -> int:
     """Check the factors of the object that INPUT, FILE.py:NAME, names."""
     started = perf_counter()
-    refuse_flags_of_reconstructions(arguments, FLAGS)
+    refuse_flags_of_reconstructions(arguments, FLAGS, Kind.PYTHON)
     settings = _settings(arguments)
     source = arguments.input
     with Progress(quiet=arguments.quiet) as progress, _naming(source):

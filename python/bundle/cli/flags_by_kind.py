@@ -114,13 +114,14 @@ def refuse_flags_of_graphs(arguments: argparse.Namespace) -> None:
 
 
 def refuse_flags_of_reconstructions(
-    arguments: argparse.Namespace, taken: Collection[str] = ()
+    arguments: argparse.Namespace, taken: Collection[str] = (), found: str = "a pose graph"
 ) -> None:
-    """Refuse flags of reconstructions for pose graphs.
+    """Refuse flags of reconstructions for other inputs.
 
     Args:
         arguments: parsed command line.
-        taken: arguments of pose graphs in addition to those of every command.
+        taken: arguments of this input in addition to those of every command.
+        found: kind of the input, for the message.
 
     Raises:
         InputError: such a flag was given.
@@ -129,7 +130,7 @@ def refuse_flags_of_reconstructions(
         if name in _OF_ALL or name in taken or value is None or value is False:
             continue
         flag = arguments.flags[name]
-        raise InputError(f"{flag}: valid only with a reconstruction, found a pose graph")
+        raise InputError(f"{flag}: valid only with a reconstruction, found {found}")
 
 
 def _only(kind: str, other: str) -> list[dataclasses.Field[Any]]:

@@ -14,7 +14,7 @@ from bundle.cli.progress import Progress
 from bundle.cli.recording_flags import RECORDING, given_sequence
 from bundle.errors import shown
 from bundle.inertial.vio.sequence_statistics import sequence_statistics
-from bundle.io.recognition import sequence_format
+from bundle.io.recognition import Kind, sequence_format
 from bundle.io.sequences.sequence_folder import (
     check_sequence_target,
     read_sequence,
@@ -29,7 +29,7 @@ __all__ = ["convert", "describe"]
 
 def describe(path: str, arguments: argparse.Namespace, progress: Progress) -> Report:
     """Return the report of `bundle info` on a sequence."""
-    refuse_flags_of_reconstructions(arguments, RECORDING)
+    refuse_flags_of_reconstructions(arguments, RECORDING, Kind.SEQUENCE)
     given = given_sequence(path, arguments, progress)
     statistics = sequence_statistics(given.sequence)
     format = sequence_format(path)
@@ -40,7 +40,7 @@ def describe(path: str, arguments: argparse.Namespace, progress: Progress) -> Re
 
 def convert(arguments: argparse.Namespace) -> int:
     """Write a sequence as a folder."""
-    refuse_flags_of_reconstructions(arguments, RECORDING)
+    refuse_flags_of_reconstructions(arguments, RECORDING, Kind.SEQUENCE)
     source, target = arguments.input, arguments.output
     check_sequence_target(target)
     with Progress(quiet=arguments.quiet) as progress:
