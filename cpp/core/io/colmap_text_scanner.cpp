@@ -46,7 +46,10 @@ const char* SkipPlus(const char* begin, const char* end) {
 ColmapTextCursor::ColmapTextCursor(const ModelFile& file)
     : file_(file),
       next_line_(file.contents().data()),
-      end_(file.contents().data() + file.contents().size()) {}
+      end_(file.contents().data() + file.contents().size()) {
+  constexpr std::string_view kByteOrderMark = "\xef\xbb\xbf";  // of editors on Windows
+  if (file.contents().substr(0, 3) == kByteOrderMark) next_line_ += kByteOrderMark.size();
+}
 
 bool ColmapTextCursor::NextRecord() {
   while (NextLine()) {

@@ -58,6 +58,12 @@ class RawFile {
     return std::string_view(head_).substr(0, magic.size()) == magic;
   }
 
+  /// Skips the byte order mark of UTF-8 that editors on Windows write.
+  void SkipByteOrderMark() {
+    constexpr std::string_view kMark = "\xef\xbb\xbf";
+    if (StartsWith(kMark)) head_.erase(0, kMark.size());
+  }
+
   size_t Read(char* buffer, size_t size) {
     if (head_.empty()) return ReadFromSystem(buffer, size);
     const size_t taken = head_.copy(buffer, size);
@@ -240,6 +246,7 @@ std::unique_ptr<InputFile> InputFile::Open(const std::filesystem::path& path) {
   if (raw.StartsWith(Bzip2Decoder::kMagic)) {
     return std::make_unique<CompressedFile<Bzip2Decoder>>(std::move(raw));
   }
+  raw.SkipByteOrderMark();
   return std::make_unique<PlainFile>(std::move(raw));
 }
 

@@ -11,7 +11,8 @@
 namespace bundle {
 
 /// A file as a stream of bytes. It is decompressed if it begins like a gzip or bzip2 file, whatever
-/// its name. Concatenated streams, as pigz and pbzip2 write them, are read as one.
+/// its name. Concatenated streams, as pigz and pbzip2 write them, are read as one. The byte order
+/// mark of a text file is skipped.
 ///
 /// System errors are thrown as std::system_error, damaged compressed data as InputError with the
 /// position in the stored file.

@@ -20,10 +20,6 @@ class ByteStream {
       : file_(file), on_block_(on_block), buffer_(kReadBlockSize + 1) {
     next_ = end_ = buffer_.data();
     Refill();
-    constexpr std::string_view kMark = "\xef\xbb\xbf";
-    if (std::string_view(next_, static_cast<size_t>(end_ - next_)).substr(0, 3) == kMark) {
-      next_ += kMark.size();
-    }
   }
 
   Ch Peek() const { return *next_; }

@@ -25,7 +25,7 @@ from bundle.io.atomic.model_files import (
     models_below,
 )
 from bundle.io.atomic.replaced_paths import RecoveryWarning
-from bundle.io.file_names import check_name
+from bundle.io.file_names import check_name, format_of_name
 from bundle.io.formats.read_options import ReadOptions
 from bundle.io.formats.registry import FOLDERS, Format, file_at, find_format, format_for_name
 from bundle.io.georeference_file import remove_georeference
@@ -87,6 +87,9 @@ def load(
     if is_pose_graph_file(path):
         raise InputError(f"{shown(path)}: expected a reconstruction, found a pose graph")
     other = other_format_at(path)
+    by_name = format_for_name(path)
+    if by_name is not None and by_name.reads and other in (None, format_of_name(path)):
+        return by_name.reading().read(path, options)  # type: ignore[no-any-return]  # states the fault
     if other is not None:
         raise InputError(
             f"{shown(path)}: expected a BAL file or the folder of a COLMAP model, found {other}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from codecs import BOM_UTF8
 from enum import StrEnum
 from pathlib import Path
 from typing import TypeGuard
@@ -157,7 +158,7 @@ def other_format_at(path: Path) -> str | None:
     """
     if not path.is_file():
         return None
-    beginning = _beginning(path).lstrip(b"\xef\xbb\xbf \t\r\n")
+    beginning = _beginning(path).lstrip()
     if not beginning or beginning[:1].isdigit():
         return None
     for pattern, words in _OTHER_PROGRAMS.items():
@@ -239,6 +240,6 @@ def _beginning(path: Path) -> bytes:
 
             with bz2.open(path, "rb") as packed:
                 return packed.read(_ENOUGH)
-        return start
+        return start.removeprefix(BOM_UTF8)
     except (OSError, EOFError):
         return b""

@@ -106,7 +106,7 @@ def image_names(path: Path, count: int) -> tuple[str, ...]:
         InputError: the file has another number of lines, or a name twice.
         OSError: the file cannot be read.
     """
-    text = path.read_text("utf-8", errors="surrogateescape")
+    text = path.read_text("utf-8-sig", errors="surrogateescape")
     matches = [_LINE.fullmatch(line) for line in text.splitlines() if line.strip()]
     names = tuple(match[1].removeprefix("./") for match in matches if match is not None)
     if len(names) != count:

@@ -17,6 +17,8 @@ Source: http://ccwu.me/vsfm/doc.html#nvm and PBA (C. Wu et al., Multicore Bundle
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -91,11 +93,9 @@ def _head(
             numbers = [number_of(word) for word in words[1:]]
             if len(numbers) < count or None in numbers:
                 head.fail(what, "another line")
-            if len(fixed) == 5 and fixed[4] != numbers[-2]:
-                head.fail(
-                    f"the distortion r = {fixed[4]:g} of the first line in all cameras",
-                    f"{numbers[-2]:g}",
-                )
+            for name, wanted, value in _fixed_values(fixed, numbers):
+                if not math.isclose(wanted, value, rel_tol=1e-5):
+                    head.fail(f"{name} = {wanted:g} of the first line in all cameras", f"{value:g}")
             names.append(words[0].decode(errors="surrogateescape").replace(SPACE, " "))
             rows.append(numbers)
         num_points = head.count("the number of points", 2**31 - 1)
@@ -108,6 +108,14 @@ def _head(
     if has_matrices:
         cameras = _with_quaternions(path, cameras)
     return names, cameras, num_points, head, center
+
+
+def _fixed_values(fixed: list[Any], numbers: list[Any]) -> Iterator[tuple[str, float, float]]:
+    """Yield values of the first line of a file (FixedK f cx f cy r) that all cameras have."""
+    if fixed:
+        yield "the focal length f", fixed[0], numbers[0]
+    if len(fixed) == 5:
+        yield "the distortion r", fixed[4], numbers[-2]
 
 
 def _with_quaternions(path: Path, cameras: NDArray[np.float64]) -> NDArray[np.float64]:

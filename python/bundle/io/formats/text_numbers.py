@@ -6,6 +6,7 @@ import bz2
 import gzip
 import math
 import re
+from codecs import BOM_UTF8
 from pathlib import Path
 from typing import BinaryIO, NoReturn, cast
 
@@ -20,12 +21,16 @@ MOST_IMAGES = 10**7
 
 
 def open_binary(path: Path) -> BinaryIO:
-    """Open a file for reading; gzip and bzip2 are decompressed."""
+    """Open a file for reading; gzip and bzip2 are decompressed, a byte order mark is skipped."""
     with path.open("rb") as file:
         start = file.read(3)
     if start.startswith(b"\x1f\x8b"):
         return cast(BinaryIO, gzip.open(path, "rb"))
-    return cast(BinaryIO, bz2.open(path, "rb")) if start == b"BZh" else path.open("rb")
+    if start == b"BZh":
+        return cast(BinaryIO, bz2.open(path, "rb"))
+    file = path.open("rb")
+    file.seek(len(BOM_UTF8) if start == BOM_UTF8 else 0)
+    return file
 
 
 class Head:
