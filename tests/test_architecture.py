@@ -19,8 +19,8 @@ ROOT_FILES = ["__init__.py", "__main__.py", "_core.pyi", "errors.py", "py.typed"
 OUTSIDERS = {  # other people's packages, and the rooms that may know them
     "argparse": "cli", "shtab": "cli", "rich": "base checking reports cli", "matplotlib": "figures",
     "pycolmap": "model io", "pyproj": "georeference", "yaml": "model",
-    "pandas": "model solving analysis", "cv2": "io inertial", "rosbags": "io",
-    "evo": "", "mpi4py": "solving cli", "PIL": "io georeference reports",
+    "pandas": "interface model solving analysis", "rerun": "io", "cv2": "io inertial",
+    "rosbags": "io", "evo": "", "mpi4py": "solving cli", "PIL": "io georeference reports",
 }  # fmt: skip
 
 

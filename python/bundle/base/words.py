@@ -157,6 +157,7 @@ _NAMES = {
     "openmvg": "OpenMVG",
     "transforms": "transforms.json",
     "ply": "PLY",
+    "rerun": "rerun",
 }
 
 

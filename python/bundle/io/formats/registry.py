@@ -125,6 +125,13 @@ BUILT_IN = (
         suffixes=(".ply",),
         reads=False,
     ),
+    Format(
+        name="rerun",
+        what="a recording for rerun's viewer",
+        module=f"{_HERE}.rerun_recording",
+        suffixes=(".rrd",),
+        reads=False,
+    ),
 )
 
 FOLDERS = frozenset({"colmap", "colmap-text", "opensfm"})
