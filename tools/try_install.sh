@@ -20,9 +20,10 @@ for python; do
   "$python" -m venv --clear "$out/$tag"
   "$out/$tag/bin/python" -m pip wheel --no-deps --wheel-dir "$out" "$out"/*.tar.gz
   "$out/$tag/bin/python" -m pip install "$out"/*-"$tag"-*.whl
-  echo "$("$python" --version), $("$out/$tag/bin/python" -m pip list --format freeze | grep pycolmap || echo no pycolmap)"
+  echo "$("$python" --version), pycolmap $("$out/$tag/bin/python" -c 'import pycolmap; print(pycolmap.__version__)')"
   bash tools/try_wheel.sh "$out/$tag/bin" data
   "$out/$tag/bin/python" -m pip uninstall --yes pycolmap
+  ! "$out/$tag/bin/python" -c 'import pycolmap' 2>/dev/null
   echo "$("$python" --version), without pycolmap"
   bash tools/try_wheel.sh "$out/$tag/bin" data
 done
