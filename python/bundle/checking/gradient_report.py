@@ -13,6 +13,7 @@ from bundle.base.tables import Bar, Block, Columns, columns, facts, notes, rende
 from bundle.base.words import plural
 from bundle.checking.check_details import CheckDetails
 from bundle.checking.evidence import Finding
+from bundle.interface.tabular import Tabular
 
 __all__ = [
     "STYLES",
@@ -124,7 +125,7 @@ class GradientCheckerSummary:
 
 
 @dataclass(frozen=True, eq=False)
-class GradientReport:
+class GradientReport(Tabular):
     """Result of a check. Its truth value is True if all Jacobians are correct.
 
     Printing the report explains the result.

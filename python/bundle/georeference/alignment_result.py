@@ -13,6 +13,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.words import number, pixels, plural
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.similarity import Similarity
+from bundle.interface.tabular import Tabular
 from bundle.model.problem import Problem
 
 __all__ = ["Alignment", "ControlPointError", "ImageError", "as_triple", "root_mean_square"]
@@ -80,7 +81,7 @@ class ImageError:
 
 
 @dataclass(frozen=True, repr=False)
-class Alignment(Displayed):
+class Alignment(Displayed, Tabular):
     """Aligned problem.
 
     Attributes:

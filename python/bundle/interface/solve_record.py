@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from bundle.base.display import Displayed
 from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary
+from bundle.interface.tabular import Tabular
 from bundle.interface.termination import sentence
 
 __all__ = ["Progress", "SolveRecord", "record_fields", "with_warnings"]
@@ -20,7 +21,7 @@ Progress = Callable[[dict[str, Any]], None]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class SolveRecord(Displayed):
+class SolveRecord(Displayed, Tabular):
     """Common base of the results of reconstructions and of graphs.
 
     Attributes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,15 +16,17 @@ from bundle.base.arrays import FrozenArrays, freeze, immutable
 from bundle.base.display import Display, Displayed
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
+from bundle.interface.tabular import Tabular
 
 __all__ = ["PoseGraph"]
 
 TANGENT = {3: 3, 7: 6}
+_AXES = {3: ("x", "y", "angle"), 7: ("qx", "qy", "qz", "qw", "tx", "ty", "tz")}
 """Number of tangent coordinates of a pose, by the number of values that represent it."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class PoseGraph(FrozenArrays, Displayed):
+class PoseGraph(FrozenArrays, Displayed, Tabular):
     """Poses X_i (world_from_body) and edges that measure X_i^-1 X_j.
 
     Arrays are read-only. A 2D pose is x y angle (length unit, radians). A 3D pose is
@@ -83,6 +86,23 @@ class PoseGraph(FrozenArrays, Displayed):
         put("fixed", freeze(fixed.copy()))
         self._check_shapes(n, m)
         self._check_values(n)
+
+    def _tables(self) -> dict[str, Mapping[str, Any]]:
+        axes = _AXES[self.poses.shape[1]]
+        ends = self.ids[self.edges]
+        return {
+            "poses": {
+                "pose_id": self.ids,
+                **{axis: self.poses[:, k] for k, axis in enumerate(axes)},
+                "is_fixed": self.fixed,
+            },
+            "edges": {
+                "pose_id_a": ends[:, 0],
+                "pose_id_b": ends[:, 1],
+                **{axis: self.measurements[:, k] for k, axis in enumerate(axes)},
+                "line": self.edge_lines,
+            },
+        }
 
     def _check_shapes(self, n: int, m: int) -> None:
         if self.poses.ndim != 2 or self.poses.shape[1] not in TANGENT:

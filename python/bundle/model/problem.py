@@ -327,9 +327,10 @@ class Problem(Displayed):
         Example:
             >>> problem.to_dataframe("images").sort_values("rmse").to_csv("images.csv")
         """
-        from bundle.model import problem_tables  # late: most programs use no tables
+        from bundle.interface.tabular import frame_of  # late: most programs use no tables
+        from bundle.model import problem_tables
 
-        return problem_tables.frame_of(problem_tables.table(self, table))
+        return frame_of(problem_tables.table(self, table))
 
     def __repr__(self) -> str:
         return f"Problem({self.format}: {contents(self)}{self._rigs(', ')})"

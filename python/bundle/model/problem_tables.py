@@ -1,27 +1,22 @@
 """Tables of a problem as columns: cameras, images, points and observations with residuals.
 
-Columns are NumPy arrays by name; a problem is a :class:`bundle.Problem`. ``frame_of`` makes a
-pandas.DataFrame of them; pandas is imported there only, and is an extra (``pip install
-bundle-adjust[tables]``).
+Columns are NumPy arrays by name; a problem is a :class:`bundle.Problem`. ``frame_of`` of
+``bundle.interface.tabular`` makes a pandas.DataFrame of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.errors import InputError
 from bundle.interface.option_fields import choice
 from bundle.model.cameras import camera_models
 
-if TYPE_CHECKING:
-    import pandas
-
-__all__ = ["TABLES", "frame_of", "table"]
+__all__ = ["TABLES", "table"]
 
 Columns = dict[str, Any]
 _POSE = ("qx", "qy", "qz", "qw", "tx", "ty", "tz")
@@ -34,21 +29,6 @@ def table(problem: Any, name: str) -> Columns:
         InputError: the table is unknown.
     """
     return TABLES[choice("table", name, tuple(TABLES))](problem)
-
-
-def frame_of(columns: Mapping[str, Any]) -> pandas.DataFrame:
-    """Return a pandas.DataFrame of columns.
-
-    Raises:
-        InputError: pandas is not installed.
-    """
-    try:
-        import pandas  # late: an extra, and slow to import
-    except ImportError:
-        raise InputError(
-            "to_dataframe: expected pandas, found no such package; install bundle-adjust[tables]"
-        ) from None
-    return pandas.DataFrame(dict(columns))
 
 
 def _observations(problem: Any) -> Columns:

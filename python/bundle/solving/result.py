@@ -52,20 +52,18 @@ class Result(MeasuredResult):
         observation_mask: mask of the observations of the input that the output has; None: all.
     """
 
-    def to_dataframe(self, table: str = "iterations") -> pandas.DataFrame:
+    def to_dataframe(self, table: str | None = None) -> pandas.DataFrame:
         """Return a table as a pandas.DataFrame; pandas is the extra ``tables``.
 
         Args:
-            table: "iterations", or a table of the refined problem: see
-                :meth:`bundle.Problem.to_dataframe`.
+            table: "iterations" (default), "constraints", "control_points", "rounds", "edits", or a
+                table of the refined problem: see :meth:`bundle.Problem.to_dataframe`.
 
         Raises:
             InputError: the table is unknown, or pandas is not installed.
         """
-        from bundle.model.problem_tables import frame_of  # late: most programs use no tables
-
-        if table == "iterations":
-            return frame_of(self.iterations)
+        if table is None or table in self._tables():
+            return super().to_dataframe(table)
         return self.problem.to_dataframe(table)
 
     def _factor_facts(self) -> tuple[tuple[str, str], ...]:

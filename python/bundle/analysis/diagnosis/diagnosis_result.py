@@ -12,6 +12,7 @@ from bundle.analysis.diagnosis.conditioning import Conditioned
 from bundle.base.display import Display, Displayed
 from bundle.base.words import number
 from bundle.interface.finding import Finding
+from bundle.interface.tabular import Tabular
 
 __all__ = ["CollapsedCluster", "Component", "Diagnosis", "Finding", "WeakMode"]
 
@@ -67,7 +68,7 @@ class CollapsedCluster:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Diagnosis(Conditioned, Displayed):
+class Diagnosis(Conditioned, Displayed, Tabular):
     """Determined and undetermined parameters of a problem at its values.
 
     Eigenvalues are those of the reduced camera system S (points eliminated), with rows and columns

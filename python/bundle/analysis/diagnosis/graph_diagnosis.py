@@ -12,6 +12,7 @@ from bundle.analysis.diagnosis.conditioning import Conditioned
 from bundle.base.display import Display, Displayed
 from bundle.base.words import number
 from bundle.interface.finding import Finding
+from bundle.interface.tabular import Tabular
 
 __all__ = ["GraphComponent", "GraphDiagnosis", "GraphWeakMode", "SuspiciousEdge"]
 
@@ -77,7 +78,7 @@ class SuspiciousEdge:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class GraphDiagnosis(Conditioned, Displayed):
+class GraphDiagnosis(Conditioned, Displayed, Tabular):
     """Determined and undetermined directions of a graph at its poses, or at its variables' values.
 
     For a :class:`bundle.FactorGraph`, keys take the place of ids, variables that of poses, and

@@ -15,6 +15,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.words import number, pixels, plural
 from bundle.errors import InputError
 from bundle.interface.finding import Finding
+from bundle.interface.tabular import Tabular
 from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
@@ -66,7 +67,7 @@ class CameraGroup:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Description(Displayed):
+class Description(Displayed, Tabular):
     """Description of a problem.
 
     Attributes:

@@ -148,7 +148,7 @@ class Covariance(FrozenArrays, Displayed):
         Raises:
             InputError: the block is unknown, or pandas is not installed.
         """
-        from bundle.model.problem_tables import frame_of  # late: most programs use no tables
+        from bundle.interface.tabular import frame_of  # late: most programs use no tables
 
         names = ("points", "poses", "cameras", "frames", "sensors", "relative")
         one = choice("block", block, names).removesuffix("s")

@@ -30,6 +30,7 @@ from bundle.graphs.factors.null_space import NullSpace, find_null_space
 from bundle.graphs.factors.variables import Key, Variable, as_list, variable_name
 from bundle.graphs.pose_graphs.lie_groups import adjoint_between, adjoints
 from bundle.interface.covariance_options import SCALES, one_of
+from bundle.interface.tabular import Tabular
 from bundle.io.atomic import atomic_write as atomic
 from bundle.model.rotations import rotation_matrices
 
@@ -50,7 +51,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class FactorGraphCovariance(FrozenArrays, Displayed):
+class FactorGraphCovariance(FrozenArrays, Displayed, Tabular):
     """Marginal covariances of the variables of a graph, each with all others estimated as well.
 
     A covariance is that of the tangent coordinates d in X Exp(d), in the order that
@@ -80,6 +81,16 @@ class FactorGraphCovariance(FrozenArrays, Displayed):
     num_gauge_freedoms: int
     scale: str
     notes: tuple[str, ...] = ()
+
+    def _tables(self) -> dict[str, Mapping[str, Any]]:
+        """Return standard deviations, one row per coordinate of a variable."""
+        rows = [
+            (key, coordinate, sigma)
+            for key, covariance in self.covariances.items()
+            for coordinate, sigma in enumerate(np.sqrt(np.diag(covariance)).tolist())
+        ]
+        names = ("key", "coordinate", "sigma")
+        return {"variables": {name: [row[k] for row in rows] for k, name in enumerate(names)}}
 
     def variable(self, key: Key) -> Floats:
         """Return the covariance of a variable.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from bundle.graphs.pose_graphs.edge_weights import WeightedGraph, weighted_graph
 from bundle.graphs.pose_graphs.joints import find_joints
 from bundle.interface.covariance_options import SCALES, one_of
 from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.interface.tabular import Tabular
 from bundle.io.atomic import atomic_write as atomic
 from bundle.model.pose_graph_arrays import PoseGraph
 
@@ -38,7 +39,7 @@ _Ids = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class GraphCovariance(FrozenArrays, Displayed):
+class GraphCovariance(FrozenArrays, Displayed, Tabular):
     """Marginal covariances of the poses of a graph: of each, with all others estimated as well.
 
     A pose X (world_from_body) has the covariance of d in X Exp(d), a right perturbation: in the
@@ -70,6 +71,14 @@ class GraphCovariance(FrozenArrays, Displayed):
     held_pose_ids: tuple[int, ...]
     scale: str
     notes: tuple[str, ...] = ()
+
+    def _tables(self) -> dict[str, Mapping[str, Any]]:
+        """Return standard deviations, one row per pose or pair."""
+        pairs = {"pose_id_a": self.relative_ids[:, 0], "pose_id_b": self.relative_ids[:, 1]}
+        return {
+            "poses": {"pose_id": self.pose_ids, **_sigmas(self.pose_covariance)},
+            "relative": {**pairs, **_sigmas(self.relative_covariance)},
+        }
 
     def pose(self, pose_id: int) -> _Floats:
         """Return the (d, d) covariance of a pose.
@@ -248,3 +257,10 @@ def _rows_of(graph: PoseGraph, pairs: list[Any]) -> list[tuple[int, int]]:
 
 def _is_id(value: object) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def _sigmas(covariance: _Floats) -> dict[str, _Floats]:
+    """Return the standard deviation of each tangent coordinate, in the plane or in space."""
+    axes = ("x", "y", "angle") if covariance.shape[-1] == 3 else ("wx", "wy", "wz", "x", "y", "z")
+    sigmas = np.sqrt(np.einsum("nii->ni", covariance))
+    return {f"sigma_{axis}": sigmas[:, k] for k, axis in enumerate(axes)}

@@ -16,6 +16,7 @@ from bundle.base.words import change, plural
 from bundle.errors import InputError
 from bundle.graphs.factors.factors import RelativePoseFactor
 from bundle.graphs.pose_graphs.information import checked_information
+from bundle.interface.tabular import Tabular
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
@@ -55,7 +56,7 @@ class LoopClosure:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class LoopClosing(Displayed):
+class LoopClosing(Displayed, Tabular):
     """Problem with closed loops, ready for bundle adjustment.
 
     Attributes:

@@ -14,6 +14,7 @@ from bundle.inertial.vio.keyframe_record import KeyframeRecord
 from bundle.inertial.vio.window_run import WindowRun
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import WindowKeywords
+from bundle.interface.tabular import Tabular
 from bundle.interface.window_options import WindowOptions
 from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.model.sequence.sequence import Sequence
@@ -22,7 +23,7 @@ __all__ = ["OdometryResult", "run_odometry"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OdometryResult(Displayed):
+class OdometryResult(Displayed, Tabular):
     """Result of an odometry.
 
     Attributes:

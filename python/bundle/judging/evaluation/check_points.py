@@ -26,6 +26,7 @@ from bundle.georeference.alignment_result import Alignment, ControlPointError
 from bundle.georeference.control_point import GroundControlPoint
 from bundle.georeference.gcp_list import read_gcp_list
 from bundle.interface.finding import Finding
+from bundle.interface.tabular import Tabular
 from bundle.io.pose_files import first_line
 from bundle.model.pose_errors import ErrorStatistics
 from bundle.model.problem import Problem
@@ -63,7 +64,7 @@ def check_points_of(given: Any, format: str | None) -> tuple[GroundControlPoint,
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CheckPointEvaluation(Displayed):
+class CheckPointEvaluation(Displayed, Tabular):
     """Errors of a model at check points, in metres.
 
     Attributes:

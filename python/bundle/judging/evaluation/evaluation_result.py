@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from bundle.base.words import number
 from bundle.georeference.similarity import Similarity
 from bundle.interface.evaluate_options import AUC_DEFINITIONS
 from bundle.interface.finding import Finding
+from bundle.interface.tabular import Tabular, columns_of
 from bundle.judging.evaluation.association import Association
 from bundle.judging.evaluation.lens_difference import LensDifference
 from bundle.judging.evaluation.movement_in_sigmas import SigmaMovement
@@ -58,7 +60,7 @@ class SharedImage:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Evaluation(Displayed):
+class Evaluation(Displayed, Tabular):
     """Comparison of an estimate A with a reference B, in B's frame and length unit.
 
     Attributes:
@@ -133,6 +135,9 @@ class Evaluation(Displayed):
                 strict=True,
             )
         )
+
+    def _tables(self) -> dict[str, Mapping[str, Any]]:
+        return {"images": columns_of(self.images), **super()._tables()}
 
     @property
     def lens_difference(self) -> dict[str, Any] | None:

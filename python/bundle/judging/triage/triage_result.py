@@ -8,6 +8,7 @@ from typing import Any
 
 from bundle.base.display import Display, Displayed
 from bundle.base.words import plural
+from bundle.interface.tabular import Tabular
 from bundle.judging.triage.cause_words import TriageCause
 
 __all__ = ["Quantity", "Triage"]
@@ -35,7 +36,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Triage(Displayed):
+class Triage(Displayed, Tabular):
     """Comparison of two reports of one input.
 
     Attributes:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from bundle.base.display import Display, Displayed
 from bundle.base.words import plural
 from bundle.interface.finding import Finding
+from bundle.interface.tabular import Tabular
 from bundle.judging.validation.candidates import SHARING, Candidate
 from bundle.judging.validation.decision import Decision, DecisionRule
 from bundle.judging.validation.row_test import RowTest
@@ -97,7 +98,7 @@ class ValidatedCandidate:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Validation(Displayed):
+class Validation(Displayed, Tabular):
     """Candidates, compared by observations that their fits did not see.
 
     Attributes:

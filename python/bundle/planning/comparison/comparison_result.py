@@ -11,6 +11,7 @@ from bundle.base.words import contents, plural, seconds
 from bundle.errors import shown
 from bundle.interface.environment import Environment
 from bundle.interface.options import SolveOptions
+from bundle.interface.tabular import Tabular
 from bundle.planning.comparison.measured_run import Run
 from bundle.planning.comparison.method import Method
 from bundle.planning.comparison.profiles import PerformanceProfile
@@ -64,7 +65,7 @@ class Recommendation:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Comparison(Displayed):
+class Comparison(Displayed, Tabular):
     """Solves of the same start by several methods.
 
     Attributes:

@@ -23,6 +23,7 @@ from bundle.interface.option_fields import choice
 from bundle.interface.option_fields import number as checked_number
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.interface.tabular import Tabular
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison.command_line import command_line
@@ -96,7 +97,7 @@ class FactorGraphMethod:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class GraphComparison(Displayed):
+class GraphComparison(Displayed, Tabular):
     """Solves of one pose graph or factor graph by several methods.
 
     Attributes:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from bundle.base.display import Display, Displayed
 from bundle.base.words import number, plural
 from bundle.graphs.factors.factor_graph import FactorGraph
+from bundle.interface.tabular import Tabular
 from bundle.planning.inspection.elimination_costs import (
     EliminationCost,
     advise,
@@ -34,7 +35,7 @@ TAKEN = ("amd", "dense")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class FactorGraphInspection(Displayed):
+class FactorGraphInspection(Displayed, Tabular):
     """Normal equations of a factor graph and the cost of factorising them.
 
     Attributes:

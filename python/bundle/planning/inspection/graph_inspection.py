@@ -16,6 +16,7 @@ from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.interface.inspect_options import GRAPH_ORDERINGS
 from bundle.interface.option_fields import choice
+from bundle.interface.tabular import Tabular
 from bundle.planning.inspection.elimination import EliminationStep, eliminate, minimum_degree_order
 from bundle.planning.inspection.graph_input import (
     as_block_sizes,
@@ -32,7 +33,7 @@ MOST_PAIRS_TO_RECORD = 2_000_000
 
 
 @dataclass(frozen=True, repr=False)
-class GraphInspection(Displayed):
+class GraphInspection(Displayed, Tabular):
     """Symbolic Cholesky factor L of a matrix with a given graph.
 
     Nonzeros of the matrix count both triangles and the diagonal; those of L count its lower

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from bundle.base.display import Display, Displayed
 from bundle.base.memory_sizes import format_size
 from bundle.base.words import number, plural
+from bundle.interface.tabular import Tabular
 from bundle.planning.inspection.peak_memory import Terms
 
 __all__ = ["Inspection", "MethodInspection"]
@@ -91,7 +92,7 @@ class MethodInspection(Displayed):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Inspection(Displayed):
+class Inspection(Displayed, Tabular):
     """Predicted cost of solving a problem by each method.
 
     Attributes:

@@ -14,6 +14,7 @@ from bundle.base.paths import as_path, is_path
 from bundle.base.words import number, plural, span
 from bundle.graphs.pose_graphs.edge_weights import check_free_pose
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.interface.tabular import Tabular
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.inspection.elimination_costs import (
@@ -31,7 +32,7 @@ ORDERINGS = ("natural", "amd", "metis")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class PoseGraphInspection(Displayed):
+class PoseGraphInspection(Displayed, Tabular):
     """Normal equations of a pose graph and the cost of factorising them.
 
     Attributes:
