@@ -1,5 +1,10 @@
 #include "core/parallel/thread_pool.h"
 
+#ifdef __linux__
+#include <pthread.h>
+#include <sched.h>
+#endif
+
 #include <algorithm>
 #include <chrono>
 #include <condition_variable>
@@ -24,13 +29,34 @@ void Pause() {
 #endif
 }
 
+/// Moves a thread that was started or woken off this thread's processor. In a virtual machine,
+/// Linux often puts it there although another one is idle, and balances its processors only after
+/// milliseconds: a small solve would end before its threads run.
+void MoveElsewhere(std::thread* thread) {
+#ifdef __linux__
+  cpu_set_t allowed;
+  const pthread_t handle = thread->native_handle();
+  if (pthread_getaffinity_np(handle, sizeof allowed, &allowed) != 0) return;
+  cpu_set_t others = allowed;
+  CPU_CLR(sched_getcpu(), &others);
+  if (CPU_COUNT(&others) == 0) return;
+  pthread_setaffinity_np(handle, sizeof others, &others);
+  pthread_setaffinity_np(handle, sizeof allowed, &allowed);
+#else
+  static_cast<void>(thread);
+#endif
+}
+
 /// Starts threads 1 to count - 1, or as many as possible, and returns them.
 template <typename Function>
 std::vector<std::thread> StartThreads(int64_t count, const Function& run) {
   std::vector<std::thread> threads;
   try {
     threads.reserve(count - 1);
-    for (int64_t s = 1; s < count; ++s) threads.emplace_back([&run, s] { run(s); });
+    for (int64_t s = 1; s < count; ++s) {
+      threads.emplace_back([&run, s] { run(s); });
+      MoveElsewhere(&threads.back());
+    }
   } catch (const std::system_error&) {  // the system cannot start more threads
   } catch (const std::bad_alloc&) {     // no memory for another thread
   }
@@ -52,6 +78,7 @@ ThreadPool::ThreadPool(int num_threads) : claimed_(std::max(1, num_threads)) {
     workers_.reserve(std::max(0, num_threads - 1));
     for (int thread = 1; thread < num_threads; ++thread) {
       workers_.emplace_back([this, thread] { WorkerLoop(thread); });
+      MoveElsewhere(&workers_.back());
     }
   } catch (const std::system_error&) {  // the system cannot start more threads
   } catch (const std::bad_alloc&) {     // no memory for another thread
@@ -71,11 +98,12 @@ void ThreadPool::Run(const std::function<void(int thread)>& work) {
   if (!workers_.empty()) {
     work_ = &work;
     unfinished_.store(static_cast<int>(workers_.size()), std::memory_order_relaxed);
-    {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      generation_.fetch_add(1, std::memory_order_release);
+    const std::lock_guard<std::mutex> lock(mutex_);
+    generation_.fetch_add(1, std::memory_order_release);
+    if (num_asleep_ > 0) {
+      wake_.notify_all();
+      for (std::thread& worker : workers_) MoveElsewhere(&worker);
     }
-    wake_.notify_all();
   }
   Work(work, 0);
   const int64_t generation = generation_.load(std::memory_order_relaxed);
@@ -111,7 +139,9 @@ void ThreadPool::WorkerLoop(int thread) {
     }
     if (generation == seen) {
       std::unique_lock<std::mutex> lock(mutex_);
+      ++num_asleep_;
       wake_.wait(lock, [&] { return generation_.load(std::memory_order_acquire) != seen; });
+      --num_asleep_;
       generation = generation_.load(std::memory_order_acquire);
     }
     if (generation < 0) return;

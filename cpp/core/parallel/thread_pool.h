@@ -97,6 +97,7 @@ class ThreadPool {
   std::atomic<int> unfinished_{0};
   std::mutex mutex_;
   std::condition_variable wake_;
+  int num_asleep_ = 0;  ///< threads that wait for `wake_`; guarded by mutex_
   FirstException first_exception_;
 };
 

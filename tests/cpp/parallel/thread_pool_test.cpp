@@ -1,6 +1,9 @@
 #include "core/parallel/thread_pool.h"
 
 #include <gtest/gtest.h>
+#ifdef __linux__
+#include <sched.h>
+#endif
 
 #include <atomic>
 #include <chrono>
@@ -50,6 +53,26 @@ TEST(ThreadPool, CallsTheWorkOfEachThreadOnce) {
     EXPECT_EQ(calls, std::vector<int>(num_threads, 5000));
   }
 }
+
+#ifdef __linux__
+TEST(ThreadPool, ThreadsKeepTheProcessorsOfTheCaller) {
+  cpu_set_t own, other;
+  ASSERT_EQ(sched_getaffinity(0, sizeof own, &own), 0);
+  CPU_ZERO(&other);
+  std::atomic<bool> is_known{false};
+  const std::thread::id caller = std::this_thread::get_id();
+  ThreadPool pool(2);
+  pool.Run([&](int) {
+    if (std::this_thread::get_id() == caller) {
+      while (!is_known) std::this_thread::yield();
+    } else {
+      sched_getaffinity(0, sizeof other, &other);
+      is_known = true;
+    }
+  });
+  EXPECT_TRUE(CPU_EQUAL(&own, &other));
+}
+#endif
 
 TEST(ThreadPool, DoesNotWaitForAThreadThatHasNotStarted) {
   ThreadPool pool(2);
