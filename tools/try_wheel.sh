@@ -24,6 +24,10 @@ print("bundle", bundle.__version__, bundle.__file__)
 PY
 "$bin/bundle" --version
 refine() { "$bin/bundle" refine "$data/street_colmap" --quiet --loss cauchy "$@" >/dev/null; }
+start=$(date +%s%N)
+"$bin/bundle" demo demo --quiet >demo.txt
+echo "bundle demo: $((($(date +%s%N) - start) / 1000000)) ms"
+grep -q "^  file://.*/demo/report.html$" demo.txt && test -s demo/report.html
 refine -o fused --backend fused --json fused.json
 refine -o ceres --backend ceres --solver sparse_schur --json ceres.json
 refine -o dense --backend ceres --solver dense_schur --json dense.json

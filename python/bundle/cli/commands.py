@@ -287,6 +287,18 @@ def _synth(parser: Parser) -> None:
     parser.set_defaults(kind=lambda given: FLIGHT if given.scene == FLIGHT else "scene")
 
 
+def _demo(parser: Parser) -> None:
+    parser.usage = "bundle demo [FOLDER] [options]"
+    parser.add_argument(
+        "output",
+        metavar="FOLDER",
+        nargs="?",
+        default="bundle_demo",
+        type=a_path,
+        help="new or empty folder, or that of another demo (default: bundle_demo)",
+    )
+
+
 def ground_truth_path(arguments: argparse.Namespace) -> str | None:
     """Return the path of a scene's true solution; None for a flight, whose folder contains it."""
     if arguments.scene == FLIGHT:
@@ -316,5 +328,6 @@ ARGUMENTS = {
     "vio": _vio,
     "convert": _convert,
     "synth": _synth,
+    "demo": _demo,
 }
 """Functions that declare the arguments of the commands."""

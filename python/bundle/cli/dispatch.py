@@ -48,6 +48,7 @@ COMMANDS = {
     "vio": "visual-inertial odometry from feature tracks and IMU samples",
     "convert": "between formats, saying what is lost",
     "synth": "seeded synthetic scenes with ground truth, from toy to millions of observations",
+    "demo": "refines a small scene that comes with the package, and writes a report page",
 }
 """Commands in the order of the help, with their help texts."""
 
@@ -89,6 +90,7 @@ HANDLERS = {
     ("convert", Kind.SEQUENCE): "sequence_commands:convert",
     ("synth", Kind.RECONSTRUCTION): "synth:run",
     ("synth", FLIGHT): "flight_synthesis:run",
+    ("demo", Kind.RECONSTRUCTION): "demo:run",
 }
 """Functions in this package that run a command, by the kind of its input.
 

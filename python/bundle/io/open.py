@@ -87,8 +87,8 @@ def load(
     if is_pose_graph_file(path):
         raise InputError(f"{shown(path)}: expected a reconstruction, found a pose graph")
     other = other_format_at(path)
-    by_name = format_for_name(path)
-    if by_name is not None and by_name.reads and other in (None, format_of_name(path)):
+    by_name = format_for_name(path) if other and other == format_of_name(path) else None
+    if by_name is not None and by_name.reads:
         return by_name.reading().read(path, options)  # type: ignore[no-any-return]  # states the fault
     if other is not None:
         raise InputError(
