@@ -18,8 +18,8 @@ namespace {
 
 py::dict Covariance(const py::object& problem, const py::dict& options,
                     const py::object& restrictions, const py::object& given_factors, bool inner,
-                    bool sandwich, bool of_points,
-                    const std::vector<std::pair<int, int>>& relative) {
+                    bool sandwich, bool of_points, const std::vector<std::pair<int, int>>& relative,
+                    bool long_sums) {
   bundle::AdjustmentProblem view(ViewProblem(problem));
   view.restrictions = ViewRestrictions(restrictions, view);
   GivenFactors factors(given_factors);
@@ -28,6 +28,7 @@ py::dict Covariance(const py::object& problem, const py::dict& options,
   wanted.inner = inner;
   wanted.sandwich = sandwich;
   wanted.of_points = of_points;
+  wanted.long_sums = long_sums;
   wanted.relative = relative;
   PythonProgress watch{py::none()};
   bundle::CovarianceOutput output = RunWatched(&watch, [&] {
@@ -69,5 +70,5 @@ py::dict Covariance(const py::object& problem, const py::dict& options,
 void BindCovariance(py::module_& m) {
   m.def("covariance", &Covariance, py::arg("problem"), py::arg("options"), py::arg("restrictions"),
         py::arg("factors"), py::arg("inner"), py::arg("sandwich"), py::arg("of_points"),
-        py::arg("relative"));
+        py::arg("relative"), py::arg("long_sums"));
 }

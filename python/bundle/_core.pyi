@@ -299,6 +299,7 @@ def covariance(
     sandwich: bool,
     of_points: bool,
     relative: list[tuple[int, int]],
+    long_sums: bool,
 ) -> dict[str, Any]: ...
 
 # bind_rest.cpp

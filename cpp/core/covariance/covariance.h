@@ -38,6 +38,9 @@ struct CovarianceOptions {
   bool inner = true;      ///< inner constraints; false: the gauge of SolveOptions::gauge
   bool sandwich = false;  ///< sandwich.h
   bool of_points = true;
+  /// Small systems in long doubles (long_sums.h): all digits where doubles have a few, at ten times
+  /// the time.
+  bool long_sums = true;
   std::vector<std::pair<int, int>> relative;  ///< image pairs (a, b), for cam_b_from_cam_a
 };
 

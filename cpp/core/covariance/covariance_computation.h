@@ -40,7 +40,7 @@ class CovarianceComputation {
         options_(options),
         wanted_(wanted),
         system_(centered_.view(), options, /*sums_gauge=*/wanted.inner),
-        is_small_(system_.is_small()) {}
+        is_small_(wanted.long_sums && system_.is_small()) {}
 
   CovarianceOutput Run() {
     if (wanted_.sandwich) system_.UseSecondOrder();

@@ -90,12 +90,15 @@ def problem_covariance(
 def intrinsics_covariance(problem: Problem, options: SolveOptions) -> Covariance:
     """Return the covariance of the intrinsics, scaled by sigma0, as :func:`covariance` does.
 
+    Sums are doubles also for small models: ten times faster, with fewer digits.
+
     Raises:
         InputError: as :func:`covariance`.
     """
     gauge = "two_cameras"  # intrinsics do not depend on it
     request = SolveRequest(problem=problem, options=options.replace(gauge=gauge))
-    return _Recipe(request, ("intrinsics",), gauge, "sigma0", "weights").compute([])
+    recipe = _Recipe(request, ("intrinsics",), gauge, "sigma0", "weights", long_sums=False)
+    return recipe.compute([])
 
 
 HARD_TWISTS = (
@@ -113,6 +116,7 @@ class _Recipe:
     gauge: str
     scale: str
     robust: str
+    long_sums: bool = True
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         if "request" not in state:  # a pickle of an older version, without requests
@@ -145,6 +149,7 @@ class _Recipe:
                 self.robust == "sandwich",
                 "points" in self.of,
                 rows,
+                self.long_sums,
             )
 
         out = run(ready.start, layout.options)
