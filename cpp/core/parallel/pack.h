@@ -121,6 +121,7 @@ inline void SplitRows(const SquareRow& both, Quad* rows) {
 #endif
 
 /// Transposes each square of four rows.
+#if defined(__AVX__)
 inline void TransposeSquares(SquareRow* rows) {
 #if BUNDLE_LANES == 8
 #define BUNDLE_EVEN 0, 8, 2, 10, 4, 12, 6, 14
@@ -146,6 +147,21 @@ inline void TransposeSquares(SquareRow* rows) {
 #undef BUNDLE_FIRST_PAIRS
 #undef BUNDLE_LAST_PAIRS
 }
+#else  // registers of two doubles
+inline void TransposeSquares(SquareRow* rows) {
+  using Pair = double __attribute__((vector_size(16)));
+  Pair from[4][2], to[4][2];
+  __builtin_memcpy(from, rows, sizeof from);
+  for (int i = 0; i < 2; ++i) {
+    for (int j = 0; j < 2; ++j) {
+      const Pair &a = from[2 * i][j], &b = from[2 * i + 1][j];
+      to[2 * j][i] = Pair{a[0], b[0]};
+      to[2 * j + 1][i] = Pair{a[1], b[1]};
+    }
+  }
+  __builtin_memcpy(rows, to, sizeof to);
+}
+#endif
 
 #undef BUNDLE_SHUFFLE
 #undef BUNDLE_CHANGES_WIDTH

@@ -17,12 +17,19 @@
 
 namespace bundle::BUNDLE_ISA {
 
-/// Rows of a panel, so that it fits the registers.
+/// Rows of a panel, so that it fits the registers: 32 of them with AVX-512 and NEON, otherwise 16.
 template <int kQuads>
-inline constexpr int kPanelRows = kLanes == 8 ? (kQuads <= 2   ? 12
-                                                 : kQuads <= 4 ? 9
-                                                               : 6)
-                                              : (12 / kQuads > 0 ? 12 / kQuads : 1);
+constexpr int PanelRows() {
+  if (kLanes == 8) return kQuads <= 2 ? 12 : kQuads <= 4 ? 9 : 6;
+#if defined(__AVX__) || defined(__aarch64__)
+  constexpr int kQuadsInRegisters = 12;
+#else
+  constexpr int kQuadsInRegisters = 6;
+#endif
+  return kQuads < kQuadsInRegisters ? kQuadsInRegisters / kQuads : 1;
+}
+template <int kQuads>
+inline constexpr int kPanelRows = PanelRows<kQuads>();
 
 /// Subtracts the products of `count` pairs from kRows rows of a block. Entries have `stride`
 /// doubles, of which a row takes `width` in the first factor and 4 kQuads in the second.

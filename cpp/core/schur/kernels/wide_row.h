@@ -6,62 +6,68 @@
 
 namespace bundle::BUNDLE_ISA {
 
+/// Doubles of the widest register.
+#if defined(__AVX__)
+inline constexpr int kWide = kLanes;
+#else
+inline constexpr int kWide = 2;
+#endif
+
 /// A row of kQuads quads in the widest registers of the instruction set.
 template <int kQuads>
 struct WideRow {
-  static constexpr int kOcts = kLanes == 8 ? kQuads / 2 : 0;
-  static constexpr int kRest = kQuads - 2 * kOcts;
-  using Oct = double __attribute__((vector_size(64)));
-  Oct oct[kOcts > 0 ? kOcts : 1];
+  using Wide = double __attribute__((vector_size(8 * kWide)));
+  static constexpr int kWides = 4 * kQuads / kWide;
+  static constexpr int kRest = kQuads - kWides * kWide / 4;
+  Wide wide[kWides > 0 ? kWides : 1];
   Quad quad[kRest > 0 ? kRest : 1];
 
   static WideRow Load(const double* from) {
     WideRow row;
-#pragma GCC unroll 4
-    for (int k = 0; k < kOcts; ++k) __builtin_memcpy(&row.oct[k], from + 8 * k, sizeof(Oct));
+#pragma GCC unroll 16
+    for (int k = 0; k < kWides; ++k) {
+      __builtin_memcpy(&row.wide[k], from + kWide * k, sizeof(Wide));
+    }
 #pragma GCC unroll 8
-    for (int k = 0; k < kRest; ++k) row.quad[k] = LoadQuad(from + 8 * kOcts + 4 * k);
+    for (int k = 0; k < kRest; ++k) row.quad[k] = LoadQuad(from + kWide * kWides + 4 * k);
     return row;
   }
   void Store(double* to) const {
-#pragma GCC unroll 4
-    for (int k = 0; k < kOcts; ++k) __builtin_memcpy(to + 8 * k, &oct[k], sizeof(Oct));
+#pragma GCC unroll 16
+    for (int k = 0; k < kWides; ++k) __builtin_memcpy(to + kWide * k, &wide[k], sizeof(Wide));
 #pragma GCC unroll 8
-    for (int k = 0; k < kRest; ++k) StoreQuad(quad[k], to + 8 * kOcts + 4 * k);
+    for (int k = 0; k < kRest; ++k) StoreQuad(quad[k], to + kWide * kWides + 4 * k);
   }
   /// -= factor * row
   void Subtract(double factor, const WideRow& row) {
-#pragma GCC unroll 4
-    for (int k = 0; k < kOcts; ++k) oct[k] -= factor * row.oct[k];
+#pragma GCC unroll 16
+    for (int k = 0; k < kWides; ++k) wide[k] -= factor * row.wide[k];
 #pragma GCC unroll 8
     for (int k = 0; k < kRest; ++k) quad[k] -= factor * row.quad[k];
   }
   /// += factor * row
   void Add(double factor, const WideRow& row) {
-#pragma GCC unroll 4
-    for (int k = 0; k < kOcts; ++k) oct[k] += factor * row.oct[k];
+#pragma GCC unroll 16
+    for (int k = 0; k < kWides; ++k) wide[k] += factor * row.wide[k];
 #pragma GCC unroll 8
     for (int k = 0; k < kRest; ++k) quad[k] += factor * row.quad[k];
   }
   /// += row * row, number by number
   void AddSquares(const WideRow& row) {
-#pragma GCC unroll 4
-    for (int k = 0; k < kOcts; ++k) oct[k] += row.oct[k] * row.oct[k];
+#pragma GCC unroll 16
+    for (int k = 0; k < kWides; ++k) wide[k] += row.wide[k] * row.wide[k];
 #pragma GCC unroll 8
     for (int k = 0; k < kRest; ++k) quad[k] += row.quad[k] * row.quad[k];
   }
   /// The product with a row, in four parts.
   Quad Times(const WideRow& row) const {
+    double products[4 * kQuads];
+    WideRow both;
+    for (int k = 0; k < kWides; ++k) both.wide[k] = wide[k] * row.wide[k];
+    for (int k = 0; k < kRest; ++k) both.quad[k] = quad[k] * row.quad[k];
+    both.Store(products);
     Quad sum = {};
-#pragma GCC unroll 4
-    for (int k = 0; k < kOcts; ++k) {
-      Quad half[2];
-      const Oct product = oct[k] * row.oct[k];
-      __builtin_memcpy(half, &product, sizeof product);
-      sum += half[0] + half[1];
-    }
-#pragma GCC unroll 8
-    for (int k = 0; k < kRest; ++k) sum += quad[k] * row.quad[k];
+    for (int k = 0; k < kQuads; ++k) sum += LoadQuad(products + 4 * k);
     return sum;
   }
 };
