@@ -12,7 +12,8 @@ import numpy as np
 
 import bundle
 from bundle.analysis.statistics.description import describe
-from bundle.interface.options import GAUGES, LOSSES, ORDERINGS, REFINABLE, TRUST_REGION_STRATEGIES
+from bundle.interface.option_lists import REFINABLE
+from bundle.interface.options import GAUGES, LOSSES, ORDERINGS, TRUST_REGION_STRATEGIES
 from tests import scenes
 from tests.campaigns import jobs
 from tests.campaigns.mutants import assert_honest

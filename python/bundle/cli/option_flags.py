@@ -155,7 +155,8 @@ def flags_of(*kinds: type[Any]) -> dict[str, str]:
 @functools.cache
 def _values() -> frozenset[str]:
     """Return every named value of the options of a solve."""
-    from bundle.interface.options import REFINABLE, SENSORS, SolveOptions  # only for messages
+    from bundle.interface.option_lists import REFINABLE, SENSORS  # only for messages
+    from bundle.interface.options import SolveOptions
 
     fields = dataclasses.fields(SolveOptions)
     return frozenset(

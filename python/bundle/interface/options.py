@@ -7,15 +7,22 @@ fields, the JSON report lists them, and ``bundle._core`` reads them by name.
 from __future__ import annotations
 
 import dataclasses
-import operator
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
-from bundle.errors import InputError, brief
+from bundle.errors import InputError
 from bundle.interface import trust_region_fields as trust_region
 from bundle.interface.option_class import Options, documented
-from bundle.interface.option_fields import checked, choice, option
+from bundle.interface.option_fields import checked, option
+from bundle.interface.option_lists import (
+    REFINABLE,
+    SENSORS,
+    refined_names,
+    sensor_pairs,
+    two_sigmas,
+    whole_ids,
+)
 
 __all__ = ["GraphOptions", "SolveOptions"]
 
@@ -49,9 +56,6 @@ AUTO_PRECONDITIONER = {
 }
 TRUST_REGION_STRATEGIES = ("levenberg_marquardt", "dogleg", "subspace_dogleg")
 LOSSES = ("trivial", "huber", "soft_l1", "cauchy", "arctan", "tukey")
-SENSORS = "sensor_from_rig"
-"""Additional name in ``refine``, for ``refine_sensor_from_rig``."""
-REFINABLE = ("poses", "points", "focal", "principal_point", "extra")
 GAUGES = ("auto", "none", "two_cameras", "three_points")
 CHEIRALITIES = ("auto", "algebraic", "zero")
 
@@ -298,76 +302,14 @@ class SolveOptions(Options):
 
     def _checked(self, field: dataclasses.Field[Any], value: Any) -> Any:
         if field.name == "twist_sigma":
-            return _twist_sigma(value)
+            return two_sigmas(value)
         if field.name == "refine":
-            return _names(value)
+            return refined_names(value)
         if field.name == "fixed_sensors":
-            return _sensors(value)
+            return sensor_pairs(value)
         if field.name.startswith("fixed_"):
-            return _ids(field.name, value)
+            return whole_ids(field.name, value)
         return checked(field, value)
-
-
-def _names(value: Any) -> tuple[str, ...]:
-    try:
-        given = value.split(",") if isinstance(value, str) else list(value)
-    except TypeError:
-        raise InputError(
-            f"refine: expected names out of {', '.join((*REFINABLE, SENSORS))}, "
-            f"found {brief(value)}"
-        ) from None
-    words = (name.strip() if isinstance(name, str) else name for name in given)
-    named = (word for word in words if not isinstance(word, str) or word)
-    every = (*REFINABLE, SENSORS)
-    chosen = {choice("refine", word, every) for word in named}
-    return tuple(name for name in every if name in chosen)
-
-
-def _twist_sigma(value: Any) -> tuple[float, ...]:
-    """Return the sigmas of the angular and the other part of a twist; () without any."""
-    if isinstance(value, tuple | list) and not value:
-        return ()
-    expected = f"twist_sigma: expected two numbers above 0, found {brief(value)}"
-    try:
-        parts = value.split(",") if isinstance(value, str) else list(value)
-        w, v = (float(part) for part in parts)
-    except (TypeError, ValueError):
-        raise InputError(expected) from None
-    if not (0 < w < float("inf") and 0 < v < float("inf")):
-        raise InputError(expected)
-    return w, v
-
-
-def _sensors(value: Any) -> tuple[tuple[int, int], ...]:
-    """Return pairs (rig id, camera id)."""
-    expected = "fixed_sensors: expected pairs (rig id, camera id), found "
-    try:
-        if isinstance(value, str | bytes | dict):
-            raise TypeError
-        given = [tuple(entry) for entry in value]
-        if any(len(pair) != 2 or any(isinstance(x, bool) for x in pair) for pair in given):
-            raise TypeError
-        pairs = {(operator.index(rig), operator.index(camera)) for rig, camera in given}
-    except TypeError:
-        raise InputError(expected + brief(value)) from None
-    for found in (entry for pair in pairs for entry in pair if not -(2**63) <= entry < 2**63):
-        raise InputError(f"fixed_sensors: expected ids below 2^63, found {brief(found)}")
-    return tuple(sorted(pairs))
-
-
-def _ids(name: str, value: Any) -> tuple[int, ...]:
-    try:
-        if isinstance(value, str | bytes):
-            raise TypeError  # the characters of a string are not ids
-        given = list(value)
-        if any(isinstance(entry, bool) for entry in given):
-            raise TypeError
-        ids = {operator.index(entry) for entry in given}
-    except TypeError:
-        raise InputError(f"{name}: expected whole numbers, found {brief(value)}") from None
-    for found in (entry for entry in ids if not -(2**63) <= entry < 2**63):
-        raise InputError(f"{name}: expected ids below 2^63, found {brief(found)}")
-    return tuple(sorted(ids))
 
 
 @documented

@@ -5,9 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.model.rotations import quaternion_inverse, quaternion_multiply, quaternion_rotate
+from bundle.model.rotations import (
+    inverse_jacobian_coefficient,
+    quaternion_inverse,
+    quaternion_multiply,
+    quaternion_rotate,
+    vector_from_quaternion,
+)
 
-__all__ = ["inverse_poses", "multiply_as_colmap", "multiply_poses", "unit_poses"]
+__all__ = [
+    "inverse_poses",
+    "log_of_poses",
+    "multiply_as_colmap",
+    "multiply_poses",
+    "unit_poses",
+]
 
 Array = NDArray[np.float64]
 
@@ -28,6 +40,14 @@ def multiply_poses(a: Array, b: Array) -> Array:
     """Return the products a b (n, 7), motion b first, then a; quaternions are unit."""
     turned = quaternion_multiply(a[:, :4], b[:, :4])
     return np.hstack([turned, quaternion_rotate(a[:, :4], b[:, 4:]) + a[:, 4:]])
+
+
+def log_of_poses(poses: Array) -> Array:
+    """Return Log of poses (n, 6), rotation vector r first: V^-1 t, V^-1 = I - [r]/2 + c [r]^2."""
+    turn, place = vector_from_quaternion(poses[:, :4]), poses[:, 4:]
+    once = np.cross(turn, place)
+    bend = inverse_jacobian_coefficient(np.linalg.norm(turn, axis=1))[:, None]
+    return np.concatenate([turn, place - once / 2 + bend * np.cross(turn, once)], axis=1)
 
 
 def multiply_as_colmap(a: Array, b: Array) -> Array:

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from bundle.model.cameras import camera_models, project
 from bundle.model.problem import Problem
-from bundle.model.rigid_motions import inverse_poses, multiply_poses
-from bundle.model.rotations import dot, inverse_jacobian_coefficient, vector_from_quaternion
+from bundle.model.rigid_motions import inverse_poses, log_of_poses, multiply_poses
+from bundle.model.rotations import dot
 
 __all__ = ["moved", "project_each", "read_positions", "twists_between"]
 
@@ -109,12 +109,7 @@ def read_positions(
 
 def twists_between(a: Array, b: Array) -> Array:
     """Return Log(b a^-1) (N, 6), rotation first, of poses (N, 7) with unit quaternions."""
-    step = multiply_poses(b, inverse_poses(a))
-    w, t = vector_from_quaternion(step[:, :4]), step[:, 4:]
-    # V^-1 = I - K / 2 + d K^2
-    d = inverse_jacobian_coefficient(np.sqrt(dot(w, w)))[:, None]
-    wt = np.cross(w, t)
-    return np.hstack([w, t - wt / 2 + d * np.cross(w, wt)])
+    return log_of_poses(multiply_poses(b, inverse_poses(a)))
 
 
 def _coefficients(square: Array) -> tuple[Array, Array, Array]:

@@ -8,12 +8,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
+from bundle.model.rigid_motions import inverse_poses, log_of_poses, multiply_poses, unit_poses
 from bundle.model.rotations import (
     cross_matrices,
     inverse_jacobian_coefficient,
     rotation_matrices,
-    vector_from_quaternion,
 )
 
 __all__ = ["adjoint_between", "adjoints", "compose", "inverse", "logarithm"]
@@ -81,14 +80,11 @@ def inverse(poses: Floats) -> Floats:
 
 
 def logarithm(poses: Floats) -> Floats:
-    """Return Log of poses, (n, d): V^-1 t, V^-1 = I - [r]/2 + c [r]^2 of the rotation vector r."""
+    """Return Log of poses, (n, d)."""
     if poses.shape[1] == 3:
         angle = np.arctan2(np.sin(poses[:, 2]), np.cos(poses[:, 2]))
         x, y = poses[:, 0], poses[:, 1]
         along = 1 - inverse_jacobian_coefficient(np.abs(angle)) * angle**2
         half = angle / 2
         return np.stack([along * x + half * y, along * y - half * x, angle], axis=1)
-    turn, place = vector_from_quaternion(poses[:, :4]), poses[:, 4:]
-    once = np.cross(turn, place)
-    bend = inverse_jacobian_coefficient(np.linalg.norm(turn, axis=1))[:, None]
-    return np.concatenate([turn, place - once / 2 + bend * np.cross(turn, once)], axis=1)
+    return log_of_poses(poses)

@@ -1,0 +1,122 @@
+"""INPUT of `bundle refine`: reading, changes of cameras and rigs, priors, checks of OUTPUT."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from bundle.cli.carried_georeference import check_georeference, georeference_at
+from bundle.cli.georeference_flags import priors_of
+from bundle.cli.option_flags import with_named_images
+from bundle.cli.output import check_replaced, same_images
+from bundle.cli.problem_edits import cameras_edited, with_rigs, with_shutters
+from bundle.cli.progress import Progress
+from bundle.cli.refinement import Refinement
+from bundle.cli.sliced_input import sliced_input
+from bundle.errors import InputError, shown
+from bundle.interface.options import SolveOptions
+from bundle.io.open import check_target, load, output_format
+
+if TYPE_CHECKING:
+    from bundle.editing.cameras.edit_record import CameraEdits
+    from bundle.georeference.known_priors import KnownPriors
+    from bundle.model.problem import Problem
+    from bundle.solving.slices.sliced_refinement import SlicedRefinement
+
+__all__ = ["Opened", "open_input"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Opened:
+    """INPUT as prepared for the solve, with everything that belongs to it.
+
+    Attributes:
+        loaded: problem as read from INPUT.
+        problem: problem with the requested cameras and rigs.
+        edits: changes of its cameras; None without any.
+        options: options of the solve, images by id.
+        output: path and format of OUTPUT.
+        known: priors of positions, control points and attitudes, or None.
+        align: True to move the problem to its priors.
+        place: content of the georeference.json next to INPUT, or None.
+        sliced: refinement by processes that read one slice each; None: one process reads all.
+        load_time: seconds.
+    """
+
+    loaded: Problem
+    problem: Problem
+    edits: CameraEdits | None
+    options: SolveOptions
+    output: dict[str, str]
+    known: KnownPriors | None
+    align: bool | None
+    place: dict[str, Any] | None
+    sliced: SlicedRefinement | None
+    load_time: float
+
+
+def open_input(asked: Refinement, progress: Progress) -> Opened:
+    """Read INPUT, change its cameras and rigs, and check that OUTPUT can be written."""
+    source = asked.source
+    progress.stage(f"reading {shown(source)}")
+    begun = perf_counter()
+    sliced = None
+    if asked.is_plain:
+        sliced = sliced_input(source, asked.target, asked.format, asked.options)
+    loaded = load(source, progress.text, asked.reading) if sliced is None else sliced.cameras
+    load_time = perf_counter() - begun
+    if loaded.num_observations == 0:
+        raise InputError(f"{shown(source)}: expected observations to refine, found 0")
+    edits = cameras_edited(asked.lenses, loaded)
+    problem = with_rigs(loaded if edits is None else edits.problem, asked.rig_config)
+    problem, options = with_shutters(problem, asked.shutters, asked.options)
+    options = with_named_images(options, asked.fixed_images, problem)
+    output = _checked_output(asked, problem, options)
+    given = asked.georeference
+    for what, path in (
+        ("control points", given.gcp),
+        ("positions", given.gps),
+        ("gravity", given.gravity),
+        ("orientations", given.orientations),
+    ):
+        if path is not None:
+            if given.has_positions:
+                check_georeference(**output)
+            progress.stage(f"reading {what}: {shown(path)}")
+    place = georeference_at(source)
+    kept = _kept_world(asked, place)
+    known = priors_of(given, problem, kept=kept)
+    if place is not None:
+        check_georeference(**output)
+    return Opened(
+        loaded=loaded,
+        problem=problem,
+        edits=edits,
+        options=options,
+        output=output,
+        known=known,
+        align=None if known is None or kept else True,
+        place=place,
+        sliced=sliced,
+        load_time=load_time,
+    )
+
+
+def _kept_world(asked: Refinement, place: dict[str, Any] | None) -> str:
+    """Return the reason for which attitudes must not turn the world; "" if they may."""
+    if asked.georeference.has_positions:
+        return ""
+    if asked.local.only_images is not None:
+        return "with --only-images"
+    return "because INPUT has a georeference.json" if place is not None else ""
+
+
+def _checked_output(asked: Refinement, problem: Problem, options: SolveOptions) -> dict[str, str]:
+    """Return path and format of OUTPUT after checking that it can be written and replaced."""
+    source, target = asked.source, asked.target
+    output = {"path": target, "format": output_format(problem.format, target, asked.format, source)}
+    fixed = options.fixed_camera_ids
+    check_target(problem, **output, refined=options.refine, fixed_camera_ids=fixed)
+    check_replaced(target, [source], asked.overwrite, same_images(problem))
+    return output
