@@ -41,6 +41,29 @@ def test_colmap_model_and_truth_beside_it(run, tmp_path):
     assert_same(bundle.load(tmp_path / "model_ground_truth"), scene.ground_truth, 1e-12)
 
 
+@pytest.mark.parametrize("suffix", ["", ".txt", ".txt.gz"])
+def test_measured_attitudes_are_read_back(run, tmp_path, suffix):
+    path = tmp_path / f"scene{suffix}"
+    flags = (*SMALL, "--gravity", 1, "--orientations", 2, "--seed", 4)
+    outcome = run("synth", path, *flags, "--json", tmp_path / "report.json")
+    assert outcome.code == 0
+    measured = json.loads((tmp_path / "report.json").read_text())["measured"]
+    assert measured == {k: str(tmp_path / f"scene_{k}.txt") for k in ("gravity", "orientations")}
+    problem = bundle.load(path)
+    known = bundle.georeference.read_attitudes(problem, **measured).priors
+    scene = bundle.synthesize(
+        num_images=12, num_points=300, mean_track_length=3, seed=4,
+        gravity_sigma=1, orientation_sigma=2,
+    )  # fmt: skip
+    shift = 1 if suffix else 0  # BAL counts from 0
+    assert [p.image + shift for p in known] == [p.image for p in scene.priors]
+    for found, expected in zip(known, scene.priors, strict=True):
+        for name in ("direction", "rotation", "sigma_degrees"):
+            if hasattr(expected, name):
+                assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-14)
+    assert run("synth", path, *flags).code == 2  # the files exist
+
+
 @pytest.mark.parametrize("suffix", [".txt", ".txt.gz", ".txt.bz2"])
 def test_bal_file_and_truth_beside_it(run, tmp_path, suffix):
     path = tmp_path / f"scene.v2{suffix}"
@@ -124,6 +147,8 @@ def test_help_has_every_default_and_unit(run, capsys):
         (("--image-size", 5, 5), "--image-size: "),
         (("--pixel-noise", 1e308), "--pixel-noise: "),
         (("--seed", -1), "--seed: "),
+        (("--gravity", -1), "--gravity: "),
+        (("--orientations", 180), "--orientations: "),
         (("--scene", "orbit", "--images", 200, "--points", 20), "--points: "),
         (("--format", "bal", "--camera-model", "opencv"), "OPENCV"),
     ],
@@ -143,6 +168,9 @@ def test_outputs_must_not_replace_each_other(run, tmp_path):
         outcome = run("synth", path, *SMALL, "--ground-truth", tmp_path / "b.txt", *clash)
         assert outcome.code == 2
         assert outcome.err.startswith("error: ")
+    for flag in ("--json", "--ground-truth"):
+        outcome = run("synth", path, *SMALL, "--gravity", 1, flag, tmp_path / "a_gravity.txt")
+        assert (outcome.code, outcome.err.count("\n")) == (2, 1)
     assert list(tmp_path.iterdir()) == []
 
 

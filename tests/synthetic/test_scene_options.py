@@ -31,6 +31,8 @@ from bundle import InputError, SceneOptions
         ("focal_noise", 0.5),
         ("loop_closure", "yes"),
         ("num_rings", 41),
+        ("gravity_sigma", -1.0),
+        ("orientation_sigma", 180.0),
         ("seed", -1),
     ],
 )

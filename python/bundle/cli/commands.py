@@ -46,7 +46,7 @@ from bundle.cli.shared_arguments import (
     add_rules,
 )
 
-__all__ = ["ARGUMENTS", "add_common", "ground_truth_path"]
+__all__ = ["ARGUMENTS", "add_common", "ground_truth_path", "path_beside"]
 
 Parser = argparse.ArgumentParser
 
@@ -308,7 +308,17 @@ def ground_truth_path(arguments: argparse.Namespace) -> str | None:
         return str(arguments.ground_truth)
     if path.endswith("/"):
         return path.rstrip("/") + "_ground_truth/"
-    return re.sub(r"((\.txt(\.gz|\.bz2)?)?)$", r"_ground_truth\1", path, count=1, flags=re.I)
+    suffix = re.search(SUFFIX, path, re.I)
+    return path_beside(path, "ground_truth", "" if suffix is None else suffix.group())
+
+
+SUFFIX = r"(\.txt(\.gz|\.bz2)?)?$"
+"""Suffix of a BAL file."""
+
+
+def path_beside(path: str, what: str, suffix: str) -> str:
+    """Return the path next to an output, such as OUTPUT_gravity.txt."""
+    return f"{re.sub(SUFFIX, '', path.rstrip('/'), count=1, flags=re.I)}_{what}{suffix}"
 
 
 ARGUMENTS = {

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from pathlib import Path
 
-from bundle.cli.commands import ground_truth_path
+from bundle.cli.commands import ground_truth_path, path_beside
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.flags_by_kind import refuse_flags_of_flights
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import check_new, publish
 from bundle.cli.progress import Progress
-from bundle.errors import shown
+from bundle.errors import InputError, shown
+from bundle.georeference.attitude_files import gravity_text, orientation_text
+from bundle.georeference.attitude_priors import AttitudePrior, GravityPrior, OrientationPrior
 from bundle.interface.scene_options import SceneOptions
+from bundle.io.atomic import atomic_write as atomic
 from bundle.io.open import check_target, output_format, save
 from bundle.io.rolling_shutter_file import LOST_ROLLING_SHUTTER
+from bundle.model.problem import Problem
 from bundle.model.reprojection import reprojection_error
 from bundle.reports.terminal.synth import synthesized
 from bundle.synthetic.blocks import SceneInBlocks
+from bundle.synthetic.measured_attitudes import measured_attitudes
 from bundle.synthetic.streamed import SceneTally, write_bal_scene
 from bundle.synthetic.synthesis import SyntheticScene, assemble, filmed
 
@@ -34,8 +40,9 @@ def run(arguments: argparse.Namespace) -> int:
     path = arguments.output
     truth_path = ground_truth_path(arguments)
     assert truth_path is not None
+    beside = _files_of_attitudes(options, path, (truth_path, arguments.json))
     if not arguments.overwrite:
-        for target in (path, truth_path):
+        for target in (path, truth_path, *beside.values()):
             check_new(target, "--overwrite")
     with Progress(quiet=arguments.quiet) as progress, naming_flags(SceneOptions):
         progress.stage(f"making {options.num_images} images of {options.num_points} points")
@@ -44,6 +51,8 @@ def run(arguments: argparse.Namespace) -> int:
         format = output_format(images.format, path, arguments.format)
         check_target(images, path, format)
         check_target(images, truth_path, format)
+        for target in beside.values():
+            atomic.check_file(Path(target))
         lost: list[str] = []
         is_plain = not any(name.lower().endswith((".gz", ".bz2")) for name in (path, truth_path))
         streams = format == "bal" and is_plain
@@ -55,11 +64,46 @@ def run(arguments: argparse.Namespace) -> int:
             progress.stage(f"writing {shown(path)}")
             save(made.problem, path, format)
             lost = [one for one in save(made.ground_truth, truth_path, format) if one in LOSSES]
+        true = scene.ground_truth if isinstance(scene, SyntheticScene) else images
+        _write_attitudes(beside, measured_attitudes(true, options), true, format)
     output = {"path": path, "format": format}
     truth = {"path": truth_path, "format": format}
-    report = synthesized(options, images.num_cameras, tally, output, truth, lost)
+    report = synthesized(options, images.num_cameras, tally, output, truth, beside, lost)
     publish(report, arguments)
     return EXIT_DONE
+
+
+def _files_of_attitudes(
+    options: SceneOptions, path: str, others: Iterable[str | None]
+) -> dict[str, str]:
+    """Return the paths of the measured attitudes next to OUTPUT, by kind.
+
+    Raises:
+        InputError: another output has the same path.
+    """
+    given = {"gravity": options.gravity_sigma, "orientations": options.orientation_sigma}
+    found = {kind: path_beside(path, kind, ".txt") for kind, sigma in given.items() if sigma}
+    for kind, target in found.items():
+        if any(other and Path(other) == Path(target) for other in others):
+            raise InputError(f"{shown(target)}: expected a path for --{kind} alone, found two")
+    return found
+
+
+def _write_attitudes(
+    paths: dict[str, str], priors: tuple[AttitudePrior, ...], images: Problem, format: str
+) -> None:
+    """Write the priors of each kind; a BAL file knows images by their index alone."""
+    ids = images.image_ids.tolist()
+    words = map(str, range(len(ids))) if format == "bal" else images.image_names
+    names = dict(zip(ids, words, strict=True))
+    for kind, path in paths.items():
+        if kind == "gravity":
+            gravity = (prior for prior in priors if isinstance(prior, GravityPrior))
+            text = gravity_text(gravity, names.__getitem__)
+        else:
+            orientations = (prior for prior in priors if isinstance(prior, OrientationPrior))
+            text = orientation_text(orientations, names.__getitem__)
+        atomic.write_text(Path(path), text)
 
 
 def _tally(scene: SyntheticScene) -> SceneTally:

@@ -27,7 +27,8 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +44,7 @@ from bundle.georeference.attitude_priors import (
 from bundle.georeference.image_finder import ImageFinder
 from bundle.georeference.odm_lines import parse_number, split_words
 
-__all__ = ["read_gravity", "read_orientations"]
+__all__ = ["gravity_text", "orientation_text", "read_gravity", "read_orientations"]
 
 SIGMAS = ("sigma_heading", "sigma_tilt")
 LAYOUTS = {
@@ -128,6 +129,28 @@ def read_orientations(
         return make(image, numbers[: len(columns)], (heading, tilt))
 
     return [prior(*row) for row in _rows(path, images, lines, " ".join(layout))]
+
+
+def gravity_text(priors: Iterable[GravityPrior], name: Callable[[Any], str]) -> str:
+    """Return the content of a file of gravity; ``name`` converts an image to its word."""
+    lines = (
+        _line(name(one.image), [*np.asarray(one.direction), one.sigma_degrees]) for one in priors
+    )
+    return "".join(["# name gx gy gz sigma_degrees\n", *lines])
+
+
+def orientation_text(priors: Iterable[OrientationPrior], name: Callable[[Any], str]) -> str:
+    """Return the content of a file of orientations; ``name`` converts an image to its word."""
+    lines = (
+        _line(name(one.image), [*np.asarray(one.rotation), *np.asarray(one.sigma_degrees)])
+        for one in priors
+    )
+    return "".join([f"name qx qy qz qw {' '.join(SIGMAS)}\n", *lines])
+
+
+def _line(name: str, numbers: Sequence[float]) -> str:
+    word = f'"{name}"' if any(map(str.isspace, name)) else name
+    return " ".join([word, *(repr(float(number)) for number in numbers)]) + "\n"
 
 
 def _maker(

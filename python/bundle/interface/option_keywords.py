@@ -99,6 +99,8 @@ class SceneKeywords(TypedDict, total=False):
     loop_closure: bool  # True
     num_rings: int  # 0
     rolling_shutter: float  # 0.0
+    gravity_sigma: float  # 0.0
+    orientation_sigma: float  # 0.0
     seed: int  # 0
 
 

@@ -166,6 +166,24 @@ class SceneOptions(Options):
         metavar="SHARE",
         only_with=("scene", ("street", "orbit", "drone_grid")),
     )
+    gravity_sigma: float = option(
+        0.0,
+        "--gravity",
+        "measure gravity in each image: standard deviation about each axis perpendicular to it, in "
+        "degrees; 0: no measurements",
+        minimum=0.0,
+        below=180.0,
+        metavar="DEGREES",
+    )
+    orientation_sigma: float = option(
+        0.0,
+        "--orientations",
+        "measure the orientation of each image: standard deviation about each axis, in degrees; 0: "
+        "no measurements",
+        minimum=0.0,
+        below=180.0,
+        metavar="DEGREES",
+    )
     seed: int = option(
         0,
         "--seed",

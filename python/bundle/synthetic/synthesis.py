@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
 from bundle.base.words import contents, plural
+from bundle.georeference.attitude_priors import AttitudePrior
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import SceneKeywords
 from bundle.interface.scene_options import SceneOptions
 from bundle.model.problem import Problem
 from bundle.synthetic.blocks import SceneInBlocks
+from bundle.synthetic.measured_attitudes import measured_attitudes
 from bundle.synthetic.start import Start, median_distance
 from bundle.synthetic.video.video_scene import film
 
@@ -37,6 +39,11 @@ class SyntheticScene(Displayed):
     ground_truth: Problem
     is_outlier: NDArray[np.bool_]
     options: SceneOptions
+
+    @property
+    def priors(self) -> tuple[AttitudePrior, ...]:
+        """Measured gravity and orientations, as ``priors`` of :func:`bundle.solve`."""
+        return measured_attitudes(self.ground_truth, self.options)
 
     def _display(self) -> Display:
         facts = (

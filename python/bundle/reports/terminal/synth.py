@@ -16,6 +16,7 @@ from bundle.synthetic.streamed import SceneTally
 
 __all__ = ["made_flight", "synthesized"]
 
+EMPTY: Mapping[str, str] = {}
 ERRORS = ("rmse", "median", "p95", "max")
 
 
@@ -25,6 +26,7 @@ def synthesized(
     tally: SceneTally,
     output: dict[str, str],
     truth: dict[str, str],
+    measured: Mapping[str, str] = EMPTY,
     lost: Sentences[str] = (),
 ) -> Report:
     """Return the report on a scene.
@@ -35,6 +37,7 @@ def synthesized(
         tally: statistics of its observations.
         output: path and format of the start.
         truth: path and format of the ground truth.
+        measured: paths of the measured attitudes, by kind.
         lost: sentences on information that the format does not hold.
     """
     counts = {
@@ -53,6 +56,7 @@ def synthesized(
         f"The ground truth is {where}. RMSE {pixels(start.rmse)} px at the start, "
         f"{pixels(goal.rmse)} px at the truth.",
     ]
+    headline += [f"Measured {kind}: {shown(path)}." for kind, path in measured.items()]
     sizes = {"track_length": tally.track_length(), "observations_per_image": tally.image_size()}
     names = [("track length", "track_length"), ("observations per image", "observations_per_image")]
     spread = [(label, sizes[name]) for label, name in names]
@@ -77,6 +81,7 @@ def synthesized(
             "options": options.asdict(),
             "output": output,
             "ground_truth": truth,
+            **({"measured": dict(measured)} if measured else {}),
             **counts,
             **sizes,
             "reprojection_error": tally.errors,
