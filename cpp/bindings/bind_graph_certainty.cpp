@@ -171,7 +171,7 @@ py::dict FactorGraphSpectrumFromPython(const py::list& variables, const py::list
   return result;
 }
 
-/// Cost 1/2 rho, squared norm r^T r without loss, and number of residuals of each factor.
+/// Cost 1/2 rho, squared norm r^T r without loss, and number of independent residuals of each factor.
 py::tuple FactorCostsFromPython(const py::list& variables, const py::list& factors) {
   const FactorGraph graph = GraphFromPython(variables, factors);
   PythonProgress watch{py::none()};
@@ -185,7 +185,7 @@ py::tuple FactorCostsFromPython(const py::list& variables, const py::list& facto
       double sum = 0;
       for (const double value : residual) sum += value * value;
       squares.push_back(sum);
-      sizes.push_back(factor->num_residuals());
+      sizes.push_back(NumMeasurements(*factor));
       costs.push_back(ApplyLoss(*factor, 0, residual.data(), nullptr));
     }
     return 0;

@@ -119,7 +119,7 @@ def test_covariances_lose_these_degrees(case):
     made = priors_of(problem, what)
     placed = place_at_priors(problem, (), tuple(made), None).problem
     found = bundle.covariance(placed, options(problem, what), priors=made, of="poses")
-    sizes = {"gravity": 3, "orientation": 3, "heading": 1, "priors": 3}
+    sizes = {"gravity": 2, "orientation": 3, "heading": 1, "priors": 3}
     rows = sum(size * len(what.get(name, ())) for name, size in sizes.items())
     free = (problem.num_frames or problem.num_images) - len(what.get("fixed", ()))
     free += problem.num_sensors * bool(what.get("arms"))

@@ -33,7 +33,7 @@ class WatchFactors final : public ceres::IterationCallback {
     const std::vector<double> before = std::exchange(costs_, factors_.ByKind());
     const double total = iteration.cost + iteration.cost_change;
     settled_ = std::abs(iteration.cost_change) <= tolerance_ * total &&
-               LargestRelativeChange(before, costs_) <= tolerance_;
+               LargestRelativeChange(before, costs_, factors_.Expected()) <= tolerance_;
     return settled_ ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
   }
 
@@ -93,6 +93,14 @@ std::vector<double> KindCosts::ByKind() const {
     if (one.loss != nullptr) one.loss->Evaluate(rho[0], rho);
     costs[one.kind] += rho[0] / 2;
   }
+  std::vector<double> result;
+  for (const auto& [kind, cost] : costs) result.push_back(cost);
+  return result;
+}
+
+std::vector<double> KindCosts::Expected() const {
+  std::map<uint32_t, double> costs;
+  for (const One& one : factors_) costs[one.kind] += 0.5 * one.cost->num_residuals();
   std::vector<double> result;
   for (const auto& [kind, cost] : costs) result.push_back(cost);
   return result;

@@ -21,6 +21,8 @@ class KindCosts {
   bool empty() const { return factors_.empty(); }
   /// Costs by kind, at the current values of the blocks.
   std::vector<double> ByKind() const;
+  /// Expected costs by kind, if the sigmas are right.
+  std::vector<double> Expected() const;
 
  private:
   struct One {

@@ -125,7 +125,9 @@ std::optional<Continuation> CeresSolve::FindContinuation(
       [](const ceres::IterationSummary& iteration) { return iteration.step_is_successful; });
   const double share = std::max(0.0, 1 - watch_.state_cost.load() / last->cost);
   const bool by_function = summary.message.rfind("Function tolerance", 0) == 0;
-  if (by_function && share < share_) return Continuation{true, share};
+  // A change in the last digits of the held cost is no reason to repeat.
+  constexpr double kSameShare = 1e-3;
+  if (by_function && share < (1 - kSameShare) * share_) return Continuation{true, share};
   AdjustmentProblem refined = problem_;
   const std::vector<double> poses = states_.CamFromWorld();
   refined.cam_from_world = poses.data();

@@ -57,7 +57,7 @@ struct CovarianceOutput {
   std::vector<int> null_points;  ///< points without parallax, ascending
   double weighted_squares =
       0;                      ///< sum of squared residuals, divided by sigma, weighted by the loss
-  int64_t num_residuals = 0;  ///< number of residuals that count, of observations and factors
+  int64_t num_residuals = 0;  ///< number of independent residuals, of observations and factors
   int64_t num_parameters =
       0;  ///< number of free, determined parameters; the gauge is not subtracted
   /// Decrease of the cost by one more step, as predicted by the model; 0 at a minimum.

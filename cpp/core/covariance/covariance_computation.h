@@ -99,7 +99,7 @@ class CovarianceComputation {
     });
     system_.ForFactors([&](const ReducedSystem::FactorRows& rows) {
       for (const double r : rows.residual) output_.weighted_squares += r * r;
-      output_.num_residuals += rows.num_rows;
+      output_.num_residuals += rows.num_measurements;
     });
     output_.num_parameters = system_.num_unknowns() + 3 * int64_t{layout().num_free_points()};
     for (const uint8_t bit : system_.held()) output_.num_parameters -= bit;

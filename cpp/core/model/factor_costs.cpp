@@ -8,11 +8,18 @@
 #include <typeinfo>
 #include <vector>
 
+#include "core/factors/attitude_factors.h"
 #include "core/factors/loss.h"
 #include "core/geometry/rotation.h"
 #include "core/model/problem_factors.h"
 
 namespace bundle {
+namespace {
+
+constexpr double kLeastExpectation = 50;
+
+}  // namespace
+
 double ApplyLoss(const Factor& factor, int columns, double* residual, double* jacobian) {
   const int rows = factor.num_residuals();
   const double squared_norm = SquaredNorm(residual, rows);
@@ -36,11 +43,17 @@ uint32_t KindOf(const Factor& factor, const AdjustmentProblem& problem) {
   return hash;
 }
 
-double LargestRelativeChange(const std::vector<double>& before, const std::vector<double>& after) {
+int NumMeasurements(const Factor& factor) {
+  return factor.num_residuals() - (dynamic_cast<const DirectionFactor*>(&factor) != nullptr);
+}
+
+double LargestRelativeChange(const std::vector<double>& before, const std::vector<double>& after,
+                             const std::vector<double>& expected) {
   double largest = 0;
   for (size_t k = 0; k < before.size(); ++k) {
     const double change = std::abs(after[k] - before[k]);
-    if (change > 0) largest = std::max(largest, change / std::max(before[k], after[k]));
+    const double cost = std::max({before[k], after[k], expected[k], kLeastExpectation});
+    if (change > 0) largest = std::max(largest, change / cost);
   }
   return largest;
 }

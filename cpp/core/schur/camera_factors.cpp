@@ -88,6 +88,16 @@ void CameraFactors::FindKinds(const AdjustmentProblem& problem) {
   for (const double kind : kinds) {
     kind_.push_back(std::lower_bound(all.begin(), all.end(), kind) - all.begin());
   }
+  std::vector<double> own(num_kinds_);
+  auto kind = kind_.begin();
+  const auto add = [&](const ChartedFactor& factor) {
+    own[*kind++] += 0.5 * factor.num_residuals();
+  };
+  for (const OfCameras& of : of_cameras_) add(of.factor);
+  for (const OfPoint& of : of_points_) add(of.factor);
+  const auto parts = ConcatenateOverRanks(problem.division.communicator, own);
+  expected_costs_.assign(num_kinds_, 0.0);
+  for (size_t k = 0; k < parts.size(); ++k) expected_costs_[k % num_kinds_] += parts[k];
 }
 
 void CameraFactors::AddCameras(ChartedFactor factor, const ParameterLayout& layout) {

@@ -63,6 +63,8 @@ class CameraFactors {
   /// order that is the same on all ranks; empty if no rank has factors.
   double Cost(const CameraStates& cameras, const double* points,
               std::vector<DoubleDouble>* kinds) const;
+  /// Expected cost of each kind on all ranks, if the sigmas are right: 1/2 per residual.
+  const std::vector<double>& expected_costs() const { return expected_costs_; }
 
   /// d^T J^T r at a state, for a step of the camera parameters and a step of the points.
   double Slope(const CameraStates& cameras, const double* points, const std::vector<double>& step,
@@ -105,7 +107,8 @@ class CameraFactors {
   std::vector<OfPoint> of_points_;
   std::vector<ChartedFactor> fixed_;  ///< factors without free parameters
   size_t num_kinds_ = 0;              ///< on all ranks
-  std::vector<int64_t> kind_;         ///< kind per factor: those of cameras, then those of points
+  std::vector<double> expected_costs_;
+  std::vector<int64_t> kind_;  ///< kind per factor: those of cameras, then those of points
   int num_residuals_ = 0;
   bool has_other_rows_ = false;
   std::vector<double> residuals_;  ///< residuals of camera factors, one after the other

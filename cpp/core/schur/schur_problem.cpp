@@ -293,7 +293,8 @@ Candidate SchurProblem::Finish(const std::vector<double>& step, CandidateTotal s
   result.held_cost = candidate_held_cost_ = held_cost.sum;
   if (grid_ != nullptr) result.cost_uncertainty = kCostUncertainty * x_cost_;
   result.has_factors = !kind_costs_.empty();
-  result.factors_change = LargestRelativeChange(kind_costs_, candidate_kind_costs_);
+  result.factors_change =
+      LargestRelativeChange(kind_costs_, candidate_kind_costs_, factors_.expected_costs());
   return result;
 }
 

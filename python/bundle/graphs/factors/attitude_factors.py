@@ -69,6 +69,7 @@ class DirectionFactor(_AttitudeFactor):
     axis: ArrayLike = field(default=DOWN, kw_only=True)
 
     kind = "direction"
+    dependent_residuals = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -47,6 +47,8 @@ class Factor(FrozenArrays, Displayed):
     loss_scale: float = field(default=1.0, kw_only=True)
 
     kind = ""
+    dependent_residuals = 0
+    """Number of residuals that the others determine; degrees of freedom do not count these."""
 
     if TYPE_CHECKING:  # at run time a property would become the default of a dataclass field
 

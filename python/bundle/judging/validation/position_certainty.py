@@ -69,7 +69,8 @@ def certainty(prepared: Prepared, full: Result) -> Certainty:
     sigmas = position_sigmas(sound, found.pose_covariance)
     moves = sigmas[sigmas > 0]
     removed = full.problem.num_observations - sound.num_observations
-    determined = full.summary.num_residuals - 2 * removed - found.dof
+    dependent = sum(factor.dependent_residuals for factor in prepared.factors)
+    determined = full.summary.num_residuals - 2 * removed - dependent - found.dof
     return Certainty(
         position_sigma=float(np.median(moves)) if len(moves) else 0.0,
         num_parameters=determined + 3 * (full.problem.num_points - sound.num_points),
