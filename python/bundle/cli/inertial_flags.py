@@ -12,7 +12,7 @@ from bundle.cli.path_checks import a_path
 from bundle.errors import InputError
 
 if TYPE_CHECKING:
-    from bundle.inertial.offline.imu_adjustment import InertialAdjustment
+    from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.interface.options import SolveOptions
     from bundle.interface.solve_record import Progress
     from bundle.model.problem import Problem
@@ -35,7 +35,7 @@ class InertialFiles:
         imu: samples: timestamp in ns, three rates in rad/s, three forces in m/s^2.
         frame_times: name and time in ns of each image.
         calibration: calibration.yaml, or Kalibr's two files.
-        noise_scale: factor on the noise densities; None: the default.
+        noise_scale: factor on the noise densities; None: by the rate of the images.
     """
 
     imu: str
@@ -77,7 +77,8 @@ def add_inertial_flags(parser: argparse.ArgumentParser) -> None:
         metavar="X",
         type=float,
         help="factor on the noise densities of gyroscope and accelerometer, because data sheets "
-        "do not include vibration; only with --imu (default: 5)",
+        "do not include vibration; only with --imu (default: 5 for 4 images per second, in "
+        "proportion to the root of the time between images, at least 1)",
     )
 
 
@@ -121,7 +122,8 @@ def adjusted_with_imu(
         OSError: a file cannot be read.
     """
     from bundle.inertial.offline.image_times import read_image_times
-    from bundle.inertial.offline.imu_adjustment import NOISE_SCALE, ImuSamples, adjust_with_imu
+    from bundle.inertial.offline.imu_adjustment import adjust_with_imu
+    from bundle.inertial.offline.inertial_result import ImuSamples
     from bundle.io.sequences.csv_tables import read_csv
     from bundle.io.sequences.recording_calibration import find_calibration
     from bundle.io.sequences.sensor_yaml import kind_of_yaml
@@ -139,7 +141,6 @@ def adjusted_with_imu(
         calibration = load_calibration(paths[0])  # its camera model is not used
     else:
         calibration = find_calibration(paths, [], [], "cam0", stamps).calibration
-    scale = NOISE_SCALE if given.noise_scale is None else given.noise_scale
     with naming_flags(imu="--imu", imu_noise_scale="--imu-noise-scale"):
         return adjust_with_imu(
             problem,
@@ -148,6 +149,6 @@ def adjusted_with_imu(
             calibration.camera_from_imu,
             calibration.noise,
             options,
-            imu_noise_scale=scale,
+            imu_noise_scale=given.noise_scale,
             progress=progress,
         )

@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError
-from bundle.inertial.offline.imu_adjustment import ImuSamples, adjust_with_imu
+from bundle.inertial.offline.imu_adjustment import adjust_with_imu
+from bundle.inertial.offline.inertial_result import ImuSamples
 from bundle.inertial.preintegration.imu_factors import ImageImuFactor
 from bundle.inertial.vio.trajectory_comparison import compare_trajectories
 from bundle.io.sequences.track_csv import read_track_csv

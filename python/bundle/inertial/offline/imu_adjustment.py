@@ -14,18 +14,18 @@ integrated again at the biases of the first one, if these moved far.
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+import math
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.display import Display, Displayed
-from bundle.base.words import number as rounded
 from bundle.errors import InputError
+from bundle.georeference.pose_alignment import align_centers
 from bundle.georeference.similarity import Similarity, moved
 from bundle.graphs.factors.factors import BetweenFactor, Factor, PriorFactor
+from bundle.inertial.offline.inertial_result import ImuSamples, InertialAdjustment
 from bundle.inertial.offline.inertial_start import (
     InertialStart,
     preintegrated,
@@ -46,14 +46,15 @@ from bundle.solving.kept_errors import Edit
 from bundle.solving.result import Result
 from bundle.solving.solve import solve
 
-__all__ = ["ImuSamples", "InertialAdjustment", "adjust_with_imu"]
+__all__ = ["adjust_with_imu"]
 
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 """Length of gravity, m/s^2."""
-NOISE_SCALE = 5.0
-"""Factor on the noise densities of data sheets, which do not include vibration."""
+NOISE_SCALE, AT_INTERVAL = 5.0, 0.25
+"""Factor on the noise densities of data sheets, which do not include vibration, for images at this
+interval in seconds."""
 RULE = "midpoint"
 GYRO_BIAS_SIGMA, ACCEL_BIAS_SIGMA = 0.1, 0.3
 """Weak priors of the first biases, rad/s and m/s^2."""
@@ -61,74 +62,6 @@ LEAST_IMAGES = 5
 MOST_SCALE_SIGMA = 0.5
 """Relative standard deviation of the first scale, beyond which the motion does not determine it."""
 ROUNDS = 3
-
-
-class ImuSamples(NamedTuple):
-    """Samples of an IMU.
-
-    Attributes:
-        timestamps_ns: (m,) int64, ascending.
-        gyro: (m, 3) rad/s.
-        accel: (m, 3) specific force, m/s^2.
-    """
-
-    timestamps_ns: NDArray[np.int64]
-    gyro: Array
-    accel: Array
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class InertialAdjustment(Displayed):
-    """Result of an adjustment with an IMU.
-
-    Attributes:
-        result: result of the last solve, in metres with z up, without velocities and biases.
-        similarity: similarity from the input to the start.
-        start: scale, gravity and biases of the start.
-        timestamps_ns: (n,) times of the images.
-        velocities: (n, 3) of the IMU at the images in the world, m/s.
-        gyro_biases: (n, 3) rad/s.
-        accel_biases: (n, 3) m/s^2.
-        imu_cost: cost of the motions in the result.
-        num_solves: number of solves.
-    """
-
-    result: Result
-    similarity: Similarity
-    start: InertialStart
-    timestamps_ns: NDArray[np.int64]
-    velocities: Array
-    gyro_biases: Array
-    accel_biases: Array
-    imu_cost: float
-    num_solves: int
-
-    @property
-    def sentence(self) -> str:
-        """Describe scale, vertical and biases in words."""
-        gyro, accel = (
-            float(np.linalg.norm(biases.mean(axis=0)))
-            for biases in (self.gyro_biases, self.accel_biases)
-        )
-        return (
-            f"In metres, z up, by the IMU: the input was scaled by "
-            f"{rounded(self.similarity.scale)} at the start; mean biases {gyro:.2g} rad/s and "
-            f"{accel:.2g} m/s^2."
-        )
-
-    def asdict(self) -> dict[str, Any]:
-        """Return the content of the JSON report."""
-        return {
-            "similarity": self.similarity.asdict(),
-            "start_scale_sigma": self.start.scale_sigma,
-            "imu_cost": self.imu_cost,
-            "gyro_bias": self.gyro_biases.mean(axis=0).tolist(),
-            "accel_bias": self.accel_biases.mean(axis=0).tolist(),
-            "num_solves": self.num_solves,
-        }
-
-    def _display(self) -> Display:
-        return Display(title=self.sentence, facts=(("solve", self.result.outcome),))
 
 
 def adjust_with_imu(
@@ -139,7 +72,7 @@ def adjust_with_imu(
     noise: ImuNoise,
     options: SolveOptions | None = None,
     *,
-    imu_noise_scale: float = NOISE_SCALE,
+    imu_noise_scale: float | None = None,
     progress: Progress | None = None,
 ) -> InertialAdjustment:
     """Adjust a reconstruction of a video with the samples of its IMU.
@@ -151,17 +84,19 @@ def adjust_with_imu(
         camera_from_imu: (7,) qx qy qz qw tx ty tz in metres, the same for all images.
         noise: noise densities and random walks of the IMU.
         options: options of the solve; ``backend`` must be "auto" or "ceres", and no image is fixed.
-        imu_noise_scale: factor on the two noise densities.
+        imu_noise_scale: factor on the two noise densities; None: 5 for images at 4 Hz, otherwise
+            in proportion to the root of the time between images, and at least 1.
         progress: as for :func:`bundle.solve`.
 
     Raises:
         InputError: an argument is wrong, the samples do not cover the images, or the motion does
             not determine the scale.
     """
-    scale = number("imu_noise_scale", imu_noise_scale, above=0)
     options = _checked(problem, options)
-    order = np.argsort(image_times_ns, kind="stable")
-    intervals = _intervals(samples, np.asarray(image_times_ns, np.int64)[order])
+    stamps = np.asarray(image_times_ns, np.int64)
+    order = np.argsort(stamps, kind="stable")
+    intervals = _intervals(samples, stamps[order])
+    scale = _noise_scale(stamps[order], imu_noise_scale)
     noise = noise.scaled(scale, walks=False)
     extrinsics = np.asarray(camera_from_imu, np.float64)
     start, placed, similarity = _start(problem, order, intervals, extrinsics, noise)
@@ -193,12 +128,14 @@ def adjust_with_imu(
     return InertialAdjustment(
         result=finished,
         similarity=similarity,
+        scale=align_centers(problem.projection_centers, state.problem.projection_centers).scale,
         start=start,
-        timestamps_ns=np.asarray(image_times_ns, np.int64),
+        timestamps_ns=stamps,
         velocities=state.velocities[back],
         gyro_biases=state.biases[back, :3],
         accel_biases=state.biases[back, 3:],
         imu_cost=float(costs[:count].sum()),
+        noise_scale=scale,
         num_solves=len(results),
     )
 
@@ -231,6 +168,19 @@ def _checked(problem: Problem, options: SolveOptions | None) -> SolveOptions:
         gauge="none",
         linear_solver_type="sparse_schur" if solver == "auto" else solver,
     )
+
+
+def _noise_scale(stamps: NDArray[np.int64], given: float | None) -> float:
+    """Return the factor on the noise densities.
+
+    The errors of a tracked point are correlated from image to image: images at a higher rate hold
+    more observations, but not more information. Without a smaller noise of the IMU, they would
+    outweigh it.
+    """
+    if given is not None:
+        return number("imu_noise_scale", given, above=0)
+    interval = 1e-9 * float(np.median(np.diff(stamps)))
+    return max(NOISE_SCALE * math.sqrt(interval / AT_INTERVAL), 1.0)
 
 
 def _intervals(samples: ImuSamples, stamps: NDArray[np.int64]) -> list[ImuInterval]:

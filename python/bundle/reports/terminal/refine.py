@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from bundle.georeference.attitudes import AttitudeErrors
     from bundle.georeference.georeferenced import Georeference
     from bundle.graphs.loops.loop_closing import LoopClosing
-    from bundle.inertial.offline.imu_adjustment import InertialAdjustment
+    from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.interface.finding import Finding
     from bundle.interface.process_record import ProcessRecord
     from bundle.solving.round_record import RestRecord

@@ -1,0 +1,92 @@
+"""Samples of an IMU, and the result of an adjustment with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.display import Display, Displayed
+from bundle.base.words import number as rounded
+from bundle.georeference.similarity import Similarity
+from bundle.inertial.offline.inertial_start import InertialStart
+from bundle.solving.result import Result
+
+__all__ = ["ImuSamples", "InertialAdjustment"]
+
+Array = NDArray[np.float64]
+
+
+class ImuSamples(NamedTuple):
+    """Samples of an IMU.
+
+    Attributes:
+        timestamps_ns: (m,) int64, ascending.
+        gyro: (m, 3) rad/s.
+        accel: (m, 3) specific force, m/s^2.
+    """
+
+    timestamps_ns: NDArray[np.int64]
+    gyro: Array
+    accel: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InertialAdjustment(Displayed):
+    """Result of an adjustment with an IMU.
+
+    Attributes:
+        result: result of the last solve, in metres with z up, without velocities and biases.
+        similarity: similarity from the input to the start.
+        scale: factor between the positions of the input and of the result.
+        start: scale, gravity and biases of the start.
+        timestamps_ns: (n,) times of the images.
+        velocities: (n, 3) of the IMU at the images in the world, m/s.
+        gyro_biases: (n, 3) rad/s.
+        accel_biases: (n, 3) m/s^2.
+        imu_cost: cost of the motions in the result.
+        noise_scale: factor on the noise densities.
+        num_solves: number of solves.
+    """
+
+    result: Result
+    similarity: Similarity
+    scale: float
+    start: InertialStart
+    timestamps_ns: NDArray[np.int64]
+    velocities: Array
+    gyro_biases: Array
+    accel_biases: Array
+    imu_cost: float
+    noise_scale: float
+    num_solves: int
+
+    @property
+    def sentence(self) -> str:
+        """Describe scale, vertical and biases in words."""
+        gyro, accel = (
+            float(np.linalg.norm(biases.mean(axis=0)))
+            for biases in (self.gyro_biases, self.accel_biases)
+        )
+        return (
+            f"In metres, z up, by the IMU: the input is scaled by {rounded(self.scale)}; mean "
+            f"biases {gyro:.2g} rad/s and {accel:.2g} m/s^2."
+        )
+
+    def asdict(self) -> dict[str, Any]:
+        """Return the content of the JSON report."""
+        return {
+            "scale": self.scale,
+            "similarity": self.similarity.asdict(),
+            "start_scale_sigma": self.start.scale_sigma,
+            "imu_cost": self.imu_cost,
+            "noise_scale": self.noise_scale,
+            "gyro_bias": self.gyro_biases.mean(axis=0).tolist(),
+            "accel_bias": self.accel_biases.mean(axis=0).tolist(),
+            "num_solves": self.num_solves,
+        }
+
+    def _display(self) -> Display:
+        return Display(title=self.sentence, facts=(("solve", self.result.outcome),))
