@@ -56,6 +56,7 @@ from bundle.reports.page.scene_section import (
     upper_limit,
 )
 from bundle.reports.page.section_markup import findings_list, rendered
+from bundle.reports.page.shutter_section import shutter_data, shutter_section
 from bundle.reports.page.structure_section import structure_section
 from bundle.reports.page.table import rounded
 from bundle.reports.page.verdicts import Judged, Verdict, summarised, verdict_list, verdicts
@@ -185,10 +186,12 @@ class _Page:
         sets = self._sets(found)
         rows = rows_of_sets(sets)
         self.data["rows"] = plain(rows)
+        self.data |= plain(shutter_data(problem, result, self.covariance))
         sections = [
             *self._residuals(sets, found, description),
             *(field_sections(planes, self._num_observed(), rows) if planes else []),
             *(worst_section(images, photographs) if images else []),
+            *shutter_section(problem, result, self.covariance),
             *self._lenses(),
             *self._certainty(found),
             structure_section(description, tracks, graph),
