@@ -119,6 +119,7 @@ def other_programs(folder: Path, _data: Path) -> None:
     foreign.write_nvm(foreign.small("SIMPLE_PINHOLE", num_points=60), folder / "model.nvm")
     foreign.write_opensfm(own, folder / "opensfm")
     foreign.write_openmvg(own, folder / "sfm_data.json")
+    foreign.write_database(own.image_names, folder / "database.db")
 
 
 def measured(folder: Path, _data: Path) -> None:

@@ -130,8 +130,8 @@ def add_input_format(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--image-size",
         metavar="W,H",
-        help="size of all images in pixels, where the file has no sizes (Bundler, NVM), or unknown "
-        "(default: from the photographs)",
+        help="size of all images in pixels, where the file has no sizes (Bundler, NVM), or "
+        "unknown, or COLMAP's database.db, which has them by name (default: from the photographs)",
     )
     group.add_argument(
         "--image-list",

@@ -19,20 +19,12 @@ from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.gps_positions import GpsPositions
 
-__all__ = ["is_database", "read_database_gps"]
+__all__ = ["read_database_gps"]
 
 _WGS84 = 0
 _SYSTEMS = {-1: "undefined", 1: "Cartesian"}
 _CAMERA = 0
 """corr_sensor_type of a camera; an IMU has another one."""
-
-
-def is_database(path: Path) -> bool:
-    """Return True for an SQLite file."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(16) == b"SQLite format 3\0"
 
 
 def read_database_gps(path: Path) -> GpsPositions:

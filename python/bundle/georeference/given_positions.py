@@ -11,7 +11,7 @@ import numpy as np
 
 from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError, brief, nearest
-from bundle.georeference.colmap_database import is_database, read_database_gps
+from bundle.georeference.colmap_database import read_database_gps
 from bundle.georeference.control_point import GroundControlPoint
 from bundle.georeference.exif_gps import read_exif_gps
 from bundle.georeference.gcp_list import read_gcp_list
@@ -20,6 +20,7 @@ from bundle.georeference.gps_positions import GpsPositions, with_fix
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.opensfm_frame import is_opensfm, read_opensfm_gcps, read_opensfm_gps
 from bundle.georeference.reference_system import ReferenceSystem
+from bundle.io.database_images import is_database
 from bundle.model.problem import Problem
 
 __all__ = ["EXIF", "Frame", "given_control_points", "given_gps", "with_check_points"]

@@ -3,7 +3,9 @@
 Independent of the package's writers: plain loops, SciPy's rotations.
 """
 
+import contextlib
 import json
+import sqlite3
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,21 @@ def small(model="RADIAL", **changes) -> bundle.Problem:
         mine = problem.observation_image == image
         keypoint[mine] = np.arange(mine.sum())
     return problem.replace(observation_keypoint=keypoint)
+
+
+def write_database(names, path: Path, size=(800, 600)) -> None:
+    """The tables of COLMAP's database that have names and sizes, one camera for all images."""
+    with contextlib.closing(sqlite3.connect(path)) as database, database:
+        database.execute(
+            "CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY, model INTEGER, width INTEGER, "
+            "height INTEGER, params BLOB, prior_focal_length INTEGER)"
+        )
+        database.execute(
+            "CREATE TABLE images (image_id INTEGER PRIMARY KEY, name TEXT, camera_id INTEGER)"
+        )
+        database.execute("INSERT INTO cameras VALUES (3, 2, ?, ?, NULL, 0)", size)
+        rows = [(k + 1, name, 3) for k, name in enumerate(names)]
+        database.executemany("INSERT INTO images VALUES (?, ?, ?)", rows)
 
 
 def matrices(problem):

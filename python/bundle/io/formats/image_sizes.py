@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bundle.base.optional_packages import allow_heic
 from bundle.errors import InputError, shown
+from bundle.io.database_images import database_sizes
 from bundle.io.formats.read_options import UNKNOWN, ReadOptions
 
 __all__ = ["HINT", "UNKNOWN_SIZES", "image_sizes"]
@@ -33,8 +34,11 @@ def image_sizes(
         place: file with the names, for messages.
 
     Raises:
-        InputError: a photograph is missing or is not a picture, and no size was given.
+        InputError: a photograph is missing or is not a picture, and no size was given; or the
+            database has no such image.
     """
+    if isinstance(options.image_size, Path):
+        return database_sizes(options.image_size, names)
     sizes = np.zeros((len(names), 2), np.int64)
     if options.image_size is not None:
         sizes[:] = options.image_size

@@ -12,6 +12,7 @@ from typing import Any
 
 from bundle.base.paths import as_path
 from bundle.errors import InputError, brief
+from bundle.io.database_images import is_database
 
 __all__ = ["UNKNOWN", "ReadOptions"]
 
@@ -24,8 +25,8 @@ class ReadOptions:
 
     Attributes:
         format: name of the format; None: detected from the content.
-        image_size: width and height of all images in pixels; (0, 0): unknown; None: those of the
-            photographs.
+        image_size: width and height of all images in pixels; (0, 0): unknown; a path: COLMAP's
+            database, which has them by name; None: those of the photographs.
         image_list: file with the names of the images of a Bundler model; None: list.txt in its
             folder or in the folder above.
         reconstruction: number of the reconstruction in a file with several, from 0; None: the only
@@ -34,7 +35,7 @@ class ReadOptions:
     """
 
     format: str | None = None
-    image_size: tuple[int, int] | None = None
+    image_size: tuple[int, int] | Path | None = None
     image_list: Path | None = None
     reconstruction: int | None = None
     progress: Callable[[int], None] | None = None
@@ -51,7 +52,9 @@ class ReadOptions:
         reconstruction: Any = None,
         progress: Callable[[int], None] | None = None,
     ) -> ReadOptions:
-        """Check values from users; ``image_size`` may be "W,H", "unknown" or two numbers.
+        """Check values from users.
+
+        ``image_size`` may be "W,H", "unknown", two numbers, or the path of COLMAP's database.
 
         Raises:
             InputError: a value is invalid; the message names it.
@@ -71,9 +74,11 @@ class ReadOptions:
         )
 
 
-def _size(given: Any) -> tuple[int, int]:
+def _size(given: Any) -> tuple[int, int] | Path:
     if given == UNKNOWN:
         return 0, 0
+    if isinstance(given, str | os.PathLike) and is_database(Path(given)):
+        return Path(given)
     words = re.split(r"[,x ]+", given.strip()) if isinstance(given, str) else given
     try:
         width, height = (int(word) for word in words)
@@ -81,6 +86,7 @@ def _size(given: Any) -> tuple[int, int]:
         width = height = 0
     if not (0 < width < 2**31 and 0 < height < 2**31):
         raise InputError(
-            f'image_size: expected width,height in pixels or "{UNKNOWN}", found {brief(given)}'
+            f'image_size: expected width,height in pixels or "{UNKNOWN}", or COLMAP\'s database, '
+            f"found {brief(given)}"
         )
     return width, height

@@ -1,0 +1,71 @@
+"""Image sizes of COLMAP's database: the tables images and cameras.
+
+Formats such as Bundler's and NVM have no image sizes. A database of the same photographs has them,
+by the name of the image.
+
+Source: src/colmap/scene/database_sqlite.cc of COLMAP.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError, brief, shown
+
+__all__ = ["database_sizes", "is_database"]
+
+
+def is_database(path: Path) -> bool:
+    """Return True for an SQLite file."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(16) == b"SQLite format 3\0"
+
+
+def database_sizes(path: Path, names: Sequence[str]) -> NDArray[np.int64]:
+    """Return (num_images, 2) width and height of images by name.
+
+    Raises:
+        InputError: the database is damaged, or lacks an image.
+        OSError: the file cannot be read.
+    """
+    import sqlite3  # late: few inputs are databases
+
+    place = shown(path)
+    try:
+        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+            rows = database.execute(
+                "SELECT images.name, cameras.width, cameras.height "
+                "FROM images JOIN cameras ON cameras.camera_id = images.camera_id"
+            ).fetchall()
+    except sqlite3.Error as error:
+        raise InputError(
+            f"{place}: expected COLMAP's database, found {brief(str(error))}"
+        ) from None
+    known = {str(name): size for name, *size in rows}
+    sizes = np.zeros((len(names), 2), np.int64)
+    for index, name in enumerate(names):
+        if not name:
+            raise InputError(
+                f"{place}: expected images with names, by which the database has their sizes, "
+                f"found image {index} without"
+            )
+        size = known.get(name)
+        if size is None:
+            first = f", which has images such as {shown(next(iter(known)))}" if known else ""
+            raise InputError(
+                f"{place}: expected the image {shown(name)}{first}, found no such name"
+            )
+        if not all(isinstance(length, int) and 0 < length < 2**31 for length in size):
+            raise InputError(
+                f"{place}: cameras: expected a width and a height above 0 for {shown(name)}, "
+                f"found {size[0]} x {size[1]}"
+            )
+        sizes[index] = size
+    return sizes
