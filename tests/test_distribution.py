@@ -61,7 +61,7 @@ def filled(folder: Path, *names: str) -> Path:
     return folder
 
 
-BUILT = ["ceres.txt", "eigen-MPL-2.0.txt", "glog.txt", "suitesparse-CHOLMOD.txt"]
+BUILT = ["ceres.txt", "eigen-MPL-2.0.txt", "glog.txt", "rapidjson.txt", "suitesparse-CHOLMOD.txt"]
 
 
 def test_texts_come_from_what_was_built_and_from_either_system(tmp_path: Path) -> None:

@@ -39,7 +39,12 @@ SYSTEM: dict[str, tuple[str, list[str]]] = {
 }
 # Of those that tools/wheel_libraries.sh built: CHOLMOD with METIS, and what is in the module.
 BUILT = {"libcholmod": "LGPL-2.1-or-later AND BSD-3-Clause AND Apache-2.0"}
-STATIC = {"ceres": "BSD-3-Clause", "eigen": "MPL-2.0 AND BSD-3-Clause", "glog": "BSD-3-Clause"}
+STATIC = {
+    "ceres": "BSD-3-Clause",
+    "eigen": "MPL-2.0 AND BSD-3-Clause",
+    "glog": "BSD-3-Clause",
+    "rapidjson": "MIT AND BSD-3-Clause",
+}
 HEADERS = {"pybind11": "BSD-3-Clause"}  # packages of Python whose headers are in the module
 OWN = "BSD-3-Clause AND MIT"  # ours, and three.js of the pages
 GPL_3 = ["common-licenses/GPL-3", "licenses/libgcc/COPYING3"]
