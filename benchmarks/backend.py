@@ -13,7 +13,7 @@ from typing import Any
 from benchmarks import table
 from benchmarks.measure import Spread
 
-OURS, CERES, GTSAM = "bundle", "Ceres", "GTSAM"
+OURS, CERES, GTSAM, G2O = "bundle", "Ceres", "GTSAM", "g2o"
 MANY = "synthetic"
 """The set of very many poses, made here."""
 

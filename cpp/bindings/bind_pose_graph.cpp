@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <limits>
 #include <memory>
 #include <string>
 #include <utility>
@@ -197,6 +198,25 @@ py::array InitialPoses(const py::object& graph, const Array<bool>& held, const s
   return ToImmutableNumpy(std::move(poses), {arrays.poses.shape(0), arrays.poses.shape(1)});
 }
 
+/// 1/2 r^T Omega r at the poses of odometry or of a spanning tree, or a sum above `limit`. Infinite
+/// if the chain of odometry has a gap.
+double StartCost(const py::object& graph, const Array<bool>& held, const std::string& init,
+                 const std::string& error, double limit) {
+  const GraphArrays arrays(graph);
+  const PoseGraphView view = ViewWithErrors(arrays, held);
+  PoseErrorOptions errors;
+  errors.error = PoseErrorFromName(error);
+  const py::gil_scoped_release release;
+  const PoseGraph made = MakePoseGraph(view, errors);
+  if (init == "spanning_tree") return CostUpTo(made, SpanningTreePoses(made), limit);
+  if (init != "odometry") {
+    throw InputError("init: expected odometry or spanning_tree, found " + init);
+  }
+  const bool has_gap = FindOdometryGap(made, arrays.ids.data()).first >= 0;
+  if (has_gap) return std::numeric_limits<double>::infinity();
+  return CostUpTo(made, OdometryPoses(made, arrays.ids.data()), limit);
+}
+
 std::pair<int32_t, int32_t> OdometryGap(const py::object& graph) {
   const GraphArrays arrays(graph);
   const PoseGraphView view = ViewGraph(arrays, arrays.fixed);
@@ -290,6 +310,8 @@ void BindPoseGraph(py::module_& m) {
   m.def("edge_chi2", &bundle::EdgeChi2FromPython, py::arg("graph"), py::arg("error"));
   m.def("initial_poses", &bundle::InitialPoses, py::arg("graph"), py::arg("held"), py::arg("init"),
         py::arg("num_threads"), py::arg("order") = nullptr);
+  m.def("start_cost", &bundle::StartCost, py::arg("graph"), py::arg("held"), py::arg("init"),
+        py::arg("error"), py::arg("limit"));
   m.def("odometry_gap", &bundle::OdometryGap, py::arg("graph"));
   m.def("solve_edge_system", &bundle::SolveEdgeSystemFromPython, py::arg("edges"),
         py::arg("diagonal"), py::arg("between"), py::arg("rhs"));

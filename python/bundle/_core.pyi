@@ -670,6 +670,9 @@ def certify_graph(
     explicit_form: bool,
     num_threads: int,
 ) -> dict[str, Any]: ...
+def start_cost(
+    graph: _PoseGraph, held: NDArray[np.bool_], init: str, error: str, limit: float
+) -> float: ...
 def odometry_gap(graph: _PoseGraph) -> tuple[int, int]: ...
 def solve_edge_system(
     edges: NDArray[np.int32],

@@ -30,24 +30,28 @@ EdgePattern PatternOfEdges(const PoseGraph& graph, int block_size, const std::st
     pattern.block_of[i] = static_cast<int>(free.size());
     free.push_back(static_cast<int>(i));
   }
-  std::vector<std::pair<int, int>> pairs;
-  for (int64_t e = 0; e < graph.num_edges(); ++e) {
-    const int a = pattern.block_of[graph.edges()[2 * e]];
-    const int b = pattern.block_of[graph.edges()[2 * e + 1]];
-    if (a >= 0 && b >= 0) pairs.emplace_back(a, b);
-  }
-  const BlockStructure structure =
-      StructureOfPairs(static_cast<int>(free.size()), block_size, pairs);
+  const auto num_free = static_cast<int>(free.size());
+  const auto structure_of_edges = [&] {
+    std::vector<std::pair<int, int>> pairs;
+    pairs.reserve(graph.num_edges());
+    for (int64_t e = 0; e < graph.num_edges(); ++e) {
+      const int a = pattern.block_of[graph.edges()[2 * e]];
+      const int b = pattern.block_of[graph.edges()[2 * e + 1]];
+      if (a >= 0 && b >= 0) pairs.emplace_back(a, b);
+    }
+    return StructureOfPairs(num_free, block_size, pairs);
+  };
   if (known != nullptr && known->order.size() != free.size()) {
     throw std::logic_error("PatternOfEdges: expected an ordering of the same free poses");
   }
-  pattern.ordering = known != nullptr ? *known : FindOrdering(structure, ordering);
-  pattern.structure = Reorder(structure, pattern.ordering.order);
-  for (size_t k = 0; k < free.size(); ++k) {
+  pattern.ordering = known != nullptr ? *known : FindOrdering(structure_of_edges(), ordering);
+  pattern.pose_of.reserve(free.size());
+  for (int k = 0; k < num_free; ++k) {
     const int pose = free[pattern.ordering.order[k]];
     pattern.pose_of.push_back(pose);
-    pattern.block_of[pose] = static_cast<int>(k);
+    pattern.block_of[pose] = k;
   }
+  pattern.structure = structure_of_edges();
   return pattern;
 }
 

@@ -6,6 +6,8 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <type_traits>
+#include <utility>
 
 #include "core/error.h"
 #include "core/linear/direct_solvers.h"
@@ -22,8 +24,9 @@
 ///
 /// with k_ij the mean of the information's diagonal over the rotation. Each R is then replaced by
 /// the nearest rotation. A row x of R and the same row of its neighbour satisfy x_j = Z^T x_i: one
-/// factorisation with blocks of d is enough for all d rows. The second stage computes the
-/// translations at these rotations:
+/// factorisation with blocks of d is enough for all d rows. In the plane one row is enough: all Z
+/// and the constant rotations have the form [a -b; b a], and so has the solution. The second stage
+/// computes the translations at these rotations:
 ///
 ///   minimise  sum || Z_R^T (R_i^T (t_j - t_i) - z_t) ||^2_Omega_tt,
 ///
@@ -51,10 +54,11 @@ const double* TranslationOf(int dimension, const double* pose) {
 
 /// The linear least-squares problem of a stage: a block of d unknowns per free pose, and several
 /// right-hand sides.
+template <int kSize>
 class ChordalStage {
  public:
-  ChordalStage(const EdgePattern& pattern, int dimension, int num_threads)
-      : pattern_(pattern), d_(dimension), structure_(pattern.structure) {
+  ChordalStage(const EdgePattern& pattern, int num_threads)
+      : pattern_(pattern), structure_(pattern.structure) {
     solver_ = MakeSparseSolver(pattern.ordering, num_threads, &structure_);
   }
 
@@ -70,8 +74,9 @@ class ChordalStage {
   /// H_ii += m, symmetric.
   void AddDiagonal(int block, const double* m) {
     double* const values = Values(block, structure_.column_begin[block]);
-    for (int c = 0; c < d_; ++c) {
-      for (int r = 0; r < d_; ++r) values[c * structure_.panel_stride[block] + r] += m[r * d_ + c];
+    for (int c = 0; c < kSize; ++c) {
+      for (int r = 0; r < kSize; ++r)
+        values[c * structure_.panel_stride[block] + r] += m[r * kSize + c];
     }
   }
 
@@ -79,9 +84,10 @@ class ChordalStage {
   void AddPair(int i, int j, const double* m) {
     const int column = std::min(i, j), row = std::max(i, j);
     double* const values = Values(column, structure_.Entry(column, row));
-    for (int c = 0; c < d_; ++c) {
-      for (int r = 0; r < d_; ++r) {
-        values[c * structure_.panel_stride[column] + r] += i == row ? m[r * d_ + c] : m[c * d_ + r];
+    for (int c = 0; c < kSize; ++c) {
+      for (int r = 0; r < kSize; ++r) {
+        values[c * structure_.panel_stride[column] + r] +=
+            i == row ? m[r * kSize + c] : m[c * kSize + r];
       }
     }
   }
@@ -118,7 +124,6 @@ class ChordalStage {
   }
 
   const EdgePattern& pattern_;
-  const int d_;
   int num_rhs_ = 0;
   BlockStructure structure_;
   std::unique_ptr<LinearSolver> solver_;
@@ -134,18 +139,20 @@ struct ChordalEdge {
   const double* information;
 };
 
+template <int kSize>
 class Chordal {
+  using Group = std::conditional_t<kSize == 2, Se2, Se3>;
+  static constexpr int kTangent = Group::kTangent, kAmbient = Group::kAmbient;
+  static constexpr int kRecord = Group::kRecord;
+  static constexpr int kRows = kSize == 2 ? 1 : 3;  ///< rows of the rotations that are solved for
+
  public:
   Chordal(const PoseGraph& graph, const double* information, int num_threads,
           const FillOrdering* known)
       : graph_(graph),
         information_(information),
-        d_(graph.dimension()),
-        tangent_(TangentSize(graph.dimension())),
-        ambient_(AmbientSize(graph.dimension())),
-        record_(graph.dimension() == 2 ? Se2::kRecord : Se3::kRecord),
-        pattern_(PatternOfEdges(graph, graph.dimension(), "auto", known)),
-        stage_(pattern_, graph.dimension(), num_threads),
+        pattern_(PatternOfEdges(graph, kSize, "auto", known)),
+        stage_(pattern_, num_threads),
         poses_(graph.poses) {}
 
   std::vector<double> Poses() {
@@ -161,31 +168,31 @@ class Chordal {
  private:
   ChordalEdge EdgeAt(int64_t e) const {
     ChordalEdge edge{graph_.edges()[2 * e], graph_.edges()[2 * e + 1], {}, nullptr, nullptr};
-    const double* const z = graph_.prepared->records.data() + e * record_;
-    RotationOf(d_, z, edge.rotation);
-    edge.translation = TranslationOf(d_, z);
-    edge.information = information_ + e * tangent_ * tangent_;
+    const double* const z = graph_.prepared->records.data() + e * kRecord;
+    RotationOf(kSize, z, edge.rotation);
+    edge.translation = TranslationOf(kSize, z);
+    edge.information = information_ + e * kTangent * kTangent;
     return edge;
   }
 
-  void UpdateRecords() { records_ = d_ == 2 ? PoseRecords<Se2>(poses_) : PoseRecords<Se3>(poses_); }
+  void UpdateRecords() { records_ = PoseRecords<Group>(poses_); }
 
   /// The mean of the diagonal entries of the rotation. These are the first three in space (SE(3)),
   /// and the last one in the plane (SE(2)).
   double RotationWeight(const double* information) const {
-    if (d_ == 2) return information[8];
+    if (kSize == 2) return information[8];
     return (information[0] + information[7] + information[14]) / 3;
   }
 
   void FindRotations() {
-    stage_.Clear(d_);
+    stage_.Clear(kRows);
     for (int64_t e = 0; e < graph_.num_edges(); ++e) {
       const ChordalEdge edge = EdgeAt(e);
       const double weight = RotationWeight(edge.information);
       const int i = stage_.BlockOf(edge.i), j = stage_.BlockOf(edge.j);
       double identity[9] = {}, coupling[9];
-      for (int k = 0; k < d_; ++k) identity[k * d_ + k] = weight;
-      for (int k = 0; k < d_ * d_; ++k) coupling[k] = -weight * edge.rotation[k];
+      for (int k = 0; k < kSize; ++k) identity[k * kSize + k] = weight;
+      for (int k = 0; k < kSize * kSize; ++k) coupling[k] = -weight * edge.rotation[k];
       if (i >= 0) stage_.AddDiagonal(i, identity);
       if (j >= 0) stage_.AddDiagonal(j, identity);
       if (i >= 0 && j >= 0) stage_.AddPair(i, j, coupling);
@@ -194,12 +201,13 @@ class Chordal {
     stage_.Solve();
     for (size_t b = 0; b < pattern_.pose_of.size(); ++b) {
       double matrix[9];
-      for (int row = 0; row < d_; ++row) {
-        for (int k = 0; k < d_; ++k) {
-          matrix[row * d_ + k] = stage_.Solution(static_cast<int>(b), row, k);
+      for (int row = 0; row < kRows; ++row) {
+        for (int k = 0; k < kSize; ++k) {
+          matrix[row * kSize + k] = stage_.Solution(static_cast<int>(b), row, k);
         }
       }
-      SetNearestRotation(d_, matrix, poses_.data() + int64_t{pattern_.pose_of[b]} * ambient_);
+      if (kSize == 2) matrix[2] = -matrix[1], matrix[3] = matrix[0];
+      SetNearestRotation(kSize, matrix, poses_.data() + int64_t{pattern_.pose_of[b]} * kAmbient);
     }
   }
 
@@ -207,13 +215,13 @@ class Chordal {
   void AddKnownRotation(const ChordalEdge& edge, double weight) {
     const int i = stage_.BlockOf(edge.i), j = stage_.BlockOf(edge.j);
     double known[9];
-    RotationOf(d_, records_.data() + int64_t{i >= 0 ? edge.j : edge.i} * record_, known);
-    for (int row = 0; row < d_; ++row) {
-      for (int k = 0; k < d_; ++k) {
+    RotationOf(kSize, records_.data() + int64_t{i >= 0 ? edge.j : edge.i} * kRecord, known);
+    for (int row = 0; row < kRows; ++row) {
+      for (int k = 0; k < kSize; ++k) {
         double sum = 0;
-        for (int l = 0; l < d_; ++l) {
-          const double z = i >= 0 ? edge.rotation[k * d_ + l] : edge.rotation[l * d_ + k];
-          sum += z * known[row * d_ + l];
+        for (int l = 0; l < kSize; ++l) {
+          const double z = i >= 0 ? edge.rotation[k * kSize + l] : edge.rotation[l * kSize + k];
+          sum += z * known[row * kSize + l];
         }
         stage_.AddRhs(std::max(i, j), row, k, weight * sum);
       }
@@ -225,9 +233,9 @@ class Chordal {
     for (int64_t e = 0; e < graph_.num_edges(); ++e) AddTranslation(EdgeAt(e));
     stage_.Solve();
     for (size_t b = 0; b < pattern_.pose_of.size(); ++b) {
-      double* const pose = poses_.data() + int64_t{pattern_.pose_of[b]} * ambient_;
-      for (int k = 0; k < d_; ++k) {
-        pose[(d_ == 3 ? 4 : 0) + k] = stage_.Solution(static_cast<int>(b), 0, k);
+      double* const pose = poses_.data() + int64_t{pattern_.pose_of[b]} * kAmbient;
+      for (int k = 0; k < kSize; ++k) {
+        pose[(kSize == 3 ? 4 : 0) + k] = stage_.Solution(static_cast<int>(b), 0, k);
       }
     }
   }
@@ -237,40 +245,41 @@ class Chordal {
   void AddTranslation(const ChordalEdge& edge) {
     const int i = stage_.BlockOf(edge.i), j = stage_.BlockOf(edge.j);
     if (i < 0 && j < 0) return;
-    const int first = d_ == 3 ? 3 : 0;
+    const int first = kSize == 3 ? 3 : 0;
     double frame[9], turned[9], half[9] = {}, weight[9] = {}, negative[9], measured[3] = {};
-    RotationOf(d_, records_.data() + int64_t{edge.i} * record_, frame);
-    for (int r = 0; r < d_; ++r) {
-      for (int c = 0; c < d_; ++c) {
-        turned[r * d_ + c] = 0;
-        for (int k = 0; k < d_; ++k) {
-          turned[r * d_ + c] += frame[r * d_ + k] * edge.rotation[k * d_ + c];
+    RotationOf(kSize, records_.data() + int64_t{edge.i} * kRecord, frame);
+    for (int r = 0; r < kSize; ++r) {
+      for (int c = 0; c < kSize; ++c) {
+        turned[r * kSize + c] = 0;
+        for (int k = 0; k < kSize; ++k) {
+          turned[r * kSize + c] += frame[r * kSize + k] * edge.rotation[k * kSize + c];
         }
-        measured[r] += frame[r * d_ + c] * edge.translation[c];
+        measured[r] += frame[r * kSize + c] * edge.translation[c];
       }
     }
-    for (int r = 0; r < d_; ++r) {
-      for (int c = 0; c < d_; ++c) {
-        for (int k = 0; k < d_; ++k) {
-          half[r * d_ + c] +=
-              turned[r * d_ + k] * edge.information[(first + k) * tangent_ + first + c];
+    for (int r = 0; r < kSize; ++r) {
+      for (int c = 0; c < kSize; ++c) {
+        for (int k = 0; k < kSize; ++k) {
+          half[r * kSize + c] +=
+              turned[r * kSize + k] * edge.information[(first + k) * kTangent + first + c];
         }
       }
     }
-    for (int r = 0; r < d_; ++r) {
-      for (int c = 0; c < d_; ++c) {
-        for (int k = 0; k < d_; ++k) weight[r * d_ + c] += half[r * d_ + k] * turned[c * d_ + k];
-        negative[r * d_ + c] = -weight[r * d_ + c];
+    for (int r = 0; r < kSize; ++r) {
+      for (int c = 0; c < kSize; ++c) {
+        for (int k = 0; k < kSize; ++k)
+          weight[r * kSize + c] += half[r * kSize + k] * turned[c * kSize + k];
+        negative[r * kSize + c] = -weight[r * kSize + c];
       }
     }
     if (i >= 0) stage_.AddDiagonal(i, weight);
     if (j >= 0) stage_.AddDiagonal(j, weight);
     if (i >= 0 && j >= 0) stage_.AddPair(i, j, negative);
-    const double* const t_i = TranslationOf(d_, poses_.data() + int64_t{edge.i} * ambient_);
-    const double* const t_j = TranslationOf(d_, poses_.data() + int64_t{edge.j} * ambient_);
-    for (int r = 0; r < d_; ++r) {
-      for (int c = 0; c < d_; ++c) {
-        const double w = weight[r * d_ + c];
+    const double* const t_i = TranslationOf(kSize, poses_.data() + int64_t{edge.i} * kAmbient);
+    const double* const t_j = TranslationOf(kSize, poses_.data() + int64_t{edge.j} * kAmbient);
+    for (int r = 0; r < kSize; ++r) {
+      for (int c = 0; c < kSize; ++c) {
+        const double w = weight[r * kSize + c];
         if (i >= 0) stage_.AddRhs(i, 0, r, w * ((j < 0 ? t_j[c] : 0) - measured[c]));
         if (j >= 0) stage_.AddRhs(j, 0, r, w * ((i < 0 ? t_i[c] : 0) + measured[c]));
       }
@@ -279,9 +288,8 @@ class Chordal {
 
   const PoseGraph& graph_;
   const double* information_;
-  const int d_, tangent_, ambient_, record_;
   const EdgePattern pattern_;
-  ChordalStage stage_;
+  ChordalStage<kSize> stage_;
   std::vector<double> poses_, records_;  ///< relative_pose.h
 };
 
@@ -289,7 +297,8 @@ class Chordal {
 
 std::vector<double> ChordalPoses(const PoseGraph& graph, const double* information, int num_threads,
                                  const FillOrdering* known) {
-  return Chordal(graph, information, num_threads, known).Poses();
+  return graph.dimension() == 2 ? Chordal<2>(graph, information, num_threads, known).Poses()
+                                : Chordal<3>(graph, information, num_threads, known).Poses();
 }
 
 }  // namespace bundle

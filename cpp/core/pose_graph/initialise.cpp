@@ -1,9 +1,11 @@
 #include "core/pose_graph/initialise.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <numeric>
+#include <utility>
 
 namespace bundle {
 namespace {
@@ -27,30 +29,64 @@ Adjacency EdgesAtPoses(const PoseGraph& graph) {
   return at;
 }
 
-/// Sets the pose at the other end of an edge: X_j = X_i Z, or X_i = X_j Z^-1.
-void Compose(const PoseGraph& graph, const Retraction& retraction, int64_t edge, int32_t from,
-             std::vector<double>* poses) {
-  const int n = retraction.ambient_size();
-  const double* const z = graph.measurements().data() + edge * n;
-  const bool forward = graph.edges()[2 * edge] == from;
-  const int32_t to = graph.edges()[2 * edge + (forward ? 1 : 0)];
-  const double* const x = poses->data() + int64_t{from} * n;
-  double* const out = poses->data() + int64_t{to} * n;
-  // X Z = (X^-1)^-1 Z and X Z^-1 = (Z X^-1)^-1, with the operations of a retraction.
-  const double identity[7] = {0, 0, 0, graph.dimension() == 3 ? 1.0 : 0.0, 0, 0, 0};
-  double inverse[7], moved[7];
-  if (forward) {
-    retraction.Between(x, identity, inverse);
-    retraction.Between(inverse, z, moved);
-  } else {
-    retraction.Between(z, identity, inverse);
-    double back[7];
-    retraction.Between(x, identity, back);
-    retraction.Between(back, inverse, moved);
+/// Composes poses along edges. Rotations of the plane are composed as cosine and sine, and the
+/// angle as a sum: no pose needs trigonometric functions but the held ones.
+class Composer {
+ public:
+  explicit Composer(const PoseGraph& graph) : graph_(graph), poses_(graph.poses) {
+    if (graph.dimension() == 3) return;
+    turns_.resize(2 * graph.num_poses());
+    for (int64_t i = 0; i < graph.num_poses(); ++i) {
+      if (graph.held[i] == 0) continue;
+      turns_[2 * i] = std::cos(poses_[3 * i + 2]);
+      turns_[2 * i + 1] = std::sin(poses_[3 * i + 2]);
+    }
   }
-  retraction.Normalize(moved);
-  std::copy(moved, moved + n, out);
-}
+
+  /// Sets the pose at the other end of an edge: X_j = X_i Z, or X_i = X_j Z^-1.
+  void Follow(int64_t edge, int32_t from) {
+    const bool forward = graph_.edges()[2 * edge] == from;
+    const int32_t to = graph_.edges()[2 * edge + (forward ? 1 : 0)];
+    if (graph_.dimension() == 2) return MovePlanar(edge, from, to, forward);
+    const double* const z = graph_.measurements().data() + edge * Se3::kAmbient;
+    const double* const x = poses_.data() + int64_t{from} * Se3::kAmbient;
+    double* const out = poses_.data() + int64_t{to} * Se3::kAmbient;
+    // X Z = (X^-1)^-1 Z and X Z^-1 = (Z X^-1)^-1
+    const double identity[7] = {0, 0, 0, 1, 0, 0, 0};
+    double back[7], inverse[7];
+    RigidMotionBetween(x, identity, back);
+    if (forward) {
+      RigidMotionBetween(back, z, out);
+    } else {
+      RigidMotionBetween(z, identity, inverse);
+      RigidMotionBetween(back, inverse, out);
+    }
+    retraction_.Normalize(out);
+  }
+
+  std::vector<double> Poses() { return std::move(poses_); }
+
+ private:
+  /// X Z = (t_x + R_x t_z, R_x R_z) and X Z^-1 = (t_x - R_x R_z^T t_z, R_x R_z^T).
+  void MovePlanar(int64_t edge, int32_t from, int32_t to, bool forward) {
+    const double* const z = graph_.prepared->records.data() + edge * Se2::kRecord;
+    const double* const x = poses_.data() + int64_t{from} * Se2::kAmbient;
+    double* const out = poses_.data() + int64_t{to} * Se2::kAmbient;
+    const double c = turns_[2 * int64_t{from}], s = turns_[2 * int64_t{from} + 1];
+    const double sign = forward ? 1 : -1;
+    const double new_c = c * z[3] - sign * s * z[4], new_s = s * z[3] + sign * c * z[4];
+    const double frame_c = forward ? c : new_c, frame_s = forward ? s : new_s;
+    const double moved[3] = {x[0] + sign * (frame_c * z[0] - frame_s * z[1]),
+                             x[1] + sign * (frame_s * z[0] + frame_c * z[1]), x[2] + sign * z[2]};
+    std::copy(moved, moved + 3, out);
+    turns_[2 * int64_t{to}] = new_c, turns_[2 * int64_t{to} + 1] = new_s;
+  }
+
+  const PoseGraph& graph_;
+  const Retraction retraction_ = RetractionOf(3);
+  std::vector<double> poses_;
+  std::vector<double> turns_;  ///< in the plane: cosine and sine per placed pose
+};
 
 }  // namespace
 
@@ -73,8 +109,7 @@ HeldPoses HoldPoses(int64_t num_poses, int64_t num_edges, const int32_t* edges,
 
 std::vector<double> SpanningTreePoses(const PoseGraph& graph) {
   const Adjacency at = EdgesAtPoses(graph);
-  const Retraction retraction = RetractionOf(graph.dimension());
-  std::vector<double> poses = graph.poses;
+  Composer composer(graph);
   std::vector<uint8_t> reached = graph.held;
   std::vector<int32_t> queue;
   for (int64_t i = 0; i < graph.num_poses(); ++i) {
@@ -88,11 +123,11 @@ std::vector<double> SpanningTreePoses(const PoseGraph& graph) {
           graph.edges()[2 * edge] == from ? graph.edges()[2 * edge + 1] : graph.edges()[2 * edge];
       if (reached[to] != 0) continue;
       reached[to] = 1;
-      Compose(graph, retraction, edge, from, &poses);
+      composer.Follow(edge, from);
       queue.push_back(to);
     }
   }
-  return poses;
+  return composer.Poses();
 }
 
 namespace {
@@ -133,21 +168,20 @@ std::pair<int32_t, int32_t> FindOdometryGap(const PoseGraph& graph, const int64_
 
 std::vector<double> OdometryPoses(const PoseGraph& graph, const int64_t* ids) {
   const std::vector<OdometryEdge> chain = FindOdometry(graph, ids);
-  const Retraction retraction = RetractionOf(graph.dimension());
-  std::vector<double> poses = graph.poses;
+  Composer composer(graph);
   std::vector<uint8_t> reached = graph.held;
   for (const OdometryEdge& link : chain) {
     if (link.edge < 0 || reached[link.from] == 0 || reached[link.to] != 0) continue;
-    Compose(graph, retraction, link.edge, link.from, &poses);
+    composer.Follow(link.edge, link.from);
     reached[link.to] = 1;
   }
   // Backwards from the first held pose, if it is not the first pose.
   for (auto link = chain.rbegin(); link != chain.rend(); ++link) {
     if (link->edge < 0 || reached[link->to] == 0 || reached[link->from] != 0) continue;
-    Compose(graph, retraction, link->edge, link->to, &poses);
+    composer.Follow(link->edge, link->to);
     reached[link->from] = 1;
   }
-  return poses;
+  return composer.Poses();
 }
 
 }  // namespace bundle

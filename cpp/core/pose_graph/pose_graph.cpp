@@ -152,6 +152,39 @@ std::vector<double> EdgeChi2(const PoseGraph& graph, const std::vector<double>& 
   return graph.dimension() == 2 ? EdgeChi2Of<Se2>(graph, poses) : EdgeChi2Of<Se3>(graph, poses);
 }
 
+namespace {
+
+constexpr int64_t kEdgesAtATime = 128;
+
+template <typename Group>
+double CostUpToOf(const PoseGraph& graph, const std::vector<double>& poses, double limit) {
+  std::vector<double> records(graph.num_poses() * Group::kRecord);
+  std::vector<uint8_t> has_record(graph.num_poses(), 0);
+  std::vector<int64_t> edges(graph.num_edges());
+  std::iota(edges.begin(), edges.end(), int64_t{0});
+  double cost = 0, chi2[kEdgesAtATime];
+  for (int64_t begin = 0; begin < graph.num_edges() && cost <= limit; begin += kEdgesAtATime) {
+    const int64_t count = std::min(kEdgesAtATime, graph.num_edges() - begin);
+    for (int64_t k = 2 * begin; k < 2 * (begin + count); ++k) {
+      const int64_t pose = graph.edges()[k];
+      if (has_record[pose] != 0) continue;
+      has_record[pose] = 1;
+      Group::Record(&poses[pose * Group::kAmbient], &records[pose * Group::kRecord]);
+    }
+    SelectEdgeKernels<Group>().chi2(graph.Arrays(records.data()), edges.data() + begin, count,
+                                    chi2);
+    for (int64_t k = 0; k < count; ++k) cost += 0.5 * chi2[k];
+  }
+  return cost;
+}
+
+}  // namespace
+
+double CostUpTo(const PoseGraph& graph, const std::vector<double>& poses, double limit) {
+  return graph.dimension() == 2 ? CostUpToOf<Se2>(graph, poses, limit)
+                                : CostUpToOf<Se3>(graph, poses, limit);
+}
+
 std::vector<double> EdgeWeights(const PoseGraph& graph, const std::vector<double>& chi2) {
   std::vector<double> weights(chi2.size());
   for (size_t e = 0; e < chi2.size(); ++e) {

@@ -138,6 +138,11 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   double StateNorm() const override { return state_norm_; }
 
   const std::vector<double>& poses() const override { return x_; }
+  void Restore(const std::vector<double>& poses) override {
+    x_ = poses;
+    x_records_ = PoseRecords<Group>(x_);
+    state_norm_ = NormOf(x_);
+  }
   double fixed_cost() const override { return fixed_cost_; }
   int num_free_poses() const override { return structure_.num_blocks(); }
   int64_t num_active_edges() const override { return static_cast<int64_t>(places_.size()); }

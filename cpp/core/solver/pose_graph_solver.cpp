@@ -9,7 +9,7 @@
 #include "core/ceres/solve_graph.h"
 #include "core/checking/check_solution.h"
 #include "core/error.h"
-#include "core/minimize/trust_region.h"
+#include "core/pose_graph/gauss_newton_trial.h"
 #include "core/pose_graph/pose_edge_factor.h"
 #include "core/pose_graph/pose_graph_problem.h"
 #include "core/solver/summarize_fused.h"
@@ -53,7 +53,7 @@ void SolveByNormalEquations(const PoseGraph& graph, const SolveOptions& options,
   }
   const double setup_time = setup.seconds();
   const Stopwatch minimizer;
-  MinimizerSummary minimum = Minimize(options, report, problem.get());
+  MinimizerSummary minimum = MinimizePoseGraph(options, report, problem.get());
   output->summary = SummarizePoseGraph(graph, *problem, options, minimum);
   output->summary.preprocessor_time_in_seconds = setup_time;
   output->summary.minimizer_time_in_seconds = minimizer.seconds();

@@ -55,12 +55,14 @@ class Start:
         init: "file", "odometry", "spanning_tree" or "chordal".
         reason: reason of the choice; "" if the user chose.
         starts: poses of the starts that were compared, by name.
+        costs: their costs without a loss, by name.
     """
 
     poses: Floats
     init: str
     reason: str = ""
     starts: dict[str, Floats] | None = None
+    costs: dict[str, float] | None = None
 
 
 def start_without_poses(graph: PoseGraph) -> PoseGraph:
@@ -111,13 +113,14 @@ def choose_lower(
         return Start(poses=graph.poses, init="file")
     starts = {"file": graph.poses, "chordal": chordal}
     file_cost, chordal_cost = cost(graph), cost(graph.replace(poses=chordal))
+    costs = {"file": file_cost, "chordal": chordal_cost}
     if not chordal_cost < file_cost:
-        return Start(poses=graph.poses, init="file", starts=starts)
+        return Start(poses=graph.poses, init="file", starts=starts, costs=costs)
     reason = (
         f"The chordal start: twice its cost is {number(2 * chordal_cost)}, that of the given poses "
         f"{number(2 * file_cost)}."
     )
-    return Start(poses=chordal, init="chordal", reason=reason, starts=starts)
+    return Start(poses=chordal, init="chordal", reason=reason, starts=starts, costs=costs)
 
 
 def choose_start(graph: PoseGraph, held: Flags, doubted: Flags, options: PoseGraphOptions) -> Start:
@@ -176,14 +179,20 @@ def lower_start(
         cost: function that returns the cost for chi2 (m,).
     """
     end = float(solved["summary"]["final_cost"])
+    is_lower = _comparison(graph, end)
+    is_slow = len(solved["iterations"]["cost"]) > SLOW
+    if (
+        start.costs is not None
+        and not is_slow
+        and not is_lower(_costs_up_to(graph, held, start, options, end))
+    ):
+        return ""
     starts = _starts(graph, held, options.num_threads, start.starts)
     others = {
         init: graph.replace(poses=poses) for init, poses in starts.items() if init != start.init
     }
-    is_lower = _comparison(graph, end)
     when = "before any step"
     costs = {init: cost(_core.edge_chi2(there, options.error)) for init, there in others.items()}
-    is_slow = len(solved["iterations"]["cost"]) > SLOW
     if is_slow and options.loss != "gnc_tls" and not is_lower(costs):
         when = f"after {FEW} steps"
         costs = {
@@ -196,6 +205,17 @@ def lower_start(
         f"twice the cost is {number(2 * end)}, and {number(2 * costs[least])} from {NAMES[least]} "
         f"{when}. Start there: init {least}, or auto."
     )
+
+
+def _costs_up_to(
+    graph: PoseGraph, held: Flags, start: Start, options: PoseGraphOptions, limit: float
+) -> dict[str, float]:
+    """Return the costs of the other starts without a loss; above ``limit`` a lower bound."""
+    costs = dict(start.costs or {})
+    costs.pop(start.init, None)
+    for init in ("odometry", "spanning_tree"):
+        costs[init] = _core.start_cost(graph, held, init, options.error, limit)
+    return costs
 
 
 def _comparison(graph: PoseGraph, end: float) -> Callable[[dict[str, float]], bool]:

@@ -18,11 +18,6 @@ from bundle.io.files import Source, as_problem
 from bundle.io.g2o_files import load_g2o
 from bundle.io.recognition import is_pose_graph_file
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.solving.executors import solve_prepared
-from bundle.solving.held_out.measurement import held_out_fit
-from bundle.solving.prepare import prepare
-from bundle.solving.request import SolveRequest
-from bundle.solving.result import Result
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
@@ -32,6 +27,7 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
     from bundle.solving.placed_problem import Prior
+    from bundle.solving.result import Result
 
 __all__ = ["solve"]
 
@@ -199,10 +195,15 @@ def solve(
         for name, value in (beside | {"align": align, "hold_out": hold_out or None}).items():
             if value is not None and value != ():
                 raise InputError(f"{name}: expected none for a pose graph, found {brief(value)}")
-        # Half of the modules of a first solve.
+        # The modules of the other kind of problem are most of the time of a first solve.
         from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
 
         return solve_pose_graph(problem, options, progress=progress, **changes)  # type: ignore[arg-type]
+    from bundle.solving.executors import solve_prepared
+    from bundle.solving.held_out.measurement import held_out_fit
+    from bundle.solving.prepare import prepare
+    from bundle.solving.request import SolveRequest
+
     problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "solve")
     check_function("progress", progress)

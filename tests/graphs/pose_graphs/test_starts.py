@@ -82,7 +82,47 @@ def test_the_file_is_the_start_if_the_chordal_one_is_worse_or_does_not_exist(mon
     calls = []
     monkeypatch.setattr(_core, "initial_poses", lambda *g: calls.append(g[2]) or real(*g))
     bundle.solve(graph)
-    assert sorted(calls) == ["chordal", "odometry", "spanning_tree"]  # each once
+    assert calls == ["chordal"]
+    bundle.solve(graph, loss="cauchy")  # costs with a loss need the poses; each kind once
+    assert sorted(calls[1:]) == ["chordal", "odometry", "spanning_tree"]
+
+
+@pytest.mark.parametrize("error", ["log", "g2o", "ceres"])
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_costs_of_starts_stop_at_the_limit(dimension, error):
+    graph = graphs.loop(dimension, num_poses=400, num_closures=100, noise=0.1, seed=3)
+    backwards = graph.replace(edges=graph.edges[::-1], measurements=graph.measurements[::-1])
+    for given in (graph, backwards.replace(information=graph.information[::-1])):
+        held, _, _ = _core.hold_poses(given)
+        for init in ("odometry", "spanning_tree"):
+            there = given.replace(poses=_core.initial_poses(given, held, init, 1))
+            cost = 0.5 * bundle.pose_graph_chi2(there, error).sum()
+            found = _core.start_cost(given, held, init, error, np.inf)
+            np.testing.assert_allclose(found, cost, rtol=1e-9)
+            assert 0.1 * cost < _core.start_cost(given, held, init, error, 0.1 * cost) <= found
+    kept = ~(graph.edges == [5, 6]).all(axis=1)
+    gap = graph.replace(
+        edges=graph.edges[kept],
+        measurements=graph.measurements[kept],
+        information=graph.information[kept],
+        edge_lines=graph.edge_lines[kept],
+    )
+    assert _core.start_cost(gap, held, "odometry", error, np.inf) == np.inf
+
+
+@pytest.mark.parametrize("init", ["odometry", "spanning_tree"])
+def test_a_start_below_the_end_of_the_default_start_is_named(init, monkeypatch):
+    graph = graphs.loop(2, num_poses=20, num_closures=4, noise=0.05)
+    end = bundle.solve(graph).summary.final_cost
+    costs = {init: 0.9 * end}
+    monkeypatch.setattr(_core, "start_cost", lambda *given: costs.get(given[2], np.inf))
+    right = bundle.solve(graph).problem.poses
+    real = _core.initial_poses
+    monkeypatch.setattr(
+        _core, "initial_poses", lambda *given: right if given[2] == init else real(*given)
+    )
+    far = bundle.solve(graph, max_num_iterations=1, init="lower").summary
+    assert far.warning_kinds == ("better_start",) and init.split("_")[0] in far.warnings[0]
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.display import Display
 from bundle.base.words import change, plural, seconds
-from bundle.graphs.pose_graphs.certificate import Certificate
-from bundle.graphs.pose_graphs.consistency import LeftOutEdge
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.solve_record import SolveRecord
 from bundle.interface.summary import Summary
 from bundle.model.pose_graph_arrays import PoseGraph
+
+if TYPE_CHECKING:
+    from bundle.graphs.pose_graphs.certificate import Certificate
+    from bundle.graphs.pose_graphs.consistency import LeftOutEdge
 
 __all__ = ["PoseGraphResult", "PoseGraphSummary"]
 

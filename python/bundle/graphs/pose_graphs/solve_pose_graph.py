@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +15,22 @@ from bundle.base.arguments import check_function, check_type
 from bundle.base.arrays import freeze
 from bundle.base.words import plural
 from bundle.errors import InputError
-from bundle.graphs.pose_graphs.certified_solve import certified
 from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000, ONE_IN_A_MILLION
-from bundle.graphs.pose_graphs.consistency import ClosureConsistency, closure_consistency
-from bundle.graphs.pose_graphs.gnc_solve import Proposal, solve_gnc
 from bundle.graphs.pose_graphs.information import checked_information
-from bundle.graphs.pose_graphs.loss_choice import choose_loss, loss_cost
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult, PoseGraphSummary
-from bundle.graphs.pose_graphs.truncated_search import find_doubt
 from bundle.interface.option_fields import choice
 from bundle.interface.ordering_alarm import BestOrder, with_ordering_alarm
 from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
 from bundle.interface.solve_record import Progress, record_fields, with_warnings
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.starts import choose_lower, choose_start, lower_start, started
+
+if TYPE_CHECKING:
+    from bundle.graphs.pose_graphs.consistency import ClosureConsistency
+    from bundle.graphs.pose_graphs.gnc_solve import Proposal
+
+# Functions import the modules of robust, consistent and certified solves: together with those of a
+# plain one they would take longer than its first call.
 
 __all__ = ["initial_poses", "pose_graph_chi2", "solve_consistent", "solve_pose_graph"]
 
@@ -52,6 +54,8 @@ def solve_consistent(graph: PoseGraph, options: PoseGraphOptions, solve: Solve) 
     Raises:
         InputError: for the reasons of :func:`closure_consistency` or of ``solve``.
     """
+    from bundle.graphs.pose_graphs.consistency import closure_consistency
+
     begun = perf_counter()
     weighed = checked_information(graph, options.information)
     found = closure_consistency(weighed, options.num_threads or 1)
@@ -155,7 +159,11 @@ def solve_pose_graph(
             return solve_consistent(given, how, lambda kept, how: _refined(kept, how, progress))
         return _refined(given, how, progress)[0]
 
-    return certified(graph, options, solve) if options.certify else solve(graph, options)
+    if not options.certify:
+        return solve(graph, options)
+    from bundle.graphs.pose_graphs.certified_solve import certified
+
+    return certified(graph, options, solve)
 
 
 def _refined(
@@ -189,6 +197,8 @@ def _refined(
 
     def solve(how: PoseGraphOptions) -> dict[str, Any]:
         if how.loss == "gnc_tls":
+            from bundle.graphs.pose_graphs.gnc_solve import solve_gnc
+
             return solve_gnc(started_graph, held, doubted, how, progress, proposals)
         found = _core.solve_pose_graph(started_graph, held, doubted, how.asdict(), progress, order)
         if options.loss == "auto" and how.loss != "trivial":
@@ -199,16 +209,22 @@ def _refined(
         return found
 
     def doubts(found: dict[str, Any]) -> str:
+        from bundle.graphs.pose_graphs.truncated_search import find_doubt
+
         there = weighed.replace(poses=found["poses"])
         chi2 = found["chi2_after"]
         return find_doubt(there, options.error, doubted, chi2, c_squared, options.num_threads)
 
     if options.loss == "auto":
+        from bundle.graphs.pose_graphs.loss_choice import choose_loss
+
         used, output, why = choose_loss(solve, doubted, options, c_squared, doubts)
     else:
         used, output, why = options, solve(options), ""
 
     def cost(chi2: NDArray[np.float64]) -> float:
+        from bundle.graphs.pose_graphs.loss_choice import loss_cost
+
         return loss_cost(chi2, doubted, used, c_squared)
 
     record = record_fields(output)
@@ -303,6 +319,8 @@ def _consistent_set(graph: PoseGraph, num_threads: int) -> NDArray[np.bool_] | N
     """Return the mask of edges without contradicting closures; None if it cannot be computed."""
     if int(graph.is_closure.sum()) > MOST_CHECKED:
         return None
+    from bundle.graphs.pose_graphs.consistency import closure_consistency
+
     try:
         found = closure_consistency(graph, num_threads)
     except InputError:
