@@ -7,8 +7,8 @@ below 1e-6, and starts at the poses of the file, in ``FROM_CHORDAL`` and the syn
 chordal start, because GTSAM and g2o end elsewhere from the file. The solvers take turns; the table
 has medians.
 
-GTSAM takes the fastest of its Gauss-Newton and Levenberg-Marquardt methods, each by multifrontal and
-by sequential Cholesky factorisation, in the order of COLAMD; METIS' was slower on each set. Its
+GTSAM takes the fastest of its Gauss-Newton and Levenberg-Marquardt methods, each by multifrontal
+and by sequential Cholesky factorisation, in the order of COLAMD; METIS' was slower on each set. Its
 ``NonlinearFactorGraph`` is made outside the time, as are bundle's ``PoseGraph`` and g2o's
 ``SparseOptimizer``. Ceres gets bundle's analytic Jacobians and a radius of 1e16, which makes its
 steps those of Gauss-Newton. g2o (PyPI: g2opy, by g2o's author) takes Gauss-Newton with Eigen's

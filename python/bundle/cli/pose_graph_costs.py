@@ -56,7 +56,7 @@ def compare_graph(arguments: argparse.Namespace) -> int:
     if len(arguments.inputs) > 1:
         raise InputError(f"expected one INPUT with a pose graph, found {len(arguments.inputs)}")
     own = ("backends", "threads", "repeat", "timeout")
-    refuse_flags_of_reconstructions(arguments, (*OPTIONS, *own, "orders"))
+    refuse_flags_of_reconstructions(arguments, (*OPTIONS, *own, "orders", "html"))
     orders_only = arguments.orders == "all"
     options = options_given(arguments, PoseGraphOptions)
     given = {name: getattr(arguments, name) for name in own}
@@ -74,6 +74,11 @@ def compare_graph(arguments: argparse.Namespace) -> int:
                 progress=progress.stage,
                 orders_only=orders_only,
             )
+        if arguments.html is not None:
+            from bundle.reports.page.graph_comparison_page import write_graph_comparison
+
+            progress.stage(f"writing {shown(arguments.html)}")
+            write_graph_comparison(found, arguments.html, str(source), orders_only)
     asked = {name: getattr(options, name) for name in OPTIONS}
     wall = perf_counter() - started
     publish(compared_graph(source, graph, found, asked, wall, orders_only), arguments)

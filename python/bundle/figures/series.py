@@ -11,7 +11,7 @@ from bundle.planning.comparison.comparison_result import Comparison
 from bundle.planning.comparison.method import Method
 from bundle.planning.comparison.profiles import PerformanceProfile
 
-__all__ = ["Style", "cost_curve", "labels", "profile_curve", "styles"]
+__all__ = ["Style", "cost_curve", "gaps_to", "labels", "profile_curve", "styles"]
 
 # Costs of different solvers agree to about this; smaller differences are due to chance.
 SMALLEST_GAP = 1e-9
@@ -61,9 +61,14 @@ def cost_curve(comparison: Comparison, run: int) -> tuple[NDArray[np.float64], N
     best = comparison.best_cost(comparison.runs[run].problem)
     if len(costs) == 0 or not np.isfinite(best):
         return np.empty(0), np.empty(0)
+    return times, gaps_to(best, costs)
+
+
+def gaps_to(best: float, costs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the lowest cost so far / best - 1, as in :func:`cost_curve`."""
     lowest = np.minimum.accumulate(costs)
     gaps = lowest / best - 1.0 if best > 0 else lowest
-    return times, np.maximum(gaps, SMALLEST_GAP)
+    return np.maximum(gaps, SMALLEST_GAP)
 
 
 def profile_curve(

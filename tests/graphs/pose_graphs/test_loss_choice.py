@@ -116,9 +116,7 @@ def test_auto_hands_over_what_dcs_leaves_in_and_the_consistent_set(monkeypatch):
     gnc = importlib.import_module("bundle.graphs.pose_graphs.gnc_solve")
     handed = []
     solve = gnc.solve_gnc
-    monkeypatch.setattr(
-        gnc, "solve_gnc", lambda *given: handed.extend(given[-1]) or solve(*given)
-    )
+    monkeypatch.setattr(gnc, "solve_gnc", lambda *given: handed.extend(given[-1]) or solve(*given))
     graph = with_wrong_closures(certain_loop(2, num_poses=40, num_closures=40, noise=0.005), 8)
     bundle.solve(graph, loss="auto")
     assert [np.flatnonzero(~used & graph.is_closure).tolist() for used, _ in handed] == [

@@ -15,7 +15,9 @@ from bundle.figures.drawing import Figure
 from bundle.figures.marks import StackedBars
 from bundle.figures.series import labels
 from bundle.planning.comparison.comparison_result import GAPS, Comparison
+from bundle.planning.comparison.graph_comparison import GraphComparison
 from bundle.planning.comparison.measured_run import Run
+from bundle.reports.page.graph_comparison_page import write_graph_comparison
 from bundle.reports.page.page import tag, write_page
 from bundle.reports.page.svg import grid
 from bundle.reports.page.table import Notes, convention, table
@@ -24,13 +26,17 @@ from bundle.reports.terminal.compare_verdict import findings, headline, sigmas
 __all__ = ["write_comparison"]
 
 
-def write_comparison(comparison: Comparison, path: str | os.PathLike[str]) -> None:
-    """Write a comparison as one self-contained HTML file.
+def write_comparison(
+    comparison: Comparison | GraphComparison, path: str | os.PathLike[str]
+) -> None:
+    """Write a comparison of a problem or of a graph as one self-contained HTML file.
 
     Raises:
         InputError: the path is a folder, or its parent is not a folder.
         OSError: the file cannot be written.
     """
+    if isinstance(comparison, GraphComparison):
+        return write_graph_comparison(comparison, path)
     check_type("comparison", comparison, Comparison)
     sections = [_scope(comparison), _recommendation(comparison)]
     for problem in range(len(comparison.problems)):
@@ -39,6 +45,7 @@ def write_comparison(comparison: Comparison, path: str | os.PathLike[str]) -> No
     count = len(comparison.problems)
     name = comparison.problems[0].name if count == 1 else f"{count} problems"
     write_page(as_path(path), f"Solvers compared: {name}", sections)
+    return None
 
 
 def _scope(comparison: Comparison) -> str:

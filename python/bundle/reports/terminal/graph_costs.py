@@ -16,7 +16,7 @@ from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
 from bundle.reports.sections import Column, Report, Section, Table, fields, records
 from bundle.reports.terminal.inputs import about_graph, graph_facts
 
-__all__ = ["compared_graph", "inspected_graph"]
+__all__ = ["compared_graph", "inspected_graph", "run_table"]
 
 LEGEND = "* selected by auto; [not offered by a solve]."
 
@@ -94,6 +94,38 @@ def compared_graph(
         wall_time: seconds.
         orders_only: True if the methods differ in the elimination order alone.
     """
+    advice = [("advice", found.reason), *([("", found.command)] if found.command else [])]
+    recommendation = None
+    if found.recommended is not None:
+        recommendation = {
+            "method": found.recommended,
+            "reason": found.reason,
+            "command": found.command,
+        }
+    return Report(
+        command="compare",
+        input=about_graph(path, graph) | {"digests": content_digests(graph)},
+        headline=[found.reason],
+        sections=[
+            Section(facts=graph_facts(path, graph)),
+            Section(tables=[run_table(found, orders_only)]),
+            Section(facts=advice, notes=found.warnings, is_warning=True),
+        ],
+        data={
+            "options": dict(options),
+            "environment": found.environment,
+            "structure": {"densest": densest_set(graph.edges)},
+            "repeat": found.repeat,
+            "timeout": found.timeout,
+            "runs": [_run(found, run) for run in found.runs],
+            "recommendation": recommendation,
+            "wall_time": {"total": wall_time},
+        },
+    )
+
+
+def run_table(found: GraphComparison, orders_only: bool = False) -> Table:
+    """Return a row for each run; of methods that differ in the order alone, with its cost."""
 
     def measured(write: Any) -> Any:
         return lambda run: "" if run.failure else write(run)
@@ -122,34 +154,7 @@ def compared_graph(
         Column("a step", measured(lambda run: span(run.time_per_step_in_seconds))),
         Column("predicted", measured(lambda run: span(run.predicted_time_per_step_in_seconds))),
     )
-    advice = [("advice", found.reason), *([("", found.command)] if found.command else [])]
-    recommendation = None
-    if found.recommended is not None:
-        recommendation = {
-            "method": found.recommended,
-            "reason": found.reason,
-            "command": found.command,
-        }
-    return Report(
-        command="compare",
-        input=about_graph(path, graph) | {"digests": content_digests(graph)},
-        headline=[found.reason],
-        sections=[
-            Section(facts=graph_facts(path, graph)),
-            Section(tables=[Table(columns, found.runs)]),
-            Section(facts=advice, notes=found.warnings, is_warning=True),
-        ],
-        data={
-            "options": dict(options),
-            "environment": found.environment,
-            "structure": {"densest": densest_set(graph.edges)},
-            "repeat": found.repeat,
-            "timeout": found.timeout,
-            "runs": [_run(found, run) for run in found.runs],
-            "recommendation": recommendation,
-            "wall_time": {"total": wall_time},
-        },
-    )
+    return Table(columns, found.runs)
 
 
 def _factor(name: str, write: Callable[[float], str]) -> Callable[[GraphRun], str]:
