@@ -104,3 +104,37 @@ def test_a_function_that_fails_at_zero_is_still_named():
 
     report = bundle.check_gradients(inverse, [[2.0, 3.0], [1.5]])
     assert report.verdict == "wrong"
+
+
+@pytest.mark.parametrize("scale", [1e-10, 1e-8, 1e-5, 1e5])
+def test_a_function_of_tiny_parameters_is_not_accused(scale):
+    rng = np.random.default_rng(3)
+    linear = rng.normal(size=(3, 3))
+
+    def cubic(blocks):
+        x = blocks[0] / scale
+        return linear @ x + x**3, [(linear + np.diag(3 * x**2)) / scale]
+
+    def mistaken(blocks):
+        residual, (jacobian,) = cubic(blocks)
+        return residual, [jacobian * [1, 1, 1.001]]
+
+    for _ in range(5):
+        blocks = [rng.normal(size=3) * scale]
+        assert bundle.check_gradients(cubic, blocks).verdict != "wrong"
+        assert bundle.check_gradients(mistaken, blocks).verdict == "wrong"
+
+
+def test_small_derivatives_of_a_residual_in_single_precision_are_not_accused():
+    """Differences of a rounded residual agree at several steps, and are all wrong."""
+    rng = np.random.default_rng(4)
+
+    def rounded(blocks):
+        x = blocks[0].astype(np.float32).astype(float)
+        weights = np.array([1.0, 1e-3, 1e-5])
+        residual = np.array([100 + np.sin(x) @ weights, 7 * x[0]])
+        jacobian = np.array([np.cos(x) * weights, [7, 0, 0]])
+        return residual.astype(np.float32).astype(float), [jacobian.astype(np.float32)]
+
+    for _ in range(10):
+        assert bundle.check_gradients(rounded, [rng.normal(0, 0.1, 3)]).verdict != "wrong"

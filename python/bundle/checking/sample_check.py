@@ -20,6 +20,7 @@ from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.padding import padded
 from bundle.checking.residual_blocks import Layout
 from bundle.checking.sample_points import Probe, SampleLines, SamplePoint
+from bundle.checking.step_curve import single_rounding
 from bundle.checking.tally import Tally
 from bundle.interface.check_options import TOLERANCE
 
@@ -83,6 +84,12 @@ class _Check:
         references = [at.reference(self.layout.core) for at in self.samples]
         checker = [at.probe(self.layout.core) for at in self.samples]
         values, doubts, tangents, tangent_doubts = map(np.array, zip(*references, strict=True))
+        if self.is_single:
+            places = np.array([np.concatenate(at.blocks) for at in self.samples])
+            rounding = single_rounding(np.array(self.residuals), places)
+            doubts = doubts + rounding
+            if self.layout.is_curved:
+                tangent_doubts = tangent_doubts + rounding.max(axis=2, keepdims=True)
         space = JacobianDeviation(np.array(self.jacobians), values, doubts)
         repeated = JacobianDeviation(np.array(again), values, doubts)
         tangent, projected = space, list(range(len(space)))

@@ -18,6 +18,7 @@ loss begins. Such an entry is undecided, not wrong.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -26,10 +27,12 @@ from numpy.typing import NDArray
 
 from bundle.checking.jacobian_deviation import Array
 
-__all__ = ["Line", "StepCurve", "acquitted", "walk"]
+__all__ = ["Line", "StepCurve", "acquitted", "single_rounding", "walk"]
 
 HALVINGS = 44
-"""Number of steps; the last is at the resolution of double precision."""
+"""Least number of steps; the last is at the resolution of double precision, for parameters of 1."""
+MOST_HALVINGS = 110
+"""Largest number of steps, for tiny parameters."""
 LARGEST_STEP = 1 / 16
 """First step, as a fraction of the parameter."""
 LEAST_FIRST_STEP = 1 / 128
@@ -112,11 +115,13 @@ def walk(values: Values, center: Array, size: float) -> Line:
     Args:
         values: residual at a step; None without a value.
         center: residual at the point.
-        size: size of the parameter.
+        size: size of the parameter. Below 1/8 more steps reach its own resolution.
     """
     first = max(abs(size) * LARGEST_STEP, LEAST_FIRST_STEP)
-    steps = np.asarray(first * 0.5 ** np.arange(HALVINGS), np.float64)
-    sides = np.full((2, HALVINGS, len(center)), np.nan)
+    further = math.ceil(math.log2(LEAST_FIRST_STEP / (LARGEST_STEP * abs(size)))) if size else 0
+    count = min(HALVINGS + max(further, 0), MOST_HALVINGS)
+    steps = np.asarray(first * 0.5 ** np.arange(count), np.float64)
+    sides = np.full((2, count, len(center)), np.nan)
     for k, h in enumerate(steps):
         for side, step in enumerate((h, -h)):
             found = values(float(step))
@@ -136,10 +141,10 @@ def acquitted(line: Line, analytic: Array, deviation: Array, scale: float) -> ND
     """
     close = np.minimum(CLOSE * scale, SHARE * deviation)
     # At smaller steps rounding alone decides: a residual that does not change has slope 0.
-    sides = np.abs(np.concatenate([line.plus, line.minus, line.center[None]]))
-    noise = ROUNDING * np.finfo(float).eps * np.max(np.nan_to_num(sides, posinf=0.0), axis=0)
+    sides = np.nan_to_num(np.maximum(abs(line.plus), abs(line.minus)), posinf=0.0)
+    noise = ROUNDING * np.finfo(float).eps * np.maximum(sides[:-1], abs(line.center))
     smallest = (line.plus - line.minus)[-NOISY_STEPS:]
-    noise += np.max(np.abs(np.nan_to_num(smallest, posinf=0.0, neginf=0.0)), axis=0)
+    noise = noise + np.max(np.abs(np.nan_to_num(smallest, posinf=0.0, neginf=0.0)), axis=0)
     is_clear = noise <= close * line.steps[1:, None]
     found = np.zeros(len(analytic), bool)
     for differences, divisor in ((line.central, 3), (line.forward, 1), (line.backward, 1)):
@@ -148,3 +153,18 @@ def acquitted(line: Line, analytic: Array, deviation: Array, scale: float) -> ND
             same = is_clear & (np.abs(extrapolated - analytic) <= close)
         found |= (same[1:] & same[:-1]).any(axis=0)
     return found
+
+
+def single_rounding(residuals: Array, places: Array) -> Array:
+    """Return the errors (S, R, N) that single precision of the residuals causes in differences.
+
+    Differences at several steps can agree although all are rounded: small changes of a residual are
+    a few of its last digits.
+
+    Args:
+        residuals: (S, R) at the sample points.
+        places: (S, N) parameters.
+    """
+    rounding = ROUNDING * np.finfo(np.float32).eps * np.abs(residuals)
+    steps = np.maximum(LARGEST_STEP * np.abs(places), LEAST_FIRST_STEP)
+    return np.asarray(rounding[:, :, None] / steps[:, None, :], np.float64)
