@@ -16,6 +16,7 @@ def graphs(theirs):
         backend.OURS: [solve(1.0), solve(3.0), solve(2.0)],
         backend.CERES: [solve(8.0)],
         backend.GTSAM: [solve(theirs)] if theirs else [],
+        backend.G2O: [solve(3.0)] if theirs else [],
     }
 
 
@@ -37,10 +38,11 @@ def cells(text):
 
 
 def test_tables():
-    ours, ceres, gtsam = cells(backend.graphs_table({"intel": graphs(None)}))
+    ours, ceres, gtsam, g2o = cells(backend.graphs_table({"intel": graphs(None)}))
     assert ours == ["intel", "bundle", "2 s (1 s-3 s)", "1.00x (0.50x-1.50x)", "7", "123.5"]
     assert (ceres[1], ceres[3]) == ("Ceres", "4.00x")
     assert gtsam == ["intel", "GTSAM", "no result", "", "", ""]
+    assert g2o == ["intel", "g2o", "no result", "", "", ""]
     assert cells(backend.inertial_table(INERTIAL)) == [
         ["bundle", "0.200", "0.100"],
         ["gtsam", "2.000", "1.500"],
@@ -61,9 +63,10 @@ def test_targets():
     assert found == [
         (pytest.approx(4.5), 5.0, False),  # GTSAM on M3500
         (pytest.approx(4.0), 3.0, True),
-        (pytest.approx(3.0), 3.0, True),  # sphere2500
+        (pytest.approx(1.5), 2.0, False),  # g2o
+        (pytest.approx(3.0), 4.0, False),  # sphere2500
         (pytest.approx(4.0), 2.0, True),
-        (pytest.approx(2.0), 3.0, True),  # seconds of the synthetic graph
+        (pytest.approx(2.0), 2.5, True),  # seconds of the synthetic graph
         (pytest.approx(0.1), 0.2, True),  # in the longest batch
         (pytest.approx(4.0), 5.0, False),
     ]
@@ -71,15 +74,16 @@ def test_targets():
 
 def test_a_set_that_a_solver_could_not_do_has_no_target():
     results = Results({}, "", {"threads": 2}, {}, [], {}, pose_graphs={"CSAIL": graphs(None)})
-    (gtsam, ceres) = targets.of(results)
-    assert (gtsam.value, ceres.value) == (None, pytest.approx(4.0))
+    gtsam, ceres, g2o = targets.of(results)
+    assert (gtsam.value, ceres.value, g2o.value) == (None, pytest.approx(4.0), None)
 
 
 @pytest.mark.usefixtures("bundle_data")
 def test_solvers_of_pose_graphs_end_at_one_minimum():
     found = pose_graphs.measured(["smallGrid3D"], 1, 1, 0)["smallGrid3D"]
-    assert set(found) == {backend.OURS, backend.CERES, backend.GTSAM}
-    ends = [run["chi2"] for runs in found.values() for run in runs]
+    assert set(found) == {backend.OURS, backend.CERES, backend.GTSAM, backend.G2O}
+    of_log = [runs for solver, runs in found.items() if solver != backend.G2O]
+    ends = [run["chi2"] for runs in of_log for run in runs]
     assert len(ends) >= 2
     assert ends == pytest.approx([ends[0]] * len(ends), rel=1e-5)
 

@@ -53,7 +53,9 @@ void SolveByNormalEquations(const PoseGraph& graph, const SolveOptions& options,
   }
   const double setup_time = setup.seconds();
   const Stopwatch minimizer;
-  MinimizerSummary minimum = MinimizePoseGraph(options, report, problem.get());
+  // Robust solves, which have no known order, stay in the basin of their start.
+  MinimizerSummary minimum = known != nullptr ? MinimizePoseGraph(options, report, problem.get())
+                                              : Minimize(options, report, problem.get());
   output->summary = SummarizePoseGraph(graph, *problem, options, minimum);
   output->summary.preprocessor_time_in_seconds = setup_time;
   output->summary.minimizer_time_in_seconds = minimizer.seconds();

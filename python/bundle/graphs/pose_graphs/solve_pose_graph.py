@@ -191,6 +191,8 @@ def _refined(
         start = started(weighed, held, "file", options.num_threads)
     else:
         start = started(weighed, held, options.init, options.num_threads)
+        if options.loss == "trivial" and options.backend != "ceres":
+            order = _core.order_poses(weighed, held, options.ordering)
     started_graph = weighed.replace(poses=start.poses)
     c_squared = options.loss_scale**2 * ONE_IN_2000[graph.tangent_size]
     proposals: list[Proposal] = []
