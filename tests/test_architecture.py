@@ -10,8 +10,10 @@ import bundle
 
 ROOT = Path(__file__).parents[1]
 CPP, PACKAGE = ROOT / "cpp", ROOT / "python" / "bundle"
-CORE = "geometry parallel sums dense symbolic cameras inertial factors graph problem io synthetic"
-CORE += " interface model minimize linear window checking prepare pose_graph schur covariance"
+CORE = "geometry parallel scratch sums dense symbolic cameras inertial factors graph problem io"
+CORE += (
+    " synthetic interface model minimize linear window checking prepare pose_graph schur covariance"
+)
 LAYERS = f"{CORE} diagnosis ceres solver".split()  # of cpp/core, the lowest first
 ROOMS = "base interface model io checking graphs georeference editing solving inertial synthetic"
 RANKS = f"{ROOMS} planning analysis judging figures reports cli".split()  # of python/bundle

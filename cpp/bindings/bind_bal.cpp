@@ -43,7 +43,7 @@ py::tuple ReadBalFile(const py::object& path, const py::object& progress) {
 }
 
 py::tuple ReadPartOfBalFile(const py::object& path, const Array<int32_t>& place) {
-  const std::vector<int32_t> places(place.data(), place.data() + place.size());
+  const LargeVector<int32_t> places(place.data(), place.data() + place.size());
   return ToTuple(ReadFile(path, [&](const auto& file, const auto& on_block) {
     return ReadBalPart(file, places, on_block);
   }));

@@ -188,7 +188,8 @@ std::string SpotCheckSolution(const py::object& problem, const py::dict& options
   }
   bundle::CameraStates states(view, layout);
   states.Update(state.data());
-  const std::vector<double> points(view.points, view.points + py::ssize_t{3} * view.num_points);
+  const bundle::LargeVector<double> points(view.points,
+                                           view.points + py::ssize_t{3} * view.num_points);
   const bundle::SolutionUnderCheck solution(view, layout, states, points, solve_options.cheirality);
   const std::vector<bundle::ObservationAtPoint> sample = solution.Sample();
   return bundle::SpotCheck(

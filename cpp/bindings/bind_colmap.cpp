@@ -241,8 +241,8 @@ py::tuple ReadPartOfModel(const std::string& folder,
   if (point_ids.size() != place.size()) {
     throw InputError("place: expected " + std::to_string(point_ids.size()) + " numbers");
   }
-  const std::vector<int64_t> ids = ToVector(point_ids);
-  const std::vector<int32_t> places = ToVector(place);
+  const LargeVector<int64_t> ids(point_ids.data(), point_ids.data() + point_ids.size());
+  const LargeVector<int32_t> places(place.data(), place.data() + place.size());
   ColmapPart part;
   {
     const py::gil_scoped_release release;

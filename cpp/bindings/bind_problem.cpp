@@ -7,10 +7,12 @@
 #include "bindings/immutable_array.h"
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
+#include "bindings/to_numpy.h"
 #include "core/error.h"
 #include "core/interface/adjustment_problem.h"
 #include "core/io/printable.h"
 #include "core/problem/reprojection_errors.h"
+#include "core/scratch/large_vector.h"
 
 namespace py = pybind11;
 
@@ -47,16 +49,16 @@ void Validate(const py::object& problem) {
 py::tuple ReprojectionErrors(const py::object& problem, int num_threads,
                              const std::string& cheirality) {
   const bundle::ProblemView view = ViewProblem(problem);
-  py::array_t<double> errors(view.num_observations);
-  py::array_t<bool> behind(view.num_observations);
+  bundle::LargeVector<double> errors(view.num_observations);
+  bundle::LargeVector<uint8_t> behind(view.num_observations);
   const bundle::Cheirality named = CheiralityFromName(cheirality);
-  double* errors_data = errors.mutable_data();
-  auto* behind_data = reinterpret_cast<uint8_t*>(behind.mutable_data());
   {
     py::gil_scoped_release release;
-    bundle::ComputeReprojectionErrors(view, num_threads, named, errors_data, behind_data);
+    bundle::ComputeReprojectionErrors(view, num_threads, named, errors.data(), behind.data());
   }
-  return py::make_tuple(errors, behind);
+  const py::ssize_t size = view.num_observations;
+  return py::make_tuple(ToNumpy(std::move(errors), {size}),
+                        ToNumpy(std::move(behind), {size}).attr("view")(py::dtype::of<bool>()));
 }
 
 py::tuple ReprojectionResiduals(const py::object& problem, int num_threads,

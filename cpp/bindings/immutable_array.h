@@ -20,7 +20,8 @@ pybind11::array Freeze(const pybind11::array& array);
 bool IsImmutable(const pybind11::array& array);
 
 /// Same as ToNumpy, for an immutable array.
-template <typename T>
-pybind11::array ToImmutableNumpy(std::vector<T> values, std::vector<pybind11::ssize_t> shape) {
+template <typename T, typename Allocator>
+pybind11::array ToImmutableNumpy(std::vector<T, Allocator> values,
+                                 std::vector<pybind11::ssize_t> shape) {
   return Freeze(ToNumpy(std::move(values), std::move(shape)));
 }

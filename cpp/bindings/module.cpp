@@ -14,6 +14,7 @@ void BindPointTracks(py::module_& m);
 void BindColmap(py::module_& m);
 void BindColmapRecords(py::module_& m);
 void BindLosses(py::module_& m);
+void BindScratch(py::module_& m);
 void BindSolve(py::module_& m);
 void BindCovariance(py::module_& m);
 void BindRest(py::module_& m);
@@ -45,6 +46,7 @@ PYBIND11_MODULE(_core, m) {
   BindColmap(m);
   BindColmapRecords(m);
   BindLosses(m);
+  BindScratch(m);
   BindSolve(m);
   BindCovariance(m);
   BindRest(m);

@@ -120,7 +120,9 @@ bundle::ProblemView ViewProblem(const py::handle& problem) {
   if (!problem.attr("observation_sigma").is_none()) {
     view.observation_sigma = Data<double>(problem, "observation_sigma", {view.num_observations});
   }
-  Data<int32_t>(problem, "observation_keypoint", {view.num_observations});
+  if (!problem.attr("observation_keypoint").is_none()) {
+    Data<int32_t>(problem, "observation_keypoint", {view.num_observations});
+  }
 
   if (Count(problem, "image_names") != view.num_images) {
     throw bundle::InputError("image_names: expected " + std::to_string(view.num_images) +

@@ -70,7 +70,7 @@ std::vector<int64_t> SampleObservations(const ProblemView& problem, int64_t size
 }
 
 std::string CountPointsSeenOnce(const AdjustmentProblem& problem, const ParameterLayout& layout,
-                                const std::vector<int64_t>& track_lengths) {
+                                const LargeVector<int64_t>& track_lengths) {
   int64_t count = 0;
   int first = -1;
   for (int p = 0; p < problem.num_points; ++p) {
@@ -102,9 +102,7 @@ bool RejectImpossibleSolution(const AdjustmentProblem& problem, SolveOutput* out
   }
   found = FirstOverRanks(problem.division.communicator, found);
   if (found.empty()) return false;
-  const auto restore = [](const double* from, std::vector<double>* to) {
-    to->assign(from, from + to->size());
-  };
+  const auto restore = [](const double* from, auto* to) { to->assign(from, from + to->size()); };
   restore(problem.cam_from_world, &output->cam_from_world);
   restore(problem.rig_from_world, &output->rig_from_world);
   restore(problem.sensor_from_rig, &output->sensor_from_rig);
@@ -117,8 +115,8 @@ bool RejectImpossibleSolution(const AdjustmentProblem& problem, SolveOutput* out
 }
 
 std::string FindOverflow(const ProblemView& problem, Cheirality cheirality) {
-  std::vector<double> errors(problem.num_observations);
-  std::vector<uint8_t> behind(problem.num_observations);
+  LargeVector<double> errors(problem.num_observations);
+  LargeVector<uint8_t> behind(problem.num_observations);
   ComputeReprojectionErrors(problem, 1, cheirality, errors.data(), behind.data());
   for (int64_t i = 0; i < problem.num_observations; ++i) {
     const bool counts =
@@ -136,7 +134,7 @@ std::string FindOverflow(const ProblemView& problem, Cheirality cheirality) {
 
 SolutionUnderCheck::SolutionUnderCheck(const AdjustmentProblem& problem,
                                        const ParameterLayout& layout, const CameraStates& states,
-                                       const std::vector<double>& points, Cheirality cheirality)
+                                       const LargeVector<double>& points, Cheirality cheirality)
     : problem_(problem),
       layout_(layout),
       states_(states),
@@ -208,7 +206,7 @@ bool SolutionUnderCheck::operator()(int64_t observation, const double* x, double
 }
 
 std::string CheckSolution(const AdjustmentProblem& problem, const ParameterLayout& layout,
-                          const CameraStates& states, const std::vector<double>& points,
+                          const CameraStates& states, const LargeVector<double>& points,
                           Cheirality cheirality) {
   const SolutionUnderCheck solution(problem, layout, states, points, cheirality);
   return SpotCheck(solution.Sample(), std::cref(solution));

@@ -14,6 +14,7 @@
 #include "core/model/camera_states.h"
 #include "core/model/parameter_layout.h"
 #include "core/problem/problem_view.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -28,7 +29,7 @@ class SolutionUnderCheck {
  public:
   /// `points` as in ProblemView.
   SolutionUnderCheck(const AdjustmentProblem& problem, const ParameterLayout& layout,
-                     const CameraStates& states, const std::vector<double>& points,
+                     const CameraStates& states, const LargeVector<double>& points,
                      Cheirality cheirality);
 
   /// Observations with free parameters, spread over camera models and images.
@@ -43,19 +44,19 @@ class SolutionUnderCheck {
   const AdjustmentProblem& problem_;
   const ParameterLayout& layout_;
   const CameraStates& states_;
-  const std::vector<double>& points_;
+  const LargeVector<double>& points_;
   const Cheirality cheirality_;
 };
 
 /// The message of SpotCheck about a solution; "" if its Jacobians are right.
 std::string CheckSolution(const AdjustmentProblem& problem, const ParameterLayout& layout,
-                          const CameraStates& states, const std::vector<double>& points,
+                          const CameraStates& states, const LargeVector<double>& points,
                           Cheirality cheirality);
 
 /// Returns a message with the number of free points with one observation only; "" without such
 /// points.
 std::string CountPointsSeenOnce(const AdjustmentProblem& problem, const ParameterLayout& layout,
-                                const std::vector<int64_t>& track_lengths);
+                                const LargeVector<int64_t>& track_lengths);
 
 /// Rejects an impossible solution (a focal length that is not positive, a number that is not
 /// finite): restores the problem's own values, marks the solution as not usable, and warns. Returns

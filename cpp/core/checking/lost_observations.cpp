@@ -12,15 +12,16 @@
 #include <vector>
 
 #include "core/problem/reprojection_errors.h"
+#include "core/scratch/large_vector.h"
 #include "core/sums/communicator.h"
 
 namespace bundle {
 namespace {
 
 /// 1 for observations that do not count.
-std::vector<uint8_t> FindBehind(const AdjustmentProblem& problem, const SolveOptions& options) {
-  std::vector<double> errors(problem.num_observations);
-  std::vector<uint8_t> behind(problem.num_observations);
+LargeVector<uint8_t> FindBehind(const AdjustmentProblem& problem, const SolveOptions& options) {
+  LargeVector<double> errors(problem.num_observations);
+  LargeVector<uint8_t> behind(problem.num_observations);
   ComputeReprojectionErrors(problem, options.num_threads, options.cheirality, errors.data(),
                             behind.data());
   if (options.cheirality == Cheirality::kAlgebraic) {
@@ -30,7 +31,7 @@ std::vector<uint8_t> FindBehind(const AdjustmentProblem& problem, const SolveOpt
 }
 
 int64_t CountLeftOut(const AdjustmentProblem& problem, const ParameterLayout& layout,
-                     const std::vector<uint8_t>& behind, int64_t num_held) {
+                     const LargeVector<uint8_t>& behind, int64_t num_held) {
   int64_t num_refined_behind = 0;
   for (int64_t i = 0; i < problem.num_observations; ++i) {
     if (behind[i] && layout.IsRefined(problem, i)) ++num_refined_behind;
@@ -38,13 +39,13 @@ int64_t CountLeftOut(const AdjustmentProblem& problem, const ParameterLayout& la
   return num_held - SumOverRanks(problem.division.communicator, num_refined_behind);
 }
 
-int64_t Count(const std::vector<uint8_t>& flags) {
+int64_t Count(const LargeVector<uint8_t>& flags) {
   return std::accumulate(flags.begin(), flags.end(), int64_t{0});
 }
 
 /// Ids of the images whose observations are all behind the camera.
 std::vector<int64_t> ImagesWithNoneInFront(const AdjustmentProblem& problem,
-                                           const std::vector<uint8_t>& behind) {
+                                           const LargeVector<uint8_t>& behind) {
   std::vector<uint8_t> seen(problem.num_images), in_front(problem.num_images);
   for (int64_t i = 0; i < problem.num_observations; ++i) {
     seen[problem.observation_image[i]] = 1;
@@ -86,8 +87,8 @@ void JudgeLostObservations(const AdjustmentProblem& problem, const ParameterLayo
   refined.camera_params = output->camera_params.data();
   refined.points = output->points.data();
   output->PutShutters(&refined);
-  const std::vector<uint8_t> before = FindBehind(problem, options);
-  const std::vector<uint8_t> after = FindBehind(refined, options);
+  const LargeVector<uint8_t> before = FindBehind(problem, options);
+  const LargeVector<uint8_t> after = FindBehind(refined, options);
   Communicator* const communicator = problem.division.communicator;
   const int64_t num_before = SumOverRanks(communicator, Count(before));
   const int64_t num_after = SumOverRanks(communicator, Count(after));

@@ -167,7 +167,7 @@ class SpectrumSearch {
     }
     if (similarities.col(6).lpNorm<Eigen::Infinity>() <= kOnePlace * MedianDistance()) {
       similarities.col(6).setZero();
-      const std::vector<int64_t> lengths = TrackLengths(problem_);
+      const LargeVector<int64_t> lengths = TrackLengths(problem_);
       num_hidden_ = 1;
       for (int p = 0; p < problem_.num_points; ++p) {
         if (lengths[p] > 0 && !reduced_.layout().point_is_free(p)) num_hidden_ = 0;

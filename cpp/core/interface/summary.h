@@ -14,6 +14,7 @@
 
 #include "core/interface/options.h"
 #include "core/problem/problem_view.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -220,7 +221,7 @@ struct SolveOutput : SolveRecord {
   std::vector<double> rig_from_world;    ///< as in ProblemView
   std::vector<double> sensor_from_rig;   ///< as in ProblemView
   std::vector<double> camera_params;     ///< as in ProblemView
-  std::vector<double> points;            ///< as in ProblemView
+  LargeVector<double> points;            ///< as in ProblemView
   std::vector<double> twists, readouts;  ///< as in ProblemView; empty without rolling shutters
   /// Cost 1/2 rho(||r||^2) of each factor other than observations, at the start and at the
   /// solution; NaN if it has no value.

@@ -32,6 +32,7 @@
 #include <vector>
 
 #include "core/io/output_file.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -77,10 +78,10 @@ struct BalProblem {
   std::vector<double> cam_from_world;  ///< num_images x 7: qx qy qz qw tx ty tz
   std::vector<double> rotations;       ///< num_images x 3: the file's own angle-axis, radians
   std::vector<double> camera_params;   ///< num_images x 5: f cx cy k1 k2 with cx = cy = 0
-  std::vector<double> points;          ///< num_points x 3
-  std::vector<int32_t> observation_image;
-  std::vector<int32_t> observation_point;
-  std::vector<double> observation_xy;  ///< num_observations x 2
+  LargeVector<double> points;          ///< num_points x 3
+  LargeVector<int32_t> observation_image;
+  LargeVector<int32_t> observation_point;
+  LargeVector<double> observation_xy;  ///< num_observations x 2
 };
 
 /// Reads a BAL file, plain or compressed by gzip or bzip2, as a stream. Keeps the order of cameras,

@@ -30,14 +30,18 @@ struct Survey {
 };
 
 struct KeepPart {
-  const std::vector<int32_t>& place;
+  const LargeVector<int32_t>& place;
   BalProblem kept;
   size_t next_point = 0;
 
-  void Begin(int32_t, int32_t num_points, int32_t, uint64_t) const {
-    if (static_cast<size_t>(num_points) != place.size()) {
-      FailAsChanged();
-    }
+  void Begin(int32_t, int32_t num_points, int32_t num_observations, uint64_t stored_size) {
+    if (static_cast<size_t>(num_points) != place.size()) FailAsChanged();
+    const auto is_mine = [](int32_t p) { return p >= 0; };
+    if (!std::all_of(place.begin(), place.end(), is_mine)) return;
+    ReservePlausibly(&kept.observation_image, num_observations, 1, stored_size);
+    ReservePlausibly(&kept.observation_point, num_observations, 1, stored_size);
+    ReservePlausibly(&kept.observation_xy, num_observations, 2, stored_size);
+    ReservePlausibly(&kept.points, num_points, 3, stored_size);
   }
   void Observation(int32_t image, int32_t point, double x, double y) {
     if (place[point] < 0) return;
@@ -60,7 +64,7 @@ BalSurvey SurveyBal(const std::filesystem::path& path, const std::function<void(
   return std::move(sink.found);
 }
 
-BalProblem ReadBalPart(const std::filesystem::path& path, const std::vector<int32_t>& place,
+BalProblem ReadBalPart(const std::filesystem::path& path, const LargeVector<int32_t>& place,
                        const std::function<void()>& on_block) {
   return ReadKept(path, KeepPart{place, {}}, on_block);
 }

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "core/io/bal.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -15,9 +16,9 @@ namespace bundle {
 struct BalSurvey {
   int32_t num_images = 0;
   int32_t num_observations = 0;
-  std::vector<int32_t> first_image;  ///< num_points; num_images for a point that no image sees
-  std::vector<int32_t> last_image;   ///< num_points; -1 for a point that no image sees
-  std::vector<int32_t> num_seen;     ///< num_points: observations of a point
+  LargeVector<int32_t> first_image;  ///< num_points; num_images for a point that no image sees
+  LargeVector<int32_t> last_image;   ///< num_points; -1 for a point that no image sees
+  LargeVector<int32_t> num_seen;     ///< num_points: observations of a point
 };
 
 /// Reads a complete file and throws as ReadBal.
@@ -26,7 +27,7 @@ BalSurvey SurveyBal(const std::filesystem::path& path, const std::function<void(
 /// Reads a file and stores its cameras, the points that have a place (-1: no place) and their
 /// observations, in the order of the file. Places ascend from 0 on. Throws as ReadBal, and
 /// InputError if the number of points differs.
-BalProblem ReadBalPart(const std::filesystem::path& path, const std::vector<int32_t>& place,
+BalProblem ReadBalPart(const std::filesystem::path& path, const LargeVector<int32_t>& place,
                        const std::function<void()>& on_block);
 
 }  // namespace bundle

@@ -21,8 +21,8 @@ namespace bundle {
 
 /// Reserves space for `count` rows, but only as many as the stored bytes make plausible. A strongly
 /// compressed file may have more; these rows are appended at the usual cost of a vector.
-template <typename T>
-void ReservePlausibly(std::vector<T>* values, int32_t count, size_t width, uint64_t stored_size) {
+template <typename Vector>
+void ReservePlausibly(Vector* values, int32_t count, size_t width, uint64_t stored_size) {
   values->reserve(width * std::min<uint64_t>(static_cast<uint64_t>(count), stored_size));
 }
 

@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "core/cameras/camera_model.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -221,10 +222,10 @@ std::string FormatNumber(double value);
 /// The observations of a model, as in a problem: images and points are numbered in the order of
 /// their ids, the rows sorted by point, then image, then keypoint.
 struct ColmapObservations {
-  std::vector<int32_t> image;
-  std::vector<int32_t> point;
-  std::vector<int32_t> keypoint;
-  std::vector<double> xy;  ///< two per row
+  LargeVector<int32_t> image;
+  LargeVector<int32_t> point;
+  LargeVector<int32_t> keypoint;
+  LargeVector<double> xy;  ///< two per row
 };
 
 /// `point_of_keypoint` is what CheckColmapReferences returned for this index.

@@ -20,6 +20,7 @@
 #include "core/io/colmap_survey.h"
 #include "core/io/colmap_track_errors.h"
 #include "core/io/input_file.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 namespace {
@@ -29,7 +30,7 @@ class PointRows {
  public:
   static constexpr int32_t kNone = -1;
 
-  explicit PointRows(const std::vector<int64_t>& ids) : ids_(ids) {
+  explicit PointRows(const LargeVector<int64_t>& ids) : ids_(ids) {
     if (ids.empty() || ids.back() >= static_cast<int64_t>(8 * ids.size() + 1024)) return;
     dense_.assign(static_cast<size_t>(ids.back()) + 1, kNone);
     for (size_t row = 0; row < ids.size(); ++row) {
@@ -46,8 +47,8 @@ class PointRows {
   }
 
  private:
-  const std::vector<int64_t>& ids_;
-  std::vector<int32_t> dense_;
+  const LargeVector<int64_t>& ids_;
+  LargeVector<int32_t> dense_;
 };
 
 bool Before(const ColmapIndex::TrackElement& a, const ColmapIndex::TrackElement& b) {
@@ -64,15 +65,15 @@ struct PartOfPoints {
     uint64_t length = 0;
   };
   const PointRows& rows;
-  const std::vector<int32_t>& place;
-  std::vector<double> points;
-  std::vector<Record> records;  ///< by place
-  std::vector<ColmapIndex::TrackElement> tracks;
+  const LargeVector<int32_t>& place;
+  LargeVector<double> points;
+  LargeVector<Record> records;  ///< by place
+  LargeVector<ColmapIndex::TrackElement> tracks;
 
   void Begin(uint64_t count, uint64_t) {
     if (count != place.size()) FailAsChanged();
     const auto kept = std::count_if(place.begin(), place.end(), [](int32_t p) { return p >= 0; });
-    points.resize(3 * static_cast<size_t>(kept));
+    points.resize(3 * static_cast<size_t>(kept), 0.0);
     records.resize(static_cast<size_t>(kept));
   }
   void Point(const ColmapIndex::Point& point, const std::vector<ColmapIndex::TrackElement>& track) {
@@ -95,7 +96,7 @@ struct PartOfPoints {
       is_in_order = is_in_order && records[p - 1].first <= records[p].first;
     }
     if (!is_in_order) {
-      std::vector<ColmapIndex::TrackElement> ordered;
+      LargeVector<ColmapIndex::TrackElement> ordered;
       ordered.reserve(tracks.size());
       for (Record& record : records) {
         const auto begin = range(record, tracks.begin());
@@ -123,7 +124,7 @@ struct PartOfPoints {
 /// Images, and the pixels of the part's tracks.
 struct PartOfImages {
   const PointRows& rows;
-  const std::vector<int32_t>& place;
+  const LargeVector<int32_t>& place;
   const PartOfPoints& part;
   ColmapIndex* index;
   ColmapObservations* found;
@@ -131,9 +132,9 @@ struct PartOfImages {
 
   void Begin(uint64_t, uint64_t) const {
     const size_t size = part.tracks.size();
-    found->image.resize(size);
-    found->point.resize(size);
-    found->keypoint.resize(size);
+    found->image.resize(size, 0);
+    found->point.resize(size, 0);
+    found->keypoint.resize(size, 0);
     found->xy.assign(2 * size, std::numeric_limits<double>::quiet_NaN());
   }
   void Image(ColmapIndex::Image image) const { index->images.push_back(std::move(image)); }
@@ -165,7 +166,7 @@ struct PartOfImages {
 std::optional<ColmapPart::Failure> CheckTrack(const ColmapIndex& index, const IdMap& images,
                                               const PartOfPoints& part,
                                               const PartOfPoints::Record& record,
-                                              const std::vector<double>& xy) {
+                                              const LargeVector<double>& xy) {
   std::vector<ColmapIndex::TrackElement> track(record.length);
   index.points_file.ReadAt(record.at + kPointRecordSize, reinterpret_cast<char*>(track.data()),
                            track.size() * kTrackElementSize);
@@ -198,7 +199,7 @@ std::optional<ColmapPart::Failure> CheckTrack(const ColmapIndex& index, const Id
 
 /// Finds the first contradiction in points3D.bin: a place without a keypoint.
 void CheckTracksOfPart(const ColmapIndex& index, const IdMap& images, const PartOfPoints& part,
-                       const std::vector<double>& xy, std::optional<ColmapPart::Failure>* failure) {
+                       const LargeVector<double>& xy, std::optional<ColmapPart::Failure>* failure) {
   for (const PartOfPoints::Record& record : part.records) {
     bool is_filled = true;
     for (uint64_t row = record.first; row < record.first + record.length; ++row) {
@@ -215,8 +216,8 @@ void CheckTracksOfPart(const ColmapIndex& index, const IdMap& images, const Part
 
 }  // namespace
 
-ColmapPart ReadColmapPart(const std::string& folder, const std::vector<int64_t>& point_ids,
-                          const std::vector<int32_t>& place,
+ColmapPart ReadColmapPart(const std::string& folder, const LargeVector<int64_t>& point_ids,
+                          const LargeVector<int32_t>& place,
                           const std::function<void()>& on_block) {
   ColmapPart result;
   result.model.index = OpenColmapModel(folder, on_block);

@@ -11,6 +11,7 @@
 
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_model.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -22,7 +23,7 @@ struct ColmapPart {
     std::string message;
   };
   ColmapModel model;           ///< cameras, images, rigs and the open files; no points
-  std::vector<double> points;  ///< three of each point with a place
+  LargeVector<double> points;  ///< three of each point with a place
   ColmapObservations observations;
   std::optional<Failure> failure;
 };
@@ -30,7 +31,7 @@ struct ColmapPart {
 /// Reads cameras, images, the points that have a place (-1: no place) and their observations, in
 /// the order of ReadColmapModel. `point_ids` are those of the survey; places ascend with them from
 /// 0 on. Throws InputError if the files have other points.
-ColmapPart ReadColmapPart(const std::string& folder, const std::vector<int64_t>& point_ids,
-                          const std::vector<int32_t>& place, const std::function<void()>& on_block);
+ColmapPart ReadColmapPart(const std::string& folder, const LargeVector<int64_t>& point_ids,
+                          const LargeVector<int32_t>& place, const std::function<void()>& on_block);
 
 }  // namespace bundle

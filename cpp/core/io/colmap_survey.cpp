@@ -113,15 +113,15 @@ struct FindTwin {
 };
 
 template <typename T>
-void Permute(const std::vector<size_t>& order, std::vector<T>* values) {
-  std::vector<T> permuted(order.size());
+void Permute(const std::vector<size_t>& order, LargeVector<T>* values) {
+  LargeVector<T> permuted(order.size());
   std::transform(order.begin(), order.end(), permuted.begin(),
                  [&](size_t position) { return (*values)[position]; });
   *values = std::move(permuted);
 }
 
 void SortById(const ModelFile& file, ColmapSurvey* survey) {
-  std::vector<int64_t>& ids = survey->point_ids;
+  LargeVector<int64_t>& ids = survey->point_ids;
   if (!std::is_sorted(ids.begin(), ids.end())) {
     std::vector<size_t> order(ids.size());
     std::iota(order.begin(), order.end(), size_t{0});

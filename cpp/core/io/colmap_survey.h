@@ -9,6 +9,7 @@
 
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_model.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -16,10 +17,10 @@ namespace bundle {
 struct ColmapSurvey {
   int64_t num_images = 0;
   int64_t num_observations = 0;
-  std::vector<int64_t> point_ids;    ///< ascending
-  std::vector<int32_t> first_image;  ///< num_points; num_images for a point without a track
-  std::vector<int32_t> last_image;   ///< num_points; -1 for a point without a track
-  std::vector<int32_t> num_seen;     ///< num_points: length of the track
+  LargeVector<int64_t> point_ids;    ///< ascending
+  LargeVector<int32_t> first_image;  ///< num_points; num_images for a point without a track
+  LargeVector<int32_t> last_image;   ///< num_points; -1 for a point without a track
+  LargeVector<int32_t> num_seen;     ///< num_points: length of the track
 };
 
 /// Reads all files of a model and checks everything except the references between tracks and

@@ -120,11 +120,11 @@ void AdviseHugePages(void* begin, size_t num_bytes);
 /// Reserves `size` values and asks the operating system for large pages before they are touched.
 /// Sums into a large S access all of it. With pages of 4 kB nearly each access to a column also
 /// misses the address translation cache. Without large pages, this is only a reserve.
-template <typename T>
-void ReserveHugePages(size_t size, std::vector<T>* values) {
+template <typename Vector>
+void ReserveHugePages(size_t size, Vector* values) {
   if (size <= values->capacity()) return;
   values->reserve(size);
-  AdviseHugePages(values->data(), size * sizeof(T));
+  AdviseHugePages(values->data(), size * sizeof(typename Vector::value_type));
 }
 
 }  // namespace bundle

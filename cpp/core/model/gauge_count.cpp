@@ -234,7 +234,7 @@ void FreeMotions::AddImages(int pose, const std::vector<int>& images) {
 void FreeMotions::AddHeldPoints() {
   std::vector<double> held;
   if (std::count(free_.point.begin(), free_.point.end(), 0) > 0) {
-    const std::vector<int64_t> lengths = TrackLengths(problem_);
+    const LargeVector<int64_t> lengths = TrackLengths(problem_);
     for (int point = 0; point < problem_.num_points; ++point) {
       const double* const at = problem_.points + 3 * int64_t{point};
       if (lengths[point] > 0 && free_.point[point] == 0) held.insert(held.end(), at, at + 3);

@@ -48,9 +48,9 @@ void MoveTranslation(const double* pose, const double* center, double sign, doub
 }
 
 /// Squared error of each observation, in pixels; NaN if it does not count.
-std::vector<double> SquaredErrors(const AdjustmentProblem& problem, const SolveOptions& options) {
-  std::vector<double> errors(problem.num_observations);
-  std::vector<uint8_t> behind(problem.num_observations);
+LargeVector<double> SquaredErrors(const AdjustmentProblem& problem, const SolveOptions& options) {
+  LargeVector<double> errors(problem.num_observations);
+  LargeVector<uint8_t> behind(problem.num_observations);
   ComputeReprojectionErrors(problem, options.num_threads, options.cheirality, errors.data(),
                             behind.data());
   for (size_t i = 0; i < errors.size(); ++i) {
@@ -218,8 +218,8 @@ void JudgeFarPoints(const AdjustmentProblem& problem, const FarPoints& far,
   refined.camera_params = output->camera_params.data();
   refined.points = output->points.data();
   output->PutShutters(&refined);
-  const std::vector<double> before = SquaredErrors(problem, options);
-  const std::vector<double> after = SquaredErrors(refined, options);
+  const LargeVector<double> before = SquaredErrors(problem, options);
+  const LargeVector<double> after = SquaredErrors(refined, options);
   double rho[3];
   double weighted = 0;
   for (const int64_t i : far.observations) {
@@ -227,7 +227,7 @@ void JudgeFarPoints(const AdjustmentProblem& problem, const FarPoints& far,
     ValueOfLoss(options.loss, options.loss_scale, after[i], rho);
     weighted += rho[1] * after[i];
   }
-  const auto cost = [&](const std::vector<int64_t>& observations, const std::vector<double>& at) {
+  const auto cost = [&](const std::vector<int64_t>& observations, const LargeVector<double>& at) {
     double sum = 0;
     for (const int64_t i : observations) {
       if (std::isnan(before[i]) || std::isnan(after[i])) continue;

@@ -31,6 +31,7 @@
 #include "core/interface/adjustment_problem.h"
 #include "core/interface/summary.h"
 #include "core/model/parameter_layout.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -71,7 +72,7 @@ class CenteredProblem {
   const SceneFrame& frame_;
   std::vector<double> cam_from_world_;
   std::vector<double> rig_from_world_;
-  std::vector<double> points_;
+  LargeVector<double> points_;
   AdjustmentProblem centered_;
 };
 

@@ -20,6 +20,7 @@
 #include "core/interface/adjustment_problem.h"
 #include "core/interface/summary.h"
 #include "core/model/scene_frame.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -43,7 +44,8 @@ class ScaledProblem {
   void ScaleBack(SolveOutput* output) const;
 
  private:
-  std::vector<double> cam_from_world_, rig_from_world_, sensor_from_rig_, points_, twists_;
+  std::vector<double> cam_from_world_, rig_from_world_, sensor_from_rig_, twists_;
+  LargeVector<double> points_;
   AdjustmentProblem scaled_;
   SceneFrame frame_;
   std::string warning_;

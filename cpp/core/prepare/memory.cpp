@@ -13,6 +13,8 @@
 #include <sstream>
 #include <vector>
 
+#include "core/scratch/large_vector.h"
+
 namespace bundle {
 namespace {
 
@@ -118,7 +120,7 @@ double AvailableMemoryFor(double bytes) {
 }
 
 double PredictFusedWorkingBytes(const ParameterLayout& layout,
-                                const std::vector<int64_t>& track_lengths, bool has_sigmas,
+                                const LargeVector<int64_t>& track_lengths, bool has_sigmas,
                                 int num_threads, double buffer_bytes) {
   // Image, measurement and place in the chunk, and the lists of chunks (measured). During sorting,
   // an observation takes more, but the other arrays are not allocated yet.
@@ -135,8 +137,11 @@ double PredictFusedWorkingBytes(const ParameterLayout& layout,
     observations += length;
     if (layout.point_is_free(p)) pairs += length * (length - 1) / 2;
   }
-  return bytes_per_observation * observations + kBytesPerPoint * num_points +
-         kBytesPerPair * pairs + kBuffersPerThread * num_threads * buffer_bytes;
+  double arrays =
+      bytes_per_observation * observations + kBytesPerPoint * num_points + kBytesPerPair * pairs;
+  const auto resident = static_cast<double>(ScratchResidentBytes());
+  if (resident >= 0) arrays = std::min(arrays, resident);
+  return arrays + kBuffersPerThread * num_threads * buffer_bytes;
 }
 
 double PredictCeresWorkingBytes(const ProblemShape& shape) {
@@ -189,9 +194,11 @@ bool FitsIntoMemory(double bytes, double available) { return bytes <= 0.9 * avai
 void RefuseTooMuchMemory(double working_bytes) {
   const double available = AvailableIfTooLittle(working_bytes);
   if (available < 0) return;
-  throw NotEnoughMemoryError("not enough memory: the observations and points take " +
-                             FormatBytes(working_bytes) + " within a solve; this machine has " +
-                             FormatBytes(available) + " free");
+  throw NotEnoughMemoryError(
+      "not enough memory: the observations and points take " + FormatBytes(working_bytes) +
+      " within a solve; this machine has " + FormatBytes(available) + " free" +
+      (ScratchResidentBytes() >= 0 ? ""
+                                   : "; `bundle refine --out-of-core DIR` keeps them on a disk"));
 }
 
 void RefuseTooMuchMemory(LinearSolverType type, double factor_bytes, double working_bytes) {

@@ -9,6 +9,7 @@
 #include "core/error.h"
 #include "core/interface/options.h"
 #include "core/model/parameter_layout.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -35,7 +36,7 @@ bool HasMemoryLimit();
 /// of their pairs, two states with their records, and chunk buffers of `num_threads` threads with
 /// at most `buffer_bytes` each. `has_sigmas`: observations have them.
 double PredictFusedWorkingBytes(const ParameterLayout& layout,
-                                const std::vector<int64_t>& track_lengths, bool has_sigmas,
+                                const LargeVector<int64_t>& track_lengths, bool has_sigmas,
                                 int num_threads, double buffer_bytes);
 
 /// Bytes of Ceres' objects for observations and points, and of the Jacobian, as measured

@@ -60,7 +60,7 @@ PreparedSolve PrepareSolve(const AdjustmentProblem& problem, const SolveOptions&
   CheckCameraModelsKnown(problem);
   std::vector<Warning> warnings;
   ParameterLayout layout(problem, ChooseFreeParameters(problem, options, &warnings));
-  std::vector<int64_t> track_lengths = TrackLengths(problem);
+  LargeVector<int64_t> track_lengths = TrackLengths(problem);
   Warn(WarningKind::kPointsSeenOnce, CountPointsSeenOnce(problem, layout, track_lengths),
        &warnings);
   std::string factor_for_ceres =

@@ -13,6 +13,7 @@
 #include "core/model/free_parameters.h"
 #include "core/model/parameter_layout.h"
 #include "core/problem/problem_view.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -20,7 +21,7 @@ namespace bundle {
 struct PreparedSolve {
   ParameterLayout layout;
   std::vector<Warning> warnings;
-  std::vector<int64_t> track_lengths;  ///< observations of each point
+  LargeVector<int64_t> track_lengths;  ///< observations of each point
   int64_t num_free_points = 0;         ///< on all ranks
   int64_t longest_track = 0;           ///< on all ranks
   /// Name and property of the first factor that couples a point with another free variable, or that

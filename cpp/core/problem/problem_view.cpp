@@ -15,19 +15,19 @@
 
 namespace bundle {
 
-std::vector<int64_t> TrackLengths(const ProblemView& problem) {
-  std::vector<int64_t> lengths(problem.num_points);
+LargeVector<int64_t> TrackLengths(const ProblemView& problem) {
+  LargeVector<int64_t> lengths(problem.num_points, 0);
   for (int64_t i = 0; i < problem.num_observations; ++i) ++lengths[problem.observation_point[i]];
   return lengths;
 }
 
 Tracks GroupByPoint(const ProblemView& problem) {
-  const std::vector<int64_t> lengths = TrackLengths(problem);
+  const LargeVector<int64_t> lengths = TrackLengths(problem);
   Tracks tracks;
-  tracks.starts.resize(lengths.size() + 1);
+  tracks.starts.resize(lengths.size() + 1, 0);
   std::partial_sum(lengths.begin(), lengths.end(), tracks.starts.begin() + 1);
   tracks.images.resize(problem.num_observations);
-  std::vector<int64_t> next(tracks.starts.begin(), tracks.starts.end() - 1);
+  LargeVector<int64_t> next(tracks.starts.begin(), tracks.starts.end() - 1);
   for (int64_t i = 0; i < problem.num_observations; ++i) {
     tracks.images[next[problem.observation_point[i]]++] = problem.observation_image[i];
   }

@@ -7,6 +7,8 @@
 #include <string>
 #include <vector>
 
+#include "core/scratch/large_vector.h"
+
 namespace bundle {
 
 struct CameraModel;
@@ -86,14 +88,14 @@ struct ProblemView {
 /// Observations grouped by point: those of point p are images[starts[p]] to images[starts[p + 1] -
 /// 1], in the order of the problem.
 struct Tracks {
-  std::vector<int64_t> starts;  ///< num_points + 1
-  std::vector<int32_t> images;  ///< image per observation
+  LargeVector<int64_t> starts;  ///< num_points + 1
+  LargeVector<int32_t> images;  ///< image per observation
 };
 
 Tracks GroupByPoint(const ProblemView& problem);
 
 /// The number of observations of each point.
-std::vector<int64_t> TrackLengths(const ProblemView& problem);
+LargeVector<int64_t> TrackLengths(const ProblemView& problem);
 
 /// Throws InputError unless `given` has the same images, cameras, points and observations as
 /// `expected`, on which the layout of a solver depends. Poses, parameters, points and measurements

@@ -32,10 +32,10 @@ DoglegProducts SchurProblem::Products() {
   for (size_t j = 0; j < newton_.size(); ++j) {
     gradient_direction_[j] = gradient()[j] / d_squared_[j];
   }
-  points_p_.resize(x_->points.size());
-  points_q_.resize(x_->points.size());
+  points_p_.resize(x_->points.size(), 0.0);
+  points_q_.resize(x_->points.size(), 0.0);
   if (gauge_degrees_ < 0) gauge_degrees_ = NewtonGauge::Degrees(problem_, layout_, plan_);
-  if (gauge_degrees_ > 0) points_d_squared_.resize(x_->points.size());
+  if (gauge_degrees_ > 0) points_d_squared_.resize(x_->points.size(), 0.0);
   step_.Set(gradient_direction_, x_->cameras());
   other_step_.Set(newton_, x_->cameras());
   DoglegProducts total;

@@ -26,11 +26,12 @@ constexpr int64_t kSmallestChunk = 2048, kLargestChunk = 65536;
 constexpr int64_t kChunksOfProblem = 64, kLeastChunks = 12;
 constexpr int64_t kWorkPerBlock = 20, kLeastOfFullChunk = 512;
 // Where blocks hardly repeat, as in photo collections, buffers larger than the cache still pay:
-// 1000 images with a million observations took 12.3 s of processor time with 4 MiB, 10.0 s with 16
-// MiB and 8.9 s with 32 MiB (kMaxBufferBytes).
+// 1000 images with a million observations took 12.3 s of processor time with 4 MiB, 8.9 s with 32
+// MiB (kMaxBufferBytes).
 // Limit of the 16-bit numbers in a chunk. A point that needs more than half of them is spread over
-// chunks of its own. Any other point fits into a chunk that is less than half full.
+// chunks of its own; any other fits into a chunk that is less than half full.
 constexpr int kMaxBlocks = 0xffff;
+constexpr size_t kMostDrafts = 512;  // they take as much memory as the pairs of their chunks
 
 /// Cuts the points of a plan into chunks.
 class Planner {
@@ -50,13 +51,14 @@ class Planner {
     CountEntries();
     CutIntoChunks();
     NumberChunks();
+    MeasureTiles();
     LinkChunks();
     return std::move(plan_);
   }
 
  private:
   void CountEntries() {
-    num_refined_.resize(plan_.point.size());
+    num_refined_.resize(plan_.point.size(), 0);
     num_entries_.resize(plan_.point.size());
     ParallelFor(plan_.num_points(), num_threads_, [this](int64_t begin, int64_t end) {
       PointEntries entries(plan_, parts_);
@@ -78,7 +80,7 @@ class Planner {
     const int64_t most_blocks =
         kMaxBufferBytes / (parts_.block_size() * static_cast<int64_t>(sizeof(double)));
     plan_.image_in_chunk.resize(plan_.num_observations());
-    plan_.entry.resize(plan_.num_observations() * plan_.num_kinds);
+    plan_.entry.resize(plan_.num_observations() * plan_.num_kinds, 0);
     part_slot_.assign(parts_.num_parts(), -1);
     image_slot_.assign(images_.rank.size(), -1);
     for (size_t s = 0; s + 1 < plan_.section_begin.size(); ++s) {
@@ -88,6 +90,7 @@ class Planner {
       const int64_t wanted = (work + count - 1) / std::max<int64_t>(count, 1);
       for (int p = begin; p < end;) {
         p = HasTooManyBlocks(p) ? AddRows(p, most_blocks) : AddChunk(p, end, wanted, most_blocks);
+        if (plan_.chunks.size() - num_numbered_ >= kMostDrafts) NumberChunks();
       }
     }
   }
@@ -105,7 +108,6 @@ class Planner {
     return entries * (entries - 1) / 2;
   }
   int64_t WorkOf(int point) const { return NumObservations(point) + NumPairs(point) / 2; }
-
   bool HasTooManyBlocks(int point) const {
     return NumObservations(point) + num_entries_[point] + NumPairs(point) >= kMaxBlocks / 2;
   }
@@ -238,19 +240,25 @@ class Planner {
     for (const int image : drafts_.back().images) image_slot_[image] = -1;
   }
 
+  /// Numbers the chunks that have a draft. With less work, starting a thread takes longer.
   void NumberChunks() {
-    // With less work, starting a thread takes longer than sorting.
     constexpr int64_t kObservationsWorthAThread = 20000;
+    const auto first = static_cast<int64_t>(num_numbered_);
+    num_numbered_ = plan_.chunks.size();
     ParallelFor(
-        static_cast<int64_t>(plan_.chunks.size()),
+        static_cast<int64_t>(num_numbered_) - first,
         plan_.num_observations() < kObservationsWorthAThread ? 1 : num_threads_,
-        [this](int64_t begin, int64_t end) {
-          for (int64_t c = begin; c < end; ++c) {
+        [this, first](int64_t begin, int64_t end) {
+          for (int64_t c = first + begin; c < first + end; ++c) {
             if (plan_.chunks[c].last_row == 0)
-              NumberChunk(parts_, num_refined_, &drafts_[c], &plan_.chunks[c], &plan_);
+              NumberChunk(parts_, num_refined_, &drafts_[c - first], &plan_.chunks[c], &plan_);
           }
         },
         /*min_range=*/2);
+    drafts_.clear();
+  }
+
+  void MeasureTiles() {
     for (const Chunk& chunk : plan_.chunks) {
       int first_point = chunk.first_point;
       for (const Tile& tile : chunk.tiles) {
@@ -284,13 +292,14 @@ class Planner {
   EliminationPlan plan_;
   Communicator* const communicator_;
   const int num_threads_;
-  std::vector<int> num_refined_;    ///< observations per point with something to refine
-  std::vector<int> num_entries_;    ///< entries per point
-  std::vector<ChunkDraft> drafts_;  ///< per chunk
+  LargeVector<int> num_refined_;  ///< observations per point with something to refine
+  LargeVector<int> num_entries_;  ///< entries per point
+  size_t num_numbered_ = 0;
+  std::vector<ChunkDraft> drafts_;  ///< per chunk from num_numbered_ on
   PointEntries entries_{plan_, parts_};
   std::vector<int> part_slot_, image_slot_;  ///< slot in the current chunk; -1: not in it
   int64_t largest_chunk_ = 0;                ///< limit of chunks that grow
-  PairNumbers pair_numbers_;                 ///< numbers for the current chunk
+  PairNumbers pair_numbers_;                 ///< numbers of this chunk
 };
 
 EliminationPlan Plan(const AdjustmentProblem& problem, const ParameterLayout& layout,

@@ -7,6 +7,7 @@
 
 #include "core/interface/adjustment_problem.h"
 #include "core/model/parameter_layout.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -124,20 +125,20 @@ struct Chunk {
   struct Pair {
     uint16_t first, second;  ///< ascending by first, then second
   };
-  std::vector<Pair> pairs;
+  LargeVector<Pair> pairs;
   /// An image of the chunk: the index of each of its parts, and the block of each pair of them.
   struct Image {
     static constexpr uint16_t kNone = 0xffff;
     uint16_t part[kMaxParts] = {kNone, kNone, kNone};
     uint16_t cross[kMaxParts] = {kNone, kNone, kNone};  ///< CrossIndex
   };
-  std::vector<Image> images;
+  LargeVector<Image> images;
   std::vector<Tile> tiles;
-  std::vector<Tile::Block> tile_blocks;
-  std::vector<EntryPair> entry_pairs;
-  std::vector<Tile::Image> tile_images;
+  LargeVector<Tile::Block> tile_blocks;
+  LargeVector<EntryPair> entry_pairs;
+  LargeVector<Tile::Image> tile_images;
   /// Refined observations whose own products the chunk adds, by their numbers in the tile.
-  std::vector<uint16_t> tile_observations;
+  LargeVector<uint16_t> tile_observations;
 
   int num_blocks() const { return static_cast<int>(parts.size() + pairs.size()); }
 };
@@ -147,21 +148,21 @@ struct Chunk {
 inline constexpr int CrossIndex(int first, int second) { return first + second - 1; }
 
 struct EliminationPlan {
-  std::vector<int> point;      ///< index in the problem; free points, then constant ones
+  LargeVector<int> point;      ///< index in the problem; free points, then constant ones
   int num_free_points = 0;     ///< free points in `point`
-  std::vector<int64_t> first;  ///< first observation of each point, and the end
+  LargeVector<int64_t> first;  ///< first observation of each point, and the end
   /// Image per observation. The images of a point are in the order of their blocks in the layout,
   /// then images without free parameters.
-  std::vector<int32_t> image;
-  std::vector<double> xy;             ///< two numbers per observation
-  std::vector<double> inverse_sigma;  ///< one per observation; empty if the problem has no sigmas
-  std::vector<int32_t>
+  LargeVector<int32_t> image;
+  LargeVector<double> xy;             ///< two numbers per observation
+  LargeVector<double> inverse_sigma;  ///< one per observation; empty if the problem has no sigmas
+  LargeVector<int32_t>
       observation;  ///< index of each observation in the problem; empty unless requested
-  std::vector<uint16_t> image_in_chunk;  ///< per observation: index into Chunk::images
+  LargeVector<uint16_t> image_in_chunk;  ///< per observation: index into Chunk::images
   int num_kinds = 1;                     ///< ImageParts::num_kinds
   /// Per observation num_kinds numbers: the entry of its part in the tile, for free points. The
   /// first observation of an entry has the flag kFirstOfEntry.
-  std::vector<uint16_t> entry;
+  LargeVector<uint16_t> entry;
   static constexpr uint16_t kFirstOfEntry = 0x8000;
   int largest_tile_entries = 0;
   int largest_tile_points = 0;

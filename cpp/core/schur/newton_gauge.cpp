@@ -50,7 +50,7 @@ int NewtonGauge::Degrees(const AdjustmentProblem& problem, const ParameterLayout
 
 NewtonGauge::NewtonGauge(const AdjustmentProblem& problem, const ParameterLayout& layout,
                          int degrees, const CameraStates& cameras,
-                         const std::vector<double>& points)
+                         const LargeVector<double>& points)
     : degrees_(degrees),
       centre_(MeanCentre(cameras, problem.num_images).data()),
       unknowns_(GaugeDirections(problem, layout, cameras)),
@@ -66,8 +66,8 @@ Eigen::Vector3d NewtonGauge::FromCentre(int point) const {
   return Eigen::Map<const Eigen::Vector3d>(&points_[3 * size_t(point)]) - centre_;
 }
 
-void NewtonGauge::AddPoints(int first, int last, const std::vector<double>& d_squared,
-                            const std::vector<double>& q, Sums* sums) const {
+void NewtonGauge::AddPoints(int first, int last, const LargeVector<double>& d_squared,
+                            const LargeVector<double>& q, Sums* sums) const {
   const double scale = degrees_ == kNumGaugeDirections ? 1 : 0;
   for (int j = 0; j < 3; ++j) {
     const int next = (j + 1) % 3, after = (j + 2) % 3;

@@ -34,6 +34,7 @@
 #include "core/model/gauge.h"
 #include "core/model/parameter_layout.h"
 #include "core/schur/elimination_plan.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -57,12 +58,12 @@ class NewtonGauge {
 
   /// At a state of the cameras. Keeps a reference to the points, three numbers each.
   NewtonGauge(const AdjustmentProblem& problem, const ParameterLayout& layout, int degrees,
-              const CameraStates& cameras, const std::vector<double>& points);
+              const CameraStates& cameras, const LargeVector<double>& points);
 
   Row OfUnknown(size_t unknown) const;
   /// Adds points [first, last). Both arrays have 3 numbers for every point.
-  void AddPoints(int first, int last, const std::vector<double>& d_squared,
-                 const std::vector<double>& q, Sums* sums) const;
+  void AddPoints(int first, int last, const LargeVector<double>& d_squared,
+                 const LargeVector<double>& q, Sums* sums) const;
   /// N_X k of a point.
   Eigen::Vector3d MoveOfPoint(int point, const Row& k) const;
 
@@ -75,7 +76,7 @@ class NewtonGauge {
   const int degrees_;
   const Eigen::Vector3d centre_;
   const std::vector<double> unknowns_;  ///< unknowns x 7, row-major
-  const std::vector<double>& points_;
+  const LargeVector<double>& points_;
 };
 
 }  // namespace bundle

@@ -16,7 +16,7 @@ constexpr int kTilePoints = 4096;  // points may have no observations
 
 class ChunkNumbering {
  public:
-  ChunkNumbering(const ImageParts& parts, const std::vector<int>& num_refined, Chunk* chunk,
+  ChunkNumbering(const ImageParts& parts, const LargeVector<int>& num_refined, Chunk* chunk,
                  EliminationPlan* plan)
       : parts_(parts), num_refined_(num_refined), chunk_(*chunk), plan_(*plan) {}
 
@@ -78,9 +78,9 @@ class ChunkNumbering {
     std::vector<uint16_t> blocks, images, observations;
     std::vector<EntryPair> pairs;
     std::vector<int> count;
-    chunk_.entry_pairs.reserve(numbers.size());
-    chunk_.tile_observations.reserve(plan_.first[chunk_.last_point] -
-                                     plan_.first[chunk_.first_point]);
+    TileLists lists;
+    lists.entry_pairs.reserve(numbers.size());
+    lists.observations.reserve(plan_.first[chunk_.last_point] - plan_.first[chunk_.first_point]);
     const uint16_t* number = numbers.data();
     for (int p = chunk_.first_point; p < chunk_.last_point;) {
       blocks.clear();
@@ -119,18 +119,26 @@ class ChunkNumbering {
         num_entries += entries.size();
       } while (++p < chunk_.last_point && p - first_point < kTilePoints &&
                plan_.first[p + 1] - begin <= kTileObservations);
-      SortInto(blocks, pairs, chunk_.num_blocks(), &count, &chunk_.tile_blocks,
-               &chunk_.entry_pairs);
-      SortInto(images, observations, static_cast<int>(chunk_.images.size()), &count,
-               &chunk_.tile_images, &chunk_.tile_observations);
-      chunk_.tiles.push_back({p, static_cast<int>(chunk_.tile_blocks.size()),
-                              static_cast<int>(chunk_.tile_images.size())});
+      SortInto(blocks, pairs, chunk_.num_blocks(), &count, &lists.blocks, &lists.entry_pairs);
+      SortInto(images, observations, static_cast<int>(chunk_.images.size()), &count, &lists.images,
+               &lists.observations);
+      chunk_.tiles.push_back(
+          {p, static_cast<int>(lists.blocks.size()), static_cast<int>(lists.images.size())});
     }
-    chunk_.tile_images.shrink_to_fit();
-    chunk_.entry_pairs.shrink_to_fit();
-    chunk_.tile_blocks.shrink_to_fit();
     chunk_.tiles.shrink_to_fit();
+    // Each with the memory that it needs, once.
+    chunk_.tile_blocks.assign(lists.blocks.begin(), lists.blocks.end());
+    chunk_.entry_pairs.assign(lists.entry_pairs.begin(), lists.entry_pairs.end());
+    chunk_.tile_images.assign(lists.images.begin(), lists.images.end());
+    chunk_.tile_observations.assign(lists.observations.begin(), lists.observations.end());
   }
+
+  struct TileLists {
+    std::vector<Tile::Block> blocks;
+    std::vector<EntryPair> entry_pairs;
+    std::vector<Tile::Image> images;
+    std::vector<uint16_t> observations;
+  };
 
   /// Appends the items in the order of their keys, 0 to num_keys - 1, and the count for each key
   /// that occurs.
@@ -172,14 +180,14 @@ class ChunkNumbering {
   }
 
   const ImageParts& parts_;
-  const std::vector<int>& num_refined_;
+  const LargeVector<int>& num_refined_;
   Chunk& chunk_;
   EliminationPlan& plan_;
 };
 
 }  // namespace
 
-void NumberChunk(const ImageParts& parts, const std::vector<int>& num_refined, ChunkDraft* draft,
+void NumberChunk(const ImageParts& parts, const LargeVector<int>& num_refined, ChunkDraft* draft,
                  Chunk* chunk, EliminationPlan* plan) {
   ChunkNumbering(parts, num_refined, chunk, plan).Number(draft);
 }

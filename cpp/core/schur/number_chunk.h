@@ -19,7 +19,7 @@ struct ChunkDraft {
 /// into tiles with their lists. Writes the entries of its observations to the plan, and frees the
 /// draft. `num_refined`: per point of the plan, its observations with something to refine. Chunks
 /// of different points may be numbered at the same time.
-void NumberChunk(const ImageParts& parts, const std::vector<int>& num_refined, ChunkDraft* draft,
+void NumberChunk(const ImageParts& parts, const LargeVector<int>& num_refined, ChunkDraft* draft,
                  Chunk* chunk, EliminationPlan* plan);
 
 }  // namespace bundle

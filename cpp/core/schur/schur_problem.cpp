@@ -47,7 +47,7 @@ SchurProblem::SchurProblem(const AdjustmentProblem& problem, const ParameterLayo
       states_{State(problem, layout, plan_), State(problem, layout, plan_)},
       step_(problem, layout),
       other_step_(problem, layout),
-      squared_scale_(x_->points.size()),
+      squared_scale_(x_->points.size(), 0.0),
       sums_(input_, structure_, assembler_, setup_.parts.num_own_parts(), pool_.num_threads(),
             solver->NeedsCameraDiagonal(),
             /*keeps_error_terms=*/setup_.sums == SumOrder::kSections),
@@ -80,9 +80,9 @@ void SchurProblem::Reset(const SolveOptions& options) {
 
 void SchurProblem::FreeSteps() {
   sums_.FreeSystem();
-  for (std::vector<double>* values :
-       {&candidate_->points, &squared_scale_, &points_p_, &points_q_, &points_d_squared_})
-    std::vector<double>().swap(*values);
+  for (LargeVector<double>* values : {&candidate_->points, &squared_scale_, &points_p_, &points_q_,
+                                      &points_d_squared_, &points_line_})
+    LargeVector<double>().swap(*values);
 }
 
 NewtonResult SchurProblem::SolveNewton(double eta) {
@@ -140,9 +140,11 @@ StepLine SchurProblem::LineAlongStep() {
   }
   StepLine line;
   line.slope = SlopeAt(*x_);
-  for (const std::vector<double>* d : {&line_, &points_line_}) {
-    for (const double value : *d) line.max_norm = std::max(line.max_norm, std::abs(value));
-  }
+  const auto add = [&](const auto& step) {
+    for (const double value : step) line.max_norm = std::max(line.max_norm, std::abs(value));
+  };
+  add(line_);
+  add(points_line_);
   line.max_norm = MaxOverRanks(communicator_, line.max_norm);
   return line;
 }

@@ -22,6 +22,7 @@
 #include "core/schur/kernels/kernels.h"
 #include "core/schur/schur_setup.h"
 #include "core/schur/state_records.h"
+#include "core/scratch/large_vector.h"
 #include "core/sums/communicator.h"
 #include "core/sums/double_double.h"
 
@@ -93,7 +94,7 @@ class SchurProblem final : public LeastSquares {
 
   /// Camera parameters and points (as in ProblemView) at the state.
   const CameraStates& cameras() const { return x_->cameras(); }
-  std::vector<double> Points() const { return x_->AllPoints(plan_); }
+  LargeVector<double> Points() const { return x_->AllPoints(plan_); }
 
  private:
   EliminationInput WithPriors(EliminationInput input) const;
@@ -168,7 +169,7 @@ class SchurProblem final : public LeastSquares {
   std::vector<std::vector<double>> product_parts_;  ///< per chunk, for MultiplySchur
   CameraStep step_;
   CameraStep other_step_;
-  std::vector<double> squared_scale_;  ///< per column of each point
+  LargeVector<double> squared_scale_;  ///< per column of each point
   OrderedSums sums_;
   std::unique_ptr<SumGrid> grid_;       ///< nullptr: the sums need no grid
   std::vector<double> observed_norms_;  ///< ||J e_j||^2 at the last use of the grid
@@ -180,10 +181,11 @@ class SchurProblem final : public LeastSquares {
   std::vector<double> d_squared_;  ///< D^2 of the camera parameters
   std::vector<double> newton_;     ///< camera parameters of the Newton direction
   std::vector<double> gradient_direction_;
-  std::vector<double> points_p_, points_q_;
-  std::vector<double> points_d_squared_;  ///< D^2 of the points; empty if the world is fixed
+  LargeVector<double> points_p_, points_q_;
+  LargeVector<double> points_d_squared_;  ///< D^2 of the points; empty if the world is fixed
   int gauge_degrees_ = -1;  ///< degrees of freedom of the gauge, for doglegs; -1: not known yet
-  std::vector<double> line_, points_line_;  ///< the last step, not projected
+  std::vector<double> line_;
+  LargeVector<double> points_line_;  ///< the last step, not projected
   DoglegProducts products_;
   const StateBounds bounds_;
   std::vector<uint8_t> active_;

@@ -19,6 +19,7 @@
 #include "core/linear/block_structure.h"
 #include "core/parallel/thread_pool.h"
 #include "core/schur/elimination_plan.h"
+#include "core/scratch/large_vector.h"
 #include "core/sums/point_sections.h"
 
 namespace bundle {
@@ -56,7 +57,7 @@ class PointSorter {
     DealOutPoints();
     ParallelFor(static_cast<int64_t>(keys_.size()), num_threads_,
                 [this](int64_t begin, int64_t end) { PlacePoints(begin, end); });
-    std::vector<Key>().swap(keys_);
+    LargeVector<Key>().swap(keys_);
     MakeRoom();
     ParallelFor(problem_.num_points, num_threads_,
                 [this](int64_t begin, int64_t end) { CopyObservations(begin, end); });
@@ -91,7 +92,7 @@ class PointSorter {
     }
     std::partial_sum(begin_.begin(), begin_.end(), begin_.begin());
     by_point_.resize(begin_.back());
-    std::vector<int64_t> next(begin_.begin(), begin_.end() - 1);
+    LargeVector<int64_t> next(begin_.begin(), begin_.end() - 1);
     for (int64_t i = 0; i < problem_.num_observations; ++i) {
       if (IsWanted(i)) by_point_[next[problem_.observation_point[i]]++] = Ranked(i);
     }
@@ -149,7 +150,7 @@ class PointSorter {
     std::partial_sum(bucket_begin_.begin(), bucket_begin_.end(), bucket_begin_.begin());
     std::partial_sum(first_observation_.begin(), first_observation_.end(),
                      first_observation_.begin());
-    std::vector<Key> dealt(bucket_begin_.back());
+    LargeVector<Key> dealt(bucket_begin_.back());
     std::vector<int64_t> next(bucket_begin_.begin(), bucket_begin_.end() - 1);
     for (const Key& key : keys_) {
       if (key.bucket >= 0) dealt[next[key.bucket]++] = key;
@@ -238,16 +239,16 @@ class PointSorter {
   const bool active_;
   const int num_threads_;
   const bool keep_order_;
-  std::vector<uint16_t> sections_;  ///< used if the problem has no sections
+  LargeVector<uint16_t> sections_;  ///< used if the problem has no sections
   const uint16_t* section_ =
       nullptr;           ///< section per point of the problem; nullptr: sections are not used
   int num_buckets_ = 0;  ///< numbers of buckets of free points, and of fixed points
-  std::vector<int64_t> begin_;  ///< per point of the problem: its begin in by_point_; then the end
-  std::vector<uint64_t> by_point_;
-  std::vector<Key> keys_;  ///< keys of the points of the problem, then of those in the plan
+  LargeVector<int64_t> begin_;  ///< per point of the problem: its begin in by_point_; then the end
+  LargeVector<uint64_t> by_point_;
+  LargeVector<Key> keys_;  ///< keys of the points of the problem, then of those in the plan
   std::vector<int64_t> bucket_begin_;       ///< in keys_, then in plan_.point
   std::vector<int64_t> first_observation_;  ///< per bucket in the plan
-  std::vector<int64_t> place_;              ///< per point: place of its observations in the plan
+  LargeVector<int64_t> place_;              ///< per point: place of its observations in the plan
   EliminationPlan plan_;
 };
 

@@ -124,8 +124,8 @@ void State::MoveAnchors() {
   if (cameras_.MoveAnchors()) Update();
 }
 
-std::vector<double> State::AllPoints(const EliminationPlan& plan) const {
-  std::vector<double> all(problem_.points,
+LargeVector<double> State::AllPoints(const EliminationPlan& plan) const {
+  LargeVector<double> all(problem_.points,
                           problem_.points + 3 * static_cast<int64_t>(problem_.num_points));
   for (int p = 0; p < plan.num_free_points; ++p) {
     std::copy_n(&points[3 * int64_t{p}], 3, &all[3 * int64_t{plan.point[p]}]);

@@ -9,6 +9,7 @@
 #include "core/schur/elimination_plan.h"
 #include "core/schur/held_residuals.h"
 #include "core/schur/kernels/kernels.h"
+#include "core/scratch/large_vector.h"
 #include "core/sums/double_double.h"
 
 namespace bundle {
@@ -40,11 +41,11 @@ class State {
   StateRecords CandidateRecords(const StateRecords& before, int chunk);
   const CameraStates& cameras() const { return cameras_; }
   /// Returns all points of the problem, in its order.
-  std::vector<double> AllPoints(const EliminationPlan& plan) const;
+  LargeVector<double> AllPoints(const EliminationPlan& plan) const;
   DoubleDouble FreePointsSquared(const EliminationPlan& plan) const;
 
   std::vector<double> camera_state;
-  std::vector<double> points;  ///< three numbers per point of the plan
+  LargeVector<double> points;  ///< three numbers per point of the plan
   HeldResiduals held;
 
  private:

@@ -16,6 +16,7 @@
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/schur_problem.h"
+#include "core/scratch/large_vector.h"
 #include "core/solver/summarize_fused.h"
 
 namespace bundle {
@@ -69,7 +70,7 @@ class FusedSolver {
   std::string linear_solver_choice_;
   bool is_implicit_ = false;  ///< conjugate gradients without S
   ParameterLayout layout_;
-  std::vector<int64_t> track_lengths_;  ///< freed once the memory is predicted
+  LargeVector<int64_t> track_lengths_;  ///< freed once the memory is predicted
   BlockStructure structure_;            ///< moved to the problem
   FillOrdering ordering_;               ///< ordering of the sparse structure
   double working_bytes_ = 0;            ///< bytes in addition to the system

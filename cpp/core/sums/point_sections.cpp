@@ -24,13 +24,13 @@ int NumPointSections(int64_t num_observations) {
   return sections;
 }
 
-std::vector<uint16_t> FindPointSections(int num_images, int num_points, int64_t num_observations,
+LargeVector<uint16_t> FindPointSections(int num_images, int num_points, int64_t num_observations,
                                         const int32_t* observation_image,
                                         const int32_t* observation_point, int num_threads) {
   const auto count = static_cast<size_t>(num_points);
   // Points that no image sees are last.
-  std::vector<int> first(count, num_images), seen(count);
-  std::vector<int> last(count, -1);
+  LargeVector<int> first(count, num_images), seen(count, 0);
+  LargeVector<int> last(count, -1);
   for (int64_t i = 0; i < num_observations; ++i) {
     const int point = observation_point[i], image = observation_image[i];
     first[point] = std::min(first[point], image);
@@ -41,7 +41,7 @@ std::vector<uint16_t> FindPointSections(int num_images, int num_points, int64_t 
                             2);  // begin of the points of each image
   for (const int image : first) ++begin[image + 1];
   std::partial_sum(begin.begin(), begin.end(), begin.begin());
-  std::vector<uint64_t> order(count);  // last image and index
+  LargeVector<uint64_t> order(count);  // last image and index
   std::vector<size_t> next(begin.begin(), begin.end() - 1);
   for (size_t p = 0; p < count; ++p) {
     order[next[first[p]]++] = static_cast<uint64_t>(last[p] + 1) << 32 | p;
@@ -52,7 +52,7 @@ std::vector<uint16_t> FindPointSections(int num_images, int num_points, int64_t 
                 order.begin() + static_cast<int64_t>(begin[i + 1]));
     }
   });
-  std::vector<uint16_t> section(count);
+  LargeVector<uint16_t> section(count);
   const int64_t total = num_observations, sections = NumPointSections(total);
   int64_t before = 0;
   for (const uint64_t key : order) {

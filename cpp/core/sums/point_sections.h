@@ -22,6 +22,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/scratch/large_vector.h"
+
 namespace bundle {
 
 /// K for a number of observations.
@@ -29,7 +31,7 @@ int NumPointSections(int64_t num_observations);
 
 /// Section of each point of a problem that is not divided among ranks. Observation i is of point
 /// observation_point[i] in image observation_image[i].
-std::vector<uint16_t> FindPointSections(int num_images, int num_points, int64_t num_observations,
+LargeVector<uint16_t> FindPointSections(int num_images, int num_points, int64_t num_observations,
                                         const int32_t* observation_image,
                                         const int32_t* observation_point, int num_threads);
 

@@ -76,6 +76,7 @@ def _refine(parser: Parser) -> None:
     add_fields(parser, "LocalOptions")
     add_options(parser, "LoopOptions", "loops")
     add_options(parser, "CheckpointOptions", "runs that may be killed")
+    add_options(parser, "OutOfCoreOptions", "problems that are larger than the memory")
     parser.add_argument(
         "--html",
         metavar="FILE",

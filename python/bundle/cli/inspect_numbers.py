@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 from time import perf_counter
 
+import bundle._core as _core
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.option_flags import options_given
 from bundle.cli.output import publish
 from bundle.errors import InputError
 from bundle.interface.inspect_options import GraphFileOptions, RankOptions, ShapeOptions
 from bundle.interface.options import SolveOptions
+from bundle.planning.inspection.problem_needs import needs_of
 from bundle.planning.inspection.schur_counts import count_schur
 from bundle.reports.terminal.inspect_shape import inspected
 
@@ -24,7 +26,8 @@ def run(arguments: argparse.Namespace) -> int:
     cameras, points, track = options_given(arguments, ShapeOptions).counts()
     counts = count_schur(cameras, points, track)
     shape = {"num_cameras": cameras, "num_points": points, "track_length": track}
-    publish(inspected(shape, counts, perf_counter() - started), arguments)
+    needs = needs_of(cameras, points, points * track, _core.available_memory())
+    publish(inspected(shape, counts, needs, perf_counter() - started), arguments)
     return EXIT_DONE
 
 

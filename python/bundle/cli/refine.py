@@ -22,6 +22,7 @@ from bundle.cli.georeference_flags import (
     main_flag,
 )
 from bundle.cli.inertial_flags import adjusted_with_imu
+from bundle.cli.on_disk import on_disk, with_disk_use
 from bundle.cli.option_flags import naming_flags
 from bundle.cli.output import publish
 from bundle.cli.problem_edits import (
@@ -63,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_flags_of_graphs(arguments)
     started = perf_counter()
     asked = Refinement.of(arguments)
-    with Progress(quiet=arguments.quiet) as progress:
+    with on_disk(asked), Progress(quiet=arguments.quiet) as progress:
         opened = open_input(asked, progress)
         if asked.check_gradients and _has_wrong_jacobians(asked, opened, progress):
             return EXIT_NO_SOLUTION
@@ -98,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
         *told, lost, beside, georeference, opened.edits, closed, findings, waiting,
         attitudes, inertial, sigmas,
     )  # fmt: skip
-    publish(report, asked)
+    publish(with_disk_use(report, asked), asked)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE
     if asked.json == "-":  # standard output has only the JSON report

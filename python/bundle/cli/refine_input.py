@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from bundle.cli.carried_georeference import check_georeference, georeference_at
 from bundle.cli.georeference_flags import priors_of
+from bundle.cli.on_disk import input_on_disk
 from bundle.cli.option_flags import with_named_images
 from bundle.cli.output import check_replaced, same_images
 from bundle.cli.problem_edits import cameras_edited, with_rigs, with_shutters
@@ -61,8 +62,10 @@ def open_input(asked: Refinement, progress: Progress) -> Opened:
     source = asked.source
     progress.stage(f"reading {shown(source)}")
     begun = perf_counter()
-    sliced = None
-    if asked.is_plain:
+    sliced: SlicedRefinement | None = None
+    if asked.disk.out_of_core is not None:
+        sliced = input_on_disk(asked)
+    elif asked.is_plain:
         sliced = sliced_input(source, asked.target, asked.format, asked.options)
     loaded = load(source, progress.text, asked.reading) if sliced is None else sliced.cameras
     load_time = perf_counter() - begun

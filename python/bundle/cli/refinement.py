@@ -6,6 +6,7 @@ Only this file reads the arguments; all later steps use typed options.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ from bundle.interface.camera_edit_options import LensOptions, RuleOptions
 from bundle.interface.georeference_options import GeoreferenceOptions
 from bundle.interface.loop_options import LoopOptions
 from bundle.interface.options import SolveOptions
+from bundle.interface.out_of_core_options import OutOfCoreOptions
 from bundle.interface.rolling_shutter_options import ShutterOptions
 from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
 from bundle.interface.validation_options import HoldOutOptions
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
 __all__ = ["Refinement"]
 
 _OF_PLAIN = {"source", "target", "format", "overwrite", "json", "given", "verbose", "checkpoints"}
-_OF_PLAIN |= {"options", "fixed_images", "constraints"}  # constraints: parsed rules
+_OF_PLAIN |= {"options", "fixed_images", "constraints", "disk"}  # constraints: parsed rules
 """Fields that a refinement in slices serves, too; any other makes it more than plain."""
 
 
@@ -66,6 +68,7 @@ class Refinement:
         constraints: the parsed rules.
         inertial: files of an IMU, or None.
         checkpoints: checkpoint files, for a run that may be killed.
+        disk: folder for observations and points on disk.
         given: flags that the next command of a finding repeats.
     """
 
@@ -92,6 +95,7 @@ class Refinement:
     constraints: Constraints | tuple[()]
     inertial: InertialFiles | None
     checkpoints: CheckpointOptions
+    disk: OutOfCoreOptions
     given: tuple[str, ...]
 
     @staticmethod
@@ -143,14 +147,23 @@ class Refinement:
             constraints=constraints,
             inertial=inertial_given(arguments),
             checkpoints=_checkpoints_given(arguments),
+            disk=options_given(arguments, OutOfCoreOptions),
             given=repeated_flags(arguments),
         )
 
     @property
     def is_plain(self) -> bool:
         """True for a single solve of the complete, unchanged INPUT without further steps."""
-        values = (getattr(self, name) for name in set(self.__dataclass_fields__) - _OF_PLAIN)
-        return not any(v.changed() if hasattr(v, "changed") else v for v in values)
+        return not self.steps_beyond()
+
+    def steps_beyond(self, plain: Set[str] = frozenset(_OF_PLAIN)) -> tuple[str, ...]:
+        """Return the names of options that ask for more than a plain solve, sorted."""
+        found: list[str] = []
+        for name in set(self.__dataclass_fields__) - plain:
+            value = getattr(self, name)
+            changed = value.changed() if hasattr(value, "changed") else bool(value)
+            found += changed if isinstance(changed, dict) else [name] if changed else []
+        return tuple(sorted(found))
 
     def options_beside(self) -> dict[str, Any]:
         """Return, for the report, the given options in addition to those of the solve."""
@@ -162,6 +175,7 @@ class Refinement:
             **held_out,
             **local,
             **self.checkpoints.changed(),
+            **self.disk.changed(),
             **rules_as_options(self.rules),
         }
 

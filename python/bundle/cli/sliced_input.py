@@ -14,7 +14,7 @@ from bundle.solving.ranks.launch import current
 if TYPE_CHECKING:
     from bundle.solving.slices.sliced_refinement import SlicedRefinement
 
-__all__ = ["sliced_input"]
+__all__ = ["COMPRESSED", "sliceable_format", "sliced_input"]
 
 COMPRESSED = (".gz", ".bz2")
 
@@ -46,7 +46,7 @@ def sliced_input(
     recover(path)
     if (path / ROLLING_SHUTTER).is_file():  # slices know only global shutters
         return None
-    source_format = _format(path)
+    source_format = sliceable_format(path)
     if source_format is None:
         return None
     target_format = output_format(source_format, target, format, source)
@@ -58,7 +58,7 @@ def sliced_input(
     return SlicedRefinement(crew, path)
 
 
-def _format(source: Path) -> str | None:
+def sliceable_format(source: Path) -> str | None:
     """Return "bal" or "colmap" for inputs that can be read in slices, otherwise None."""
     if source.is_file():
         return "bal" if imported_format(source) is None else None

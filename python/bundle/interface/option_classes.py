@@ -26,6 +26,7 @@ OPTION_CLASSES = {
     "LensOptions": "camera_edit_options",
     "LocalOptions": "round_options",
     "LoopOptions": "loop_options",
+    "OutOfCoreOptions": "out_of_core_options",
     "PoseGraphOptions": "pose_graph_options",
     "RankOptions": "inspect_options",
     "RoundOptions": "round_options",

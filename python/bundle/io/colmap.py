@@ -34,6 +34,7 @@ from bundle.model.pycolmap.deferred_source import DeferredSource
 from bundle.model.pycolmap.problem_source import LOST_SIGMAS, is_colmap
 
 __all__ = [
+    "NO_PROJECTION",
     "can_rewrite",
     "check_save",
     "load",
@@ -64,7 +65,7 @@ _SHARED_ARRAYS = (
 )
 _SHARED_NAMES = ("image_names", "camera_models")
 
-_NO_PROJECTION = math.sqrt(sys.float_info.max)
+NO_PROJECTION = math.sqrt(sys.float_info.max)
 """COLMAP's reprojection error of a point behind its camera."""
 
 
@@ -286,7 +287,7 @@ def point_errors(
         point: (num_observations,) index of the point.
         num_points: number of points.
     """
-    errors = np.where(behind | np.isnan(errors), _NO_PROJECTION, errors)
+    errors = np.where(behind | np.isnan(errors), NO_PROJECTION, errors)
     counts = np.bincount(point, minlength=num_points)
     sums = np.bincount(point, weights=errors, minlength=num_points)
     return np.where(counts > 0, sums / np.maximum(counts, 1), -1.0)

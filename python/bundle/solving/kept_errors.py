@@ -192,7 +192,7 @@ def _on_both(
     return start.chosen(both), after.chosen(both), is_all
 
 
-def _inlier_sums(
+def inlier_sums(
     before: NDArray[np.float64], after: NDArray[np.float64], limit: float
 ) -> NDArray[np.float64]:
     """Return sums from which ``Inliers.of_sums`` makes statistics; sums of processes add up."""
@@ -240,7 +240,7 @@ def measure(
     start, end, is_all = _on_both(before, after, kept)
     behind = (before.behind if kept is None else before.behind[kept]).sum(), after.behind.sum()
     numbers = totals.add_up(np.array([not is_all, len(after.errors), *behind]))
-    sums = totals.add_up(_inlier_sums(start.errors, end.errors, limit)) if limit else None
+    sums = totals.add_up(inlier_sums(start.errors, end.errors, limit)) if limit else None
     is_all = totals.tell(None if numbers is None else not numbers[0])
     joint = None if is_all else (totals.summarize(start), totals.summarize(end))
     first, last = totals.summarize(before), totals.summarize(after)

@@ -49,7 +49,7 @@ SolveSummary Judge(const Scene& scene, const std::vector<double>& points, int64_
   SolveOutput output;
   output.cam_from_world = scene.cam_from_world;
   output.camera_params = scene.camera_params;
-  output.points = points;
+  output.points.assign(points.begin(), points.end());
   output.summary.is_solution_usable = true;
   JudgeLostObservations(view, layout, options, num_held, &output);
   return output.summary;

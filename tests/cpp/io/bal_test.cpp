@@ -25,6 +25,11 @@ using testing::Scene;
 using testing::SceneOptions;
 using testing::TemporaryFolder;
 
+template <typename T>
+std::vector<T> Copied(const LargeVector<T>& values) {
+  return {values.begin(), values.end()};
+}
+
 Scene BalScene() {
   SceneOptions options;
   options.model = "RADIAL";
@@ -78,10 +83,13 @@ bool Reads(const std::filesystem::path& path) {
     for (const int32_t point : problem.observation_point) {
       EXPECT_TRUE(point >= 0 && point < num_points);
     }
-    for (const auto* values : {&problem.cam_from_world, &problem.camera_params, &problem.points,
-                               &problem.observation_xy}) {
-      for (const double value : *values) EXPECT_TRUE(std::isfinite(value));
-    }
+    const auto are_finite = [](const auto& values) {
+      for (const double value : values) EXPECT_TRUE(std::isfinite(value));
+    };
+    are_finite(problem.cam_from_world);
+    are_finite(problem.camera_params);
+    are_finite(problem.points);
+    are_finite(problem.observation_xy);
     return true;
   } catch (const InputError& error) {
     const std::string message = error.what();
@@ -102,10 +110,10 @@ TEST(Bal, WhatIsWrittenIsRead) {
   for (const Compression compression : kCompressions) {
     const BalProblem read =
         ReadBal(Write(scene, folder.path() / "problem.txt", compression), nullptr);
-    EXPECT_EQ(read.observation_image, scene.observation_image);
-    EXPECT_EQ(read.observation_point, scene.observation_point);
-    EXPECT_EQ(read.observation_xy, scene.observation_xy);
-    EXPECT_EQ(read.points, scene.points);
+    EXPECT_EQ(Copied(read.observation_image), scene.observation_image);
+    EXPECT_EQ(Copied(read.observation_point), scene.observation_point);
+    EXPECT_EQ(Copied(read.observation_xy), scene.observation_xy);
+    EXPECT_EQ(Copied(read.points), scene.points);
     ASSERT_EQ(read.cam_from_world.size(), scene.cam_from_world.size());
     for (size_t i = 0; i < read.cam_from_world.size(); ++i) {
       EXPECT_NEAR(read.cam_from_world[i], scene.cam_from_world[i], 1e-15);

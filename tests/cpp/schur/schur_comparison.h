@@ -62,7 +62,8 @@ class Comparison {
         prepared_(Prepare(problem_, options, dense)),
         solver_(Structure(problem_, layout(), dense)),
         schur_(problem_, layout(), options, Structure(problem_, layout(), dense), &solver_),
-        first_(problem_, layout(), options, CameraStates(problem_, layout()), scene.points),
+        first_(problem_, layout(), options, CameraStates(problem_, layout()),
+               LargeVector<double>(scene.points.begin(), scene.points.end())),
         damping_(first_) {}
 
   const ParameterLayout& layout() const { return prepared_.layout; }
@@ -184,7 +185,7 @@ class Comparison {
     for (const auto& more : {schur_.cameras().RigFromWorld(), schur_.cameras().SensorFromRig()}) {
       quaternions.insert(quaternions.end(), more.begin(), more.end());
     }
-    const std::vector<double> points = schur_.Points();
+    const auto points = schur_.Points();
     for (int p = 0; p < NumPoses(problem_); ++p) {
       const int camera = p < problem_.num_images ? problem_.image_camera[p] : 0;
       AddSquares(layout().pose_block(p), p, camera, quaternions, &sum);

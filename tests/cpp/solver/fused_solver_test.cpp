@@ -256,7 +256,7 @@ TEST(SolveWithFused, LeavesAStepThatIsInterruptedAsCeresDoes) {
         Scene solved = scene;
         solved.cam_from_world = output.cam_from_world;
         solved.camera_params = output.camera_params;
-        solved.points = output.points;
+        solved.points.assign(output.points.begin(), output.points.end());
         EXPECT_NEAR(static_cast<double>(testing::ProblemCost(solved.View(), options)), least,
                     1e-9 * least);
       }

@@ -64,7 +64,7 @@ class LinearizedProblem {
  public:
   LinearizedProblem(const AdjustmentProblem& problem, const ParameterLayout& layout,
                     const SolveOptions& options, const CameraStates& cameras,
-                    const std::vector<double>& points)
+                    const LargeVector<double>& points)
       : num_camera_columns(layout.state_size()), point_column_(problem.num_points, -1) {
     num_columns = num_camera_columns;
     for (int p = 0; p < problem.num_points; ++p) {
@@ -111,7 +111,7 @@ class LinearizedProblem {
  private:
   /// By the factor's own Jacobian (problem_factors_test.cpp has differences).
   void AddFactor(const ChartedFactor& charted, const ParameterLayout& layout,
-                 const CameraStates& cameras, const std::vector<double>& points) {
+                 const CameraStates& cameras, const LargeVector<double>& points) {
     const Factor& factor = charted.factor();
     const int size = charted.num_residuals();
     std::vector<double> residual(size), jacobian(size * charted.num_columns() + 1);
@@ -160,7 +160,7 @@ class LinearizedProblem {
   template <typename Model>
   void AddObservation(const AdjustmentProblem& problem, const ParameterLayout& layout,
                       const SolveOptions& options, const CameraStates& cameras,
-                      const std::vector<double>& points, int64_t i) {
+                      const LargeVector<double>& points, int64_t i) {
     constexpr int kParams = kNumParams<Model>;
     const int image = problem.observation_image[i], point = problem.observation_point[i];
     const int camera = problem.image_camera[image];

@@ -15,8 +15,19 @@
 #include "core/cameras/registry.h"
 #include "core/geometry/rotation.h"
 #include "core/interface/adjustment_problem.h"
+#include "core/scratch/large_vector.h"
 #include "core/sums/point_sections.h"
 #include "support/camera_params.h"
+
+namespace bundle {
+
+/// For EXPECT_EQ of an array of the core and one of a test.
+template <typename T>
+bool operator==(const LargeVector<T>& a, const std::vector<T>& b) {
+  return std::equal(a.begin(), a.end(), b.begin(), b.end());
+}
+
+}  // namespace bundle
 
 namespace bundle::testing {
 
@@ -317,8 +328,10 @@ inline void AddUnobserved(Scene* scene) {
 
 /// Sections of the points of a problem.
 inline std::vector<uint16_t> SectionsOf(const ProblemView& problem, int num_threads) {
-  return FindPointSections(problem.num_images, problem.num_points, problem.num_observations,
-                           problem.observation_image, problem.observation_point, num_threads);
+  const auto found =
+      FindPointSections(problem.num_images, problem.num_points, problem.num_observations,
+                        problem.observation_image, problem.observation_point, num_threads);
+  return {found.begin(), found.end()};
 }
 
 }  // namespace bundle::testing

@@ -42,7 +42,6 @@ from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 from bundle.model.sequence.imu_noise import ImuNoise
 from bundle.model.sequence.sequence import check_imu
-from bundle.model.sequence.stamp_units import other_unit
 from bundle.solving.kept_errors import Edit
 from bundle.solving.result import Result
 from bundle.solving.solve import solve
@@ -62,9 +61,6 @@ GYRO_BIAS_SIGMA, ACCEL_BIAS_SIGMA = 0.1, 0.3
 LEAST_IMAGES = 5
 MOST_SCALE_SIGMA = 0.5
 """Relative standard deviation of the first scale, beyond which the motion does not determine it."""
-MOST_APART, LEAST_APART = 0.25, 3.0
-"""Difference of rotations between images and gyroscope beyond which they do not belong together, as
-a share of the rotation, and in degrees."""
 ROUNDS = 3
 
 
@@ -164,8 +160,6 @@ def _checked(problem: Problem, options: SolveOptions | None) -> SolveOptions:
         raise InputError("imu: expected poses that are refined, found fixed images or poses")
     if options.fixed_point_ids:
         raise InputError("imu: expected points that are refined, found fixed points")
-    if options.gauge not in ("auto", "none"):
-        raise InputError(f"imu: expected the gauge auto or none, found {options.gauge}")
     if options.backend not in ("auto", "ceres"):
         raise InputError(f"imu: expected the backend auto or ceres, found {options.backend}")
     solver = options.linear_solver_type
@@ -196,11 +190,10 @@ def _intervals(samples: ImuSamples, stamps: NDArray[np.int64]) -> list[ImuInterv
     outside = (stamps < first) | (stamps > last)
     if outside.any():
         found = int(stamps[np.flatnonzero(outside)[0]])
-        unit = other_unit(samples.timestamps_ns, stamps) if outside.all() else ""
         how = "all images are" if outside.all() else f"{int(outside.sum())} images are"
         raise InputError(
             f"imu: expected images between the samples ({first} to {last} ns), found {found}: "
-            f"{how} outside{unit}"
+            f"{how} outside"
         )
     steps = np.flatnonzero(np.diff(stamps) <= 0)
     if len(steps):
@@ -230,7 +223,6 @@ def _start(
         GRAVITY,
         RULE,
     )
-    _check_turns(start.turns)
     if not (start.scale > 0 and start.scale_sigma < MOST_SCALE_SIGMA):
         raise InputError(
             "imu: expected a motion that determines the scale, found "
@@ -242,23 +234,6 @@ def _start(
     middle = problem.projection_centers.mean(axis=0)
     similarity = Similarity(start.scale, level, -start.scale * level @ middle)
     return start, moved(problem, similarity), similarity
-
-
-def _check_turns(turns: tuple[float, float, float]) -> None:
-    """Refuse a gyroscope whose rotations are not those of the images.
-
-    Raises:
-        InputError: both differ by much more than the images' errors.
-    """
-    images, gyro, apart = np.degrees(turns).tolist()
-    if not apart > LEAST_APART + MOST_APART * max(images, min(gyro, 180.0)):
-        return
-    raise InputError(
-        f"imu: expected the rotations of images and gyroscope to agree, found medians of "
-        f"{images:.3g} and {gyro:.3g} degrees in a second, {apart:.3g} degrees apart: axes, "
-        "units (degrees per second?) or times of IMU and camera_from_imu do not belong to these "
-        "images"
-    )
 
 
 def _level(down: Array) -> Array:

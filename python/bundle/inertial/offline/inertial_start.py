@@ -47,8 +47,6 @@ ACCEL_BIAS_SIGMA = 0.2
 """Standard deviation of the prior on the accelerometer's bias, m/s^2."""
 POSITION_SIGMA = 0.02
 """Assumed standard deviation of a position over a segment, m; weighs the prior."""
-WINDOW = 1.0
-"""Seconds over which rotations of images and gyroscope are compared."""
 STEPS, SPHERE_STEPS = 8, 6
 
 
@@ -63,8 +61,6 @@ class InertialStart(NamedTuple):
         accel_bias: (3,) m/s^2.
         velocities: (n, 3) of the IMU at the images, along the axes of the model, m/s.
         rms: root mean square of the residuals of positions in metres.
-        turns: median rotation in about a second by the images, by the gyroscope, and between
-            both, in radians.
     """
 
     scale: float
@@ -74,7 +70,6 @@ class InertialStart(NamedTuple):
     accel_bias: Array
     velocities: Array
     rms: float
-    turns: tuple[float, float, float]
 
 
 class _Rows(NamedTuple):
@@ -122,7 +117,7 @@ def solve_inertial_start(
         gravity: length of gravity, m/s^2.
         rule: rule of preintegration.
     """
-    gyro_bias, turns = _gyro_bias(rotations, intervals, noise, rule)
+    gyro_bias = _gyro_bias(rotations, intervals, noise, rule)
     motions = preintegrated(intervals, noise, np.append(gyro_bias, np.zeros(3)), rule)
     times = np.cumsum([0.0, *(motion.duration for motion in motions)])
     parts = _segments(times)
@@ -154,14 +149,11 @@ def solve_inertial_start(
         accel_bias=x[4:7],
         velocities=velocities,
         rms=rms,
-        turns=turns,
     )
 
 
-def _gyro_bias(
-    rotations: Array, intervals: list[ImuInterval], noise: ImuNoise, rule: str
-) -> tuple[Array, tuple[float, float, float]]:
-    """Return the bias for which preintegrated rotations are those of the images, and turns."""
+def _gyro_bias(rotations: Array, intervals: list[ImuInterval], noise: ImuNoise, rule: str) -> Array:
+    """Return the bias for which preintegrated rotations are those of the images."""
     bias = np.zeros(3)
     between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]
     for _ in range(STEPS):
@@ -177,22 +169,7 @@ def _gyro_bias(
         bias = bias + step
         if np.linalg.norm(step) < 1e-10:
             break
-    duration = float(np.median([motion.duration for motion in motions]))
-    count = min(max(round(WINDOW / duration), 1), len(deltas))
-    images = np.swapaxes(rotations[:-count], 1, 2) @ rotations[count:]
-    gyro = deltas[: len(images)]
-    for k in range(1, count):
-        gyro = gyro @ deltas[k : k + len(images)]
-    return bias, (_median_turn(images), _median_turn(gyro), _median_turn(_apart(gyro, images)))
-
-
-def _apart(one: Array, other: Array) -> Array:
-    return np.swapaxes(one, 1, 2) @ other
-
-
-def _median_turn(rotations: Array) -> float:
-    vectors = vector_from_quaternion(quaternion_from_matrix(np.ascontiguousarray(rotations)))
-    return float(np.median(np.linalg.norm(vectors, axis=1)))
+    return bias
 
 
 def _segments(times: Array) -> list[range]:

@@ -12,10 +12,13 @@ import math
 from bundle.planning.inspection.counts import FactorizedSystem
 from bundle.planning.inspection.problem_pattern import ProblemPattern
 
-__all__ = ["Terms", "ceres_memory", "fused_memory", "total"]
+__all__ = ["ON_DISK", "Terms", "ceres_memory", "fused_memory", "total"]
 
 Terms = dict[str, float]
 """Bytes by purpose."""
+
+ON_DISK = ("plan of the points", "points", "sorting")
+"""Terms of the fused backend that `--out-of-core` keeps in files."""
 
 DOUBLE = 8
 

@@ -13,9 +13,11 @@ from bundle.model.problem import Problem
 from bundle.planning.comparison.command_line import recommended_command
 from bundle.planning.inspection.elimination_costs import CONVENTION
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
+from bundle.planning.inspection.peak_memory import ON_DISK
 from bundle.planning.inspection.rank_prediction import RankPrediction, find_rank_limit
 from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_problem, problem_facts
+from bundle.solving.slices.out_of_core import RESIDENT_BYTES, scratch_bytes
 
 __all__ = ["inspected"]
 
@@ -89,7 +91,7 @@ def inspected(
 def _headline(inspection: Inspection) -> list[str]:
     """Return the recommended method and its predicted cost."""
     if inspection.recommended < 0:
-        return [inspection.recommendation]
+        return [inspection.recommendation, *_out_of_core(inspection)]
     best = _best(inspection)
     cost = (
         f"Predicted: {duration(best.time_per_step_in_seconds)} per step and "
@@ -146,6 +148,22 @@ def _cost(method: MethodInspection | None) -> tuple[str, str]:
     return memory, time if method.is_taken else f"({time})"
 
 
+def _out_of_core(inspection: Inspection) -> list[str]:
+    """Return what the method with the least memory needs with its large arrays on a disk."""
+    fused = [method for method in inspection.methods if method.backend == "FUSED"]
+    if not fused:
+        return []
+    needs = [
+        sum(bytes for name, bytes in method.memory_terms.items() if name not in ON_DISK)
+        for method in fused
+    ]
+    disk = scratch_bytes(inspection.num_observations, inspection.num_free_points)
+    return [
+        f"`bundle refine INPUT -o OUTPUT --out-of-core DIR` needs {format_size(disk)} of disk and "
+        f"{format_size(min(needs) + RESIDENT_BYTES)} of memory."
+    ]
+
+
 def _best(inspection: Inspection) -> MethodInspection:
     return inspection.methods[inspection.recommended]
 
@@ -161,6 +179,7 @@ def _remarks(inspection: Inspection) -> list[str]:
     ]
     if any(not method.fits_in_memory for method in inspection.methods):
         remarks.append("! does not fit into free memory.")
+        remarks += _out_of_core(inspection)
     if any(not method.is_taken for method in inspection.methods):
         remarks.append(
             "(in brackets): for comparison only. The fused backend uses the order of natural, AMD "

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from bundle.base.memory_sizes import format_size
 from bundle.base.words import number, plural
+from bundle.planning.inspection.problem_needs import ProblemNeeds
 from bundle.planning.inspection.schur_counts import SchurCounts
 from bundle.reports.sections import Report, Section, Table, fields
 
 __all__ = ["inspected"]
 
 
-def inspected(shape: Mapping[str, int], counts: SchurCounts, wall_time: float) -> Report:
+def inspected(
+    shape: Mapping[str, int], counts: SchurCounts, needs: ProblemNeeds, wall_time: float
+) -> Report:
     """Return the report.
 
     Args:
         shape: num_cameras, num_points and track_length.
         counts: flops of a step.
+        needs: memory and disk of a solve.
         wall_time: seconds.
     """
     cameras, points, track = shape.values()
@@ -44,12 +49,37 @@ def inspected(shape: Mapping[str, int], counts: SchurCounts, wall_time: float) -
                     "A textbook estimate, with a dense S. `bundle inspect INPUT` counts the "
                     "work of a solver on your problem."
                 ],
-            )
+            ),
+            _needs(needs),
         ],
         data={
             "shape": dict(shape),
             **fields(counts),
             "schur": counts.schur,
+            "needs": needs,
             "wall_time": {"total": wall_time},
         },
     )
+
+
+def _needs(needs: ProblemNeeds) -> Section:
+    submaps = plural(needs.num_submaps, "submap")
+    system = format_size(needs.system_in_bytes)
+    facts = [
+        ("observations", f"{needs.num_observations:,}"),
+        ("in memory", f"{format_size(needs.memory_in_bytes)} and S with its factor, {system} or "
+                      "more"),
+        ("out of core", f"{submaps} of {format_size(needs.disk_in_bytes)} of disk and "
+                        f"{format_size(needs.resident_in_bytes)} of memory or more"),
+        ("processor", f"{number(needs.processor_seconds_per_step)} s per step, as measured with "
+                      "500 million observations"),
+    ]  # fmt: skip
+    notes = ["`bundle refine INPUT -o OUTPUT --out-of-core DIR` keeps observations and points on "
+             "a disk."]  # fmt: skip
+    if needs.num_submaps > 1:
+        notes.append(
+            "One solve has at most 1,073,741,823 observations, so submaps share images, their "
+            "separators. `refine --only-images --rest marginal` eliminates all else exactly. The "
+            f"dense system of {needs.most_separator_images:,} images fits into the free memory."
+        )
+    return Section(facts=facts, notes=notes)

@@ -119,7 +119,7 @@ class ProblemPart:
     observation_image: NDArray[np.int32]
     observation_point: NDArray[np.int32]
     observation_xy: NDArray[np.float64]
-    observation_keypoint: NDArray[np.int32]
+    observation_keypoint: NDArray[np.int32] | None  # None: not needed, all is in one process
     observation_sigma: NDArray[np.float64] | None
     shared: dict[str, Any]
 

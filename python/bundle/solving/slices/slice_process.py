@@ -44,7 +44,7 @@ class Process:
     """
 
     def __init__(self, meeting: Meeting, path: Path, found: Survey | None) -> None:
-        self._meeting = meeting
+        self._meeting: Meeting = meeting
         self.slice = read_slice(meeting, path, found)
         self._part = self.slice.part
         self._errors: dict[str, tuple[Any, Any]] = {}  # key: cheirality
@@ -124,10 +124,14 @@ class Process:
         after = PixelErrors(*self._errors_now(threads, cheirality), cheirality)
         image = own.part.observation_image
         sums = meeting.gather(sums_of_images(image, own.cameras.num_images, *after))
-        measured = kept_errors.measure(before, after, None, limit, DividedErrors(meeting))
+        measured = self._measured(before, after, limit)
         asked = own.cameras.num_frames > 0 and options["gauge"] != "none"
         gauge = gauge_problem(meeting, own, options["fixed_point_ids"]) if asked else None
         return measured, sums, gauge
+
+    def _measured(self, before: PixelErrors, after: PixelErrors, limit: float | None) -> Any:
+        """Return the statistics of the errors of all processes, which are reordered."""
+        return kept_errors.measure(before, after, None, limit, DividedErrors(self._meeting))
 
     def _move(self, points: NDArray[np.float64], state: dict[str, Any]) -> None:
         shared = self._part.shared | state

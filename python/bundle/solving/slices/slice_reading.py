@@ -37,6 +37,9 @@ class Meeting(Protocol):
         """Return the communication of this rank in one solve."""
 
 
+_BLOCK = 1 << 20
+
+
 @dataclass
 class Survey:
     """Counts of a model, and the owner of each point.
@@ -97,8 +100,15 @@ def survey(path: Path, num_parts: int) -> Survey:
             )
         found = _core.survey_colmap_model(os.fsencode(path))
         num_images, num_observations, ids, first, last, seen = found
+    elif num_parts == 1 and (header := _bal_header(path)) is not None:
+        num_images, num_points, num_observations = header
+        nobody = np.broadcast_to(np.uint16(0), num_points)
+        return Survey(num_images, num_observations, nobody, nobody)
     else:
         num_images, num_observations, first, last, seen = _core.survey_bal(path)
+    if num_parts == 1:  # the only process has all points and sections
+        nobody = np.broadcast_to(np.uint16(0), len(seen))
+        return Survey(num_images, num_observations, nobody, nobody, ids)
     owner = np.zeros(len(seen), np.uint16)
     section = np.zeros(len(seen), np.uint16)
     if num_observations:
@@ -118,9 +128,12 @@ def read_slice(meeting: Meeting, path: Path, found: Survey | None) -> Slice:
         OSError: a file cannot be read.
     """
     whole: Survey = meeting.broadcast(found)
-    mine = np.flatnonzero(whole.owner == meeting.rank)
-    place = np.full(len(whole.owner), -1, np.int32)
-    place[mine] = np.arange(len(mine), dtype=np.int32)
+    if meeting.num_ranks == 1:
+        mine, place = (_counted_up(len(whole.owner), kind) for kind in (np.int64, np.int32))
+    else:
+        mine = np.flatnonzero(whole.owner == meeting.rank)
+        place = np.full(len(whole.owner), -1, np.int32)
+        place[mine] = np.arange(len(mine), dtype=np.int32)
     if whole.point_ids is None:
         cameras, part = _bal_slice(path, mine, place, whole.section)
     else:
@@ -129,7 +142,7 @@ def read_slice(meeting: Meeting, path: Path, found: Survey | None) -> Slice:
         failures = sorted(filter(None, meeting.gather(failure) or ()))
         if failures:
             raise InputError(failures[0][-1])
-    counts = meeting.gather(np.bincount(part.observation_image, minlength=cameras.num_images))
+    counts = meeting.gather(_counts(part.observation_image, cameras.num_images))
     observed = None
     if counts is not None:
         total = sum(counts)
@@ -142,14 +155,40 @@ def read_slice(meeting: Meeting, path: Path, found: Survey | None) -> Slice:
     return Slice(cameras, part, whole, meeting.broadcast(observed))
 
 
+def _bal_header(path: Path) -> tuple[int, int, int] | None:
+    """Return the counts of images, points and observations; None unless line 1 has just these."""
+    with path.open("rb") as file:
+        words = file.readline(100).split()
+    counts = [int(word) for word in words if word.isdigit() and len(word) < 10]
+    return (counts[0], counts[1], counts[2]) if len(words) == len(counts) == 3 else None
+
+
+def _counted_up(size: int, kind: type[Any]) -> NDArray[Any]:
+    """Return the numbers from 0 on, in the scratch folder if one is open."""
+    numbers = _core.large_array(size, np.dtype(kind))
+    for first in range(0, size, _BLOCK):
+        last = min(first + _BLOCK, size)
+        numbers[first:last] = np.arange(first, last)
+    return numbers
+
+
+def _counts(image: NDArray[np.int32], num_images: int) -> NDArray[np.int64]:
+    """Return the number of observations of each image."""
+    counts = np.zeros(num_images, np.int64)
+    for first in range(0, len(image), _BLOCK):
+        counts += np.bincount(image[first : first + _BLOCK], minlength=num_images)
+    return counts
+
+
 def _bal_slice(
     path: Path, mine: NDArray[np.int64], place: NDArray[np.int32], section: NDArray[np.uint16]
 ) -> tuple[Problem, ProblemPart]:
     poses, rotations, params, points, image, point, xy = _core.read_bal_part(path, place)
     none, nowhere = np.zeros(0, np.int32), np.zeros((0, 2))
-    cameras = bal.problem_of(poses, rotations, params, points[:0], none, none, nowhere)
-    keypoint = np.full(len(xy), -1, np.int32)
-    return cameras, _part(cameras, points, mine, section[mine], image, point, xy, keypoint)
+    cameras = bal.problem_of(poses, rotations, params, np.zeros((0, 3)), none, none, nowhere)
+    keypoint = np.full(len(xy), -1, np.int32) if len(section) > len(mine) else None
+    sections = section[mine] if len(mine) < len(section) else section
+    return cameras, _part(cameras, points, mine, sections, image, point, xy, keypoint)
 
 
 def _colmap_slice(
@@ -162,8 +201,12 @@ def _colmap_slice(
     model, fields, failure = _core.read_colmap_part(os.fsencode(path), ids, place)
     names = ("observation_image", "observation_point", "observation_xy", "observation_keypoint")
     points, *observations = (fields[name] for name in ("points", *names))
-    nothing = {name: fields[name][:0] for name in ("points", *names)}
+    nothing = {name: np.array(fields[name][:0]) for name in ("points", *names)}
     cameras = colmap.problem_of(path, model, fields | nothing | {"point_ids": ids[:0]})
+    if len(mine) == len(ids):
+        part = _part(cameras, points, ids, section, *observations)
+        part.observation_keypoint = None
+        return cameras, part, failure
     return cameras, _part(cameras, points, ids[mine], section[mine], *observations), failure
 
 
@@ -175,7 +218,7 @@ def _part(
     image: NDArray[np.int32],
     point: NDArray[np.int32],
     xy: NDArray[np.float64],
-    keypoint: NDArray[np.int32],
+    keypoint: NDArray[np.int32] | None,
 ) -> ProblemPart:
     return ProblemPart(
         points=points,

@@ -25,7 +25,7 @@ from bundle.model.worst_images import worst_of_sums
 from bundle.solving.executors import solve_prepared
 from bundle.solving.gauge_freedom import gauge_freedom
 from bundle.solving.kept_errors import outlier_limit
-from bundle.solving.prepare import Prepared, prepare
+from bundle.solving.prepare import Executor, Prepared, prepare
 from bundle.solving.ranks.crew import Crew
 from bundle.solving.ranks.divided_solve import heeding, process_record
 from bundle.solving.request import RunPlan, SolveRequest
@@ -110,11 +110,15 @@ class SlicedRefinement:
         if found.num_observations == 0:
             raise InputError(f"{shown(path)}: expected observations to refine, found 0")
         crew.send_to_all(SliceJob(self._path))
-        self._process = Process(crew.meeting(), path, found)
+        self._process, self._executor = self._started(crew, found)
         self._slice = self._process.slice
         self._survey = found
         self._model = DividedModel.of(self._slice.cameras, found)
-        self._executor = AllSlices(crew, self._process, found.owner)
+
+    def _started(self, crew: SliceCrew, found: Survey) -> tuple[Process, Executor]:
+        """Read the slice of this process; return the process and the executor on all."""
+        process = Process(crew.meeting(), self._path, found)
+        return process, AllSlices(crew, process, found.owner)
 
     @property
     def cameras(self) -> Problem:
@@ -204,11 +208,12 @@ class SlicedRefinement:
                 )
                 remove_georeference(path, is_folder=False)
             return ()
-        errors = np.empty(len(ids))
-        for rank, given in enumerate(
-            self._process.run_on_all("point_errors", self._options["num_threads"])
-        ):
-            errors[found.owner == rank] = given
+        parts = self._process.run_on_all("point_errors", self._options["num_threads"])
+        errors = parts[0]
+        if len(parts) > 1:
+            errors = np.empty(len(ids))
+            for rank, given in enumerate(parts):
+                errors[found.owner == rank] = given
 
         def write(folder: Path) -> tuple[str, ...]:
             colmap.rewrite_like(refined, ids, refined.points, errors, folder)

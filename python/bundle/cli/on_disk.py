@@ -1,0 +1,103 @@
+"""`bundle refine --out-of-core DIR`: what it supports, and INPUT read into files of the folder."""
+
+from __future__ import annotations
+
+import dataclasses
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bundle._core as _core
+from bundle.base.memory_sizes import format_size
+from bundle.cli.option_flags import flags_of
+from bundle.cli.refinement import Refinement
+from bundle.cli.sliced_input import COMPRESSED, sliceable_format
+from bundle.errors import InputError, shown
+from bundle.interface.option_classes import OPTION_CLASSES, option_class
+from bundle.io.open import output_format, recover
+from bundle.reports.sections import Report, Section
+from bundle.solving.ranks.launch import current
+
+if TYPE_CHECKING:
+    from bundle.solving.slices.out_of_core import OutOfCoreRefinement
+
+__all__ = ["input_on_disk", "on_disk", "with_disk_use"]
+
+_FLAG = "--out-of-core"
+_SERVED = {"source", "target", "format", "overwrite", "json", "given", "verbose"}
+_SERVED |= {"options", "fixed_images", "constraints", "disk"}  # constraints: parsed rules
+_FLAGS = {"page": "--html"}
+"""Flags of fields that no option class has and that are not named as they are."""
+
+
+def on_disk(asked: Refinement) -> AbstractContextManager[None]:
+    """Return a context in which large arrays are in files of the folder of the user, if any.
+
+    Raises:
+        InputError: another option does not work with the folder, or the folder is not usable.
+    """
+    folder = asked.disk.out_of_core
+    if folder is None:
+        return nullcontext()
+    if current() is not None:
+        raise InputError(f"{_FLAG}: expected one process, found several; their slices share it")
+    beyond = asked.steps_beyond(_SERVED)
+    if beyond:
+        raise InputError(f"{_FLAG}: not valid with {_flag(beyond[0])}, which needs all of INPUT")
+    backend = asked.options.backend
+    if backend == "ceres":
+        raise InputError(f"{_FLAG}: expected the fused backend, found --backend ceres")
+    from bundle.solving.slices.out_of_core import scratch_folder  # few runs need it
+
+    return scratch_folder(folder)
+
+
+def input_on_disk(asked: Refinement) -> OutOfCoreRefinement:
+    """Read INPUT into the open folder.
+
+    Raises:
+        InputError: INPUT is not a BAL file or a binary COLMAP model, OUTPUT has another format, or
+            the disk is too small.
+        OSError: a file cannot be read.
+    """
+    path = Path(asked.source)
+    recover(path)
+    source_format = sliceable_format(path)
+    if source_format is None:
+        raise InputError(
+            f"{_FLAG}: expected a BAL file or a binary COLMAP model, found {shown(path)}; "
+            "`bundle convert` writes one"
+        )
+    target_format = output_format(source_format, asked.target, asked.format, asked.source)
+    is_compressed = target_format == "bal" and Path(asked.target).suffix.lower() in COMPRESSED
+    if target_format != source_format or is_compressed:
+        raise InputError(
+            f"{_FLAG}: expected OUTPUT in the format of INPUT, which is copied from file to file, "
+            f"found {shown(asked.target)}"
+        )
+    from bundle.solving.slices.out_of_core import OutOfCoreRefinement
+
+    return OutOfCoreRefinement(path, str(asked.disk.out_of_core))
+
+
+def with_disk_use(report: Report, asked: Refinement) -> Report:
+    """Return the report with the bytes on disk; unchanged if all was in memory."""
+    folder = asked.disk.out_of_core
+    if folder is None:
+        return report
+    from bundle.solving.slices.out_of_core import RESIDENT_BYTES
+
+    _, most = _core.scratch_use()
+    use = {"folder": folder, "peak_bytes_on_disk": most, "resident_bytes": RESIDENT_BYTES}
+    fact = ("on disk", f"at most {format_size(most)} in {shown(folder)}, removed")
+    return dataclasses.replace(
+        report,
+        sections=[*report.sections, Section(facts=[fact])],
+        data={**report.data, "out_of_core": use},
+    )
+
+
+def _flag(name: str) -> str:
+    """Return the flag of an option, or of a field without an option class."""
+    flags = flags_of(*map(option_class, OPTION_CLASSES))
+    return flags.get(name) or _FLAGS.get(name) or "--" + name.replace("_", "-")

@@ -1,0 +1,76 @@
+"""Memory and disk that a problem of given counts needs: in memory, out of core, in submaps.
+
+Per observation, a solve has the input (pixels, image, point: 24 bytes), and the plan (pixels,
+image, places in chunk, tile and list: 26 bytes, and 4 for each pair of a point, (T - 1) / 2 of
+them, with a tenth more for the lists of blocks). Per point, it has the input, two states, scales,
+the output, an id and places: 132 bytes (cpp/core/schur/elimination_plan.h). Measured: 79 bytes an
+observation in memory and 81 on disk, at T = 6 (benchmarks/large_problems.md).
+
+Images add S. Each image shares points with T - 1 others or more, so that S has at least T blocks
+per image, each with its rounding errors; with the factor, 16 bytes per number.
+
+The fused backend numbers residuals by 31 bits. A larger problem is divided into submaps. The images
+between submaps are their separator. Eliminating all else leaves a dense system of the separator,
+exactly (`refine --only-images --rest marginal`). So the memory bounds the images of a separator.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY
+from bundle.solving.slices.out_of_core import RESIDENT_BYTES, scratch_bytes
+
+__all__ = ["MOST_OBSERVATIONS", "ProblemNeeds", "needs_of"]
+
+MOST_OBSERVATIONS = (2**31 - 1) // 2
+"""Observations of one solve (``RefuseTooLarge`` in cpp/core/prepare/prepare.cpp)."""
+
+_COLUMNS = 9  # of an image with a camera of its own
+_SECONDS = 0.2e-6
+"""Processor time of an observation in a step out of core (benchmarks/large_problems.md)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProblemNeeds:
+    """Needs of a problem.
+
+    Attributes:
+        num_observations: number of observations.
+        memory_in_bytes: observations and points of a solve in memory.
+        system_in_bytes: least size of S with its factor.
+        num_submaps: least number of solves, each within the limit of observations.
+        disk_in_bytes: scratch files of one submap out of core.
+        resident_in_bytes: memory of one submap out of core, with its share of S.
+        processor_seconds_per_step: of all submaps, on the machine of the benchmark.
+        most_separator_images: images whose dense system fits into the free memory.
+    """
+
+    num_observations: int
+    memory_in_bytes: float
+    system_in_bytes: float
+    num_submaps: int
+    disk_in_bytes: float
+    resident_in_bytes: float
+    processor_seconds_per_step: float
+    most_separator_images: int
+
+
+def needs_of(
+    num_images: int, num_points: int, num_observations: int, free_memory: float
+) -> ProblemNeeds:
+    """Return the needs of a problem with these counts on a machine with this free memory."""
+    track = num_observations / max(num_points, 1)
+    submaps = max(1, math.ceil(num_observations / MOST_OBSERVATIONS))
+    system = 16.0 * num_images * track * _COLUMNS**2
+    return ProblemNeeds(
+        num_observations=num_observations,
+        memory_in_bytes=scratch_bytes(num_observations, num_points),
+        system_in_bytes=system,
+        num_submaps=submaps,
+        disk_in_bytes=scratch_bytes(num_observations // submaps, num_points // submaps),
+        resident_in_bytes=RESIDENT_BYTES + system / submaps,
+        processor_seconds_per_step=_SECONDS * num_observations,
+        most_separator_images=int(math.sqrt(SHARE_OF_FREE_MEMORY * free_memory / 8) / _COLUMNS),
+    )
