@@ -162,7 +162,9 @@ SCENE_OPTIONS = {
     "image_size": ("None", "1.5", "word", "()", "NaN rows"),
     "loop_closure": OF_A_FLAG,
     "num_rings": ("-1", "1.5", "2**70"),
-    "rolling_shutter": ("nan", "-1", "word"),
+    **dict.fromkeys(
+        ("rolling_shutter", "gravity_sigma", "orientation_sigma"), ("nan", "-1", "word")
+    ),
     "seed": ("-1", "1.5", "word", "None"),
 }
 

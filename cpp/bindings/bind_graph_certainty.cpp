@@ -171,7 +171,8 @@ py::dict FactorGraphSpectrumFromPython(const py::list& variables, const py::list
   return result;
 }
 
-/// Cost 1/2 rho, squared norm r^T r without loss, and number of independent residuals of each factor.
+/// Cost 1/2 rho, squared norm r^T r without loss, and number of independent residuals of each
+/// factor.
 py::tuple FactorCostsFromPython(const py::list& variables, const py::list& factors) {
   const FactorGraph graph = GraphFromPython(variables, factors);
   PythonProgress watch{py::none()};

@@ -190,10 +190,9 @@ std::vector<double> ParameterLayout::InitialState(const AdjustmentProblem& probl
 
 StateBounds ParameterLayout::Bounds(const AdjustmentProblem& problem) const {
   if (problem.restrictions.camera_lower == nullptr) return {};
-  constexpr double kNone = std::numeric_limits<double>::infinity();
   StateBounds bounds;
-  const auto below = [](auto...) { return -kNone; };
-  const auto above = [](auto...) { return kNone; };
+  const auto below = [](auto...) { return -std::numeric_limits<double>::infinity(); };
+  const auto above = [](auto...) { return std::numeric_limits<double>::infinity(); };
   bounds.lower = Gather(problem, below, problem.restrictions.camera_lower, below);
   bounds.upper = Gather(problem, above, problem.restrictions.camera_upper, above);
   const auto is_none = [](double bound) { return std::isinf(bound); };

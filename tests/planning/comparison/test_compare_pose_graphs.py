@@ -108,7 +108,6 @@ def test_the_command(tmp_path, capsys):
         ["--solvers", "dense-schur"],
         ["--trust-regions", "dogleg"],
         ["--perturb", "0.01"],
-        ["--html", str(tmp_path / "x.html")],
         ["--memory-cap", "1GB"],
     ):
         assert main([*words, *flags]) == 2

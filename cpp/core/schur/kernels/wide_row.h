@@ -8,10 +8,12 @@ namespace bundle::BUNDLE_ISA {
 
 /// Doubles of the widest register.
 #if defined(__AVX__)
-inline constexpr int kWide = kLanes;
+#define BUNDLE_WIDE kLanes
 #else
-inline constexpr int kWide = 2;
+#define BUNDLE_WIDE 2
 #endif
+inline constexpr int kWide = BUNDLE_WIDE;
+#undef BUNDLE_WIDE
 
 /// A row of kQuads quads in the widest registers of the instruction set.
 template <int kQuads>

@@ -157,10 +157,13 @@ def _out_of_core(inspection: Inspection) -> list[str]:
         sum(bytes for name, bytes in method.memory_terms.items() if name not in ON_DISK)
         for method in fused
     ]
+    memory = min(needs) + RESIDENT_BYTES
+    if memory > inspection.available_memory_in_bytes:
+        return []
     disk = scratch_bytes(inspection.num_observations, inspection.num_free_points)
     return [
         f"`bundle refine INPUT -o OUTPUT --out-of-core DIR` needs {format_size(disk)} of disk and "
-        f"{format_size(min(needs) + RESIDENT_BYTES)} of memory."
+        f"{format_size(memory)} of memory."
     ]
 
 
