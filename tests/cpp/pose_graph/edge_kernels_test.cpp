@@ -74,7 +74,7 @@ struct RandomEdges {
 template <typename Group>
 class EdgeKernelsTest : public testing::Test {};
 using Groups = testing::Types<Se2, Se3>;
-TYPED_TEST_SUITE(EdgeKernelsTest, Groups);
+TYPED_TEST_SUITE(EdgeKernelsTest, Groups, );  // clang wants the third argument
 
 TYPED_TEST(EdgeKernelsTest, EqualOneEdgeAtATime) {
   using Terms = EdgeTerms<TypeParam>;
