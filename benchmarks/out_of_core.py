@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import sys
 import tempfile
 import time
@@ -29,17 +28,14 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from benchmarks import table
-from benchmarks.measure import Child, environment, run_child
-from benchmarks.problems import ROOT
-from benchmarks.whole import COMMAND
+from benchmarks.measure import Child
+from benchmarks.scale import TRACK_LENGTH, refine_arguments, refuse_small_disk, run_command
 
-TRACK_LENGTH = 6
 PER_IMAGE = 10_000
 BYTES_ON_DISK = 118
 _BLOCK = 1 << 18
 _LOOKS_ASIDE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _SPACING, _FOCAL, _K1, _K2 = 0.5, 1000.0, -0.02, 0.01
-_TIMEOUT = 24 * 3600.0
 HEADER = (
     "observations",
     "images",
@@ -122,12 +118,6 @@ def _quaternions(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.column_stack([xyz / (4 * w[:, None]), w]))
 
 
-def refine_arguments(path: Path, output: Path, report: Path, max_steps: int) -> list[str]:
-    """Return the arguments of `bundle refine` in memory."""
-    files = [str(path), "-o", str(output), "--json", str(report)]
-    return ["refine", *files, "--max-iterations", str(max_steps), "--quiet"]
-
-
 def row(num_observations: int, made: float, refine: Child, report: dict[str, Any]) -> list[str]:
     """Return the cells of a measured problem, of HEADER."""
     wall, errors = report["wall_time"], report["reprojection_error"]
@@ -159,9 +149,7 @@ def measure(
     Raises:
         RuntimeError: a command failed, the disk is too small, or the two results differ.
     """
-    wanted = BYTES_ON_DISK * num_observations
-    if (free := shutil.disk_usage(folder).free) < wanted:
-        raise RuntimeError(f"expected {wanted / 1e9:.1f} GB of disk, found {free / 1e9:.1f} GB")
+    refuse_small_disk(folder, BYTES_ON_DISK * num_observations)
     scene, refined, report = (folder / name for name in ("scene.txt", "refined.txt", "report.json"))
     begun = time.perf_counter()
     write_scene(scene, num_observations)
@@ -169,12 +157,12 @@ def measure(
     size = scene.stat().st_size
     print(f"made in {made:.0f} s, {size / num_observations:.1f} bytes each", file=sys.stderr)
     arguments = refine_arguments(scene, refined, report, max_steps)
-    child = _run([*arguments, "--out-of-core", str(folder)])
+    child = run_command([*arguments, "--out-of-core", str(folder)])
     yield row(num_observations, made, child, json.loads(report.read_text()))
     if not compare:
         return
     in_memory = folder / "in_memory.txt"
-    child = _run(refine_arguments(scene, in_memory, report, max_steps))
+    child = run_command(refine_arguments(scene, in_memory, report, max_steps))
     yield row(num_observations, made, child, json.loads(report.read_text()))
     with refined.open("rb") as one, in_memory.open("rb") as other:
         while block := one.read(1 << 24):
@@ -182,15 +170,6 @@ def measure(
                 raise RuntimeError(
                     f"expected the bits of {in_memory.name}, found other bits in {refined.name}"
                 )
-
-
-def _run(arguments: list[str]) -> Child:
-    child = run_child(
-        [sys.executable, "-c", COMMAND, *arguments], environment(ROOT, None), _TIMEOUT
-    )
-    if child.failure:
-        raise RuntimeError(f"bundle {arguments[0]}: {child.failure}")
-    return child
 
 
 def main() -> int:

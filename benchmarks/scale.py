@@ -116,15 +116,13 @@ def measure(num_observations: int, max_steps: int, folder: Path, *, keep: bool) 
     Raises:
         RuntimeError: a command failed, or the disk is too small.
     """
-    wanted = BYTES_ON_DISK * num_observations
-    if (free := shutil.disk_usage(folder).free) < wanted:
-        raise RuntimeError(f"expected {wanted / 1e9:.1f} GB of disk, found {free / 1e9:.1f} GB")
+    refuse_small_disk(folder, BYTES_ON_DISK * num_observations)
     names = ("scene.txt", "truth.txt", "refined.txt", "report.json")
     scene, truth, refined, report = (folder / name for name in names)
-    made = _run(synth_arguments(num_observations, scene, truth))
+    made = run_command(synth_arguments(num_observations, scene, truth))
     truth.unlink()
     print(f"made in {made.wall:.0f} s, {made.peak_memory / 1e9:.2f} GB", file=sys.stderr)
-    done = _run(refine_arguments(scene, refined, report, max_steps))
+    done = run_command(refine_arguments(scene, refined, report, max_steps))
     cells = row(num_observations, made, done, json.loads(report.read_text()))
     if not keep:
         for path in (scene, refined, report):
@@ -132,7 +130,18 @@ def measure(num_observations: int, max_steps: int, folder: Path, *, keep: bool) 
     return cells
 
 
-def _run(arguments: Sequence[str]) -> Child:
+def refuse_small_disk(folder: Path, wanted: int) -> None:
+    """Raise a RuntimeError if the files do not fit."""
+    if (free := shutil.disk_usage(folder).free) < wanted:
+        raise RuntimeError(f"expected {wanted / 1e9:.1f} GB of disk, found {free / 1e9:.1f} GB")
+
+
+def run_command(arguments: Sequence[str]) -> Child:
+    """Run the command line.
+
+    Raises:
+        RuntimeError: it failed.
+    """
     command = [sys.executable, "-c", COMMAND, *arguments]
     child = run_child(command, environment(ROOT, None), _TIMEOUT)
     if child.failure:

@@ -7,6 +7,15 @@ from bundle import Problem
 from tests import formulas
 from tests.formulas import PARAMS
 
+SQUARE = """VERTEX_SE2 0 0 0 0
+VERTEX_SE2 1 1.1 0 0
+VERTEX_SE2 2 1 1.2 0
+EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1
+EDGE_SE2 1 2 0 1 0 1 0 0 1 0 1
+EDGE_SE2 2 0 -1 -1 0 1 0 0 1 0 1
+"""
+"""Text of a g2o file: a loop of three poses that contradicts itself a little."""
+
 
 def project(model, params, points):
     """Pixels of (N, 3) points of the camera frame; also for complex numbers."""

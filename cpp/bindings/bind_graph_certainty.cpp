@@ -186,7 +186,7 @@ py::tuple FactorCostsFromPython(const py::list& variables, const py::list& facto
       double sum = 0;
       for (const double value : residual) sum += value * value;
       squares.push_back(sum);
-      sizes.push_back(NumMeasurements(*factor));
+      sizes.push_back(factor->num_measurements());
       costs.push_back(ApplyLoss(*factor, 0, residual.data(), nullptr));
     }
     return 0;

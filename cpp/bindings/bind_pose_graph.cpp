@@ -103,7 +103,8 @@ PoseErrorOptions ErrorsFromPython(const py::dict& options) {
 
 py::dict SolvePoseGraphFromPython(const py::object& graph, const Array<bool>& held,
                                   const Array<bool>& robust, const py::dict& options,
-                                  const py::object& progress, const FillOrdering* order) {
+                                  const py::object& progress, const FillOrdering* order,
+                                  bool with_trials) {
   const GraphArrays arrays(graph);
   PoseGraphView view = ViewWithErrors(arrays, held);
   if (robust.size() != view.num_edges()) throw InputError("robust: expected a flag for each edge");
@@ -114,7 +115,8 @@ py::dict SolvePoseGraphFromPython(const py::object& graph, const Array<bool>& he
   const auto ordering = py::cast<std::string>(options["ordering"]);
   PythonProgress report(progress);
   PoseGraphOutput output = RunWatched(&report, [&] {
-    return SolvePoseGraph(view, errors, solve_options, ordering, std::ref(report), order);
+    return SolvePoseGraph(view, errors, solve_options, ordering, std::ref(report), order,
+                          with_trials);
   });
   report.Rethrow();
   const py::ssize_t n = arrays.poses.shape(0), m = arrays.edges.shape(0);
@@ -299,7 +301,8 @@ void BindPoseGraph(py::module_& m) {
   m.def("write_g2o", &bundle::WriteG2oFile, py::arg("path"), py::arg("graph"),
         py::arg("compression"));
   m.def("solve_pose_graph", &bundle::SolvePoseGraphFromPython, py::arg("graph"), py::arg("held"),
-        py::arg("robust"), py::arg("options"), py::arg("progress"), py::arg("order") = nullptr);
+        py::arg("robust"), py::arg("options"), py::arg("progress"), py::arg("order") = nullptr,
+        py::arg("with_trials") = false);
   m.def("order_poses", &bundle::OrderPoses, py::arg("graph"), py::arg("held"), py::arg("ordering"));
   m.def("pose_components", &bundle::PoseComponents, py::arg("num_poses"), py::arg("edges"));
   m.def("hold_poses", &bundle::HoldPosesFromPython, py::arg("graph"));

@@ -217,7 +217,10 @@ def test_killed_process_and_resume(model, tmp_path):
     assert ends[0] == ends[1]
 
 
-def test_ctrl_c_ends_all_with_one_line(model, tmp_path):
+def test_ctrl_c_ends_all_with_one_line(tmp_path):
+    model = tmp_path / "model.txt"  # of which the steps take longer than a look at the checkpoint
+    scene = {"num_images": 30, "num_points": 20_000, "mean_track_length": 8.0, "seed": 5}
+    bundle.save(bundle.synthesize(**scene).problem, model, format="bal")
     checkpoint, output = tmp_path / "run.npz", tmp_path / "refined.txt"
     options = ("--function-tolerance", 0, "--gradient-tolerance", 0, "--parameter-tolerance", 0)
     often = ("--checkpoint", checkpoint, "--checkpoint-interval", 1)

@@ -16,14 +16,6 @@ from tests import scenes
 NO_RESULTS = {"GroundControlPoint", "Constraints", "ChangedModels"}
 """Classes with lists of records that are inputs, or sentences on a change."""
 
-SQUARE = """VERTEX_SE2 0 0 0 0
-VERTEX_SE2 1 1.1 0 0
-VERTEX_SE2 2 1 1.2 0
-EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1
-EDGE_SE2 1 2 0 1 0 1 0 0 1 0 1
-EDGE_SE2 2 0 -1 -1 0 1 0 0 1 0 1
-"""
-
 
 def public_classes():
     found = [getattr(bundle, name) for name in bundle.__all__]
@@ -45,7 +37,7 @@ def test_no_table_is_forgotten() -> None:
 @pytest.fixture(scope="module")
 def results(tmp_path_factory) -> dict[str, object]:
     folder = tmp_path_factory.mktemp("tables")
-    (folder / "g.g2o").write_text(SQUARE)
+    (folder / "g.g2o").write_text(scenes.SQUARE)
     problem = scenes.make_problem(num_images=5, num_points=60, model="SIMPLE_RADIAL", track=4)
     bundle.save(problem, folder / "in", "colmap")
     graph = bundle.load(folder / "g.g2o")

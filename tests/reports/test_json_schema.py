@@ -9,6 +9,7 @@ import pytest
 import bundle
 from bundle.cli.main import COMMANDS, main
 from bundle.reports.json_schema import described_entries, report_schema
+from tests import scenes
 
 PUBLISHED = Path(__file__).parents[2] / "docs" / "reference" / "report.schema.json"
 VALIDATOR = jsonschema.Draft202012Validator(report_schema())
@@ -42,14 +43,6 @@ RUNS = {
     "another lens": "refine IN -o OUT --camera-model OPENCV",
 }
 
-SQUARE = """VERTEX_SE2 0 0 0 0
-VERTEX_SE2 1 1.1 0 0
-VERTEX_SE2 2 1 1.2 0
-EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1
-EDGE_SE2 1 2 0 1 0 1 0 0 1 0 1
-EDGE_SE2 2 0 -1 -1 0 1 0 0 1 0 1
-"""
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
@@ -60,7 +53,7 @@ def folder(tmp_path_factory):
     turned = problem.cam_from_world.copy()
     turned[:, :4] = [0, 1, 0, 0]
     bundle.save(problem.replace(cam_from_world=turned), folder / "BEHIND", "colmap")
-    (folder / "GRAPH.g2o").write_text(SQUARE)
+    (folder / "GRAPH.g2o").write_text(scenes.SQUARE)
     return folder
 
 

@@ -139,7 +139,8 @@ MODES = {
 @pytest.mark.parametrize("mode", MODES)
 def test_both_backends_take_the_same_steps(mode, solver):
     scene = dict(MODES[mode])
-    options = {**EXACT, "max_num_iterations": 12, **scene.pop("options", {})}
+    # More steps reach the minimum, where rounding decides what is taken.
+    options = {**EXACT, "max_num_iterations": 5, **scene.pop("options", {})}
     if scene.get("ties"):
         options["refine"] = ("poses", "points")
         scene["rate"] = 0.1
@@ -156,8 +157,8 @@ def test_both_backends_take_the_same_steps(mode, solver):
     taken[0] = True
     np.testing.assert_allclose(costs[1][:count][taken], costs[0][:count][taken], rtol=1e-9)
     ends = [run.problem.rolling_shutter for run in runs.values()]
-    np.testing.assert_allclose(ends[1].twist, ends[0].twist, atol=1e-7)
-    np.testing.assert_allclose(ends[1].readout, ends[0].readout, atol=1e-7)
+    np.testing.assert_allclose(ends[1].twist, ends[0].twist, atol=1e-8)
+    np.testing.assert_allclose(ends[1].readout, ends[0].readout, atol=1e-8)
     last = runs["fused"].problem
     if scene.get("direction", "rows") == "rows" and "loss" not in options and "tied" not in mode:
         squares = (rolling.residuals(last) ** 2).sum()

@@ -51,6 +51,7 @@ class BorrowedFactor final : public Factor {
                 double* const* jacobians) const override {
     return factor_.Evaluate(values, residual, jacobians);
   }
+  int num_measurements() const override { return factor_.num_measurements(); }
   bool IsThreadSafe() const override { return factor_.IsThreadSafe(); }
 
  private:

@@ -157,7 +157,7 @@ class ReducedSystem {
   /// Rows of a factor's Jacobian by the free variables: three columns per point, then unknowns.
   struct FactorRows {
     int num_rows = 0;
-    int num_measurements = 0;  ///< NumMeasurements
+    int num_measurements = 0;  ///< independent rows
     std::vector<int> points;
     std::vector<int> unknowns;
     std::vector<double> residual;  ///< num_rows, weighted by the loss

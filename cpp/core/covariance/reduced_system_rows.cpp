@@ -66,7 +66,7 @@ void ReducedSystem::ForFactors(const std::function<void(const FactorRows&)>& vis
     const ChartedFactor charted(*factor, problem_, layout_);
     FactorRows rows;
     rows.num_rows = charted.num_residuals();
-    rows.num_measurements = NumMeasurements(*factor);
+    rows.num_measurements = factor->num_measurements();
     rows.points = charted.unknowns().points;
     for (const int block : charted.unknowns().blocks) {
       const CameraBlock& of = layout_.blocks()[block];

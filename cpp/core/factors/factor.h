@@ -39,6 +39,8 @@ class Factor {
   /// One per variable: the manifold that the factor expects.
   const std::vector<Retraction>& retractions() const { return retractions_; }
   int num_residuals() const { return num_residuals_; }
+  /// Number of independent measurements, for degrees of freedom.
+  virtual int num_measurements() const { return num_residuals_; }
 
   /// Computes the residual at `values`, one pointer per variable, and its Jacobians, row-major,
   /// num_residuals x tangent size. `jacobians` and each of its entries may be nullptr. Returns

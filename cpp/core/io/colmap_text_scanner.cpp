@@ -47,8 +47,8 @@ ColmapTextCursor::ColmapTextCursor(const ModelFile& file)
     : file_(file),
       next_line_(file.contents().data()),
       end_(file.contents().data() + file.contents().size()) {
-  constexpr std::string_view kByteOrderMark = "\xef\xbb\xbf";  // of editors on Windows
-  if (file.contents().substr(0, 3) == kByteOrderMark) next_line_ += kByteOrderMark.size();
+  const bool is_marked = file.contents().substr(0, kByteOrderMark.size()) == kByteOrderMark;
+  if (is_marked) next_line_ += kByteOrderMark.size();
 }
 
 bool ColmapTextCursor::NextRecord() {

@@ -58,10 +58,8 @@ class RawFile {
     return std::string_view(head_).substr(0, magic.size()) == magic;
   }
 
-  /// Skips the byte order mark of UTF-8 that editors on Windows write.
   void SkipByteOrderMark() {
-    constexpr std::string_view kMark = "\xef\xbb\xbf";
-    if (StartsWith(kMark)) head_.erase(0, kMark.size());
+    if (StartsWith(kByteOrderMark)) head_.erase(0, kByteOrderMark.size());
   }
 
   size_t Read(char* buffer, size_t size) {

@@ -10,6 +10,9 @@
 
 namespace bundle {
 
+/// At the begin of UTF-8 files of editors on Windows.
+inline constexpr std::string_view kByteOrderMark = "\xef\xbb\xbf";
+
 /// A file as a stream of bytes. It is decompressed if it begins like a gzip or bzip2 file, whatever
 /// its name. Concatenated streams, as pigz and pbzip2 write them, are read as one. The byte order
 /// mark of a text file is skipped.

@@ -8,7 +8,6 @@
 #include <typeinfo>
 #include <vector>
 
-#include "core/factors/attitude_factors.h"
 #include "core/factors/loss.h"
 #include "core/geometry/rotation.h"
 #include "core/model/problem_factors.h"
@@ -41,10 +40,6 @@ uint32_t KindOf(const Factor& factor, const AdjustmentProblem& problem) {
   uint32_t hash = 2166136261U;  // FNV-1a hash (Fowler, Noll, Vo)
   for (const char letter : key) hash = (hash ^ static_cast<unsigned char>(letter)) * 16777619U;
   return hash;
-}
-
-int NumMeasurements(const Factor& factor) {
-  return factor.num_residuals() - (dynamic_cast<const DirectionFactor*>(&factor) != nullptr);
 }
 
 double LargestRelativeChange(const std::vector<double>& before, const std::vector<double>& after,

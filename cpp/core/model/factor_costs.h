@@ -14,10 +14,6 @@ namespace bundle {
 /// of variables. It is the same in all processes of a run.
 uint32_t KindOf(const Factor& factor, const AdjustmentProblem& problem);
 
-/// Number of independent measurements of a factor, for degrees of freedom: its residuals, of which
-/// a direction (DirectionFactor) has one more than measurements.
-int NumMeasurements(const Factor& factor);
-
 /// The largest change of one of the costs, relative to the cost itself, or if that is larger to its
 /// expectation, or to that of 100 residuals; 0 without factors. A whitened residual has an expected
 /// cost of 1/2, so that a kind that fits far better than its sigmas, such as random walks, and a

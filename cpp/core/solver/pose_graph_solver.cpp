@@ -39,7 +39,8 @@ SolveSummary SummarizePoseGraph(const PoseGraph& graph, const PoseGraphProblem& 
 
 void SolveByNormalEquations(const PoseGraph& graph, const SolveOptions& options,
                             const std::string& ordering, const FillOrdering* known,
-                            const ProgressCallback& progress, PoseGraphOutput* output) {
+                            bool with_trials, const ProgressCallback& progress,
+                            PoseGraphOutput* output) {
   const Stopwatch setup;
   const std::unique_ptr<PoseGraphProblem> problem =
       MakePoseGraphProblem(graph, ordering, options.num_threads, known);
@@ -53,9 +54,8 @@ void SolveByNormalEquations(const PoseGraph& graph, const SolveOptions& options,
   }
   const double setup_time = setup.seconds();
   const Stopwatch minimizer;
-  // Robust solves, which have no known order, stay in the basin of their start.
-  MinimizerSummary minimum = known != nullptr ? MinimizePoseGraph(options, report, problem.get())
-                                              : Minimize(options, report, problem.get());
+  MinimizerSummary minimum = with_trials ? MinimizePoseGraph(options, report, problem.get())
+                                         : Minimize(options, report, problem.get());
   output->summary = SummarizePoseGraph(graph, *problem, options, minimum);
   output->summary.preprocessor_time_in_seconds = setup_time;
   output->summary.minimizer_time_in_seconds = minimizer.seconds();
@@ -122,7 +122,8 @@ void ReportNothingToRefine(const SolveOptions& options, double cost, PoseGraphOu
 
 PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors,
                                const SolveOptions& given, const std::string& ordering,
-                               const ProgressCallback& progress, const FillOrdering* known) {
+                               const ProgressCallback& progress, const FillOrdering* known,
+                               bool with_trials) {
   const Stopwatch time;
   SolveOptions options = given;
   options.num_threads = EffectiveNumThreads(options.num_threads);
@@ -140,7 +141,7 @@ PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions
     output.poses = graph.poses;
     ReportNothingToRefine(options, cost, &output);
   } else if (options.backend != Backend::kCeres) {
-    SolveByNormalEquations(graph, options, ordering, known, progress, &output);
+    SolveByNormalEquations(graph, options, ordering, known, with_trials, progress, &output);
   } else if (graph.dimension() == 2) {
     SolveByCeres<Se2>(graph, options, progress, &output);
   } else {

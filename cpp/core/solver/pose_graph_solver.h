@@ -21,12 +21,13 @@ struct PoseGraphOutput : SolveRecord {
 /// trust region, stopping rules, and threads. `ordering` is that of the fused backend: "auto",
 /// "natural", "amd" or "metis"; `known` as in PatternOfEdges. All poses that are not held are free.
 /// In a component without a held pose, only the damping makes the normal equations regular.
+/// `with_trials`: MinimizePoseGraph in the fused backend.
 ///
 /// Throws InputError if the graph's arrays contradict each other (MakePoseGraph), or if the Ceres
 /// backend is used with a loss that factors do not have.
 PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors,
                                const SolveOptions& options, const std::string& ordering,
                                const ProgressCallback& progress,
-                               const FillOrdering* known = nullptr);
+                               const FillOrdering* known = nullptr, bool with_trials = false);
 
 }  // namespace bundle

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 import bundle._core as _core
 from bundle.base.memory_sizes import format_size
 from bundle.cli.option_flags import flags_of
-from bundle.cli.refinement import Refinement
-from bundle.cli.sliced_input import COMPRESSED, sliceable_format
+from bundle.cli.refinement import OF_PLAIN, Refinement
+from bundle.cli.sliced_input import has_copied_format, sliceable_format
 from bundle.errors import InputError, shown
 from bundle.interface.option_classes import OPTION_CLASSES, option_class
-from bundle.io.open import output_format, recover
+from bundle.io.open import recover
 from bundle.reports.sections import Report, Section
 from bundle.solving.ranks.launch import current
+from bundle.solving.slices.scratch_size import RESIDENT_BYTES
 
 if TYPE_CHECKING:
     from bundle.solving.slices.out_of_core import OutOfCoreRefinement
@@ -24,8 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["input_on_disk", "on_disk", "with_disk_use"]
 
 _FLAG = "--out-of-core"
-_SERVED = {"source", "target", "format", "overwrite", "json", "given", "verbose"}
-_SERVED |= {"options", "fixed_images", "constraints", "disk"}  # constraints: parsed rules
+_SERVED = OF_PLAIN - {"checkpoints"}
 _FLAGS = {"page": "--html"}
 """Flags of fields that no option class has and that are not named as they are."""
 
@@ -68,9 +68,7 @@ def input_on_disk(asked: Refinement) -> OutOfCoreRefinement:
             f"{_FLAG}: expected a BAL file or a binary COLMAP model, found {shown(path)}; "
             "`bundle convert` writes one"
         )
-    target_format = output_format(source_format, asked.target, asked.format, asked.source)
-    is_compressed = target_format == "bal" and Path(asked.target).suffix.lower() in COMPRESSED
-    if target_format != source_format or is_compressed:
+    if not has_copied_format(asked.target, asked.format, asked.source, source_format):
         raise InputError(
             f"{_FLAG}: expected OUTPUT in the format of INPUT, which is copied from file to file, "
             f"found {shown(asked.target)}"
@@ -85,8 +83,6 @@ def with_disk_use(report: Report, asked: Refinement) -> Report:
     folder = asked.disk.out_of_core
     if folder is None:
         return report
-    from bundle.solving.slices.out_of_core import RESIDENT_BYTES
-
     _, most = _core.scratch_use()
     use = {"folder": folder, "peak_bytes_on_disk": most, "resident_bytes": RESIDENT_BYTES}
     fact = ("on disk", f"at most {format_size(most)} in {shown(folder)}, removed")

@@ -230,7 +230,7 @@ def _readout_sigmas(
         return {}  # not determined; a warning says so
     from bundle.analysis.uncertainty.covariance_by_input import covariance  # few runs need it
 
-    found = covariance(
+    return covariance(
         solved.problem,
         solved.options,
         of="intrinsics",
@@ -238,9 +238,7 @@ def _readout_sigmas(
         factors=() if closed is None else closed.factors,
         priors=() if opened.known is None else opened.known.priors,
         constraints=asked.constraints,
-    )
-    variances = zip(found.camera_ids.tolist(), found.readout_covariance.tolist(), strict=True)
-    return {camera: variance**0.5 for camera, variance in variances if variance >= 0}
+    ).readout_sigmas
 
 
 def _write_page(

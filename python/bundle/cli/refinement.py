@@ -33,10 +33,10 @@ from bundle.io.formats.read_options import ReadOptions
 if TYPE_CHECKING:
     from bundle.solving.constraints.rule_list import Constraints
 
-__all__ = ["Refinement"]
+__all__ = ["OF_PLAIN", "Refinement"]
 
-_OF_PLAIN = {"source", "target", "format", "overwrite", "json", "given", "verbose", "checkpoints"}
-_OF_PLAIN |= {"options", "fixed_images", "constraints", "disk"}  # constraints: parsed rules
+OF_PLAIN = {"source", "target", "format", "overwrite", "json", "given", "verbose", "checkpoints"}
+OF_PLAIN |= {"options", "fixed_images", "constraints", "disk"}  # constraints: parsed rules
 """Fields that a refinement in slices serves, too; any other makes it more than plain."""
 
 
@@ -156,7 +156,7 @@ class Refinement:
         """True for a single solve of the complete, unchanged INPUT without further steps."""
         return not self.steps_beyond()
 
-    def steps_beyond(self, plain: Set[str] = frozenset(_OF_PLAIN)) -> tuple[str, ...]:
+    def steps_beyond(self, plain: Set[str] = frozenset(OF_PLAIN)) -> tuple[str, ...]:
         """Return the names of options that ask for more than a plain solve, sorted."""
         found: list[str] = []
         for name in set(self.__dataclass_fields__) - plain:

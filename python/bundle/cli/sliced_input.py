@@ -14,7 +14,7 @@ from bundle.solving.ranks.launch import current
 if TYPE_CHECKING:
     from bundle.solving.slices.sliced_refinement import SlicedRefinement
 
-__all__ = ["COMPRESSED", "sliceable_format", "sliced_input"]
+__all__ = ["has_copied_format", "sliceable_format", "sliced_input"]
 
 COMPRESSED = (".gz", ".bz2")
 
@@ -49,13 +49,18 @@ def sliced_input(
     source_format = sliceable_format(path)
     if source_format is None:
         return None
-    target_format = output_format(source_format, target, format, source)
-    is_compressed = target_format == "bal" and Path(target).suffix.lower() in COMPRESSED
-    if target_format != source_format or is_compressed:
+    if not has_copied_format(target, format, source, source_format):
         return None
     from bundle.solving.slices.sliced_refinement import SlicedRefinement
 
     return SlicedRefinement(crew, path)
+
+
+def has_copied_format(target: str, format: str | None, source: str, source_format: str) -> bool:
+    """Return True if OUTPUT can be copied from INPUT file by file: same format, not compressed."""
+    target_format = output_format(source_format, target, format, source)
+    is_compressed = target_format == "bal" and Path(target).suffix.lower() in COMPRESSED
+    return target_format == source_format and not is_compressed
 
 
 def sliceable_format(source: Path) -> str | None:

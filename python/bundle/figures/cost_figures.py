@@ -67,10 +67,15 @@ def time_figure(comparison: Comparison, problem: int, *, outcomes: bool = False)
             if outcomes and not run.is_usable:
                 name += f" ({run.outcome.replace('_', ' ')})"
             marks.append(Steps(name, times, gaps, look.colour, look.line))
+    return cost_against_time(marks, "the loaded problem")
+
+
+def cost_against_time(marks: Sequence[Steps], start: str) -> Figure:
+    """Return gaps to the best cost against the seconds from ``start`` on, both logarithmic."""
     return Figure(
         name="cost_against_time",
         title="Cost against time",
-        x=logarithmic(_values(mark.x for mark in marks), "seconds from the loaded problem on"),
+        x=logarithmic(_values(mark.x for mark in marks), f"seconds from {start} on"),
         y=logarithmic(_values(mark.y for mark in marks), "cost / best cost - 1"),
         marks=tuple(marks),
     )

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bundle.figures.axes import logarithmic
+from bundle.figures.cost_figures import cost_against_time
 from bundle.figures.drawing import Figure
 from bundle.figures.marks import StackedBars, Steps
 from bundle.figures.series import gaps_to
@@ -39,13 +39,7 @@ def graph_time_figure(found: GraphComparison) -> Figure:
             gaps = gaps_to(best, costs[known])
             line = backends.index(_backend(run))
             marks.append(Steps(_name(found, run), times[known], gaps, colour, line))
-    return Figure(
-        name="cost_against_time",
-        title="Cost against time",
-        x=logarithmic([t for mark in marks for t in mark.x], "seconds from the start on"),
-        y=logarithmic([g for mark in marks for g in mark.y], "cost / best cost - 1"),
-        marks=tuple(marks),
-    )
+    return cost_against_time(marks, "the start")
 
 
 def graph_breakdown_figure(found: GraphComparison) -> Figure:

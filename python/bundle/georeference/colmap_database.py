@@ -9,7 +9,6 @@ Source: src/colmap/scene/database_sqlite.cc and geometry/pose_prior.h of COLMAP.
 
 from __future__ import annotations
 
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.gps_positions import GpsPositions
+from bundle.io.database_images import open_database
 
 __all__ = ["read_database_gps"]
 
@@ -34,27 +34,20 @@ def read_database_gps(path: Path) -> GpsPositions:
         InputError: the database is damaged, or has no positions in WGS84.
         OSError: the file cannot be read.
     """
-    import sqlite3  # late: few inputs are databases
-
     name = shown(path)
-    try:
-        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
-            columns = [row[1] for row in database.execute("PRAGMA table_info(pose_priors)")]
-            if "position" not in columns:
-                raise InputError(
-                    f"{name}: expected COLMAP's table pose_priors, found a database without it"
-                )
-            key = "corr_data_id" if "corr_data_id" in columns else "image_id"
-            of_cameras = (
-                f" AND corr_sensor_type = {_CAMERA}" if "corr_sensor_type" in columns else ""
+    with open_database(path) as database:
+        columns = [row[1] for row in database.execute("PRAGMA table_info(pose_priors)")]
+        if "position" not in columns:
+            raise InputError(
+                f"{name}: expected COLMAP's table pose_priors, found a database without it"
             )
-            rows = database.execute(
-                "SELECT images.name, position, position_covariance, coordinate_system "
-                f"FROM pose_priors JOIN images ON images.image_id = pose_priors.{key}{of_cameras} "
-                "ORDER BY images.image_id"
-            ).fetchall()
-    except sqlite3.Error as error:
-        raise InputError(f"{name}: expected COLMAP's database, found {brief(str(error))}") from None
+        key = "corr_data_id" if "corr_data_id" in columns else "image_id"
+        of_cameras = f" AND corr_sensor_type = {_CAMERA}" if "corr_sensor_type" in columns else ""
+        rows = database.execute(
+            "SELECT images.name, position, position_covariance, coordinate_system "
+            f"FROM pose_priors JOIN images ON images.image_id = pose_priors.{key}{of_cameras} "
+            "ORDER BY images.image_id"
+        ).fetchall()
     names, geodetic, accuracy, without = [], [], [], 0
     for image, position, covariance, system in rows:
         place = f"{name}: pose_priors: {shown(str(image))}"

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import bundle._core as _core
+from bundle.base.words import plural
 
 __all__ = ["Environment", "cpu_model", "load_average"]
 
@@ -60,6 +61,15 @@ class Environment:
     def finished(self) -> Environment:
         """Return the conditions with the load at the end."""
         return replace(self, load_after=load_average())
+
+    @property
+    def sentence(self) -> str:
+        """Date, machine, load and versions in words."""
+        versions = ", ".join(f"{name} {one}" for name, one in self.versions.items() if one)
+        return (
+            f"Measured {self.date} on {self.cpu_model}, {plural(self.num_cores, 'core')}, load "
+            f"{self.load_before:.1f} before and {self.load_after:.1f} after. {versions}."
+        )
 
     def is_busy(self, num_threads: int) -> bool:
         """Return True if other work left too few cores for solves on this number of threads."""

@@ -1,4 +1,4 @@
-"""Image sizes of COLMAP's database: the tables images and cameras.
+"""COLMAP's database: access, and image sizes from the tables images and cameras.
 
 Formats such as Bundler's and NVM have no image sizes. A database of the same photographs has them,
 by the name of the image.
@@ -8,16 +8,20 @@ Source: src/colmap/scene/database_sqlite.cc of COLMAP.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import closing
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError, brief, shown
 
-__all__ = ["database_sizes", "is_database"]
+if TYPE_CHECKING:
+    import sqlite3
+
+__all__ = ["database_sizes", "is_database", "open_database"]
 
 
 def is_database(path: Path) -> bool:
@@ -28,6 +32,24 @@ def is_database(path: Path) -> bool:
         return file.read(16) == b"SQLite format 3\0"
 
 
+@contextmanager
+def open_database(path: Path) -> Iterator[sqlite3.Connection]:
+    """Open a COLMAP database for reading.
+
+    Raises:
+        InputError: the database is damaged, or lacks what the context asks for.
+    """
+    import sqlite3  # late: few inputs are databases
+
+    try:
+        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+            yield database
+    except sqlite3.Error as error:
+        raise InputError(
+            f"{shown(path)}: expected COLMAP's database, found {brief(str(error))}"
+        ) from None
+
+
 def database_sizes(path: Path, names: Sequence[str]) -> NDArray[np.int64]:
     """Return (num_images, 2) width and height of images by name.
 
@@ -35,19 +57,12 @@ def database_sizes(path: Path, names: Sequence[str]) -> NDArray[np.int64]:
         InputError: the database is damaged, or lacks an image.
         OSError: the file cannot be read.
     """
-    import sqlite3  # late: few inputs are databases
-
     place = shown(path)
-    try:
-        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
-            rows = database.execute(
-                "SELECT images.name, cameras.width, cameras.height "
-                "FROM images JOIN cameras ON cameras.camera_id = images.camera_id"
-            ).fetchall()
-    except sqlite3.Error as error:
-        raise InputError(
-            f"{place}: expected COLMAP's database, found {brief(str(error))}"
-        ) from None
+    with open_database(path) as database:
+        rows = database.execute(
+            "SELECT images.name, cameras.width, cameras.height "
+            "FROM images JOIN cameras ON cameras.camera_id = images.camera_id"
+        ).fetchall()
     known = {str(name): size for name, *size in rows}
     sizes = np.zeros((len(names), 2), np.int64)
     for index, name in enumerate(names):

@@ -21,8 +21,9 @@ from bundle.interface.tabular import Tabular
 __all__ = ["PoseGraph"]
 
 TANGENT = {3: 3, 7: 6}
-_AXES = {3: ("x", "y", "angle"), 7: ("qx", "qy", "qz", "qw", "tx", "ty", "tz")}
 """Number of tangent coordinates of a pose, by the number of values that represent it."""
+_AXES = {3: ("x", "y", "angle"), 7: ("qx", "qy", "qz", "qw", "tx", "ty", "tz")}
+"""Names of these values."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

@@ -18,8 +18,9 @@ import bundle._core as _core
 from bundle.errors import InputError
 from bundle.solving import kept_errors
 from bundle.solving.kept_errors import PixelErrors
-from bundle.solving.slices import block_errors, out_of_core
-from bundle.solving.slices.out_of_core import scratch_bytes, scratch_folder
+from bundle.solving.slices import block_errors, out_of_core, scratch_size, slice_reading
+from bundle.solving.slices.out_of_core import scratch_folder
+from bundle.solving.slices.scratch_size import scratch_bytes
 from tests.cli.conftest import command, environment, run  # noqa: F401
 from tests.rig_scenes import rig_problem
 
@@ -97,6 +98,17 @@ print(code, re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text()
 """
 
 
+def peak_of(words):
+    """Return the peak memory of a command in bytes."""
+    done = subprocess.run(
+        [sys.executable, "-c", GROWTH, *map(str, words), "--overwrite"],
+        env=environment(), capture_output=True, text=True, check=True, timeout=300,
+    )  # fmt: skip
+    code, kilobytes = map(int, done.stdout.split()[-2:])
+    assert code in (0, 1), done.stderr
+    return 1024 * kilobytes
+
+
 @pytest.mark.parametrize("kind", ["bal", "colmap"])
 def test_memory_does_not_grow_with_the_observations(tmp_path, kind):
     peaks = {}
@@ -108,14 +120,9 @@ def test_memory_does_not_grow_with_the_observations(tmp_path, kind):
             path = path.with_suffix("")
         output = path.with_name(f"refined_{path.name}")
         words = ["refine", path, "-o", output, "--quiet", "--max-iterations", 1, "--threads", 1]
-        for where, more in (("memory", []), ("disk", ["--out-of-core", tmp_path])):
-            done = subprocess.run(
-                [sys.executable, "-c", GROWTH, *map(str, words + more), "--overwrite"],
-                env=environment(), capture_output=True, text=True, check=True, timeout=300,
-            )  # fmt: skip
-            code, kilobytes = map(int, done.stdout.split()[-2:])
-            assert code in (0, 1), done.stderr
-            peaks[where, num_observations] = 1024 * kilobytes
+        # On a busy machine pages are dropped late, which only adds to a peak: the least of three.
+        for where, times, more in (("memory", 1, []), ("disk", 3, ["--out-of-core", tmp_path])):
+            peaks[where, num_observations] = min(peak_of(words + more) for _ in range(times))
     grown = {w: peaks[w, 900_000] - peaks[w, 60_000] for w in ("memory", "disk")}
     assert grown["memory"] > 50e6, grown
     assert grown["disk"] < 30e6, grown
@@ -163,7 +170,7 @@ def test_arrays_keep_their_contents_while_pages_are_dropped(tmp_path):
 @pytest.mark.parametrize("spoilt", [False, True])
 @pytest.mark.parametrize("cheirality", ["zero", "algebraic"])
 def test_statistics_by_blocks_are_those_of_all(monkeypatch, limit, spoilt, cheirality):
-    monkeypatch.setattr(block_errors, "_BLOCK", 37)
+    monkeypatch.setattr(slice_reading, "_BLOCK", 37)
     rng = np.random.default_rng(5)
 
     def errors(seed):
@@ -231,7 +238,7 @@ def test_folders_and_inputs_that_do_not_do(run, inputs, tmp_path, monkeypatch): 
     assert "binary COLMAP model" in refused(text, tmp_path / "model", tmp_path)
     assert "format of INPUT" in refused(bal, tmp_path / "out.txt.gz", tmp_path)
     usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(out_of_core.shutil, "disk_usage", lambda _: usage._replace(free=1000))
+    monkeypatch.setattr(scratch_size.shutil, "disk_usage", lambda _: usage._replace(free=1000))
     assert "of free disk" in refused(bal, out, tmp_path)
 
 

@@ -168,26 +168,37 @@ inline void FinishConstantHeads(const TileRecords& records, int64_t begin, int n
   }
 }
 
-/// Whitens the heads of a point's records, from observation `begin` on, computes the factors of its
-/// entries, and with kFinish finishes the heads.
+/// Whitens the heads of a point's records, from observation `begin` on, calls visit(observation,
+/// record, its entries), and with kFinish finishes the heads. `num_kinds`: that of the plan.
+template <bool kFinish, typename Visit>
+inline void VisitHeads(const EliminationInput& input, const TileRecords& records, int64_t begin,
+                       int num_refined, int num_kinds, const PointBlock& block,
+                       const Visit& visit) {
+  const uint16_t* entry = input.plan->entry.data() + begin * num_kinds;
+  double h[4];
+  StoreQuad(block.h, h);
+  for (int i = 0; i < num_refined; ++i, entry += num_kinds) {
+    double* const record = records.Of(begin + i);
+    WhitenHead(block, record);
+    visit(begin + i, record, entry);
+    if constexpr (kFinish) FinishHead(h, IsSingle(entry, num_kinds, i + 1 == num_refined), record);
+  }
+}
+
+/// VisitHeads that computes the factors of the point's entries.
 template <int kOwn, int kCamera, bool kFinish>
 inline void FormFactors(const EliminationInput& input, const Chunk& chunk,
                         const TileRecords& records, int64_t begin, int num_refined,
                         const PointBlock& block, double* w) {
   const EliminationPlan& plan = *input.plan;
   const int num_kinds = kOwn == 0 ? plan.num_kinds : kCamera > 0 ? 2 : 1;
-  const int32_t* const image = plan.image.data() + begin;
-  const uint16_t* const in_chunk = plan.image_in_chunk.data() + begin;
-  const uint16_t* entry = plan.entry.data() + begin * num_kinds;
-  double h[4];
-  StoreQuad(block.h, h);
-  for (int i = 0; i < num_refined; ++i, entry += num_kinds) {
-    const ModelGroup& group = input.groups[kOwn > 0 ? 0 : input.image_group[image[i]]];
-    double* const record = records.Of(begin + i);
-    WhitenHead(block, record);
-    AddFactors<kOwn, kCamera>(input, group, chunk.images.data()[in_chunk[i]], record, entry, w);
-    if constexpr (kFinish) FinishHead(h, IsSingle(entry, num_kinds, i + 1 == num_refined), record);
-  }
+  VisitHeads<kFinish>(input, records, begin, num_refined, num_kinds, block,
+                      [&](int64_t i, const double* record, const uint16_t* entry) {
+                        const int group = kOwn > 0 ? 0 : input.image_group[plan.image.data()[i]];
+                        AddFactors<kOwn, kCamera>(
+                            input, input.groups[group],
+                            chunk.images.data()[plan.image_in_chunk.data()[i]], record, entry, w);
+                      });
 }
 
 }  // namespace bundle::BUNDLE_ISA

@@ -50,14 +50,8 @@ inline void MultiplySchur(const EliminationInput& input, const StateRecords& x, 
             FinishConstantHeads(records, begin[p], num_refined);
             return;
           }
-          const uint16_t* entry = input.plan->entry.data() + begin[p] * input.plan->num_kinds;
-          double h[4];
-          StoreQuad(block.h, h);
-          for (int i = 0; i < num_refined; ++i, entry += input.plan->num_kinds) {
-            double* const head = records.Of(begin[p] + i);
-            WhitenHead(block, head);
-            FinishHead(h, IsSingle(entry, input.plan->num_kinds, i + 1 == num_refined), head);
-          }
+          VisitHeads<true>(input, records, begin[p], num_refined, input.plan->num_kinds, block,
+                           [](int64_t, const double*, const uint16_t*) {});
         },
         &step);
     ForImages(input, at.image, at.EndOfImages(*tile), at.observations, begin[at.first_point],

@@ -169,6 +169,18 @@ void SubtractPairs(const double* w, int width, int64_t stride, const EntryPair* 
   });
 }
 
+/// Stores kRows rows of a 9 x 9 block, and adds its last column, which was summed by rows.
+template <int kRows>
+inline void StoreNine(const WideRow<2>* sum, const WideRow<2>& last_column, double last,
+                      double* block) {
+  double column[8];
+  last_column.Store(column);
+#pragma GCC unroll 9
+  for (int r = 0; r < kRows; ++r) sum[r].Store(block + 12 * r);
+  for (int r = 0; r < 8; ++r) block[12 * r + 8] += column[r];
+  block[12 * 8 + 8] += last;
+}
+
 /// The same for 9 x 9 blocks: a pose and three camera parameters. Three quads would leave a quarter
 /// of the arithmetic to padding; the last column is summed by rows instead.
 inline void SubtractNine(const double* w, int64_t stride, const EntryPair* pairs, int count,
@@ -190,12 +202,7 @@ inline void SubtractNine(const double* w, int64_t stride, const EntryPair* pairs
       last -= a[12 * k + 8] * b[12 * k + 8];
     }
   }
-  double column[8];
-  last_column.Store(column);
-#pragma GCC unroll 9
-  for (int r = 0; r < 9; ++r) sum[r].Store(block + 12 * r);
-  for (int r = 0; r < 8; ++r) block[12 * r + 8] += column[r];
-  block[12 * 8 + 8] += last;
+  StoreNine<9>(sum, last_column, last, block);
 }
 
 /// block += sum of A^T M A of 9 columns, upper triangle. As above, the last column is summed by
@@ -231,12 +238,7 @@ void AddNine(const ImageRecords& records, int first, double* block) {
     last_column.Add(end[1], a[1]);
     last += end[0] * a_0[8] + end[1] * a_1[8];
   }
-  double column[8];
-  last_column.Store(column);
-#pragma GCC unroll 8
-  for (int r = 0; r < 8; ++r) sum[r].Store(block + 12 * r);
-  for (int r = 0; r < 8; ++r) block[12 * r + 8] += column[r];
-  block[12 * 8 + 8] += last;
+  StoreNine<8>(sum, last_column, last, block);
 }
 
 /// Functions by the quads of a block's rows, minus one.

@@ -7,13 +7,12 @@
 namespace bundle::BUNDLE_ISA {
 
 /// Doubles of the widest register.
+inline constexpr int kWide =
 #if defined(__AVX__)
-#define BUNDLE_WIDE kLanes
+    kLanes;
 #else
-#define BUNDLE_WIDE 2
+    2;
 #endif
-inline constexpr int kWide = BUNDLE_WIDE;
-#undef BUNDLE_WIDE
 
 /// A row of kQuads quads in the widest registers of the instruction set.
 template <int kQuads>

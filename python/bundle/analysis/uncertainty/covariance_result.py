@@ -95,6 +95,12 @@ class Covariance(FrozenArrays, Displayed):
         default=None, repr=False, compare=False
     )
 
+    @property
+    def readout_sigmas(self) -> dict[int, float]:
+        """Standard deviation of each refined readout, by camera id; empty without any."""
+        variances = zip(self.camera_ids.tolist(), self.readout_covariance.tolist(), strict=False)
+        return {camera: variance**0.5 for camera, variance in variances if variance >= 0}
+
     def pose(self, image_id: int) -> _Floats:
         """Return the (6, 6) covariance of an image's pose.
 

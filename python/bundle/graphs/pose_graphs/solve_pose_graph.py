@@ -173,6 +173,8 @@ def _refined(
     weighed = checked_information(graph, options.information)
     held, num_components, for_gauge = _core.hold_poses(weighed)
     doubted = _robust_edges(graph, options)
+    # Trials leave the basin of the start, which robust solves and a chosen start must not.
+    with_trials = options.loss == "trivial" and options.init != "auto"
     order: _core.PoseOrder | None = None
     if options.init == "auto":
         start = choose_start(weighed, held, doubted, options)
@@ -202,7 +204,9 @@ def _refined(
             from bundle.graphs.pose_graphs.gnc_solve import solve_gnc
 
             return solve_gnc(started_graph, held, doubted, how, progress, proposals)
-        found = _core.solve_pose_graph(started_graph, held, doubted, how.asdict(), progress, order)
+        found = _core.solve_pose_graph(
+            started_graph, held, doubted, how.asdict(), progress, order, with_trials
+        )
         if options.loss == "auto" and how.loss != "trivial":
             proposals.append((found["chi2_after"] <= c_squared, found["poses"]))
             agreed = _consistent_set(weighed, options.num_threads)

@@ -20,7 +20,7 @@ import math
 from dataclasses import dataclass
 
 from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY
-from bundle.solving.slices.out_of_core import RESIDENT_BYTES, scratch_bytes
+from bundle.solving.slices.scratch_size import RESIDENT_BYTES, scratch_bytes
 
 __all__ = ["MOST_OBSERVATIONS", "ProblemNeeds", "needs_of"]
 

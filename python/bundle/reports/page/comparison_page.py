@@ -59,12 +59,7 @@ def _scope(comparison: Comparison) -> str:
         words += f" Runs of up to {comparison.repeat} repeats show the one of median time."
     if comparison.perturb:
         words += f" The start is perturbed by {comparison.perturb:g}, seed {comparison.seed}."
-    here = comparison.environment
-    versions = ", ".join(f"{name} {version}" for name, version in here.versions.items() if version)
-    conditions = (
-        f"Measured {here.date} on {here.cpu_model}, {plural(here.num_cores, 'core')}, load "
-        f"{here.load_before:.1f} before and {here.load_after:.1f} after. {versions}."
-    )
+    conditions = comparison.environment.sentence
     return tag("p", escape(words), class_="quiet") + tag("p", escape(conditions), class_="quiet")
 
 

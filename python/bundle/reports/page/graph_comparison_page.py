@@ -44,14 +44,10 @@ def write_graph_comparison(
 
 
 def _conditions(found: GraphComparison) -> str:
-    here = found.environment
-    versions = ", ".join(f"{name} {version}" for name, version in here.versions.items() if version)
     median = f" Times are medians of {found.repeat} solves." if found.repeat > 1 else ""
     words = (
         f"{plural(len(found.runs), 'method')} from one start, each stopped after "
-        f"{found.timeout:g} seconds.{median} Measured {here.date} on {here.cpu_model}, "
-        f"{plural(here.num_cores, 'core')}, load {here.load_before:.1f} before and "
-        f"{here.load_after:.1f} after. {versions}."
+        f"{found.timeout:g} seconds.{median} {found.environment.sentence}"
     )
     return tag("p", escape(words), class_="quiet")
 

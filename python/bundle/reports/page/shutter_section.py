@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.figures.twist_figures import twist_figures
 from bundle.model.problem import Problem
@@ -34,7 +32,7 @@ def shutter_section(
     facts = shutter_fact(problem)
     if not facts:
         return []
-    sigmas = _readout_sigmas(covariance)
+    sigmas = {} if covariance is None else covariance.readout_sigmas
     words = [] if result is None else solved_sentences(result, sigmas)
     return [
         Section(
@@ -56,12 +54,4 @@ def shutter_data(
     """Return the same for programs; empty without rolling shutters."""
     if result is None or not about_shutter(problem):
         return about_shutter(problem)
-    return solved_data(result, _readout_sigmas(covariance))
-
-
-def _readout_sigmas(covariance: Covariance | None) -> dict[int, float]:
-    """Return the standard deviation of each refined readout, by camera id."""
-    if covariance is None or not len(covariance.readout_covariance):
-        return {}
-    found = zip(covariance.camera_ids.tolist(), covariance.readout_covariance.tolist(), strict=True)
-    return {key: float(np.sqrt(variance)) for key, variance in found if np.isfinite(variance)}
+    return solved_data(result, {} if covariance is None else covariance.readout_sigmas)

@@ -17,7 +17,7 @@ from bundle.planning.inspection.peak_memory import ON_DISK
 from bundle.planning.inspection.rank_prediction import RankPrediction, find_rank_limit
 from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_problem, problem_facts
-from bundle.solving.slices.out_of_core import RESIDENT_BYTES, scratch_bytes
+from bundle.solving.slices.scratch_size import RESIDENT_BYTES, scratch_bytes
 
 __all__ = ["inspected"]
 

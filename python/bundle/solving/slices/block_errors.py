@@ -6,8 +6,6 @@ compressed in place to those that count, block by block; order statistics partit
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,10 +17,9 @@ from bundle.model.reprojection import (
     summarize_errors,
 )
 from bundle.solving.kept_errors import Inliers, KeptErrors, Measured, PixelErrors, inlier_sums
+from bundle.solving.slices.slice_reading import blocks
 
 __all__ = ["measure_on_disk", "point_errors_on_disk"]
-
-_BLOCK = 1 << 20
 
 
 def measure_on_disk(before: PixelErrors, after: PixelErrors, limit: float | None) -> Measured:
@@ -36,7 +33,7 @@ def measure_on_disk(before: PixelErrors, after: PixelErrors, limit: float | None
     num_observations = len(after.errors)
     behind = int(before.behind.sum()), int(after.behind.sum())
     differ, sums = False, np.zeros(6)
-    for block in _blocks(num_observations):
+    for block in blocks(num_observations):
         start, end = _counted(before, block), _counted(after, block)
         differ = differ or bool((start != end).any())
         if limit is not None:
@@ -72,19 +69,15 @@ def point_errors_on_disk(
     counts = _core.large_array(num_points, np.dtype(np.int32))
     sums.fill(0.0)
     counts.fill(0)
-    for block in _blocks(len(errors)):
+    for block in blocks(len(errors)):
         at = point[block]
         lost = behind[block] | np.isnan(errors[block])
         np.add.at(sums, at, np.where(lost, no_projection, errors[block]))
         np.add.at(counts, at, 1)
-    for block in _blocks(num_points):
+    for block in blocks(num_points):
         seen = counts[block] > 0
         sums[block] = np.where(seen, sums[block] / np.maximum(counts[block], 1), -1.0)
     return sums
-
-
-def _blocks(size: int) -> Iterator[slice]:
-    return (slice(begin, begin + _BLOCK) for begin in range(0, size, _BLOCK))
 
 
 def _counted(found: PixelErrors, block: slice) -> NDArray[np.bool_]:
@@ -98,7 +91,7 @@ def _compressed(
     source = (one, other)[which or 0].errors
     target = source if which is None else _core.large_array(size, np.dtype(np.float64))
     count = 0
-    for block in _blocks(size):
+    for block in blocks(size):
         counts = _counted(one, block)
         if which is not None:
             counts &= _counted(other, block)
@@ -117,7 +110,7 @@ def _summarize(errors: NDArray[np.float64], num_behind: int) -> ReprojectionErro
     else:
         total = squares = largest = 0.0
         with np.errstate(over="ignore"):
-            for block in _blocks(count):
+            for block in blocks(count):
                 total += float(errors[block].sum())
                 squares += float((errors[block] ** 2).sum())
                 largest = max(largest, float(errors[block].max()))

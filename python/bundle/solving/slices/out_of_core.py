@@ -7,7 +7,6 @@ process has the only slice. The solve is that of a model in memory, with the sam
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,21 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.memory_sizes import format_size
 from bundle.errors import InputError, shown
 from bundle.interface.solve_record import Progress
 from bundle.io import colmap
 from bundle.solving.kept_errors import PixelErrors
 from bundle.solving.prepare import STATE, Executor, Prepared
 from bundle.solving.slices.block_errors import measure_on_disk, point_errors_on_disk
+from bundle.solving.slices.scratch_size import RESIDENT_BYTES, refuse_small_disk
 from bundle.solving.slices.slice_process import Process
 from bundle.solving.slices.slice_reading import Survey
 from bundle.solving.slices.sliced_refinement import SliceCrew, SlicedRefinement, SliceJob
 
-__all__ = ["RESIDENT_BYTES", "LoneCrew", "OutOfCoreRefinement", "scratch_bytes", "scratch_folder"]
-
-RESIDENT_BYTES = 1 << 30
-"""Bytes of the files in memory at a time."""
+__all__ = ["LoneCrew", "OutOfCoreRefinement", "scratch_folder"]
 
 
 @contextmanager
@@ -52,29 +48,6 @@ def scratch_folder(folder: str) -> Iterator[None]:
         yield
     finally:
         _core.close_scratch()
-
-
-def scratch_bytes(num_observations: int, num_points: int) -> float:
-    """Return the bytes on disk during a solve with tracks of one length.
-
-    Arrays of the input and of the plan, per observation: pixels twice, image twice, point,
-    places in chunk and tile; 4 bytes per pair of a point. Per point: the input, two
-    states, scales, places (cpp/core/schur/elimination_plan.h).
-    """
-    length = num_observations / max(num_points, 1)
-    pairs = 4 * max(length - 1, 0) / 2
-    return num_observations * (50 + 1.1 * pairs) + num_points * 132
-
-
-def refuse_small_disk(folder: str, num_observations: int, num_points: int) -> None:
-    """Raise an InputError if the files cannot fit."""
-    needed = scratch_bytes(num_observations, num_points)
-    free = shutil.disk_usage(folder).free
-    if needed > free:
-        raise InputError(
-            f"--out-of-core: expected {format_size(needed)} of free disk for {num_observations} "
-            f"observations and {num_points} points, found {format_size(free)} in {shown(folder)}"
-        )
 
 
 class LoneMeeting:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -163,20 +164,24 @@ def _bal_header(path: Path) -> tuple[int, int, int] | None:
     return (counts[0], counts[1], counts[2]) if len(words) == len(counts) == 3 else None
 
 
+def blocks(size: int) -> Iterator[slice]:
+    """Yield the slices of an array that is not to be in memory as a whole."""
+    return (slice(begin, begin + _BLOCK) for begin in range(0, size, _BLOCK))
+
+
 def _counted_up(size: int, kind: type[Any]) -> NDArray[Any]:
     """Return the numbers from 0 on, in the scratch folder if one is open."""
     numbers = _core.large_array(size, np.dtype(kind))
-    for first in range(0, size, _BLOCK):
-        last = min(first + _BLOCK, size)
-        numbers[first:last] = np.arange(first, last)
+    for block in blocks(size):
+        numbers[block] = np.arange(block.start, min(block.stop, size))
     return numbers
 
 
 def _counts(image: NDArray[np.int32], num_images: int) -> NDArray[np.int64]:
     """Return the number of observations of each image."""
     counts = np.zeros(num_images, np.int64)
-    for first in range(0, len(image), _BLOCK):
-        counts += np.bincount(image[first : first + _BLOCK], minlength=num_images)
+    for block in blocks(len(image)):
+        counts += np.bincount(image[block], minlength=num_images)
     return counts
 
 
