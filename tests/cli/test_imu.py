@@ -3,10 +3,14 @@
 import json
 import shutil
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import bundle
+from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.io.sequences.sequence_folder import save_sequence
+from tests.cli.test_gps import write_geo
 from tests.inertial.offline.models import model_of
 from tests.inertial.offline.test_imu_adjustment import error_of
 
@@ -60,6 +64,30 @@ def test_models_are_written_in_metres_with_z_up(run, folder, made):
     assert not [f for f in report["findings"] if f["kind"] == "not_refined"]
 
 
+def test_positions_and_samples_together(run, folder, made):
+    _, flight, stamps = made
+    problem = bundle.load(folder / "model")
+    states = states_at(flight.ground_truth, stamps)
+    arm = np.array(flight.sequence.calibration.camera_from_imu)
+    turn = Rotation.from_quat(states[:, :4])
+    centers = states[:, 4:7] - turn.apply(Rotation.from_quat(arm[:4]).inv().apply(arm[4:]))
+    enu = Rotation.from_euler("z", 1.2).apply(centers)
+    enu += 0.02 * np.random.default_rng(1).normal(size=enu.shape)
+    write_geo(folder / "geo.txt", problem.image_names, enu)
+    words = [*words_of(folder), "--refine", "poses,points", "--imu-noise-scale", "2"]
+    words += ["--gps", folder / "geo.txt", "--gps-sigma", "0.02", "--max-iterations", "60"]
+    code, out, _ = refine(run, folder, *words)
+    assert code == 0 and "In metres, z up" in out
+    report = json.loads((folder / "r.json").read_text())
+    place = json.loads((folder / "out" / "georeference.json").read_text())
+    assert report["georeference"] == place
+    assert max(place["rms_enu"]) < 0.1
+    refined = bundle.load(folder / "out")
+    found = Rotation.from_quat(refined.cam_from_world[:, :4]).apply([0, 0, 1.0])
+    expected = (Rotation.from_quat(arm[:4]) * turn.inv()).apply([0, 0, 1.0])
+    assert np.degrees(np.linalg.norm(found - expected, axis=1)).max() < 1.5
+
+
 def test_files_that_do_not_fit_are_one_line(run, folder):
     times = folder / "times.csv"
     lines = times.read_text().splitlines()
@@ -96,6 +124,8 @@ def test_files_that_do_not_fit_are_one_line(run, folder):
         (["--hold-out", "10"], ["--hold-out", "--imu"]),
         (["--set", "cameras *: f fixed"], ["--set", "--imu"]),
         (["--fix-images", "1"], ["--fix-images", "--imu"]),
+        (["--gravity", "down.csv"], ["--gravity", "--imu"]),
+        (["--gcp", "targets.txt"], ["--gcp", "--imu"]),
         (["--backend", "fused"], ["--imu", "ceres"]),
         (["--imu-noise-scale", "0"], ["--imu-noise-scale"]),
     ],

@@ -12,6 +12,7 @@ from bundle.cli.path_checks import a_path
 from bundle.errors import InputError
 
 if TYPE_CHECKING:
+    from bundle.georeference.position_prior import PositionPrior
     from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.interface.options import SolveOptions
     from bundle.interface.solve_record import Progress
@@ -21,7 +22,7 @@ __all__ = ["InertialFiles", "add_inertial_flags", "adjusted_with_imu", "inertial
 
 ELSEWHERE = (
     *("num_rounds", "only_images", "hold_out", "checkpoint", "resume", "loops", "rules"),
-    *("constraints", "gps", "gcp", "gravity", "orientations", "rig_config", "fixed_image_ids"),
+    *("constraints", "gcp", "gravity", "orientations", "rig_config", "fixed_image_ids"),
     "fixed_point_ids",
 )
 """Arguments of other ways to refine, which are not valid with an IMU."""
@@ -36,12 +37,14 @@ class InertialFiles:
         frame_times: name and time in ns of each image.
         calibration: calibration.yaml, or Kalibr's two files.
         noise_scale: factor on the noise densities; None: by the rate of the images.
+        samples: kind of the samples: "auto", "instant" or "interval".
     """
 
     imu: str
     frame_times: str
     calibration: tuple[str, ...]
     noise_scale: float | None
+    samples: str
 
 
 def add_inertial_flags(parser: argparse.ArgumentParser) -> None:
@@ -80,6 +83,12 @@ def add_inertial_flags(parser: argparse.ArgumentParser) -> None:
         "do not include vibration; only with --imu (default: 5 for 4 images per second, in "
         "proportion to the root of the time between images, at least 1)",
     )
+    group.add_argument(
+        "--imu-samples",
+        choices=("auto", "instant", "interval"),
+        help="instant: samples at their stamps; interval: means over the interval that follows; "
+        "only with --imu (default: auto, as the images tell)",
+    )
 
 
 def inertial_given(arguments: argparse.Namespace) -> InertialFiles | None:
@@ -92,6 +101,7 @@ def inertial_given(arguments: argparse.Namespace) -> InertialFiles | None:
         "--frame-times": arguments.frame_times,
         "--calibration": arguments.calibration,
         "--imu-noise-scale": arguments.imu_noise_scale,
+        "--imu-samples": arguments.imu_samples,
     }
     if arguments.imu is None:
         for flag, value in given.items():
@@ -109,13 +119,18 @@ def inertial_given(arguments: argparse.Namespace) -> InertialFiles | None:
         arguments.frame_times,
         tuple(map(str, arguments.calibration)),
         arguments.imu_noise_scale,
+        arguments.imu_samples or "auto",
     )
 
 
 def adjusted_with_imu(
-    given: InertialFiles, problem: Problem, options: SolveOptions, progress: Progress
+    given: InertialFiles,
+    problem: Problem,
+    options: SolveOptions,
+    positions: tuple[PositionPrior, ...],
+    progress: Progress,
 ) -> InertialAdjustment:
-    """Adjust a problem with the samples of an IMU.
+    """Adjust a problem with the samples of an IMU, and with measured positions of images.
 
     Raises:
         InputError: a file is wrong, or the samples do not fit the images.
@@ -150,5 +165,7 @@ def adjusted_with_imu(
             calibration.noise,
             options,
             imu_noise_scale=given.noise_scale,
+            imu_samples=given.samples,
+            positions=positions,
             progress=progress,
         )

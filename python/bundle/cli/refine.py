@@ -146,7 +146,9 @@ def _adjusted_with_imu(
     if opened.place is not None:
         raise InputError("--imu: expected a model without georeference.json, which it would move")
     progress.stage("adjusting with the IMU")
-    return adjusted_with_imu(asked.inertial, opened.problem, opened.options, progress.iteration)
+    return adjusted_with_imu(
+        asked.inertial, opened.problem, opened.options, opened.positions, progress.iteration
+    )
 
 
 def _with_edits(
@@ -214,7 +216,7 @@ def _judge(
         given=asked.given,
         options=solved.options,
         rounds=len(solved.rounds),
-        priors=priors if inertial is None else (inertial,),
+        priors=priors if inertial is None else (inertial, *priors),
         is_minimum=solved.summary.termination_type == "CONVERGENCE",
     )
 

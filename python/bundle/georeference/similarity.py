@@ -62,6 +62,14 @@ class Similarity:
         mapped: Array = self.scale * points @ self.rotation.T + self.translation
         return mapped
 
+    def after(self, first: Similarity) -> Similarity:
+        """Return the composition: ``first``, then this similarity."""
+        return Similarity(
+            self.scale * first.scale,
+            self.rotation @ first.rotation,
+            self.apply(first.translation[None])[0],
+        )
+
     def asdict(self) -> dict[str, Any]:
         """Return scale, rotation (three rows) and translation by name."""
         return {

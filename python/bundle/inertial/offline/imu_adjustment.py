@@ -1,11 +1,11 @@
 """Bundle adjustment of a reconstruction of a video together with the samples of its IMU.
 
 A monocular reconstruction has no scale and no vertical, and drifts along a video. The samples of an
-IMU between its images determine scale and vertical, and hold the shape. The cost of a solve gains,
-for consecutive images, the factors of ``cpp/core/factors/image_imu_factor.h`` and random walks of
-the biases. Velocities and biases are three numbers each, and additional points of the problem
-without observations; the result does not have them. The model is first brought into metres with z
-up (``inertial_start``), where gravity is known; position and heading stay free.
+IMU between its images determine scale and vertical, and hold the shape. Motions of the IMU are
+factors of the solve (``motion_solve``). The model is first brought into metres with z up
+(``inertial_start``), where gravity is known. Position and heading stay free, or follow measured
+positions, whose z is up, too. A clear offset of the clocks (``clock_offset``) is added to the times
+of images.
 
 Preintegrated motions are of first order in the biases. A second solve starts with motions that are
 integrated again at the biases of the first one, if these moved far.
@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,42 +22,37 @@ from numpy.typing import NDArray
 
 from bundle.errors import InputError
 from bundle.georeference.pose_alignment import align_centers
+from bundle.georeference.position_prior import PositionPrior
+from bundle.georeference.prior_alignment import ProblemPriors
 from bundle.georeference.similarity import Similarity, moved
-from bundle.graphs.factors.factors import BetweenFactor, Factor, PriorFactor
+from bundle.inertial.offline.clock_offset import ClockOffset
+from bundle.inertial.offline.image_intervals import RULES, ImageIntervals, likely_kinds
 from bundle.inertial.offline.inertial_result import ImuSamples, InertialAdjustment
 from bundle.inertial.offline.inertial_start import (
     InertialStart,
     preintegrated,
     solve_inertial_start,
 )
-from bundle.inertial.preintegration.imu_factors import ImageImuFactor
-from bundle.inertial.preintegration.preintegration import Preintegration
-from bundle.inertial.vio.sequence_images import ImuSlices
+from bundle.inertial.offline.motion_solve import GRAVITY, MotionState, solved_with_motions
 from bundle.inertial.vio.window_frame import ImuInterval
-from bundle.interface.option_fields import number
+from bundle.interface.option_fields import choice, number
 from bundle.interface.options import SolveOptions
 from bundle.interface.solve_record import Progress
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 from bundle.model.sequence.imu_noise import ImuNoise
-from bundle.model.sequence.sequence import check_imu
 from bundle.solving.kept_errors import Edit
 from bundle.solving.result import Result
-from bundle.solving.solve import solve
 
 __all__ = ["adjust_with_imu"]
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.81
-"""Length of gravity, m/s^2."""
 NOISE_SCALE, AT_INTERVAL = 5.0, 0.25
 """Factor on the noise densities of data sheets, which do not include vibration, for images at this
 interval in seconds."""
-RULE = "midpoint"
-GYRO_BIAS_SIGMA, ACCEL_BIAS_SIGMA = 0.1, 0.3
-"""Weak priors of the first biases, rad/s and m/s^2."""
 LEAST_IMAGES = 5
+LEAST_POSITIONS = 2
 MOST_SCALE_SIGMA = 0.5
 """Relative standard deviation of the first scale, beyond which the motion does not determine it."""
 ROUNDS = 3
@@ -73,6 +67,8 @@ def adjust_with_imu(
     options: SolveOptions | None = None,
     *,
     imu_noise_scale: float | None = None,
+    imu_samples: str = "auto",
+    positions: tuple[PositionPrior, ...] = (),
     progress: Progress | None = None,
 ) -> InertialAdjustment:
     """Adjust a reconstruction of a video with the samples of its IMU.
@@ -86,6 +82,10 @@ def adjust_with_imu(
         options: options of the solve; ``backend`` must be "auto" or "ceres", and no image is fixed.
         imu_noise_scale: factor on the two noise densities; None: 5 for images at 4 Hz, otherwise
             in proportion to the root of the time between images, and at least 1.
+        imu_samples: "instant": samples are rates and forces at their stamps; "interval": means over
+            the interval that follows; "auto": as the rotations of the images tell, or else the
+            kind with the lower cost.
+        positions: measured positions of images in metres with z up; the result is in their frame.
         progress: as for :func:`bundle.solve`.
 
     Raises:
@@ -93,59 +93,119 @@ def adjust_with_imu(
             not determine the scale.
     """
     options = _checked(problem, options)
+    imu_samples = choice("imu_samples", imu_samples, ("auto", *RULES))
     stamps = np.asarray(image_times_ns, np.int64)
     order = np.argsort(stamps, kind="stable")
-    intervals = _intervals(samples, stamps[order])
     scale = _noise_scale(stamps[order], imu_noise_scale)
-    noise = noise.scaled(scale, walks=False)
-    extrinsics = np.asarray(camera_from_imu, np.float64)
-    start, placed, similarity = _start(problem, order, intervals, extrinsics, noise)
-    rotation = similarity.rotation
-    state = _State(
+    case = _Case(
+        problem=problem,
+        order=order,
+        camera_from_imu=np.asarray(camera_from_imu, np.float64),
+        noise=noise.scaled(scale, walks=False),
+        known=ProblemPriors.make(problem, positions),
+        options=options,
+        progress=progress,
+    )
+    best = min(
+        (
+            _adjusted(case, video, clock)
+            for video, clock in _videos(case, samples, stamps[order], imu_samples)
+        ),
+        key=lambda found: found.cost,
+    )
+    back, state, last = np.argsort(order), best.state, best.results[-1]
+    costs = np.asarray(last.factor_costs_after)
+    finished = dataclasses.replace(
+        last,
+        problem=state.problem,
+        initial_problem=problem,
+        similarity=best.similarity,
+        edits=(Edit("alignment", problem, moved(problem, best.similarity)),),
+    )
+    return InertialAdjustment(
+        result=finished,
+        similarity=best.similarity,
+        scale=align_centers(problem.projection_centers, state.problem.projection_centers).scale,
+        start=best.start,
+        timestamps_ns=stamps,
+        velocities=state.velocities[back],
+        gyro_biases=state.biases[back, :3],
+        accel_biases=state.biases[back, 3:],
+        imu_cost=float(costs[: len(order) - 1].sum()),
+        noise_scale=scale,
+        num_solves=len(best.results),
+        clock=best.clock,
+        imu_samples=best.kind,
+    )
+
+
+class _Case(NamedTuple):
+    """Arguments of an adjustment; ``order``: images in the order of time."""
+
+    problem: Problem
+    order: NDArray[np.intp]
+    camera_from_imu: Array
+    noise: ImuNoise
+    known: ProblemPriors
+    options: SolveOptions
+    progress: Progress | None
+
+
+class _Adjusted(NamedTuple):
+    """Adjustment with one kind of samples."""
+
+    kind: str
+    clock: ClockOffset
+    start: InertialStart
+    similarity: Similarity
+    state: MotionState
+    results: list[Result]
+
+    @property
+    def cost(self) -> float:
+        """Final cost; infinite for a result that is not usable."""
+        summary = self.results[-1].summary
+        return summary.final_cost if summary.is_solution_usable else math.inf
+
+
+def _videos(
+    case: _Case, samples: ImuSamples, stamps: NDArray[np.int64], kind: str
+) -> list[tuple[ImageIntervals, ClockOffset]]:
+    """Return the intervals for each likely kind of samples, and the offsets of the clocks."""
+    rotations = _imu_rotations(case.problem, case.order, case.camera_from_imu)
+    found = {}
+    for one in RULES if kind == "auto" else (kind,):
+        video = ImageIntervals(samples, stamps, one)
+        found[one] = video, video.offset(rotations, case.noise)
+    kinds = likely_kinds(found["instant"][1], found["interval"][1]) if kind == "auto" else (kind,)
+    return [found[one] for one in kinds]
+
+
+def _adjusted(case: _Case, video: ImageIntervals, clock: ClockOffset) -> _Adjusted:
+    intervals = video.at(clock.seconds if clock.is_clear else 0.0)
+    start, similarity = _start(case, intervals, video.rule)
+    placed = moved(case.problem, similarity)
+    if case.known.priors:
+        similarity = _to_positions(placed, case.known).after(similarity)
+        placed = moved(case.problem, similarity)
+    state = MotionState(
         placed,
-        start.velocities @ rotation.T,
-        np.tile(np.append(start.gyro_bias, start.accel_bias), (len(order), 1)),
+        start.velocities @ similarity.rotation.T,
+        np.tile(np.append(start.gyro_bias, start.accel_bias), (len(case.order), 1)),
     )
     results: list[Result] = []
     for _ in range(ROUNDS):
-        motions = preintegrated(intervals, noise, state.biases[:-1], RULE)
-        result, state = _solved(state, order, motions, extrinsics, noise, options, progress)
+        motions = preintegrated(intervals, case.noise, state.biases[:-1], video.rule)
+        result, state = solved_with_motions(
+            state, case.order, motions, case.camera_from_imu, case.noise, case.known.factors(),
+            case.options, case.progress,
+        )  # fmt: skip
         results.append(result)
         pairs = zip(motions, state.biases, strict=False)
         is_far = any(motion.needs_repropagation(bias[:3]) for motion, bias in pairs)
         if not is_far or result.summary.interrupted or not result.summary.is_solution_usable:
             break
-    costs = np.asarray(results[-1].factor_costs_after)
-    count = len(intervals)
-    finished = dataclasses.replace(
-        results[-1],
-        problem=state.problem,
-        initial_problem=problem,
-        similarity=similarity,
-        edits=(Edit("alignment", problem, placed),),
-    )
-    back = np.argsort(order)
-    return InertialAdjustment(
-        result=finished,
-        similarity=similarity,
-        scale=align_centers(problem.projection_centers, state.problem.projection_centers).scale,
-        start=start,
-        timestamps_ns=stamps,
-        velocities=state.velocities[back],
-        gyro_biases=state.biases[back, :3],
-        accel_biases=state.biases[back, 3:],
-        imu_cost=float(costs[:count].sum()),
-        noise_scale=scale,
-        num_solves=len(results),
-    )
-
-
-class _State(NamedTuple):
-    """Problem, and velocities (n, 3) and biases (n, 6) in the order of time."""
-
-    problem: Problem
-    velocities: Array
-    biases: Array
+    return _Adjusted(video.kind, clock, start, similarity, state, results)
 
 
 def _checked(problem: Problem, options: SolveOptions | None) -> SolveOptions:
@@ -183,45 +243,20 @@ def _noise_scale(stamps: NDArray[np.int64], given: float | None) -> float:
     return max(NOISE_SCALE * math.sqrt(interval / AT_INTERVAL), 1.0)
 
 
-def _intervals(samples: ImuSamples, stamps: NDArray[np.int64]) -> list[ImuInterval]:
-    """Return the samples between consecutive images."""
-    check_imu(*samples, lambda row: f"IMU sample {row}")
-    first, last = int(samples.timestamps_ns[0]), int(samples.timestamps_ns[-1])
-    outside = (stamps < first) | (stamps > last)
-    if outside.any():
-        found = int(stamps[np.flatnonzero(outside)[0]])
-        how = "all images are" if outside.all() else f"{int(outside.sum())} images are"
-        raise InputError(
-            f"imu: expected images between the samples ({first} to {last} ns), found {found}: "
-            f"{how} outside"
-        )
-    steps = np.flatnonzero(np.diff(stamps) <= 0)
-    if len(steps):
-        raise InputError(
-            f"imu: expected images at different times, found {int(stamps[steps[0]])} ns twice"
-        )
-    slices = ImuSlices(samples.timestamps_ns, samples.gyro, samples.accel, RULE)
-    return [slices.between(begin, end) for begin, end in pairwise(stamps.tolist())]
-
-
 def _start(
-    problem: Problem,
-    order: NDArray[np.intp],
-    intervals: list[ImuInterval],
-    camera_from_imu: Array,
-    noise: ImuNoise,
-) -> tuple[InertialStart, Problem, Similarity]:
-    """Return the start in the model's world, and the model in metres with z up."""
-    rotations = rotation_matrices(problem.cam_from_world[order, :4])
-    turn = rotation_matrices(camera_from_imu[None, :4])[0]
+    case: _Case, intervals: list[ImuInterval], rule: str
+) -> tuple[InertialStart, Similarity]:
+    """Return the start in the model's world, and the similarity to metres with z up."""
+    problem, arm = case.problem, case.camera_from_imu
+    rotations = rotation_matrices(problem.cam_from_world[case.order, :4])
     start = solve_inertial_start(
-        np.swapaxes(rotations, 1, 2) @ turn,
-        problem.projection_centers[order],
-        np.einsum("nji,j->ni", rotations, camera_from_imu[4:]),
+        _imu_rotations(problem, case.order, arm),
+        problem.projection_centers[case.order],
+        np.einsum("nji,j->ni", rotations, arm[4:]),
         intervals,
-        noise,
+        case.noise,
         GRAVITY,
-        RULE,
+        rule,
     )
     if not (start.scale > 0 and start.scale_sigma < MOST_SCALE_SIGMA):
         raise InputError(
@@ -232,8 +267,31 @@ def _start(
     down = start.gravity / np.linalg.norm(start.gravity)
     level = _level(down)
     middle = problem.projection_centers.mean(axis=0)
-    similarity = Similarity(start.scale, level, -start.scale * level @ middle)
-    return start, moved(problem, similarity), similarity
+    return start, Similarity(start.scale, level, -start.scale * level @ middle)
+
+
+def _imu_rotations(problem: Problem, order: NDArray[np.intp], camera_from_imu: Array) -> Array:
+    """Return the (n, 3, 3) rotations world_from_imu in the order of time."""
+    rotations = rotation_matrices(problem.cam_from_world[order, :4])
+    turned: Array = np.swapaxes(rotations, 1, 2) @ rotation_matrices(camera_from_imu[None, :4])[0]
+    return turned
+
+
+def _to_positions(problem: Problem, known: ProblemPriors) -> Similarity:
+    """Return the heading and shift that move a levelled problem in metres to its positions.
+
+    Raises:
+        InputError: there are no two positions with a height, or they are at one place.
+    """
+    points = known.correspondences(problem)
+    has_height = ~np.isnan(points.target[:, 2])
+    if has_height.sum() < LEAST_POSITIONS:
+        raise InputError(
+            f"imu: expected at least {LEAST_POSITIONS} positions with a height, found "
+            f"{int(has_height.sum())}"
+        )
+    antennas = points.source + points.offset
+    return align_centers(antennas[has_height], points.target[has_height], "yaw")
 
 
 def _level(down: Array) -> Array:
@@ -244,64 +302,3 @@ def _level(down: Array) -> Array:
     axis = np.array([-y, x, 0.0])  # down x (0, 0, -1)
     cross = np.array([[0, 0, axis[1]], [0, 0, -axis[0]], [-axis[1], axis[0], 0.0]])
     return np.asarray(np.eye(3) + cross + cross @ cross / (1 - z))
-
-
-def _solved(
-    state: _State,
-    order: NDArray[np.intp],
-    motions: list[Preintegration],
-    camera_from_imu: Array,
-    noise: ImuNoise,
-    options: SolveOptions,
-    progress: Progress | None,
-) -> tuple[Result, _State]:
-    problem, count = state.problem, len(order)
-    first_id = int(problem.point_ids.max(initial=0)) + 1
-    ids = first_id + np.arange(3 * count)
-    added = [state.velocities, state.biases[:, :3], state.biases[:, 3:]]
-    extended = problem.replace(
-        points=np.concatenate([problem.points, *added]),
-        point_ids=np.concatenate([problem.point_ids, ids]),
-    )
-    factors = _factors(
-        problem.image_ids[order].tolist(),
-        ids.reshape(3, count).tolist(),
-        motions,
-        camera_from_imu,
-        noise,
-    )
-    result = solve(extended, options, factors=factors, progress=progress)
-    points = result.problem.points
-    velocities, gyro, accel = points[problem.num_points :].reshape(3, count, 3)
-    refined = result.problem.replace(
-        points=points[: problem.num_points], point_ids=problem.point_ids
-    )
-    return result, _State(refined, velocities, np.hstack([gyro, accel]))
-
-
-def _factors(
-    images: list[int],
-    points: list[list[int]],
-    motions: list[Preintegration],
-    camera_from_imu: Array,
-    noise: ImuNoise,
-) -> list[Factor]:
-    """Return the motions, then random walks and priors of the biases."""
-    velocity, gyro, accel = ([("point", one) for one in part] for part in points)
-    pose = [("image", image) for image in images]
-    factors: list[Factor] = [
-        ImageImuFactor(
-            pose[k], velocity[k], gyro[k], accel[k], pose[k + 1], velocity[k + 1], motion,
-            camera_from_imu, gravity=(0.0, 0.0, -GRAVITY),
-        )
-        for k, motion in enumerate(motions)
-    ]  # fmt: skip
-    for keys, walk, sigma in (
-        (gyro, noise.gyro_bias_random_walk, GYRO_BIAS_SIGMA),
-        (accel, noise.accel_bias_random_walk, ACCEL_BIAS_SIGMA),
-    ):
-        for k, motion in enumerate(motions):
-            information = 1 / (walk**2 * motion.duration)
-            factors.append(BetweenFactor(keys[k], keys[k + 1], np.zeros(3), information))
-        factors.append(PriorFactor(keys[0], np.zeros(3), 1 / sigma**2))
-    return factors

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from bundle.base.display import Display, Displayed
 from bundle.base.words import number as rounded
 from bundle.georeference.similarity import Similarity
+from bundle.inertial.offline.clock_offset import ClockOffset
 from bundle.inertial.offline.inertial_start import InertialStart
 from bundle.solving.result import Result
 
@@ -49,6 +51,8 @@ class InertialAdjustment(Displayed):
         imu_cost: cost of the motions in the result.
         noise_scale: factor on the noise densities.
         num_solves: number of solves.
+        clock: offset of the clocks; a clear offset was added to the times of images.
+        imu_samples: kind of the samples: "instant" or "interval".
     """
 
     result: Result
@@ -62,6 +66,8 @@ class InertialAdjustment(Displayed):
     imu_cost: float
     noise_scale: float
     num_solves: int
+    clock: ClockOffset
+    imu_samples: str
 
     @property
     def sentence(self) -> str:
@@ -70,9 +76,17 @@ class InertialAdjustment(Displayed):
             float(np.linalg.norm(biases.mean(axis=0)))
             for biases in (self.gyro_biases, self.accel_biases)
         )
+        clock = ""
+        if self.imu_samples == "interval":
+            clock = " Its samples are means over the interval that follows their stamp."
+        if self.clock.is_clear:
+            clock += (
+                f" The clocks differ by {1e3 * self.clock.seconds:.2g} +- "
+                f"{1e3 * self.clock.sigma:.1g} ms, which is taken into account."
+            )
         return (
             f"In metres, z up, by the IMU: the input is scaled by {rounded(self.scale)}; mean "
-            f"biases {gyro:.2g} rad/s and {accel:.2g} m/s^2."
+            f"biases {gyro:.2g} rad/s and {accel:.2g} m/s^2.{clock}"
         )
 
     def asdict(self) -> dict[str, Any]:
@@ -86,6 +100,10 @@ class InertialAdjustment(Displayed):
             "gyro_bias": self.gyro_biases.mean(axis=0).tolist(),
             "accel_bias": self.accel_biases.mean(axis=0).tolist(),
             "num_solves": self.num_solves,
+            "imu_samples": self.imu_samples,
+            "clock_offset": self.clock.seconds,
+            "clock_offset_sigma": self.clock.sigma if math.isfinite(self.clock.sigma) else None,
+            "clock_offset_used": self.clock.is_clear,
         }
 
     def _display(self) -> Display:

@@ -1,0 +1,123 @@
+"""Samples of an IMU between the images of a video, and the offset of their clocks."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError
+from bundle.inertial.offline.clock_offset import MOST, ClockOffset, clock_offset
+from bundle.inertial.offline.inertial_result import ImuSamples
+from bundle.inertial.offline.inertial_start import preintegrated
+from bundle.inertial.preintegration.preintegration import Preintegration
+from bundle.inertial.vio.sequence_images import ImuSlices
+from bundle.inertial.vio.window_frame import ImuInterval
+from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.sequence import check_imu
+
+__all__ = ["RULES", "ImageIntervals", "likely_kinds"]
+
+Array = NDArray[np.float64]
+
+RULES = {"instant": "midpoint", "interval": "zero_order_hold"}
+"""Rule of preintegration for samples at their stamps, and for means over the interval that follows.
+Means that are taken for samples are late by half a period: the errors of the motions are then many
+times their sigmas."""
+CLEAR = 8.0
+"""Difference of log-likelihoods from which the rotations determine the kind of samples."""
+
+
+class ImageIntervals:
+    """Intervals between images, at any offset of the clocks.
+
+    Args:
+        samples: samples of the IMU.
+        stamps: (n,) times of images, ascending, within the samples.
+        kind: "instant" or "interval".
+
+    Attributes:
+        kind: the same.
+        rule: rule of preintegration.
+
+    Raises:
+        InputError: the samples are wrong or do not cover the images, or two images have one time.
+    """
+
+    def __init__(
+        self, samples: ImuSamples, stamps: NDArray[np.int64], kind: str = "instant"
+    ) -> None:
+        check_imu(*samples, lambda row: f"IMU sample {row}")
+        first, last = int(samples.timestamps_ns[0]), int(samples.timestamps_ns[-1])
+        outside = (stamps < first) | (stamps > last)
+        if outside.any():
+            found = int(stamps[np.flatnonzero(outside)[0]])
+            how = "all images are" if outside.all() else f"{int(outside.sum())} images are"
+            raise InputError(
+                f"imu: expected images between the samples ({first} to {last} ns), found {found}: "
+                f"{how} outside"
+            )
+        steps = np.flatnonzero(np.diff(stamps) <= 0)
+        if len(steps):
+            raise InputError(
+                f"imu: expected images at different times, found {int(stamps[steps[0]])} ns twice"
+            )
+        self.kind, self.rule = kind, RULES[kind]
+        self._stamps = stamps
+        self._slices = ImuSlices(*samples, self.rule)
+        self._longer = ImuSlices(*_extended(samples), self.rule)
+
+    def at(self, offset: float) -> list[ImuInterval]:
+        """Return the samples between consecutive images, for an offset in seconds.
+
+        The first and the last sample hold beyond the recording.
+        """
+        slices = self._slices if offset == 0 else self._longer
+        return [slices.between(a, b) for a, b in pairwise(self._moved(offset).tolist())]
+
+    def offset(self, rotations: Array, noise: ImuNoise) -> ClockOffset:
+        """Return the offset of the clocks.
+
+        Args:
+            rotations: (n, 3, 3) world_from_imu of the images.
+            noise: noise of the IMU.
+        """
+
+        def motions_at(offset: float, bias: Array) -> list[Preintegration]:
+            return preintegrated(self.at(offset), noise, np.append(bias, np.zeros(3)), self.rule)
+
+        def rates_at(offset: float) -> Array:
+            slices = self._longer
+            origin = int(slices.stamps[0])  # differences of times are exact in double precision
+            places = (self._moved(offset) - origin).astype(np.float64)
+            times = (slices.stamps - origin).astype(np.float64)
+            return np.stack([np.interp(places, times, axis) for axis in slices.gyro.T], axis=1)
+
+        between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]
+        return clock_offset(between, motions_at, rates_at)
+
+    def _moved(self, offset: float) -> NDArray[np.int64]:
+        return self._stamps + round(1e9 * offset)
+
+
+def likely_kinds(instant: ClockOffset, interval: ClockOffset) -> tuple[str, ...]:
+    """Return the kinds of samples that the offsets of the clocks by both kinds leave possible."""
+    if instant.is_clear and interval.is_clear:
+        return ("instant",)  # the offset takes the difference
+    if not (math.isfinite(instant.sigma) and math.isfinite(interval.sigma)):
+        return tuple(RULES)
+    squares = [(one.seconds / one.sigma) ** 2 for one in (instant, interval)]
+    if abs(squares[0] - squares[1]) < 2 * CLEAR:
+        return tuple(RULES)
+    return ("instant",) if squares[0] < squares[1] else ("interval",)
+
+
+def _extended(samples: ImuSamples) -> ImuSamples:
+    """Return the samples with copies of the first and the last one, MOST seconds further out."""
+    stamps, reach = samples.timestamps_ns, round(1e9 * MOST) + 1
+    return ImuSamples(
+        np.concatenate([stamps[:1] - reach, stamps, stamps[-1:] + reach]),
+        *(np.concatenate([rows[:1], rows, rows[-1:]]) for rows in (samples.gyro, samples.accel)),
+    )
