@@ -222,13 +222,6 @@ namespace {
 
 constexpr int kPointSize = 3;
 
-std::vector<int> BlockSizes(const ParameterLayout& layout) {
-  std::vector<int> sizes;
-  sizes.reserve(layout.blocks().size());
-  for (const CameraBlock& block : layout.blocks()) sizes.push_back(block.size);
-  return sizes;
-}
-
 void AddPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
                BlockPattern* pattern) {
   const Tracks tracks = GroupByPoint(problem);
@@ -269,7 +262,7 @@ std::vector<int> OrderByAmd(const BlockPatternView& pattern) {
 }  // namespace
 
 BlockPattern ReducedPattern(const AdjustmentProblem& problem, const ParameterLayout& layout) {
-  return MakeBlockPattern(BlockSizes(layout), FindCoupledBlocks(problem, layout));
+  return MakeBlockPattern(layout.BlockSizes(), FindCoupledBlocks(problem, layout));
 }
 
 BlockPattern FullPattern(const AdjustmentProblem& problem, const ParameterLayout& layout) {
@@ -280,18 +273,17 @@ BlockPattern FullPattern(const AdjustmentProblem& problem, const ParameterLayout
     for (const int row : rows) pattern.row.push_back(first_block + row);
     pattern.column_begin.push_back(static_cast<int64_t>(pattern.row.size()));
   }
-  const std::vector<int> sizes = BlockSizes(layout);
+  const std::vector<int> sizes = layout.BlockSizes();
   pattern.size.insert(pattern.size.end(), sizes.begin(), sizes.end());
   return pattern;
 }
 
-int64_t NumInformationNonzeros(const AdjustmentProblem& problem, const ParameterLayout& layout) {
-  const std::vector<int> sizes = BlockSizes(layout);
+int64_t NumInformationNonzeros(const AdjustmentProblem& problem, const ParameterLayout& layout,
+                               const TracksView& tracks) {
+  const std::vector<int> sizes = layout.BlockSizes();
   const BlockPattern cameras = MakeBlockPattern(sizes, FindDirectlyCoupledBlocks(problem, layout));
   int64_t count = int64_t{kPointSize} * kPointSize *
                   layout.num_free_points();  // entries between blocks and points
-
-  const Tracks tracks = GroupByPoint(problem);
   const auto neighbours = FindPointNeighbours(problem, layout);
   std::vector<int> last_point(sizes.size(), -1);  // last point for which a block was counted
   const auto count_block = [&](int point, int block) {
@@ -299,9 +291,10 @@ int64_t NumInformationNonzeros(const AdjustmentProblem& problem, const Parameter
     last_point[block] = point;
     count += 2 * kPointSize * sizes[block];
   };
-  for (int point = 0; point < problem.num_points; ++point) {
+  for (int p = 0; p < tracks.num_points; ++p) {
+    const int point = tracks.points[p];
     if (!layout.point_is_free(point)) continue;
-    for (int64_t k = tracks.starts[point]; k < tracks.starts[point + 1]; ++k) {
+    for (int64_t k = tracks.starts[p]; k < tracks.starts[p + 1]; ++k) {
       for (const int block : layout.blocks_of(tracks.images[k])) count_block(point, block);
     }
     const auto found = neighbours.find(point);
@@ -312,6 +305,15 @@ int64_t NumInformationNonzeros(const AdjustmentProblem& problem, const Parameter
   }
   return SumOverRanks(problem.division.communicator, count) +
          static_cast<int64_t>(NumNonzeros(cameras));
+}
+
+int64_t NumInformationNonzeros(const AdjustmentProblem& problem, const ParameterLayout& layout) {
+  const Tracks tracks = GroupByPoint(problem);
+  std::vector<int> points(problem.num_points);
+  std::iota(points.begin(), points.end(), 0);
+  return NumInformationNonzeros(
+      problem, layout,
+      {problem.num_points, points.data(), tracks.starts.data(), tracks.images.data()});
 }
 
 OrderedPattern OrderFullPattern(const AdjustmentProblem& problem, const ParameterLayout& layout,

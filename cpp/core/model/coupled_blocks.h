@@ -29,7 +29,21 @@ BlockPattern ReducedPattern(const AdjustmentProblem& problem, const ParameterLay
 /// 3 x 3 each, then the blocks of the layout.
 BlockPattern FullPattern(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
-/// NumNonzeros of the full pattern, computed without building it.
+/// Observations grouped by point, not owned: those of points[p] are in images[starts[p]] to
+/// images[starts[p + 1] - 1].
+struct TracksView {
+  int num_points = 0;
+  const int* points = nullptr;
+  const int64_t* starts = nullptr;
+  const int32_t* images = nullptr;
+};
+
+/// NumNonzeros of the full pattern, computed without building it. `tracks`: at least the free
+/// points that images see or factors depend on, with all their observations.
+int64_t NumInformationNonzeros(const AdjustmentProblem& problem, const ParameterLayout& layout,
+                               const TracksView& tracks);
+
+/// The same, from the problem alone.
 int64_t NumInformationNonzeros(const AdjustmentProblem& problem, const ParameterLayout& layout);
 
 /// Maximum number of entries of a full pattern on which AMD takes only seconds.

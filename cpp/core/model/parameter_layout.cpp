@@ -241,4 +241,11 @@ ProblemShape ShapeOf(const ParameterLayout& layout, int64_t num_residuals) {
   return shape;
 }
 
+std::vector<int> ParameterLayout::BlockSizes() const {
+  std::vector<int> sizes;
+  sizes.reserve(blocks_.size());
+  for (const CameraBlock& block : blocks_) sizes.push_back(block.size);
+  return sizes;
+}
+
 }  // namespace bundle

@@ -119,6 +119,7 @@ class ParameterLayout {
 
   const FreeParameters& free() const { return free_; }
   const std::vector<CameraBlock>& blocks() const { return blocks_; }
+  std::vector<int> BlockSizes() const;
   int state_size() const { return state_size_; }
   int num_free_points() const { return num_free_points_; }
   bool point_is_free(int point) const { return free_.point[point] != 0; }

@@ -49,6 +49,12 @@ void RunOnThreads(int64_t count, const std::function<void(int64_t)>& run);
 /// Number of threads, up to `wanted`, that the system can start now, including the caller's.
 int CountStartableThreads(int wanted);
 
+/// Begin of one of several ranges of [0, count) of about equal lengths. Quotient and remainder are
+/// multiplied separately, because count * range may exceed 64 bits.
+inline int64_t RangeBegin(int64_t count, int64_t num_ranges, int64_t range) {
+  return count / num_ranges * range + count % num_ranges * range / num_ranges;
+}
+
 /// Calls function(begin, end) on consecutive ranges of [0, count), one per thread. Ranges below
 /// `min_range` are too small for a thread and run on this one. Exceptions as in RunOnThreads.
 template <typename Function>
@@ -57,9 +63,7 @@ void ParallelFor(int64_t count, int num_threads, const Function& function,
   const int64_t ranges =
       std::clamp<int64_t>(count / min_range, 1, EffectiveNumThreads(num_threads));
   if (ranges == 1) return function(int64_t{0}, count);
-  // Quotient and remainder separately, because count * s may exceed 64 bits.
-  const int64_t each = count / ranges, rest = count % ranges;
-  const auto begin = [&](int64_t s) { return each * s + rest * s / ranges; };
+  const auto begin = [&](int64_t s) { return RangeBegin(count, ranges, s); };
   RunOnThreads(ranges, [&](int64_t s) { function(begin(s), begin(s + 1)); });
 }
 
@@ -113,6 +117,17 @@ void ForEach(ThreadPool* pool, int64_t count, const Visit& visit) {
   pool->Run([&](int thread) {
     for (int64_t k = next.fetch_add(1); k < count; k = next.fetch_add(1)) visit(k, thread);
   });
+}
+
+/// ParallelFor on the threads of a pool, which do not have to be started.
+template <typename Function>
+void ParallelFor(int64_t count, ThreadPool* pool, const Function& function,
+                 int64_t min_range = 1000) {
+  const int64_t most = pool == nullptr ? 1 : pool->num_threads();
+  const int64_t ranges = std::clamp<int64_t>(count / min_range, 1, most);
+  if (ranges == 1) return function(int64_t{0}, count);
+  const auto begin = [&](int64_t s) { return RangeBegin(count, ranges, s); };
+  ForEach(pool, ranges, [&](int64_t s, int) { function(begin(s), begin(s + 1)); });
 }
 
 /// Tells the processor that the caller waits in a loop and, after a while, yields to the system.

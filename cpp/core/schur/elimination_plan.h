@@ -2,7 +2,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <utility>
 #include <vector>
 
 #include "core/interface/adjustment_problem.h"
@@ -12,56 +11,11 @@
 namespace bundle {
 
 class ImageParts;  // image_parts.h
+class ThreadPool;
 
 /// Kinds of parts of the camera parameters (image_parts.h).
 enum PartKind { kOwnPart, kCameraPart, kSensorPart };
 inline constexpr int kMaxParts = 3;
-
-/// Assigns numbers to the distinct pairs of 16-bit numbers in the order of their first appearance.
-/// It is a hash table in one array, which grows with the pairs and is reused for the next chunk.
-class PairNumbers {
- public:
-  /// The number of a pair. A new pair gets `next`, the count of earlier pairs. The members of a
-  /// pair are below 0xffff.
-  uint16_t Find(uint16_t a, uint16_t b, size_t next) {
-    if (2 * next >= slots_.size()) Grow();
-    Slot& slot = SlotOf(static_cast<uint32_t>(a) << 16 | b);
-    if (slot.pair == kNone) {
-      slot.pair = static_cast<uint32_t>(a) << 16 | b;
-      slot.number = static_cast<uint16_t>(next);
-    }
-    return slot.number;
-  }
-
-  void Clear() { slots_.assign(slots_.size(), Slot{}); }
-
- private:
-  static constexpr uint32_t kNone = 0xffffffff;
-  struct Slot {
-    uint32_t pair = kNone;
-    uint16_t number = 0;
-  };
-
-  /// Slot of a pair, or the empty slot where it would be inserted.
-  Slot& SlotOf(uint32_t pair) {
-    constexpr uint32_t kGoldenRatio = 0x9e3779b9;
-    size_t at = pair * kGoldenRatio >> shift_;
-    while (slots_[at].pair != kNone && slots_[at].pair != pair) at = (at + 1) & (slots_.size() - 1);
-    return slots_[at];
-  }
-
-  void Grow() {
-    const std::vector<Slot> before = std::move(slots_);
-    --shift_;
-    slots_.assign(size_t{1} << (32 - shift_), Slot{});
-    for (const Slot& slot : before) {
-      if (slot.pair != kNone) SlotOf(slot.pair) = slot;
-    }
-  }
-
-  int shift_ = 22;
-  std::vector<Slot> slots_ = std::vector<Slot>(1024);
-};
 
 /// Plan of the elimination of the points: their order, and their division into chunks and tiles.
 ///
@@ -191,12 +145,13 @@ inline constexpr int64_t kMaxBufferBytes = 1 << 25;
 /// EliminationPlan::observation, for TakeMeasurements. `has_pairs`: EliminationPlan::has_pairs.
 /// Either all ranks call this or none.
 EliminationPlan PlanPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
-                           const ImageParts& parts, int num_threads = 1, bool keep_order = false,
-                           bool in_sections = false, bool has_pairs = true);
+                           const ImageParts& parts, ThreadPool* pool = nullptr,
+                           bool keep_order = false, bool in_sections = false,
+                           bool has_pairs = true);
 
 /// Plan of the other observations, whose cost is constant.
 EliminationPlan PlanFixedPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
-                                const ImageParts& parts, int num_threads = 1,
+                                const ImageParts& parts, ThreadPool* pool = nullptr,
                                 bool keep_order = false);
 
 /// Sizes that determine the cost of the passes over the points, computed without a pass.

@@ -16,9 +16,9 @@ constexpr int kTilePoints = 4096;  // points may have no observations
 
 class ChunkNumbering {
  public:
-  ChunkNumbering(const ImageParts& parts, const LargeVector<int>& num_refined, Chunk* chunk,
+  ChunkNumbering(const ImageParts& parts, const PointSizes& sizes, Chunk* chunk,
                  EliminationPlan* plan)
-      : parts_(parts), num_refined_(num_refined), chunk_(*chunk), plan_(*plan) {}
+      : parts_(parts), sizes_(sizes), chunk_(*chunk), plan_(*plan) {}
 
   void Number(ChunkDraft* draft) {
     const std::vector<uint16_t> rank = SortParts();
@@ -33,7 +33,8 @@ class ChunkNumbering {
     }
     for (uint16_t& number : draft->pair_numbers) number = block[number];
     CutIntoTiles(draft->pair_numbers);
-    *draft = ChunkDraft();
+    draft->pair_numbers.clear();
+    draft->images.clear();
   }
 
  private:
@@ -75,31 +76,31 @@ class ChunkNumbering {
   void CutIntoTiles(const std::vector<uint16_t>& numbers) {
     PointEntries entries(plan_, parts_);
     std::vector<uint8_t> has_square;
-    std::vector<uint16_t> blocks, images, observations;
-    std::vector<EntryPair> pairs;
     std::vector<int> count;
     TileLists lists;
     lists.entry_pairs.reserve(numbers.size());
-    lists.observations.reserve(plan_.first[chunk_.last_point] - plan_.first[chunk_.first_point]);
+    const int64_t num_observations =
+        plan_.first[chunk_.last_point] - plan_.first[chunk_.first_point];
+    lists.observations.reserve(num_observations);
+    KeyedItems<uint16_t> observations(num_observations);  // by images
+    // By blocks; an entry may add its square.
+    KeyedItems<EntryPair> pairs(numbers.size() + num_observations * plan_.num_kinds);
     const uint16_t* number = numbers.data();
     for (int p = chunk_.first_point; p < chunk_.last_point;) {
-      blocks.clear();
-      pairs.clear();
-      images.clear();
-      observations.clear();
+      pairs.size = observations.size = 0;
       int num_entries = 0;
       const int first_point = p;
       const int64_t begin = plan_.first[p];
       do {
-        entries.Find(p, num_refined_[p]);
+        entries.Find(p, sizes_.num_refined(p));
         const int last_row = chunk_.last_row > 0 ? chunk_.last_row : entries.size();
-        for (int i = 0; i < num_refined_[p]; ++i) {
+        for (int i = 0; i < sizes_.num_refined(p); ++i) {
           if (chunk_.last_row > 0) {
             const int row = entries.RowOf(i);
             if (row < chunk_.first_row || row >= last_row) continue;
           }
-          images.push_back(plan_.image_in_chunk[plan_.first[p] + i]);
-          observations.push_back(static_cast<uint16_t>(plan_.first[p] + i - begin));
+          observations.Add(plan_.image_in_chunk[plan_.first[p] + i],
+                           static_cast<uint16_t>(plan_.first[p] + i - begin));
         }
         if (p >= plan_.num_free_points) continue;
         NumberEntries(p, num_entries, entries, &has_square);
@@ -108,19 +109,17 @@ class ChunkNumbering {
           const auto first = static_cast<uint16_t>(num_entries + e);
           if (has_square[e]) {
             const auto at = std::lower_bound(chunk_.parts.begin(), chunk_.parts.end(), entries[e]);
-            blocks.push_back(static_cast<uint16_t>(at - chunk_.parts.begin()));
-            pairs.push_back({first, first});
+            pairs.Add(static_cast<uint16_t>(at - chunk_.parts.begin()), {first, first});
           }
           for (int f = e + 1; plan_.has_pairs && f < entries.size(); ++f) {
-            blocks.push_back(*number++);
-            pairs.push_back({first, static_cast<uint16_t>(num_entries + f)});
+            pairs.Add(*number++, {first, static_cast<uint16_t>(num_entries + f)});
           }
         }
         num_entries += entries.size();
       } while (++p < chunk_.last_point && p - first_point < kTilePoints &&
                plan_.first[p + 1] - begin <= kTileObservations);
-      SortInto(blocks, pairs, chunk_.num_blocks(), &count, &lists.blocks, &lists.entry_pairs);
-      SortInto(images, observations, static_cast<int>(chunk_.images.size()), &count, &lists.images,
+      SortInto(pairs, chunk_.num_blocks(), &count, &lists.blocks, &lists.entry_pairs);
+      SortInto(observations, static_cast<int>(chunk_.images.size()), &count, &lists.images,
                &lists.observations);
       chunk_.tiles.push_back(
           {p, static_cast<int>(lists.blocks.size()), static_cast<int>(lists.images.size())});
@@ -140,14 +139,26 @@ class ChunkNumbering {
     std::vector<uint16_t> observations;
   };
 
+  /// Items of a tile with their keys.
+  template <typename Item>
+  struct KeyedItems {
+    explicit KeyedItems(size_t most) : keys(most), items(most) {}
+    void Add(uint16_t key, Item item) {
+      keys[size] = key;
+      items[size++] = item;
+    }
+    std::vector<uint16_t> keys;
+    std::vector<Item> items;
+    size_t size = 0;
+  };
+
   /// Appends the items in the order of their keys, 0 to num_keys - 1, and the count for each key
   /// that occurs.
   template <typename Item, typename KeyCount>
-  static void SortInto(const std::vector<uint16_t>& keys, const std::vector<Item>& items,
-                       int num_keys, std::vector<int>* place, std::vector<KeyCount>* counts,
-                       std::vector<Item>* sorted) {
+  static void SortInto(const KeyedItems<Item>& of, int num_keys, std::vector<int>* place,
+                       std::vector<KeyCount>* counts, std::vector<Item>* sorted) {
     place->assign(num_keys, 0);
-    for (const uint16_t key : keys) ++(*place)[key];
+    for (size_t k = 0; k < of.size; ++k) ++(*place)[of.keys[k]];
     auto end = static_cast<int>(sorted->size());
     for (int key = 0; key < num_keys; ++key) {
       const int count = (*place)[key];
@@ -158,7 +169,7 @@ class ChunkNumbering {
       end += count;
     }
     sorted->resize(end);
-    for (size_t k = 0; k < items.size(); ++k) (*sorted)[(*place)[keys[k]]++] = items[k];
+    for (size_t k = 0; k < of.size; ++k) (*sorted)[(*place)[of.keys[k]]++] = of.items[k];
   }
 
   void NumberEntries(int point, int first_entry, const PointEntries& entries,
@@ -180,16 +191,16 @@ class ChunkNumbering {
   }
 
   const ImageParts& parts_;
-  const LargeVector<int>& num_refined_;
+  const PointSizes& sizes_;
   Chunk& chunk_;
   EliminationPlan& plan_;
 };
 
 }  // namespace
 
-void NumberChunk(const ImageParts& parts, const LargeVector<int>& num_refined, ChunkDraft* draft,
-                 Chunk* chunk, EliminationPlan* plan) {
-  ChunkNumbering(parts, num_refined, chunk, plan).Number(draft);
+void NumberChunk(const ImageParts& parts, const PointSizes& sizes, ChunkDraft* draft, Chunk* chunk,
+                 EliminationPlan* plan) {
+  ChunkNumbering(parts, sizes, chunk, plan).Number(draft);
 }
 
 }  // namespace bundle

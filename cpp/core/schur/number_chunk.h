@@ -5,6 +5,7 @@
 
 #include "core/schur/elimination_plan.h"
 #include "core/schur/image_parts.h"
+#include "core/schur/point_entries.h"
 
 namespace bundle {
 
@@ -16,10 +17,9 @@ struct ChunkDraft {
 };
 
 /// Sorts parts and pairs of a chunk, so that adding it accesses S in ascending order, and cuts it
-/// into tiles with their lists. Writes the entries of its observations to the plan, and frees the
-/// draft. `num_refined`: per point of the plan, its observations with something to refine. Chunks
-/// of different points may be numbered at the same time.
-void NumberChunk(const ImageParts& parts, const LargeVector<int>& num_refined, ChunkDraft* draft,
-                 Chunk* chunk, EliminationPlan* plan);
+/// into tiles with their lists. Writes the entries of its observations to the plan, and empties the
+/// draft. Chunks of different points may be numbered at the same time.
+void NumberChunk(const ImageParts& parts, const PointSizes& sizes, ChunkDraft* draft, Chunk* chunk,
+                 EliminationPlan* plan);
 
 }  // namespace bundle

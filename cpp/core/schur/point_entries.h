@@ -1,6 +1,6 @@
 #pragma once
 
-/// Entries of one point of an elimination plan.
+/// Entries and sizes of the points of an elimination plan.
 
 #include <algorithm>
 #include <cstdint>
@@ -9,6 +9,8 @@
 
 #include "core/schur/elimination_plan.h"
 #include "core/schur/image_parts.h"
+#include "core/schur/sort_points.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -34,6 +36,7 @@ class PointEntries {
     list_.erase(std::unique(list_.begin(), list_.end()), list_.end());
   }
 
+  const std::vector<int>& list() const { return list_; }
   int size() const { return static_cast<int>(list_.size()); }
   int num_refined() const { return num_refined_; }
   int operator[](int entry) const { return list_[entry]; }
@@ -74,6 +77,35 @@ class PointEntries {
   int num_refined_ = 0;
   bool is_plain_ = false;  ///< entry i is the one part of observation i
   std::vector<int> list_;
+};
+
+/// Sizes of the points of a sorted plan, which must outlive them.
+class PointSizes {
+ public:
+  PointSizes(const EliminationPlan& plan, const ImageOrder& images, const ImageParts& parts,
+             ThreadPool* pool);
+
+  /// Observations with something to refine; they come first.
+  int num_refined(int point) const { return num_refined_[point]; }
+  int num_entries(int point) const { return num_entries_[point]; }
+  bool HasPairs(int point) const { return plan_.has_pairs && point < plan_.num_free_points; }
+  int64_t NumObservations(int point) const { return plan_.first[point + 1] - plan_.first[point]; }
+  int64_t NumPairs(int point) const {
+    const int64_t entries = HasPairs(point) ? num_entries_[point] : 0;
+    return entries * (entries - 1) / 2;
+  }
+
+  /// Work of the products: an observation counts one, a pair half.
+  int64_t Work(int point) const { return NumObservations(point) + NumPairs(point) / 2; }
+  int64_t Work(int begin, int end) const {
+    int64_t work = 0;
+    for (int p = begin; p < end; ++p) work += Work(p);
+    return work;
+  }
+
+ private:
+  const EliminationPlan& plan_;
+  LargeVector<int> num_refined_, num_entries_;
 };
 
 }  // namespace bundle

@@ -35,14 +35,15 @@ double Dot(const std::vector<double>& a, const std::vector<double>& b) {
 SchurProblem::SchurProblem(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const SolveOptions& options, BlockStructure structure,
                            LinearSolver* solver, bool is_reused, ThreadPool* pool)
-    : setup_(problem, layout, options, std::move(structure), is_reused, solver->NeedsProduct()),
-      solver_(solver),
-      factors_(problem, layout, structure_, plan_),
-      input_(WithPriors(setup_.input)),
-      own_pool_(pool != nullptr
+    : own_pool_(pool != nullptr
                     ? nullptr
                     : std::make_unique<ThreadPool>(EffectiveNumThreads(options.num_threads))),
       pool_(pool != nullptr ? *pool : *own_pool_),
+      setup_(problem, layout, options, std::move(structure), is_reused, solver->NeedsProduct(),
+             &pool_),
+      solver_(solver),
+      factors_(problem, layout, structure_, plan_),
+      input_(WithPriors(setup_.input)),
       memory_(pool_.num_threads(), std::vector<double>(kernels_.memory_doubles(input_) + 8)),
       states_{State(problem, layout, plan_), State(problem, layout, plan_)},
       step_(problem, layout),

@@ -149,6 +149,8 @@ class SchurProblem final : public LeastSquares {
   /// `sum`: the sum of this rank.
   Candidate Finish(const std::vector<double>& step, CandidateTotal sum);
 
+  const std::unique_ptr<ThreadPool> own_pool_;
+  ThreadPool& pool_;
   SchurSetup setup_;
   const AdjustmentProblem& problem_ = setup_.problem;
   Communicator* const communicator_ = problem_.division.communicator;
@@ -160,8 +162,6 @@ class SchurProblem final : public LeastSquares {
   LinearSolver* const solver_;
   CameraFactors factors_;
   EliminationInput input_;
-  const std::unique_ptr<ThreadPool> own_pool_;
-  ThreadPool& pool_;
   std::vector<std::vector<double>> memory_;  ///< per thread
   State states_[2];
   State* x_ = &states_[0];

@@ -39,7 +39,7 @@ SumOrder ChooseSumOrder(LinearSolverType solver, int num_columns, int64_t num_bl
 
 SchurSetup::SchurSetup(const AdjustmentProblem& of_problem, const ParameterLayout& of_layout,
                        const SolveOptions& options, BlockStructure of_structure, bool is_reused,
-                       bool is_implicit)
+                       bool is_implicit, ThreadPool* pool)
     : problem(of_problem),
       layout(of_layout),
       structure(std::move(of_structure)),
@@ -49,10 +49,11 @@ SchurSetup::SchurSetup(const AdjustmentProblem& of_problem, const ParameterLayou
       sums(ChooseSumOrder(options.linear_solver_type, structure.num_columns(),
                           structure.num_blocks(), static_cast<int64_t>(structure.row_block.size()),
                           assembler.has_maps(), is_implicit)),
-      plan(PlanPoints(problem, layout, parts, options.num_threads, is_reused,
-                      sums == SumOrder::kSections, /*has_pairs=*/!is_implicit)),
+      plan(PlanPoints(problem, layout, parts, pool, is_reused, sums == SumOrder::kSections,
+                      /*has_pairs=*/!is_implicit)),
       input(MakeInput(options, plan)),
-      is_reused_(is_reused) {
+      is_reused_(is_reused),
+      pool_(pool) {
   if (sums == SumOrder::kSections) assembler.PlaceErrorTerms();
 }
 
@@ -96,8 +97,7 @@ void SchurSetup::Reset(const SolveOptions& options) {
 DoubleDouble SchurSetup::FixedCost(const SolveOptions& options) {
   if (plan.num_observations() == problem.num_observations) return {};
   if (fixed_ == nullptr) {
-    EliminationPlan fixed =
-        PlanFixedPoints(problem, layout, parts, options.num_threads, is_reused_);
+    EliminationPlan fixed = PlanFixedPoints(problem, layout, parts, pool_, is_reused_);
     State state(problem, layout, fixed);
     fixed_ = std::make_unique<FixedObservations>(
         FixedObservations{std::move(fixed), {}, std::move(state)});

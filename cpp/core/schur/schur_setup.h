@@ -36,10 +36,10 @@ SumOrder ChooseSumOrder(LinearSolverType solver, int num_columns, int64_t num_bl
 struct SchurSetup {
   /// Keeps references to the problem and the layout. `is_reused`: Reset will be called.
   /// `is_implicit`: S is not formed, and the structure has only the blocks that one observation
-  /// couples.
+  /// couples. `pool` must outlive the object.
   SchurSetup(const AdjustmentProblem& problem, const ParameterLayout& layout,
              const SolveOptions& options, BlockStructure structure, bool is_reused,
-             bool is_implicit);
+             bool is_implicit, ThreadPool* pool);
   SchurSetup(const SchurSetup&) = delete;
   SchurSetup& operator=(const SchurSetup&) = delete;
 
@@ -69,6 +69,7 @@ struct SchurSetup {
   EliminationInput MakeInput(const SolveOptions& options, const EliminationPlan& points) const;
 
   const bool is_reused_;
+  ThreadPool* const pool_;
   std::unique_ptr<FixedObservations> fixed_;  ///< only if they will be needed again
 };
 

@@ -28,20 +28,20 @@ namespace {
 class PointSorter {
  public:
   PointSorter(const AdjustmentProblem& problem, const ParameterLayout& layout,
-              const ImageOrder& images, bool active, bool in_sections, int num_threads,
+              const ImageOrder& images, bool active, bool in_sections, ThreadPool* pool,
               bool keep_order)
       : problem_(problem),
         layout_(layout),
         images_(images),
         active_(active),
-        num_threads_(num_threads),
+        pool_(pool),
         keep_order_(keep_order) {
     num_buckets_ = problem.num_images;
     if (!in_sections) return;
     if (problem.division.point_section == nullptr) {
       sections_ =
           FindPointSections(problem.num_images, problem.num_points, problem.num_observations,
-                            problem.observation_image, problem.observation_point, num_threads);
+                            problem.observation_image, problem.observation_point, pool);
     }
     section_ = problem.division.point_section == nullptr ? sections_.data()
                                                          : problem.division.point_section;
@@ -55,11 +55,11 @@ class PointSorter {
     GroupObservations();
     SortObservations();
     DealOutPoints();
-    ParallelFor(static_cast<int64_t>(keys_.size()), num_threads_,
+    ParallelFor(static_cast<int64_t>(keys_.size()), pool_,
                 [this](int64_t begin, int64_t end) { PlacePoints(begin, end); });
     LargeVector<Key>().swap(keys_);
     MakeRoom();
-    ParallelFor(problem_.num_points, num_threads_,
+    ParallelFor(problem_.num_points, pool_,
                 [this](int64_t begin, int64_t end) { CopyObservations(begin, end); });
     return std::move(plan_);
   }
@@ -101,7 +101,7 @@ class PointSorter {
   /// Sorts by rank; observations of one image keep the order of the problem.
   void SortObservations() {
     keys_.resize(problem_.num_points);
-    ParallelFor(problem_.num_points, num_threads_, [this](int64_t begin, int64_t end) {
+    ParallelFor(problem_.num_points, pool_, [this](int64_t begin, int64_t end) {
       for (int64_t p = begin; p < end; ++p) {
         std::sort(by_point_.begin() + begin_[p], by_point_.begin() + begin_[p + 1]);
         keys_[p] = KeyOf(static_cast<int>(p));
@@ -237,7 +237,7 @@ class PointSorter {
   const ParameterLayout& layout_;
   const ImageOrder& images_;
   const bool active_;
-  const int num_threads_;
+  ThreadPool* const pool_;
   const bool keep_order_;
   LargeVector<uint16_t> sections_;  ///< used if the problem has no sections
   const uint16_t* section_ =
@@ -272,9 +272,9 @@ ImageOrder OrderImages(const AdjustmentProblem& problem, const ParameterLayout& 
 }
 
 EliminationPlan SortPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
-                           const ImageOrder& images, bool active, bool in_sections, int num_threads,
-                           bool keep_order) {
-  return PointSorter(problem, layout, images, active, in_sections, num_threads, keep_order).Sort();
+                           const ImageOrder& images, bool active, bool in_sections,
+                           ThreadPool* pool, bool keep_order) {
+  return PointSorter(problem, layout, images, active, in_sections, pool, keep_order).Sort();
 }
 
 void TakeMeasurements(const AdjustmentProblem& problem, EliminationPlan* plan) {

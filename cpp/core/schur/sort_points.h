@@ -11,6 +11,8 @@
 
 namespace bundle {
 
+class ThreadPool;
+
 struct ImageOrder {
   std::vector<uint8_t> refined;  ///< per image: 1 if it has something to refine
   /// Place of each image: refined images in the order of their blocks, the best order for access to
@@ -25,8 +27,8 @@ ImageOrder OrderImages(const AdjustmentProblem& problem, const ParameterLayout& 
 /// are sorted by sections if `in_sections`, then lexicographically by the ranks of the images in
 /// these observations.
 EliminationPlan SortPoints(const AdjustmentProblem& problem, const ParameterLayout& layout,
-                           const ImageOrder& images, bool active, bool in_sections, int num_threads,
-                           bool keep_order);
+                           const ImageOrder& images, bool active, bool in_sections,
+                           ThreadPool* pool, bool keep_order);
 
 /// Copies the changed measurements of the problem into a plan that kept its order.
 void TakeMeasurements(const AdjustmentProblem& problem, EliminationPlan* plan);

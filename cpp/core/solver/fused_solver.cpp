@@ -36,8 +36,6 @@ FusedSolver::FusedSolver(const AdjustmentProblem& problem, const SolveOptions& o
       track_lengths_(std::move(prepared.track_lengths)) {
   const Stopwatch time;
   ChooseSolver();
-  // Groups all observations by point. The memory for this is available until the problem is built.
-  if (options_.check_solution) CountInformation();
   BuildProblem();
   // In a reused solver, no single solve spends this time.
   build_time_ = is_reused ? 0 : time.seconds();
@@ -178,17 +176,11 @@ void FusedSolver::ChooseSystem() {
   is_implicit_ = LeavesOutSystem(costs, AvailableMemoryFor(costs.iterative.bytes));
 }
 
-std::vector<int> FusedSolver::BlockSizes() const {
-  std::vector<int> sizes;
-  for (const CameraBlock& block : layout_.blocks()) sizes.push_back(block.size);
-  return sizes;
-}
-
 void FusedSolver::FindSparseStructure() {
   ThrowIfInterrupted();
   const Stopwatch symbolic;
-  structure_ =
-      SparseStructure(BlockSizes(), FindCoupledBlocks(problem_, layout_, options_.num_threads));
+  structure_ = SparseStructure(layout_.BlockSizes(),
+                               FindCoupledBlocks(problem_, layout_, options_.num_threads));
   ordering_ = FindOrdering();
   symbolic_time_ += symbolic.seconds();
 }
@@ -213,7 +205,7 @@ FillOrdering FusedSolver::FindOrdering() const {
 
 void FusedSolver::BuildProblem() {
   if (options_.linear_solver_type == LinearSolverType::kDenseSchur) {
-    structure_ = DenseStructure(BlockSizes());
+    structure_ = DenseStructure(layout_.BlockSizes());
   } else if (structure_.offset.empty()) {
     FindSparseStructure();
   }
@@ -224,7 +216,8 @@ void FusedSolver::BuildProblem() {
     structure_ = Reorder(structure_, ordering_.order);
     if (is_implicit_) {
       factor_ = bundle::SummarizeFactor(structure_, {}, symbolic_time_);  // of S, were it formed
-      structure_ = SparseStructure(BlockSizes(), FindDirectlyCoupledBlocks(problem_, layout_));
+      structure_ =
+          SparseStructure(layout_.BlockSizes(), FindDirectlyCoupledBlocks(problem_, layout_));
     }
   }
   ThrowIfInterrupted();
@@ -310,7 +303,10 @@ void FusedSolver::CollectState(SolveOutput* output) {
 
 int64_t FusedSolver::CountInformation() {
   if (num_information_nonzeros_ < 0) {
-    num_information_nonzeros_ = NumInformationNonzeros(problem_, layout_);
+    const EliminationPlan& plan = schur_->setup().plan;
+    num_information_nonzeros_ = NumInformationNonzeros(
+        problem_, layout_,
+        {plan.num_points(), plan.point.data(), plan.first.data(), plan.image.data()});
   }
   return num_information_nonzeros_;
 }

@@ -50,7 +50,6 @@ class FusedSolver {
   std::string ReasonForSystem() const;
   int64_t NumObservationsWithoutSystem() const;
   void ChooseSystem();
-  std::vector<int> BlockSizes() const;
   void FindSparseStructure();
   FillOrdering FindOrdering() const;
   void BuildProblem();

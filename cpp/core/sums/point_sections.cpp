@@ -26,7 +26,7 @@ int NumPointSections(int64_t num_observations) {
 
 LargeVector<uint16_t> FindPointSections(int num_images, int num_points, int64_t num_observations,
                                         const int32_t* observation_image,
-                                        const int32_t* observation_point, int num_threads) {
+                                        const int32_t* observation_point, ThreadPool* pool) {
   const auto count = static_cast<size_t>(num_points);
   // Points that no image sees are last.
   LargeVector<int> first(count, num_images), seen(count, 0);
@@ -46,11 +46,9 @@ LargeVector<uint16_t> FindPointSections(int num_images, int num_points, int64_t 
   for (size_t p = 0; p < count; ++p) {
     order[next[first[p]]++] = static_cast<uint64_t>(last[p] + 1) << 32 | p;
   }
-  ParallelFor(num_images, num_threads, [&](int64_t from, int64_t to) {
-    for (int64_t i = from; i < to; ++i) {
-      std::sort(order.begin() + static_cast<int64_t>(begin[i]),
-                order.begin() + static_cast<int64_t>(begin[i + 1]));
-    }
+  ForEach(pool, num_images, [&](int64_t i, int) {
+    std::sort(order.begin() + static_cast<int64_t>(begin[i]),
+              order.begin() + static_cast<int64_t>(begin[i + 1]));
   });
   LargeVector<uint16_t> section(count);
   const int64_t total = num_observations, sections = NumPointSections(total);

@@ -26,13 +26,15 @@
 
 namespace bundle {
 
+class ThreadPool;
+
 /// K for a number of observations.
 int NumPointSections(int64_t num_observations);
 
 /// Section of each point of a problem that is not divided among ranks. Observation i is of point
-/// observation_point[i] in image observation_image[i].
+/// observation_point[i] in image observation_image[i]. `pool`: nullptr for this thread alone.
 LargeVector<uint16_t> FindPointSections(int num_images, int num_points, int64_t num_observations,
                                         const int32_t* observation_image,
-                                        const int32_t* observation_point, int num_threads);
+                                        const int32_t* observation_point, ThreadPool* pool);
 
 }  // namespace bundle

@@ -200,7 +200,6 @@ def solve(
 
         return solve_pose_graph(problem, options, progress=progress, **changes)  # type: ignore[arg-type]
     from bundle.solving.executors import solve_prepared
-    from bundle.solving.held_out.measurement import held_out_fit
     from bundle.solving.prepare import prepare
     from bundle.solving.request import SolveRequest
 
@@ -219,11 +218,12 @@ def solve(
             constraints=constraints,
         )
     )
-    held_out = held_out_fit(prepared, share)
+    if not share.hold_out:
+        return prepared.finished(solve_prepared(prepared, progress))
+    from bundle.solving.held_out.measurement import HeldOutFit
+
+    held_out = HeldOutFit(prepared, share)
     last = solve_prepared(prepared, progress)
-    finished = prepared.finished(last)
-    if held_out is None:
-        return finished
     return held_out.measured(
-        finished, last, None, lambda kept: (solve_prepared(kept, progress), None)
+        prepared.finished(last), last, None, lambda kept: (solve_prepared(kept, progress), None)
     )

@@ -8,6 +8,7 @@
 #include <memory>
 #include <vector>
 
+#include "core/parallel/thread_pool.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/image_parts.h"
@@ -44,6 +45,7 @@ class PointPlanTest : public ::testing::Test {
   testing::Scene scene_;
   AdjustmentProblem problem_;
   std::unique_ptr<ParameterLayout> layout_;
+  mutable ThreadPool pool_{4};
 };
 
 /// Block and entries of each pair of a chunk, with the end of its tile.
@@ -81,10 +83,12 @@ TEST_F(PointPlanTest, IsTheSameForAnyNumberOfThreads) {
 }
 
 void PointPlanTest::ExpectSamePlans(bool in_sections) const {
-  const EliminationPlan one = PlanPoints(problem_, *layout_, ImageParts(problem_, *layout_), 1,
-                                         /*keep_order=*/false, in_sections);
-  const EliminationPlan four = PlanPoints(problem_, *layout_, ImageParts(problem_, *layout_), 4,
-                                          /*keep_order=*/false, in_sections);
+  const EliminationPlan one =
+      PlanPoints(problem_, *layout_, ImageParts(problem_, *layout_), nullptr,
+                 /*keep_order=*/false, in_sections);
+  const EliminationPlan four =
+      PlanPoints(problem_, *layout_, ImageParts(problem_, *layout_), &pool_,
+                 /*keep_order=*/false, in_sections);
   EXPECT_EQ(one.point, four.point);
   EXPECT_EQ(one.num_free_points, four.num_free_points);
   EXPECT_EQ(one.first, four.first);
@@ -107,7 +111,8 @@ TEST_F(PointPlanTest, HasEveryObservationThatSomethingRefines) {
       expected[point].push_back({static_cast<double>(image), xy[0], xy[1]});
     }
   }
-  const EliminationPlan plan = PlanPoints(problem_, *layout_, ImageParts(problem_, *layout_), 4);
+  const EliminationPlan plan =
+      PlanPoints(problem_, *layout_, ImageParts(problem_, *layout_), &pool_);
   ASSERT_EQ(plan.point.size(), expected.size());
   for (int p = 0; p < plan.num_points(); ++p) {
     EXPECT_EQ(layout_->point_is_free(plan.point[p]), p < plan.num_free_points);
@@ -135,8 +140,9 @@ void PointPlanTest::ExpectSorted(bool in_sections) const {
     const int block = layout_->image_block(image);
     return block >= 0 ? block : problem_.num_images;
   };
-  const EliminationPlan plan = PlanPoints(problem_, *layout_, ImageParts(problem_, *layout_), 4,
-                                          /*keep_order=*/false, in_sections);
+  const EliminationPlan plan =
+      PlanPoints(problem_, *layout_, ImageParts(problem_, *layout_), &pool_,
+                 /*keep_order=*/false, in_sections);
   for (const Chunk& chunk : plan.chunks) {
     EXPECT_EQ(section_of(plan, chunk.first_point), section_of(plan, chunk.last_point - 1));
   }
@@ -258,7 +264,7 @@ void ExpectNumbered(const EliminationPlan& plan, const ImageParts& parts) {
 
 TEST_F(PointPlanTest, NumbersTheBlocksOfItsChunks) {
   const ImageParts parts(problem_, *layout_);
-  ExpectNumbered(PlanPoints(problem_, *layout_, parts, 4), parts);
+  ExpectNumbered(PlanPoints(problem_, *layout_, parts, &pool_), parts);
 }
 
 /// `length` images that all see the first two points; three of them see another hundred. `repeat`:
@@ -299,7 +305,8 @@ TEST_P(LongTrackTest, HasNumbersForAllBlocksOfEachChunk) {
   options.refine_focal = options.refine_extra = !GetParam().poses_only;
   const ParameterLayout layout = PrepareSolve(problem, options).layout;
   const ImageParts parts(problem, layout);
-  const EliminationPlan plan = PlanPoints(problem, layout, parts, 2);
+  ThreadPool pool(2);
+  const EliminationPlan plan = PlanPoints(problem, layout, parts, &pool);
   for (const Chunk& chunk : plan.chunks) EXPECT_LT(chunk.num_blocks(), 1 << 16);
   ExpectNumbered(plan, parts);
 }

@@ -15,6 +15,7 @@
 #include "core/cameras/registry.h"
 #include "core/geometry/rotation.h"
 #include "core/interface/adjustment_problem.h"
+#include "core/parallel/thread_pool.h"
 #include "core/scratch/large_vector.h"
 #include "core/sums/point_sections.h"
 #include "support/camera_params.h"
@@ -328,9 +329,10 @@ inline void AddUnobserved(Scene* scene) {
 
 /// Sections of the points of a problem.
 inline std::vector<uint16_t> SectionsOf(const ProblemView& problem, int num_threads) {
+  ThreadPool pool(num_threads);
   const auto found =
       FindPointSections(problem.num_images, problem.num_points, problem.num_observations,
-                        problem.observation_image, problem.observation_point, num_threads);
+                        problem.observation_image, problem.observation_point, &pool);
   return {found.begin(), found.end()};
 }
 

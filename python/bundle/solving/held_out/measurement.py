@@ -33,7 +33,7 @@ from bundle.solving.result import Result
 if TYPE_CHECKING:
     from bundle.solving.rounds.run_state import State
 
-__all__ = ["HeldOutFit", "held_out_fit", "with_values"]
+__all__ = ["HeldOutFit", "with_values"]
 
 Fit = Callable[[Prepared], "tuple[Result, State | None]"]
 """Solve of a prepared problem: the result for its start, and the state of its rounds."""
@@ -88,11 +88,6 @@ class HeldOutFit:
             is_converged=result.summary.termination_type == "CONVERGENCE",
         )
         return replace(finished, held_out=record)
-
-
-def held_out_fit(prepared: Prepared, options: HoldOutOptions) -> HeldOutFit | None:
-    """Return the fit without held-out observations; None if none are requested."""
-    return HeldOutFit(prepared, options) if options.hold_out else None
 
 
 def with_values(problem: Problem, refined: Problem, state: State | None = None) -> Problem:

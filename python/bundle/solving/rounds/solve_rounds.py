@@ -195,9 +195,9 @@ def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) 
 def _held_out_fit(prepared: Prepared, plan: RunPlan) -> HeldOutFit | None:
     if not plan.held_out.hold_out:
         return None
-    from bundle.solving.held_out.measurement import held_out_fit
+    from bundle.solving.held_out.measurement import HeldOutFit
 
-    return held_out_fit(prepared, plan.held_out)
+    return HeldOutFit(prepared, plan.held_out)
 
 
 def _checkpoint(prepared: Prepared, plan: RunPlan) -> Checkpoint | None:
