@@ -13,7 +13,10 @@ from tests.io.formats.test_read import same
 MODELS = {
     "bundler": ["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"],
     "nvm": ["SIMPLE_PINHOLE"],
-    "opensfm": ["RADIAL", "OPENCV", "RADIAL_FISHEYE", "OPENCV_FISHEYE", "SIMPLE_FISHEYE"],
+    "opensfm": [
+        *("RADIAL", "OPENCV", "RADIAL_FISHEYE", "OPENCV_FISHEYE", "SIMPLE_FISHEYE"),
+        "THIN_PRISM_FISHEYE",
+    ],
     "openmvg": ["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV_FISHEYE"],
 }
 NAMES = {"bundler": "m.out", "nvm": "m.nvm", "opensfm": "project", "openmvg": "sfm_data.json"}
@@ -112,7 +115,8 @@ def test_nvm_fits_the_distortion_and_keeps_its_own(tmp_path) -> None:
 
 @pytest.mark.parametrize("name", ["bundler", "nvm", "openmvg", "opensfm", "transforms"])
 def test_lenses_that_a_format_lacks_are_refused(tmp_path, name) -> None:
-    problem = small("THIN_PRISM_FISHEYE" if name != "bundler" else "OPENCV_FISHEYE")
+    model = {"bundler": "OPENCV_FISHEYE", "opensfm": "FOV"}.get(name, "THIN_PRISM_FISHEYE")
+    problem = small(model)
     with pytest.raises(bundle.InputError, match="cannot hold it"):
         bundle.save(problem, tmp_path / "out", name)
     assert not list(tmp_path.iterdir())

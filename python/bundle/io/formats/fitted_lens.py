@@ -1,8 +1,8 @@
-"""Lenses of other programs that no camera model equals: RADIAL fitted to their rays.
+"""Lenses of other programs that no camera model equals: a model fitted to their rays.
 
-The lens is symmetric about its axis: an angle theta to the axis has the image radius rho(theta).
-The fit minimises the distance in pixels over a polar grid up to the farthest observation
-(``bundle.model.lenses.lens_fit``). Its reported error is the largest distance on that grid.
+The fit minimises the distance in pixels over a polar grid of rays
+(``bundle.model.lenses.lens_fit``). Its reported error is the largest distance on that grid. A lens
+that is symmetric about its axis has the image radius rho(theta) at the angle theta to the axis.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from bundle.model.cameras import project
 from bundle.model.lenses.lens_fit import fit_lens
 
-__all__ = ["NUM_RADII", "FittedLens", "fitted_lens"]
+__all__ = ["NUM_DIRECTIONS", "NUM_RADII", "FittedLens", "fitted_lens", "fitted_to_rays"]
 
 NUM_RADII = 48
-_NUM_DIRECTIONS = 8
+NUM_DIRECTIONS = 8
 
 
 class FittedLens(NamedTuple):
@@ -44,7 +44,7 @@ def fitted_lens(
         angles: (n,) angles to the axis in radians, ascending.
         radii: (n,) radii in pixels at these angles.
     """
-    turns = np.arange(_NUM_DIRECTIONS) * (2 * np.pi / _NUM_DIRECTIONS)
+    turns = np.arange(NUM_DIRECTIONS) * (2 * np.pi / NUM_DIRECTIONS)
     directions = np.column_stack([np.cos(turns), np.sin(turns)])
     rays = np.concatenate(
         [
@@ -54,7 +54,33 @@ def fitted_lens(
     )
     xy = np.concatenate([center + radii[:, None] * direction for direction in directions])
     start = "SIMPLE_FISHEYE" if "FISHEYE" in model else "SIMPLE_PINHOLE"
-    fit = fit_lens(model, (start, np.array([focal, *center])), rays, xy)
+    return _fitted(model, (start, np.array([focal, *center])), rays, xy)
+
+
+def fitted_to_rays(
+    model: str,
+    start: NDArray[np.float64],
+    rays: NDArray[np.float64],
+    xy: NDArray[np.float64],
+) -> FittedLens | None:
+    """Fit any lens; return None if the model cannot project all its rays.
+
+    Args:
+        model: model to fit.
+        start: parameters of this model near the lens.
+        rays: (n, 3) directions.
+        xy: (n, 2) pixels of these rays.
+    """
+    return _fitted(model, (model, start), rays, xy)
+
+
+def _fitted(
+    model: str,
+    start: tuple[str, NDArray[np.float64]],
+    rays: NDArray[np.float64],
+    xy: NDArray[np.float64],
+) -> FittedLens | None:
+    fit = fit_lens(model, start, rays, xy)
     if fit is None:
         return None
     fitted, _ = project(model, fit.params, rays)

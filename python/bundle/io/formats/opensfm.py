@@ -126,12 +126,18 @@ def _imported(
     unit = np.array([cameras[names[camera]].size for camera in image_camera], float)
     sizes = np.array([(c.width, c.height) for c in cameras.values()], np.int64).reshape(-1, 2)
     notes = list(rigs.notes)
-    fitted = [model for model in models if model.error]
-    if fitted:
-        notes.append(
-            f"RADIAL was fitted to {plural(len(fitted), 'dual lens', 'dual lenses')}; the largest "
-            f"error is {max(model.error for model in fitted):.2g} px."
-        )
+    for kind in dict.fromkeys(camera.type for camera in cameras.values()):
+        fitted = [
+            model
+            for model, camera in zip(models, cameras.values(), strict=True)
+            if model.error and camera.type == kind
+        ]
+        if fitted:
+            notes.append(
+                f"{fitted[0].model} was fitted to "
+                f"{plural(len(fitted), f'{kind} lens', f'{kind} lenses')}; the largest error is "
+                f"{max(model.error for model in fitted):.2g} px."
+            )
     if key is None and len(image):
         notes.append("Features are not numbered in tracks.csv: an index occurs twice in an image.")
     width = max((len(model.params) for model in models), default=1)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.formats.opensfm import TRACKS
+from bundle.io.formats.opensfm_cameras import PRISM, RADIAL
 from bundle.io.formats.written_tracks import (
     camera_error,
     check_names,
@@ -174,13 +175,49 @@ def _camera(problem: Problem, camera: int) -> dict[str, Any]:
         if values is None or (target == "FULL_OPENCV" and values[9:].any()):
             continue
         fx, fy, cx, cy, *k = values.tolist()
-        two = {"focal_x": fx / size, "focal_y": fy / size}
-        two |= {"c_x": (cx - width / 2) / size, "c_y": (cy - height / 2) / size}
+        two = _focal_and_center([fx, fy, cx, cy], width, height)
         names = ("k1", "k2", "k3", "k4") if kind != "brown" else ("k1", "k2", "p1", "p2", "k3")
         terms = dict.fromkeys(names, 0.0) | dict(zip(names, k, strict=False))
         return found | {"projection_type": kind} | two | terms
-    expected = "a lens of OpenSfM (perspective, brown, fisheye, fisheye_opencv or spherical)"
+    fisheye = _fisheye624(model, params, width, height)
+    if fisheye is not None:
+        return found | fisheye
+    expected = (
+        "a lens of OpenSfM (perspective, brown, fisheye, fisheye_opencv, fisheye62, fisheye624 or "
+        "spherical)"
+    )
     raise camera_error(problem, camera, "an OpenSfM project", expected)
+
+
+def _focal_and_center(values: list[float], width: int, height: int) -> dict[str, float]:
+    """Return the parameters of a lens with two focal lengths in units of the image."""
+    fx, fy, cx, cy = values
+    size = max(width, height)
+    return {
+        "focal_x": fx / size,
+        "focal_y": fy / size,
+        "c_x": (cx - width / 2) / size,
+        "c_y": (cy - height / 2) / size,
+    }
+
+
+def _fisheye624(
+    model: str, params: NDArray[np.float64], width: int, height: int
+) -> dict[str, Any] | None:
+    """Return fisheye62 or fisheye624 if one is the same lens; see ``opensfm_cameras``."""
+    base, rest = params[:4].tolist(), params[4:].tolist()
+    if model == "THIN_PRISM_FISHEYE":
+        k1, k2, p1, p2, k3, k4, s0, s2 = rest
+        radial, others = [k1, k2, k3, k4, 0.0, 0.0], [p1, p2, s0, 0.0, s2, 0.0]
+    elif model == "RAD_TAN_THIN_PRISM_FISHEYE" and not (any(rest[:6]) and any(rest[6:])):
+        radial, others = rest[:6], [rest[7], rest[6], *rest[8:]]
+    else:
+        return None
+    is_62 = not any(others[2:])
+    names = [*RADIAL, "p1", "p2", *(() if is_62 else PRISM)]
+    terms = dict(zip(names, [*radial, *others], strict=False))
+    kind = "fisheye62" if is_62 else "fisheye624"
+    return {"projection_type": kind} | _focal_and_center(base, width, height) | terms
 
 
 def _write_tracks(problem: Problem, path: Path) -> None:
