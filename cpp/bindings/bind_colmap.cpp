@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <map>
 #include <string>
 #include <system_error>
 #include <utility>
@@ -109,16 +110,10 @@ void PutRigs(const ColmapModel& model, py::dict* fields) {
   (*fields)["sensor_camera_ids"] = ToImmutableNumpy(std::move(sensor_camera_ids), {num_sensors});
 }
 
-void PutPoints(const ColmapModel& model, py::dict* fields) {
-  std::vector<double> points;
-  points.reserve(3 * model.points_by_id.size());
-  for (const size_t p : model.points_by_id) {
-    const auto& xyz = model.index.points[p].xyz;
-    points.insert(points.end(), xyz.begin(), xyz.end());
-  }
-  (*fields)["points"] =
-      ToImmutableNumpy(std::move(points), {static_cast<py::ssize_t>(model.points_by_id.size()), 3});
-  (*fields)["point_ids"] = Ids(model.index.points, model.points_by_id);
+void PutPoints(ColmapModel* model, py::dict* fields) {
+  const auto rows = static_cast<py::ssize_t>(model->point_ids.size());
+  (*fields)["points"] = ToImmutableNumpy(std::move(model->points), {rows, 3});
+  (*fields)["point_ids"] = ToImmutableNumpy(std::move(model->point_ids), {rows});
 }
 
 void PutObservations(ColmapObservations observations, py::dict* fields) {
@@ -140,7 +135,7 @@ py::tuple ReadModel(const std::string& folder, bool may_be_empty) {
   PutCameras(*model, &fields);
   PutImages(*model, &fields);
   PutRigs(*model, &fields);
-  PutPoints(*model, &fields);
+  PutPoints(model.get(), &fields);
   PutObservations(std::move(model->observations), &fields);
   return py::make_tuple(std::move(model), fields);
 }
@@ -155,10 +150,12 @@ void ExpectShape(const Numbers& array, const char* name, size_t rows, py::ssize_
 }
 
 /// The values from these arrays, which must have the shapes of the model.
-ColmapValues CheckedValues(const ColmapModel& model, size_t num_points,
+ColmapValues CheckedValues(const ColmapModel& model,
+                           const py::array_t<int64_t, py::array::c_style>& point_ids,
                            const Numbers& cam_from_world, const Numbers& camera_params,
                            const Numbers& points, const Numbers& point_errors,
                            const Numbers& rig_from_world, const Numbers& sensor_from_rig) {
+  const auto num_points = static_cast<size_t>(point_ids.size());
   ExpectShape(cam_from_world, "cam_from_world", model.images_by_id.size(), 7);
   ExpectShape(rig_from_world, "rig_from_world", model.rigs.frames.size(), 7);
   ExpectShape(sensor_from_rig, "sensor_from_rig", model.rigs.sensors.size(), 7);
@@ -177,6 +174,8 @@ ColmapValues CheckedValues(const ColmapModel& model, size_t num_points,
           sensor_from_rig.data(),
           camera_params.data(),
           static_cast<size_t>(camera_params.shape(1)),
+          num_points,
+          point_ids.data(),
           points.data(),
           point_errors.data()};
 }
@@ -184,36 +183,14 @@ ColmapValues CheckedValues(const ColmapModel& model, size_t num_points,
 void WriteModel(const ColmapModel& model, const py::object& given_folder,
                 const Numbers& cam_from_world, const Numbers& camera_params, const Numbers& points,
                 const Numbers& point_errors, const Numbers& rig_from_world,
-                const Numbers& sensor_from_rig) {
+                const Numbers& sensor_from_rig,
+                const py::array_t<int64_t, py::array::c_style>& point_ids) {
   const std::filesystem::path folder = PathFromPython(given_folder);
-  const ColmapValues values =
-      CheckedValues(model, model.points_by_id.size(), cam_from_world, camera_params, points,
-                    point_errors, rig_from_world, sensor_from_rig);
+  const ColmapValues values = CheckedValues(model, point_ids, cam_from_world, camera_params, points,
+                                            point_errors, rig_from_world, sensor_from_rig);
   try {
     const py::gil_scoped_release release;
     WriteColmapModel(model, values, folder);
-  } catch (const std::system_error& error) {
-    ThrowOsError(error, folder);
-  }
-}
-
-template <typename T>
-std::vector<T> ToVector(const py::array_t<T, py::array::c_style>& array) {
-  return {array.data(), array.data() + array.size()};
-}
-
-void RewriteModel(const ColmapModel& model, const py::object& given_folder,
-                  const Numbers& cam_from_world, const Numbers& camera_params,
-                  const Numbers& points, const Numbers& point_errors, const Numbers& rig_from_world,
-                  const Numbers& sensor_from_rig,
-                  const py::array_t<int64_t, py::array::c_style>& point_ids) {
-  const std::filesystem::path folder = PathFromPython(given_folder);
-  const std::vector<int64_t> ids = ToVector(point_ids);
-  const ColmapValues values = CheckedValues(model, ids.size(), cam_from_world, camera_params,
-                                            points, point_errors, rig_from_world, sensor_from_rig);
-  try {
-    const py::gil_scoped_release release;
-    RewriteColmapModel(model, ids, values, folder);
   } catch (const std::system_error& error) {
     ThrowOsError(error, folder);
   }
@@ -270,10 +247,22 @@ py::dict Files(const ColmapModel& model) {
   for (const ModelFile* file : {&index.rigs_file, &index.cameras_file, &index.frames_file,
                                 &index.images_file, &index.points_file}) {
     if (file->path().empty()) continue;
-    const std::string name = std::filesystem::path(file->path()).filename().string();
-    files[py::str(name)] = py::bytes(file->contents().data(), file->contents().size());
+    const py::bytes contents(nullptr, file->size());
+    file->ReadAt(0, PyBytes_AS_STRING(contents.ptr()), file->size());
+    files[py::str(std::filesystem::path(file->path()).filename().string())] = contents;
   }
   return files;
+}
+
+/// Names of text files that contain white space, by image id. COLMAP writes them but reads only
+/// their first word back.
+std::map<uint32_t, std::string> NamesWithSpaces(const ColmapModel& model) {
+  std::map<uint32_t, std::string> names;
+  if (model.is_binary()) return names;
+  for (const ColmapIndex::Image& image : model.index.images) {
+    if (image.name.find(' ') != std::string::npos) names.emplace(image.id, image.name);
+  }
+  return names;
 }
 
 py::object ImagePoses(const ColmapModel& model) {
@@ -290,14 +279,11 @@ void BindColmap(py::module_& m) {
         py::arg("may_be_empty") = false);
   py::class_<ColmapModel>(m, "ColmapModel")
       .def_property_readonly("is_binary", &ColmapModel::is_binary)
-      .def_property_readonly("names_with_spaces",
-                             [](const ColmapModel& model) { return model.index.names_with_spaces; })
+      .def_property_readonly("has_changed", &ColmapModel::has_changed)
+      .def_property_readonly("names_with_spaces", &bundle::NamesWithSpaces)
       .def_property_readonly("image_poses", &bundle::ImagePoses)
       .def("files", &bundle::Files)
       .def("write", &bundle::WriteModel, py::arg("folder"), py::arg("cam_from_world"),
-           py::arg("camera_params"), py::arg("points"), py::arg("point_errors"),
-           py::arg("rig_from_world"), py::arg("sensor_from_rig"))
-      .def("rewrite", &bundle::RewriteModel, py::arg("folder"), py::arg("cam_from_world"),
            py::arg("camera_params"), py::arg("points"), py::arg("point_errors"),
            py::arg("rig_from_world"), py::arg("sensor_from_rig"), py::arg("point_ids"));
   m.def("survey_colmap_model", &bundle::SurveyModel, py::arg("folder"));

@@ -92,21 +92,17 @@ py::dict Contents(const ColmapModel& model) {
     xy = ReadKeypoints(model);
     tracks = ReadTracks(model);
   }
-  std::vector<int64_t> point_ids;
-  for (const ColmapIndex::Point& point : model.index.points) {
-    point_ids.push_back(static_cast<int64_t>(point.id));
-  }
   std::vector<int64_t> images, keypoints;
   for (const ColmapIndex::TrackElement& element : tracks.elements) {
     images.push_back(element.image_id);
     keypoints.push_back(element.keypoint);
   }
-  const auto num_points = static_cast<py::ssize_t>(point_ids.size());
+  const auto num_points = static_cast<py::ssize_t>(tracks.point_ids.size());
   const auto num_keypoints = static_cast<py::ssize_t>(xy.size() / 2);
   const auto num_elements = static_cast<py::ssize_t>(images.size());
   py::dict contents;
   contents["keypoint_xy"] = ToImmutableNumpy(std::move(xy), {num_keypoints, 2});
-  contents["point_ids"] = ToImmutableNumpy(std::move(point_ids), {num_points});
+  contents["point_ids"] = ToImmutableNumpy(std::move(tracks.point_ids), {num_points});
   contents["point_colors"] = ToImmutableNumpy(std::move(tracks.colors), {num_points, 3});
   contents["track_lengths"] = ToImmutableNumpy(std::move(tracks.lengths), {num_points});
   contents["track_image_ids"] = ToImmutableNumpy(std::move(images), {num_elements});

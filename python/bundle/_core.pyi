@@ -172,21 +172,13 @@ class ColmapModel:
     @property
     def is_binary(self) -> bool: ...
     @property
+    def has_changed(self) -> bool: ...
+    @property
     def names_with_spaces(self) -> dict[int, str]: ...
     @property
     def image_poses(self) -> NDArray[np.float64]: ...
     def files(self) -> dict[str, bytes]: ...
     def write(
-        self,
-        folder: str | os.PathLike[str],
-        cam_from_world: NDArray[np.float64],
-        camera_params: NDArray[np.float64],
-        points: NDArray[np.float64],
-        point_errors: NDArray[np.float64],
-        rig_from_world: NDArray[np.float64],
-        sensor_from_rig: NDArray[np.float64],
-    ) -> None: ...
-    def rewrite(
         self,
         folder: str | os.PathLike[str],
         cam_from_world: NDArray[np.float64],

@@ -19,7 +19,6 @@
 #include <vector>
 
 #include "core/cameras/registry.h"
-#include "core/io/colmap_binary_records.h"
 #include "core/io/colmap_byte_reader.h"
 #include "core/io/colmap_index.h"
 
@@ -71,50 +70,6 @@ void ScanCameras(ColmapIndex* index) {
     index->cameras.push_back(camera);
   }
   reader.ExpectEnd();
-}
-
-/// Keeps images and their keypoints in the index.
-struct KeepImages {
-  ColmapIndex* index;
-
-  void Begin(uint64_t count, uint64_t num_bytes) {
-    index->images.reserve(count);
-    index->keypoint_point_ids.reserve(num_bytes / kKeypointSize);
-  }
-  void Image(ColmapIndex::Image image) {
-    image.first_keypoint = index->keypoint_point_ids.size();
-    index->images.push_back(std::move(image));
-  }
-  void Keypoint(uint64_t, const double* xy, uint64_t point_id) {
-    index->keypoint_point_ids.push_back(point_id);
-    if (point_id == kInvalidPoint3DId) return;
-    index->triangulated_xy.insert(index->triangulated_xy.end(), {xy[0], xy[1]});
-  }
-};
-
-void ScanImages(ColmapIndex* index) {
-  KeepImages sink{index};
-  ScanImageRecords(index->images_file, &sink);
-}
-
-/// Keeps points and their tracks in the index.
-struct KeepPoints {
-  ColmapIndex* index;
-
-  void Begin(uint64_t count, uint64_t num_bytes) {
-    index->points.reserve(count);
-    index->track_elements.reserve((num_bytes - count * kPointRecordSize) / kTrackElementSize);
-  }
-  void Point(ColmapIndex::Point point, const std::vector<ColmapIndex::TrackElement>& track) {
-    point.first_element = index->track_elements.size();
-    index->points.push_back(point);
-    index->track_elements.insert(index->track_elements.end(), track.begin(), track.end());
-  }
-};
-
-void ScanPoints(ColmapIndex* index) {
-  KeepPoints sink{index};
-  ScanPointRecords(index->points_file, &sink);
 }
 
 void ScanRigs(ColmapIndex* index) {
@@ -169,7 +124,7 @@ void ScanFrames(ColmapIndex* index) {
 
 }  // namespace
 
-const ColmapScanner kColmapBinaryScanner = {
-    ModelFile::Kind::kBinary, ".bin", ScanRigs, ScanCameras, ScanFrames, ScanImages, ScanPoints};
+const ColmapScanner kColmapBinaryScanner = {ModelFile::Kind::kBinary, ".bin", ScanRigs, ScanCameras,
+                                            ScanFrames};
 
 }  // namespace bundle

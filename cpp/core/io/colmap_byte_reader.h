@@ -1,6 +1,6 @@
 #pragma once
 
-/// Numbers of a binary COLMAP file, read one after the other.
+/// Bytes of a COLMAP file, and numbers of a binary one, read one after the other.
 
 #include <algorithm>
 #include <cstdint>
@@ -13,7 +13,7 @@
 
 namespace bundle {
 
-/// Bytes of a file, either all in memory, or a block at a time from a stream.
+/// Bytes of a file: those in memory, or a block at a time from a stream.
 class FileWindow {
  public:
   explicit FileWindow(const ModelFile& file) : file_(file), bytes_(file.contents()) {}
@@ -25,6 +25,13 @@ class FileWindow {
   const char* At(uint64_t position, size_t count) {
     if (position < begin_ || position + count > begin_ + bytes_.size()) Fill(position, count);
     return bytes_.data() + (position - begin_);
+  }
+
+  /// The bytes from `position` on that need no further read, at least one. `position` must be in
+  /// the file.
+  std::string_view From(uint64_t position) {
+    At(position, 1);
+    return bytes_.substr(position - begin_);
   }
 
  private:

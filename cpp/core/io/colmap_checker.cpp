@@ -11,6 +11,7 @@
 
 #include "core/error.h"
 #include "core/io/colmap_binary_scanner.h"
+#include "core/io/colmap_file_records.h"
 #include "core/io/colmap_id_map.h"
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_scanner.h"
@@ -41,6 +42,40 @@ std::string MissingFiles(const std::string& folder, const ColmapScanner& scanner
   return missing;
 }
 
+/// Keeps images and their keypoints in the index.
+struct KeepImages {
+  ColmapIndex* index;
+
+  void Begin(uint64_t count, uint64_t) const { index->images.reserve(count); }
+  void Image(ColmapIndex::Image image) const {
+    image.first_keypoint = index->keypoints.size();
+    index->images.push_back(std::move(image));
+  }
+  void Keypoint(uint64_t number, const double* xy, uint64_t point_id) const {
+    index->images.back().num_keypoints = number + 1;  // not known before in text
+    const bool has_point = point_id != kInvalidPoint3DId;
+    index->keypoints.Add(has_point);
+    if (!has_point) return;
+    index->seen_point_ids.push_back(point_id);
+    index->seen_xy.insert(index->seen_xy.end(), {xy[0], xy[1]});
+  }
+};
+
+/// Keeps points and their tracks in the index.
+struct KeepPoints {
+  ColmapIndex* index;
+
+  void Begin(uint64_t count, uint64_t) const {
+    index->points.reserve(count);
+    index->track_elements.reserve(index->seen_point_ids.size());
+  }
+  void Point(const ColmapPointRecord& point,
+             const std::vector<ColmapIndex::TrackElement>& track) const {
+    index->points.push_back({point.id, point.at, index->track_elements.size(), point.xyz});
+    index->track_elements.insert(index->track_elements.end(), track.begin(), track.end());
+  }
+};
+
 ColmapIndex ScanFiles(const std::string& folder, const ColmapScanner& scanner) {
   ColmapIndex index;
   index.kind = scanner.kind;
@@ -51,8 +86,14 @@ ColmapIndex ScanFiles(const std::string& folder, const ColmapScanner& scanner) {
   if (Exists(folder, "rigs", scanner)) scan("rigs", &index.rigs_file, scanner.scan_rigs);
   scan("cameras", &index.cameras_file, scanner.scan_cameras);
   if (Exists(folder, "frames", scanner)) scan("frames", &index.frames_file, scanner.scan_frames);
-  scan("images", &index.images_file, scanner.scan_images);
-  scan("points3D", &index.points_file, scanner.scan_points);
+  scan("images", &index.images_file, [](ColmapIndex* found) {
+    KeepImages sink{found};
+    ScanImageRecords(found->images_file, &sink);
+  });
+  scan("points3D", &index.points_file, [](ColmapIndex* found) {
+    KeepPoints sink{found};
+    ScanPointRecords(found->points_file, &sink);
+  });
   return index;
 }
 
@@ -164,10 +205,11 @@ void CheckPointIdsUnique(const ColmapIndex& index) {
                          "expected each point once, found " + RecordName("point", id) + " again");
 }
 
-/// Checks tracks against keypoints: each must refer to the other once. Returns each keypoint's
-/// point.
-std::vector<int64_t> CheckTracks(const ColmapIndex& index, const IdMap& images) {
-  std::vector<int64_t> point_of_keypoint(index.keypoint_point_ids.size(), IdMap::kNone);
+/// Checks tracks against keypoints: each must refer to the other once. Returns the position of the
+/// point of each keypoint that has one.
+std::vector<int32_t> CheckTracks(const ColmapIndex& index, const IdMap& images) {
+  constexpr int32_t kNone = -1;
+  std::vector<int32_t> point_of_seen(index.seen_point_ids.size(), kNone);
   for (size_t p = 0; p < index.points.size(); ++p) {
     const ColmapIndex::Point& point = index.points[p];
     const uint64_t last = p + 1 < index.points.size() ? index.points[p + 1].first_element
@@ -183,23 +225,28 @@ std::vector<int64_t> CheckTracks(const ColmapIndex& index, const IdMap& images) 
       const ColmapIndex::Image& image = index.images[static_cast<size_t>(i)];
       if (element.keypoint >= image.num_keypoints) fail(NoSuchKeypoint(element, image));
       const uint64_t keypoint = image.first_keypoint + element.keypoint;
-      const uint64_t point_id = index.keypoint_point_ids[keypoint];
+      if (!index.keypoints.IsMarked(keypoint)) fail(RefersElsewhere(element, kInvalidPoint3DId));
+      const size_t seen = index.keypoints.Row(keypoint);
+      const uint64_t point_id = index.seen_point_ids[seen];
       if (point_id != point.id) fail(RefersElsewhere(element, point_id));
-      if (point_of_keypoint[keypoint] != IdMap::kNone) fail(VisitedAgain(element));
-      point_of_keypoint[keypoint] = static_cast<int64_t>(p);
+      if (point_of_seen[seen] != kNone) fail(VisitedAgain(element));
+      point_of_seen[seen] = static_cast<int32_t>(p);
     }
+  }
+  if (std::find(point_of_seen.begin(), point_of_seen.end(), kNone) == point_of_seen.end()) {
+    return point_of_seen;
   }
   for (const ColmapIndex::Image& image : index.images) {
     for (uint64_t k = 0; k < image.num_keypoints; ++k) {
-      const uint64_t point_id = index.keypoint_point_ids[image.first_keypoint + k];
-      if (point_id == kInvalidPoint3DId ||
-          point_of_keypoint[image.first_keypoint + k] != IdMap::kNone) {
-        continue;
-      }
-      index.images_file.Fail(index.KeypointPlace(image, k), NotInTrack(image, k, point_id));
+      const uint64_t keypoint = image.first_keypoint + k;
+      if (!index.keypoints.IsMarked(keypoint)) continue;
+      const size_t seen = index.keypoints.Row(keypoint);
+      if (point_of_seen[seen] != kNone) continue;
+      index.images_file.Fail(index.KeypointPlace(image, k),
+                             NotInTrack(image, k, index.seen_point_ids[seen]));
     }
   }
-  return point_of_keypoint;
+  return point_of_seen;
 }
 
 }  // namespace
@@ -226,7 +273,7 @@ IdMap CheckColmapViews(const ColmapIndex& index, bool may_be_empty) {
   return images;
 }
 
-std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index, bool may_be_empty) {
+std::vector<int32_t> CheckColmapReferences(const ColmapIndex& index, bool may_be_empty) {
   const IdMap images = CheckColmapViews(index, may_be_empty);
   CheckPointIdsUnique(index);
   return CheckTracks(index, images);

@@ -21,8 +21,8 @@ ColmapIndex ScanColmapModel(const std::string& folder);
 /// positions of the images.
 IdMap CheckColmapViews(const ColmapIndex& index, bool may_be_empty = false);
 
-/// Checks views, and points with their tracks. Returns the position in `points` of each keypoint's
-/// point; -1 for a keypoint without a point.
-std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index, bool may_be_empty = false);
+/// Checks views, and points with their tracks. Returns the position in `points` of the point of
+/// each keypoint that has one, in the order of `keypoints`.
+std::vector<int32_t> CheckColmapReferences(const ColmapIndex& index, bool may_be_empty = false);
 
 }  // namespace bundle

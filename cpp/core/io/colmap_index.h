@@ -8,7 +8,6 @@
 #include <cstdint>
 #include <functional>
 #include <limits>
-#include <map>
 #include <memory>
 #include <numeric>
 #include <string>
@@ -16,34 +15,46 @@
 #include <vector>
 
 #include "core/cameras/camera_model.h"
+#include "core/io/marked_keypoints.h"
 #include "core/scratch/large_vector.h"
 
 namespace bundle {
 
-/// One file of a model, read completely or open as a stream, and its name for error messages.
+/// One file of a model, in memory or open as a stream, and its name for error messages.
 class ModelFile {
  public:
   enum class Kind { kText, kBinary };
 
+  /// Size of the largest file that the constructor reads into memory.
+  static constexpr size_t kLargestInMemory = size_t{4} << 20;
+
   ModelFile() = default;
 
+  /// Reads a small file into memory, so that later changes on the disk have no effect. Opens a
+  /// larger file as a stream: its bytes take more memory than the arrays of its problem. A stream
+  /// reads the same file even if its name is given to another one.
+  ///
   /// Throws InputError if the file cannot be opened, is not a regular file or cannot be read.
   ModelFile(std::string path, Kind kind);
 
-  /// Opens a file for reading parts with `ReadAt`. `on_block` is called before each part and may
-  /// throw. Throws InputError as the constructor.
+  /// Opens a file of any size as a stream. `on_block` is called before each read and may throw.
+  /// Throws InputError as the constructor.
   static ModelFile Stream(std::string path, Kind kind, std::function<void()> on_block);
 
   const std::string& path() const { return path_; }
+  Kind kind() const { return kind_; }
   uint64_t size() const { return size_; }
   bool is_stream() const { return descriptor_ != nullptr; }
 
-  /// Contents of a file that was read completely; empty for a stream.
+  /// Contents of a file in memory; empty for a stream.
   std::string_view contents() const { return {contents_.get(), is_stream() ? 0 : size_}; }
 
-  /// Reads bytes of a stream. Throws InputError if the file cannot be read or has changed since it
+  /// Reads bytes of the file. Throws InputError if a stream cannot be read, or has changed since it
   /// was opened.
   void ReadAt(uint64_t position, char* buffer, size_t count) const;
+
+  /// True if a stream was written to after it was opened.
+  bool has_changed() const;
 
   /// Message of the error that `Fail` throws.
   std::string Complaint(uint64_t position, const std::string& message) const;
@@ -135,7 +146,7 @@ struct ColmapIndex {
     uint32_t camera_id;
     uint64_t at;
     uint64_t keypoints_at;    ///< position of the first keypoint in the file
-    uint64_t first_keypoint;  ///< index in keypoint_point_ids
+    uint64_t first_keypoint;  ///< index in `keypoints`
     uint64_t num_keypoints;
     std::string name{};
     std::array<double, 7> pose{};
@@ -146,8 +157,6 @@ struct ColmapIndex {
     uint64_t at;
     uint64_t first_element;  ///< index in track_elements
     std::array<double, 3> xyz{};
-    ColmapSpan xyz_span{};
-    ColmapSpan error_span{};
   };
   struct TrackElement {
     uint32_t image_id;
@@ -159,15 +168,11 @@ struct ColmapIndex {
   std::vector<Camera> cameras;
   std::vector<Frame> frames;
   std::vector<Image> images;
-  std::vector<uint64_t>
-      keypoint_point_ids;  ///< point ids of the keypoints of all images; kInvalidPoint3DId: none
-  std::vector<double> triangulated_xy;  ///< x, y of the keypoints that have a point, in their order
+  MarkedKeypoints keypoints;             ///< marked: the keypoint has a point
+  std::vector<uint64_t> seen_point_ids;  ///< point id of each marked keypoint
+  std::vector<double> seen_xy;           ///< x, y of each marked keypoint
   std::vector<Point> points;
   std::vector<TrackElement> track_elements;  ///< track elements of all points
-
-  /// Names that contain white space, by image id. COLMAP writes them to text files but reads only
-  /// their first word back.
-  std::map<uint32_t, std::string> names_with_spaces;
 
   ModelFile::Kind kind = ModelFile::Kind::kText;
 
@@ -228,8 +233,8 @@ struct ColmapObservations {
   LargeVector<double> xy;  ///< two per row
 };
 
-/// `point_of_keypoint` is what CheckColmapReferences returned for this index.
+/// `point_of_seen` is what CheckColmapReferences returned for this index.
 ColmapObservations SortColmapObservations(const ColmapIndex& index,
-                                          const std::vector<int64_t>& point_of_keypoint);
+                                          const std::vector<int32_t>& point_of_seen);
 
 }  // namespace bundle

@@ -10,7 +10,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
-#include <new>
+#include <memory>
 #include <utility>
 
 #include "core/cameras/registry.h"
@@ -66,60 +66,52 @@ std::vector<double> ColmapModel::CamFromWorld() const {
   return poses;
 }
 
-ColmapModel ReadColmapModel(const std::string& folder, bool may_be_empty) {
-  ColmapModel model;
-  model.index = ScanColmapModel(folder);
-  const std::vector<int64_t> point_of_keypoint = CheckColmapReferences(model.index, may_be_empty);
-  model.cameras_by_id = OrderById(model.index.cameras);
-  model.images_by_id = OrderById(model.index.images);
-  model.points_by_id = OrderById(model.index.points);
-  FindColmapRigs(&model);
-  model.observations = SortColmapObservations(model.index, point_of_keypoint);
-  // Frees data that only the check needed; the files contain them, too.
-  model.index.keypoint_point_ids = {};
-  model.index.triangulated_xy = {};
-  model.index.track_elements = {};
-  return model;
-}
-
 namespace {
 
-/// Index of the first row of each point, by position of the point; rows are sorted by point id.
-std::vector<size_t> FirstRows(const std::vector<size_t>& points_by_id,
-                              const std::vector<int64_t>& point_of_keypoint) {
-  std::vector<size_t> num_rows(points_by_id.size(), 0);
-  for (const int64_t point : point_of_keypoint) {
-    if (point >= 0) ++num_rows[static_cast<size_t>(point)];
-  }
-  std::vector<size_t> first_rows(points_by_id.size());
-  size_t row = 0;
-  for (const size_t point : points_by_id) {
-    first_rows[point] = row;
-    row += num_rows[point];
-  }
-  return first_rows;
+/// Frees the memory of a vector. An assignment of {} would keep it.
+template <typename T>
+void Free(std::vector<T>* values) {
+  std::vector<T>().swap(*values);
 }
 
 }  // namespace
 
+ColmapModel ReadColmapModel(const std::string& folder, bool may_be_empty) {
+  ColmapModel model;
+  ColmapIndex& index = model.index;
+  index = ScanColmapModel(folder);
+  const std::vector<int32_t> point_of_seen = CheckColmapReferences(index, may_be_empty);
+  Free(&index.seen_point_ids);  // early: what follows needs the most memory
+  Free(&index.track_elements);
+  model.cameras_by_id = OrderById(index.cameras);
+  model.images_by_id = OrderById(index.images);
+  FindColmapRigs(&model);
+  model.observations = SortColmapObservations(index, point_of_seen);
+  index.keypoints = {};
+  Free(&index.seen_xy);
+  model.point_ids.reserve(index.points.size());
+  model.points.reserve(3 * index.points.size());
+  for (const size_t p : OrderById(index.points)) {
+    const ColmapIndex::Point& point = index.points[p];
+    model.point_ids.push_back(static_cast<int64_t>(point.id));
+    model.points.insert(model.points.end(), point.xyz.begin(), point.xyz.end());
+  }
+  Free(&index.points);
+  return model;
+}
+
 ColmapObservations SortColmapObservations(const ColmapIndex& index,
-                                          const std::vector<int64_t>& point_of_keypoint) {
+                                          const std::vector<int32_t>& point_of_seen) {
   const std::vector<size_t> images_by_id = OrderById(index.images);
   const std::vector<size_t> points_by_id = OrderById(index.points);
-  std::vector<int32_t> point_rank(points_by_id.size());
-  for (size_t rank = 0; rank < points_by_id.size(); ++rank) {
-    point_rank[points_by_id[rank]] = static_cast<int32_t>(rank);
-  }
-  // The coordinates are in the order of the file, which may differ from that of the ids.
-  std::vector<size_t> first_xy(index.images.size());
+  // By position of the point: its row by id, and the next row of its observations.
+  std::vector<int32_t> point_row(points_by_id.size());
+  std::vector<size_t> next(points_by_id.size(), 0);
+  for (const int32_t point : point_of_seen) ++next[static_cast<size_t>(point)];
   size_t num_rows = 0;
-  for (size_t i = 0; i < index.images.size(); ++i) {
-    first_xy[i] = num_rows;
-    const auto begin =
-        point_of_keypoint.begin() + static_cast<std::ptrdiff_t>(index.images[i].first_keypoint);
-    num_rows += static_cast<size_t>(
-        std::count_if(begin, begin + static_cast<std::ptrdiff_t>(index.images[i].num_keypoints),
-                      [](int64_t point) { return point >= 0; }));
+  for (size_t row = 0; row < points_by_id.size(); ++row) {
+    point_row[points_by_id[row]] = static_cast<int32_t>(row);
+    num_rows += std::exchange(next[points_by_id[row]], num_rows);
   }
 
   ColmapObservations result;
@@ -127,19 +119,19 @@ ColmapObservations SortColmapObservations(const ColmapIndex& index,
   result.point.resize(num_rows);
   result.keypoint.resize(num_rows);
   result.xy.resize(2 * num_rows);
-  std::vector<size_t> next_row = FirstRows(points_by_id, point_of_keypoint);
-  for (size_t rank = 0; rank < images_by_id.size(); ++rank) {
-    const ColmapIndex::Image& image = index.images[images_by_id[rank]];
-    size_t xy = 2 * first_xy[images_by_id[rank]];
+  for (size_t i = 0; i < images_by_id.size(); ++i) {
+    const ColmapIndex::Image& image = index.images[images_by_id[i]];
+    size_t seen = index.keypoints.Row(image.first_keypoint);
     for (uint64_t k = 0; k < image.num_keypoints; ++k) {
-      const int64_t point = point_of_keypoint[image.first_keypoint + k];
-      if (point < 0) continue;
-      const size_t row = next_row[static_cast<size_t>(point)]++;
-      result.image[row] = static_cast<int32_t>(rank);
-      result.point[row] = point_rank[static_cast<size_t>(point)];
+      if (!index.keypoints.IsMarked(image.first_keypoint + k)) continue;
+      const auto point = static_cast<size_t>(point_of_seen[seen]);
+      const size_t row = next[point]++;
+      result.image[row] = static_cast<int32_t>(i);
+      result.point[row] = point_row[point];
       result.keypoint[row] = static_cast<int32_t>(k);
-      result.xy[2 * row] = index.triangulated_xy[xy++];
-      result.xy[2 * row + 1] = index.triangulated_xy[xy++];
+      result.xy[2 * row] = index.seen_xy[2 * seen];
+      result.xy[2 * row + 1] = index.seen_xy[2 * seen + 1];
+      ++seen;
     }
   }
   return result;
@@ -253,12 +245,12 @@ size_t ReadBytes(int descriptor, const std::string& path, uint64_t position, cha
 
 }  // namespace
 
-ModelFile::ModelFile(std::string path, Kind kind) : path_(std::move(path)), kind_(kind) {
-  const std::shared_ptr<const int> file = OpenRegularFile(path_);
-  const auto size = static_cast<size_t>(StatusOf(*file, path_).st_size);
-  contents_.reset(new (std::nothrow) char[size]);
-  if (contents_ == nullptr) FailToRead(path_, std::to_string(size) + " bytes, more than memory");
-  size_ = ReadBytes(*file, path_, 0, contents_.get(), size);
+ModelFile::ModelFile(std::string path, Kind kind) {
+  *this = Stream(std::move(path), kind, {});
+  if (size_ > kLargestInMemory) return;
+  contents_ = std::make_unique<char[]>(size_);
+  size_ = ReadBytes(*descriptor_, path_, 0, contents_.get(), size_);
+  descriptor_ = nullptr;
 }
 
 ModelFile ModelFile::Stream(std::string path, Kind kind, std::function<void()> on_block) {
@@ -275,9 +267,19 @@ ModelFile ModelFile::Stream(std::string path, Kind kind, std::function<void()> o
 
 void ModelFile::ReadAt(uint64_t position, char* buffer, size_t count) const {
   if (on_block_) on_block_();
+  if (!is_stream()) {
+    contents().copy(buffer, count, position);
+    return;
+  }
   const size_t done = ReadBytes(*descriptor_, path_, position, buffer, count);
-  if (done == count && ChangedAt(StatusOf(*descriptor_, path_)) == changed_at_) return;
-  FailAsChanged(Printable(path_));
+  if (done != count || has_changed()) FailAsChanged(Printable(path_));
+}
+
+bool ModelFile::has_changed() const {
+  if (!is_stream()) return false;
+  struct stat status;
+  if (fstat(*descriptor_, &status) != 0) return true;  // removed from a server
+  return static_cast<size_t>(status.st_size) != size_ || ChangedAt(status) != changed_at_;
 }
 
 std::string ModelFile::Complaint(uint64_t position, const std::string& message) const {

@@ -13,8 +13,8 @@
 #include <utility>
 #include <vector>
 
-#include "core/io/colmap_binary_records.h"
 #include "core/io/colmap_checker.h"
+#include "core/io/colmap_file_records.h"
 #include "core/io/colmap_id_map.h"
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_survey.h"
@@ -76,7 +76,7 @@ struct PartOfPoints {
     points.resize(3 * static_cast<size_t>(kept), 0.0);
     records.resize(static_cast<size_t>(kept));
   }
-  void Point(const ColmapIndex::Point& point, const std::vector<ColmapIndex::TrackElement>& track) {
+  void Point(const ColmapPointRecord& point, const std::vector<ColmapIndex::TrackElement>& track) {
     const int32_t row = rows.Find(point.id);
     if (row == PointRows::kNone) FailAsChanged();
     if (place[static_cast<size_t>(row)] < 0) return;

@@ -7,15 +7,14 @@
 namespace bundle {
 
 /// One of COLMAP's two formats: syntax, counts, single values. Each function scans one file of the
-/// index into its records and throws InputError, naming file and line or byte.
+/// index into its records and throws InputError, naming file and line or byte. Images and points
+/// have `colmap_file_records.h`.
 struct ColmapScanner {
   ModelFile::Kind kind;
   const char* extension;
   void (*scan_rigs)(ColmapIndex*);
   void (*scan_cameras)(ColmapIndex*);
   void (*scan_frames)(ColmapIndex*);
-  void (*scan_images)(ColmapIndex*);
-  void (*scan_points)(ColmapIndex*);
 };
 
 }  // namespace bundle

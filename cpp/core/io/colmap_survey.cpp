@@ -11,9 +11,9 @@
 #include <utility>
 #include <vector>
 
-#include "core/io/colmap_binary_records.h"
 #include "core/io/colmap_binary_scanner.h"
 #include "core/io/colmap_checker.h"
+#include "core/io/colmap_file_records.h"
 #include "core/io/colmap_id_map.h"
 #include "core/io/colmap_index.h"
 
@@ -82,7 +82,7 @@ struct SurveyTracks {
     }
     found.point_ids.reserve(count);
   }
-  void Point(const ColmapIndex::Point& point, const std::vector<ColmapIndex::TrackElement>& track) {
+  void Point(const ColmapPointRecord& point, const std::vector<ColmapIndex::TrackElement>& track) {
     auto first = static_cast<int32_t>(rows.size());
     int32_t last = -1;
     for (const ColmapIndex::TrackElement& element : track) {
@@ -106,7 +106,7 @@ struct FindTwin {
   int num_found = 0;
 
   void Begin(uint64_t, uint64_t) const {}
-  void Point(const ColmapIndex::Point& point, const std::vector<ColmapIndex::TrackElement>&) {
+  void Point(const ColmapPointRecord& point, const std::vector<ColmapIndex::TrackElement>&) {
     if (point.id != id || ++num_found < 2) return;
     file.Fail(point.at, "expected each point once, found " + RecordName("point", id) + " again");
   }

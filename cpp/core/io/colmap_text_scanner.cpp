@@ -14,10 +14,9 @@
 // line for the end of the list, wraps colours round at 256 and drops an image whose second line
 // is missing.
 
-#include <array>
+#include <algorithm>
 #include <charconv>
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <locale>
 #include <sstream>
@@ -43,12 +42,10 @@ const char* SkipPlus(const char* begin, const char* end) {
 
 }  // namespace
 
-ColmapTextCursor::ColmapTextCursor(const ModelFile& file)
-    : file_(file),
-      next_line_(file.contents().data()),
-      end_(file.contents().data() + file.contents().size()) {
-  const bool is_marked = file.contents().substr(0, kByteOrderMark.size()) == kByteOrderMark;
-  if (is_marked) next_line_ += kByteOrderMark.size();
+ColmapTextCursor::ColmapTextCursor(const ModelFile& file) : file_(file), window_(file) {
+  const size_t size = kByteOrderMark.size();
+  if (file.size() < size) return;
+  if (std::string_view(window_.At(0, size), size) == kByteOrderMark) next_line_ = size;
 }
 
 bool ColmapTextCursor::NextRecord() {
@@ -59,14 +56,25 @@ bool ColmapTextCursor::NextRecord() {
 }
 
 bool ColmapTextCursor::NextLine() {
-  if (next_line_ == end_) return false;
-  const void* newline = std::memchr(next_line_, '\n', static_cast<size_t>(end_ - next_line_));
-  cursor_ = next_line_;
-  end_of_line_ = newline == nullptr ? end_ : static_cast<const char*>(newline);
-  next_line_ = newline == nullptr ? end_ : end_of_line_ + 1;
+  if (next_line_ == file_.size()) return false;
+  line_at_ = next_line_;
+  ++line_;
+  std::string_view ahead = window_.From(line_at_);
+  size_t size = ahead.find('\n');
+  while (size == std::string_view::npos && line_at_ + ahead.size() < file_.size()) {
+    const size_t searched = ahead.size();
+    if (searched > kLongestLine) Fail("expected a line of at most 1 GB, found a longer one");
+    const auto more = std::min<uint64_t>(2 * searched + kReadBlockSize, file_.size() - line_at_);
+    ahead = {window_.At(line_at_, static_cast<size_t>(more)), static_cast<size_t>(more)};
+    size = ahead.find('\n', searched);
+  }
+  const bool is_last = size == std::string_view::npos;
+  if (is_last) size = ahead.size();
+  next_line_ = line_at_ + size + (is_last ? 0 : 1);
+  begin_ = cursor_ = ahead.data();
+  end_of_line_ = begin_ + size;
   while (cursor_ != end_of_line_ && IsTrimmed(*cursor_)) ++cursor_;
   while (cursor_ != end_of_line_ && IsTrimmed(end_of_line_[-1])) --end_of_line_;
-  ++line_;
   return true;
 }
 
@@ -139,6 +147,14 @@ std::string_view ColmapTextCursor::Rest(const char* what) {
   return rest;
 }
 
+ColmapSpan ColmapTextCursor::Pose(const std::string& subject, double* pose) {
+  static constexpr const char* kNames[] = {"QW", "QX", "QY", "QZ", "TX", "TY", "TZ"};
+  const uint64_t begin = NextTokenOffset();
+  for (int i = 0; i < 7; ++i) pose[i] = Number(kNames[i]);
+  CheckPose(file_, line(), subject, pose);
+  return {begin, offset()};
+}
+
 void ColmapTextCursor::ExpectEndOfLine() {
   if (!AtEndOfLine()) FailHere("the end of the line");
 }
@@ -148,19 +164,6 @@ void ColmapTextCursor::FailHere(const std::string& expected) {
 }
 
 namespace {
-
-constexpr uint64_t kMaxColor = 255;
-constexpr uint64_t kMaxKeypoint = kInvalidColmapId - 1;
-
-/// Returns the span of the pose.
-ColmapSpan ReadPose(ColmapTextCursor* cursor, const ModelFile& file, const std::string& subject,
-                    double* pose) {
-  static constexpr const char* kNames[] = {"QW", "QX", "QY", "QZ", "TX", "TY", "TZ"};
-  const uint64_t begin = cursor->NextTokenOffset();
-  for (int i = 0; i < 7; ++i) pose[i] = cursor->Number(kNames[i]);
-  CheckPose(file, cursor->line(), subject, pose);
-  return {begin, cursor->offset()};
-}
 
 ColmapIndex::Sensor ReadSensor(ColmapTextCursor* cursor) {
   const std::string_view type = cursor->Token("a sensor type");
@@ -199,65 +202,6 @@ void ScanCameras(ColmapIndex* index) {
   }
 }
 
-void ScanKeypoints(ColmapIndex* index, ColmapTextCursor* cursor) {
-  ColmapIndex::Image& image = index->images.back();
-  image.keypoints_at = cursor->line();
-  while (!cursor->AtEndOfLine()) {
-    const double x = cursor->Number("the x of a keypoint");
-    const double y = cursor->Number("the y of a keypoint");
-    const int64_t point_id = cursor->SignedInteger("the point id of a keypoint");
-    if (point_id < -1) {
-      cursor->Fail("expected a point id, or -1 without a point, found " + std::to_string(point_id));
-    }
-    index->keypoint_point_ids.push_back(static_cast<uint64_t>(point_id));  // -1: kInvalidPoint3DId
-    if (point_id != -1) index->triangulated_xy.insert(index->triangulated_xy.end(), {x, y});
-    ++image.num_keypoints;
-  }
-}
-
-void ScanImages(ColmapIndex* index) {
-  ColmapTextCursor cursor(index->images_file);
-  while (cursor.NextRecord()) {
-    const uint64_t at = cursor.line();
-    const uint32_t id = cursor.Id("an image id");
-    const std::string subject = "image " + std::to_string(id);
-    std::array<double, 7> pose;
-    const ColmapSpan pose_span = ReadPose(&cursor, index->images_file, subject, pose.data());
-    const uint32_t camera_id = cursor.Id("a camera id");
-    const std::string_view name = cursor.Rest("an image name");
-    CheckImageName(index->images_file, at, subject, name);
-    if (name.find(' ') != std::string_view::npos) index->names_with_spaces.emplace(id, name);
-    if (!cursor.NextLine()) {
-      cursor.Fail(subject + ": expected a line of keypoints (blank without keypoints) after this " +
-                  "line, found the end of the file");
-    }
-    index->images.push_back({id, camera_id, at, 0, index->keypoint_point_ids.size(), 0,
-                             std::string(name), pose, pose_span});
-    ScanKeypoints(index, &cursor);
-  }
-}
-
-void ScanPoints(ColmapIndex* index) {
-  ColmapTextCursor cursor(index->points_file);
-  while (cursor.NextRecord()) {
-    const uint64_t id = cursor.Integer("a point id", kMaxPoint3DId);
-    ColmapIndex::Point point{id, cursor.line(), index->track_elements.size(), {}, {}, {}};
-    point.xyz_span.begin = cursor.NextTokenOffset();
-    point.xyz = {cursor.Number("X"), cursor.Number("Y"), cursor.Number("Z")};
-    point.xyz_span.end = cursor.offset();
-    for (const char* channel : {"R", "G", "B"}) cursor.Integer(channel, kMaxColor);
-    point.error_span.begin = cursor.NextTokenOffset();
-    cursor.Number("an error");
-    point.error_span.end = cursor.offset();
-    index->points.push_back(point);
-    while (!cursor.AtEndOfLine()) {
-      const uint32_t image_id = cursor.Id("an image id in the track");
-      const uint64_t keypoint = cursor.Integer("a keypoint index in the track", kMaxKeypoint);
-      index->track_elements.push_back({image_id, static_cast<uint32_t>(keypoint)});
-    }
-  }
-}
-
 void ScanRigs(ColmapIndex* index) {
   ColmapTextCursor cursor(index->rigs_file);
   while (cursor.NextRecord()) {
@@ -269,8 +213,7 @@ void ScanRigs(ColmapIndex* index) {
       ColmapIndex::SensorPose& sensor = rig.poses.emplace_back();
       if (j == 0) continue;  // the reference sensor
       if (cursor.Integer("HAS_POSE", 1) == 1) {
-        sensor.span = ReadPose(&cursor, index->rigs_file, subject + ", sensor " + std::to_string(j),
-                               sensor.pose.data());
+        sensor.span = cursor.Pose(subject + ", sensor " + std::to_string(j), sensor.pose.data());
         sensor.is_known = true;
       }
     }
@@ -284,8 +227,7 @@ void ScanFrames(ColmapIndex* index) {
   while (cursor.NextRecord()) {
     const uint32_t id = cursor.Id("a frame id");
     ColmapIndex::Frame frame{id, cursor.Id("a rig id"), cursor.line(), {}};
-    frame.pose_span =
-        ReadPose(&cursor, index->frames_file, "frame " + std::to_string(id), frame.pose.data());
+    frame.pose_span = cursor.Pose("frame " + std::to_string(id), frame.pose.data());
     const uint64_t num_data = cursor.Integer("a number of data", kInvalidColmapId);
     for (uint64_t j = 0; j < num_data; ++j) {
       const ColmapIndex::Sensor sensor = ReadSensor(&cursor);
@@ -298,7 +240,7 @@ void ScanFrames(ColmapIndex* index) {
 
 }  // namespace
 
-const ColmapScanner kColmapTextScanner = {
-    ModelFile::Kind::kText, ".txt", ScanRigs, ScanCameras, ScanFrames, ScanImages, ScanPoints};
+const ColmapScanner kColmapTextScanner = {ModelFile::Kind::kText, ".txt", ScanRigs, ScanCameras,
+                                          ScanFrames};
 
 }  // namespace bundle

@@ -9,8 +9,8 @@
 #include <utility>
 #include <vector>
 
-#include "core/io/colmap_binary_records.h"
 #include "core/io/colmap_byte_reader.h"
+#include "core/io/colmap_file_records.h"
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_model.h"
 #include "core/io/colmap_records.h"
@@ -172,20 +172,18 @@ void WriteViews(const ColmapModel& model, const ColmapValues& values,
 /// Writes the points while it reads them a second time.
 struct RewritePoints {
   const ColmapValues& values;
-  const std::vector<int64_t>& ids;
   Patcher patcher;
   size_t num_points = 0;
 
-  void Begin(uint64_t count, uint64_t) const {
-    if (count != ids.size()) FailAsChanged();
-  }
-  void Point(const ColmapIndex::Point& point, const std::vector<ColmapIndex::TrackElement>&) {
+  void Begin(uint64_t, uint64_t) const {}
+  void Point(const ColmapPointRecord& point, const std::vector<ColmapIndex::TrackElement>&) {
+    if (num_points == values.num_points) FailAsChanged();
+    const int64_t* const end = values.point_ids + values.num_points;
     const auto id = static_cast<int64_t>(point.id);
-    size_t row = num_points++;
-    if (ids[row] != id) {  // not in the order of the ids
-      row = static_cast<size_t>(std::lower_bound(ids.begin(), ids.end(), id) - ids.begin());
-      if (row == ids.size() || ids[row] != id) FailAsChanged();
-    }
+    const int64_t* found = values.point_ids + num_points++;
+    if (*found != id) found = std::lower_bound(values.point_ids, end, id);  // not ordered by id
+    if (found == end || *found != id) FailAsChanged();
+    const auto row = static_cast<size_t>(found - values.point_ids);
     patcher.Replace(point.xyz_span, values.points + 3 * row, 3);
     patcher.Replace(point.error_span, values.point_errors + row, 1);
   }
@@ -196,23 +194,12 @@ struct RewritePoints {
 void WriteColmapModel(const ColmapModel& model, const ColmapValues& values,
                       const std::filesystem::path& folder) {
   WriteViews(model, values, folder);
-  const ColmapIndex& index = model.index;
-  const std::vector<size_t> point_rows = Rows(model.points_by_id);
-  const char* name = model.is_binary() ? "points3D.bin" : "points3D.txt";
-  Patcher points(index.points_file, folder / name, model.is_binary());
-  for (size_t p = 0; p < index.points.size(); ++p) {
-    points.Replace(index.points[p].xyz_span, values.points + 3 * point_rows[p], 3);
-    points.Replace(index.points[p].error_span, values.point_errors + point_rows[p], 1);
-  }
-  points.Finish();
-}
-
-void RewriteColmapModel(const ColmapModel& model, const std::vector<int64_t>& point_ids,
-                        const ColmapValues& values, const std::filesystem::path& folder) {
-  WriteViews(model, values, folder);
+  const bool is_binary = model.is_binary();
   const ModelFile& file = model.index.points_file;
-  RewritePoints sink{values, point_ids, Patcher(file, folder / "points3D.bin", true)};
+  const char* name = is_binary ? "points3D.bin" : "points3D.txt";
+  RewritePoints sink{values, Patcher(file, folder / name, is_binary)};
   ScanPointRecords(file, &sink);
+  if (sink.num_points != values.num_points) FailAsChanged();
   sink.patcher.Finish();
 }
 

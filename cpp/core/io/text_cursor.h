@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/io/colmap_byte_reader.h"
 #include "core/io/colmap_index.h"
 #include "core/io/input_file.h"
 #include "core/io/printable.h"
@@ -137,7 +138,8 @@ class TextCursor {
 
 /// Reads a text file of COLMAP record by record and, within a line, token by token, with COLMAP's
 /// rules: tokens are separated by white space; blank lines and lines that begin with '#' separate
-/// records. Throws InputError with the line for unexpected contents.
+/// records. Only the line under the cursor is in memory. Throws InputError with the line for
+/// unexpected contents.
 class ColmapTextCursor {
  public:
   explicit ColmapTextCursor(const ModelFile& file);
@@ -152,7 +154,7 @@ class ColmapTextCursor {
   uint64_t line() const { return line_; }
 
   /// Bytes of the file before the cursor.
-  uint64_t offset() const { return static_cast<uint64_t>(cursor_ - file_.contents().data()); }
+  uint64_t offset() const { return line_at_ + static_cast<uint64_t>(cursor_ - begin_); }
 
   /// Bytes of the file before the next token of the line.
   uint64_t NextTokenOffset() {
@@ -160,14 +162,11 @@ class ColmapTextCursor {
     return offset();
   }
 
-  /// Number of bytes of the file after the cursor.
-  size_t num_left() const { return static_cast<size_t>(end_ - next_line_); }
-
   /// True if only white space is left in the line.
   bool AtEndOfLine();
 
   /// Reads the next token. `what` describes it, such as "a camera model", for the message of the
-  /// error if the line has no further token.
+  /// error if the line has no further token. Tokens are valid until the next line.
   std::string_view Token(const char* what);
 
   /// Reads a whole number from 0 to `max`.
@@ -182,6 +181,10 @@ class ColmapTextCursor {
   /// Reads a finite number.
   double Number(const char* what);
 
+  /// Reads a pose, qw qx qy qz tx ty tz, and returns its span. `subject` is, for example, "image
+  /// 3".
+  ColmapSpan Pose(const std::string& subject, double* pose);
+
   /// Reads the remaining line without white space around it; not empty.
   std::string_view Rest(const char* what);
 
@@ -190,6 +193,8 @@ class ColmapTextCursor {
   [[noreturn]] void Fail(const std::string& message) const { file_.Fail(line_, message); }
 
  private:
+  static constexpr size_t kLongestLine = size_t{1} << 30;
+
   /// Returns false, with the cursor still before the token, if it is not a whole number up to
   /// `max`.
   template <typename T>
@@ -199,8 +204,10 @@ class ColmapTextCursor {
   [[noreturn]] void FailHere(const std::string& expected);
 
   const ModelFile& file_;
-  const char* next_line_;
-  const char* end_;
+  FileWindow window_;
+  uint64_t line_at_ = 0;    ///< position of the line in the file
+  uint64_t next_line_ = 0;  ///< position of the next line
+  const char* begin_ = nullptr;
   const char* cursor_ = nullptr;
   const char* end_of_line_ = nullptr;
   uint64_t line_ = 0;

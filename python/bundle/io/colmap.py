@@ -6,9 +6,9 @@ an error. COLMAP's writer does not check for write errors.
 
 A solve changes poses, camera parameters and points only. If the output has the format of the
 source, these numbers are replaced in the source's files, which
-``bundle.model.pycolmap.deferred_source`` keeps. Comments, other digits and the order of records
-stay. All other models are written record by record (``bundle.model.colmap.model_records``), byte
-for byte as COLMAP writes them.
+``bundle.model.pycolmap.deferred_source`` keeps in memory or open. Comments, other digits and the
+order of records stay. All other models are written record by record
+(``bundle.model.colmap.model_records``), byte for byte as COLMAP writes them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from bundle.io.atomic.model_files import ROLLING_SHUTTER
 from bundle.io.model_notes import check_rig_files, lacks_keypoint_lines, note_contradiction
 from bundle.io.rolling_shutter_file import rolling_shutter_text, with_rolling_shutter
 from bundle.model import rig_arrays
-from bundle.model.colmap.model_records import check, model_records
+from bundle.model.colmap.model_records import ModelRecords, check, model_records
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.deferred_source import DeferredSource
 from bundle.model.pycolmap.problem_source import LOST_SIGMAS, is_colmap
@@ -40,6 +40,7 @@ __all__ = [
     "load",
     "point_errors",
     "problem_of",
+    "problem_of_records",
     "rewrite_like",
     "save",
     "write",
@@ -113,6 +114,16 @@ def problem_of(folder: Path, model: _core.ColmapModel, fields: dict[str, Any]) -
         raise InputError(f"{folder}: {error}") from None
 
 
+def problem_of_records(records: ModelRecords) -> Problem:
+    """Return the problem of the records of a model, as if it were read from files."""
+    import tempfile  # slow to import
+
+    with tempfile.TemporaryDirectory(prefix="bundle-") as folder:
+        _core.write_colmap_records(folder, True, records)
+        model, fields = _core.read_colmap_model(folder)
+    return problem_of(Path("memory"), model, fields)
+
+
 def can_rewrite(problem: Problem, *, binary: bool) -> bool:
     """Return True if a problem differs from its source only in poses, parameters and points."""
     return _model(problem, binary=binary) is not None
@@ -179,7 +190,7 @@ def rewrite_like(
     """
     problem.check_padding()
     source: Any = vars(problem)["source"]
-    source.model.rewrite(
+    source.model.write(
         folder,
         problem.cam_from_world,
         problem.camera_params,
@@ -202,6 +213,7 @@ def _rewrite(problem: Problem, folder: Path, model: _core.ColmapModel) -> tuple[
         _point_errors(problem)[:, None],
         problem.rig_from_world,
         problem.sensor_from_rig,
+        problem.point_ids,
     )
     return _lost(problem, binary=model.is_binary)
 

@@ -9,17 +9,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError, shown
-from bundle.io.atomic.model_files import is_text_model
+from bundle.io.atomic.model_files import is_text_model, missing_model_files, models_below
 from bundle.io.atomic.replaced_paths import NoteWarning
 from bundle.model.rig_arrays import pose_differences
 
-__all__ = ["check_rig_files", "lacks_keypoint_lines", "note_contradiction"]
+__all__ = ["check_is_model", "check_rig_files", "lacks_keypoint_lines", "note_contradiction"]
+
+MOST_HINTS = 5
+"""Largest number of models inside a folder that an error lists."""
 
 _Poses = NDArray[np.float64]
 
 _ANGLE = 1e-3  # rad; rounding to six digits causes smaller differences
 _SHIFT = 1e-4  # relative to the largest distance from the origin
 _FIELDS = 10  # number of fields in the line of an image
+
+
+def check_is_model(folder: Path) -> None:
+    """Check that a folder has the files of a COLMAP model.
+
+    Raises:
+        InputError: files are missing; the message names them, and models in folders below.
+    """
+    missing = missing_model_files(folder)
+    if not missing:
+        return
+    found = f"found a folder without {', '.join(missing)}"
+    models = models_below(folder)
+    if models:
+        paths = " or ".join(shown(model) for model in models[:MOST_HINTS])
+        more = f" (or {len(models) - MOST_HINTS} more)" if len(models) > MOST_HINTS else ""
+        found += f"; try {paths}{more}"
+    raise InputError(f"{shown(folder)}: expected a COLMAP model, {found}")
 
 
 def check_rig_files(folder: Path) -> None:

@@ -22,13 +22,13 @@ from bundle.io.atomic.model_files import (
     MODEL_FILES,
     is_text_model,
     missing_model_files,
-    models_below,
 )
 from bundle.io.atomic.replaced_paths import RecoveryWarning
 from bundle.io.file_names import check_name, format_of_name
 from bundle.io.formats.read_options import ReadOptions
 from bundle.io.formats.registry import FOLDERS, Format, file_at, find_format, format_for_name
 from bundle.io.georeference_file import remove_georeference
+from bundle.io.model_notes import check_is_model
 from bundle.io.recognition import (
     OUTPUT_FORMATS,
     imported_format,
@@ -37,6 +37,7 @@ from bundle.io.recognition import (
 )
 from bundle.io.rolling_shutter_file import LOST_ROLLING_SHUTTER, rolling_shutter_record
 from bundle.model.problem import Problem
+from bundle.model.pycolmap.deferred_source import DeferredSource
 
 __all__ = [
     "check_target",
@@ -47,9 +48,6 @@ __all__ = [
     "save",
     "save_model",
 ]
-
-MOST_HINTS = 5
-"""Largest number of models inside a folder that an error lists."""
 
 _BAL_SUFFIXES = (".txt", ".txt.gz", ".txt.bz2")
 
@@ -78,7 +76,7 @@ def load(
     if imported is not None:
         return imported.reading().read(file_at(path, imported), options)  # type: ignore[no-any-return]
     if path.is_dir():
-        _check_model(path)
+        check_is_model(path)
         return colmap.load(path)
     if path.name in MODEL_FILES and not missing_model_files(path.parent):
         raise InputError(
@@ -115,12 +113,35 @@ def save(
         format: one of ``OUTPUT_FORMATS``, such as "colmap" (binary); None: see ``output_format``.
         progress: called repeatedly while a BAL file is written, with the bytes of text so far.
 
+    If large files of a COLMAP model were written to since they were read (``ModelFile`` of the
+    core), the information that only they have is lost, too.
+
     Raises:
         InputError: the format cannot hold the problem, or the path cannot be replaced.
         OSError: a system call fails, for example without permission or on a full disk.
     """
     _check_problem(problem)
     recover(path)
+    try:
+        return _save(problem, path, format, progress)
+    except InputError:
+        source = vars(problem)["source"]
+        if not (isinstance(source, DeferredSource) and source.has_changed):
+            raise
+    # The result of a long solve must not be lost with the files that it came from.
+    lost = (
+        f"{shown(source.folder)} has changed since it was read: keypoints without a point and "
+        "colours are left out.",
+    )
+    return lost + _save(problem.replace(source=None), path, format, progress)
+
+
+def _save(
+    problem: Problem,
+    path: str | os.PathLike[str],
+    format: str | None,
+    progress: Callable[[int], None] | None,
+) -> tuple[str, ...]:
     chosen = output_format(problem.format, path, format)
     path = as_path(path)
     if chosen == "bal":
@@ -323,17 +344,3 @@ def _check_problem(problem: Problem) -> None:
 
 def _compression(path: Path) -> str:
     return {".gz": "gzip", ".bz2": "bzip2"}.get(path.suffix.lower(), "")
-
-
-def _check_model(folder: Path) -> None:
-    """Raise an InputError that names the files that a folder lacks to be a COLMAP model."""
-    missing = missing_model_files(folder)
-    if not missing:
-        return
-    found = f"found a folder without {', '.join(missing)}"
-    models = models_below(folder)
-    if models:
-        paths = " or ".join(shown(model) for model in models[:MOST_HINTS])
-        more = f" (or {len(models) - MOST_HINTS} more)" if len(models) > MOST_HINTS else ""
-        found += f"; try {paths}{more}"
-    raise InputError(f"{shown(folder)}: expected a COLMAP model, {found}")

@@ -42,7 +42,7 @@ AGREEMENT = 1e-6
 LEAST_ORTHONORMAL = 1e-3
 """Largest entry of R R^T - I in a file; the nearest rotation is used."""
 
-_CHUNK = 1 << 18
+_CHUNK = 1 << 16
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 Importing pycolmap and building a reconstruction takes longer than solving a small problem. No
 command needs them. This package's reader returns arrays. Its writer takes the records that a
-problem lacks from the bytes of the files, which are kept in memory.
+problem lacks from the files: those that are small are kept in memory, the others stay open.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class DeferredSource:
     """Source of a problem that was read from a COLMAP model; edited copies share it.
 
     Args:
-        model: content of the files at the time of reading.
+        model: the files; changes of large ones since the reading raise an InputError.
         fields: fields of the problem of this model, by name.
         folder: folder of the files, for messages.
     """
@@ -63,6 +63,11 @@ class DeferredSource:
         """The files; None after the conversion, because callers may edit the reconstruction."""
         return self._model
 
+    @property
+    def has_changed(self) -> bool:
+        """True if a file that is open, not in memory, was written to since it was read."""
+        return self._model is not None and self._model.has_changed
+
     def reconstruction(self) -> pycolmap.Reconstruction:
         """Return the model as a reconstruction; every call returns the same object.
 
@@ -88,7 +93,7 @@ def _read_by_pycolmap(model: _core.ColmapModel, folder: Path) -> pycolmap.Recons
     with interrupts_deferred():  # the import of pycolmap cannot be interrupted
         import pycolmap
     reconstruction = pycolmap.Reconstruction()
-    # Use the bytes that were read: the files on the disk may have changed.
+    # Use the files that were read: others may have their names now.
     with tempfile.TemporaryDirectory(prefix="bundle-") as temporary:
         for name, content in model.files().items():
             (Path(temporary) / name).write_bytes(content)
