@@ -33,6 +33,7 @@ refine -o ceres --backend ceres --solver sparse_schur --json ceres.json
 refine -o dense --backend ceres --solver dense_schur --json dense.json
 "$bin/bundle" covariance "$data/street_colmap" -o covariance.npz --quiet >/dev/null
 "$bin/bundle" check "$data/orbit_bal.txt.bz2" --quiet >/dev/null
+"$bin/bundle" merge "$data/street_colmap" fused -o merged --quiet >/dev/null
 information='1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1'
 {
   printf 'VERTEX_SE3:QUAT %d %s 0 0 0 0 0 1\n' 0 0 1 1.2 2 2.1

@@ -73,7 +73,7 @@ FORMER = {
     "io.problem_source": "model.pycolmap.problem_source",
     "loops.loop_closing": "graphs.loops.loop_closing",
     "loops.loop_graph": "graphs.loops.loop_graph",
-    "merging.joining": "model.pycolmap.joining",
+    "merging.joining": "editing.merging.joining",
     "merging.merge_models": "editing.merging.merge_models",
     "merging.merge_result": "editing.merging.merge_result",
     "options": "interface.options",

@@ -1,7 +1,7 @@
 """Packages that are not installed on every machine.
 
 pycolmap has no wheels for some machines (Linux on aarch64, for example). There, everything works
-but the functions that take or return its objects, and ``bundle merge``.
+but the functions that take or return its objects.
 """
 
 from __future__ import annotations

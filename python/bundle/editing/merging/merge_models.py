@@ -14,20 +14,25 @@ of an image, the distance there is infinite.
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter, defaultdict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.optional_packages import require_pycolmap
 from bundle.base.words import plural
 from bundle.editing.merging.frame_of_a import DEGREES, find_similarity
+from bundle.editing.merging.joined_images import added_images
+from bundle.editing.merging.joining import join
 from bundle.editing.merging.merge_result import Merge
+from bundle.editing.merging.shared_keypoints import shared_keypoints
 from bundle.errors import InputError
 from bundle.georeference.similarity import moved
 from bundle.interface.option_fields import number
+from bundle.io.colmap import problem_of_records
 from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, project
+from bundle.model.colmap.model_records import ModelRecords, model_records
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 
@@ -121,30 +126,26 @@ def merge(a: Source, b: Source, *, max_error: float = MAX_ERROR) -> Merge:
         >>> bundle.save(result.problem, "sparse/merged")
     """
     limit = number("max_error", max_error, above=0)
-    require_pycolmap("merge")
-    from bundle.model.pycolmap.joining import join  # slow: load pycolmap
-    from bundle.model.pycolmap.shared_keypoints import shared_keypoints
-
     first, second = as_problem(a, "a"), as_problem(b, "b")
     rows = _shared_images(_rows("a", first), _rows("b", second))
     images = np.array(rows, np.int64).reshape(-1, 2)
-    ids = list(
-        zip(
-            first.image_ids[images[:, 0]].tolist(),
-            second.image_ids[images[:, 1]].tolist(),
-            strict=True,
-        )
+    records = _records(first), _records(second)
+    shared = np.column_stack(
+        [
+            _indices(record.image_ids, problem.image_ids[row])
+            for record, problem, row in zip(records, (first, second), images.T, strict=True)
+        ]
     )
-    model_a = first.to_pycolmap()
-    shared = shared_keypoints(model_a, second.to_pycolmap(), ids)
-    point_a = _indices(first.point_ids, shared.point_a)
-    point_b = _indices(second.point_ids, shared.point_b)
+    keypoints = shared_keypoints(*records, shared)
+    meetings = keypoints.meetings(*records)
+    by_id = np.argsort(first.point_ids), np.argsort(second.point_ids)
+    image, point_a, point_b = keypoints.meetings_by_image(*records).T
     similarity = find_similarity(
-        first, second, images, np.column_stack([shared.image, point_a, point_b])
+        first, second, images, np.column_stack([image, by_id[0][point_a], by_id[1][point_b]])
     )
     second = moved(second, similarity)
-    pairs = np.unique(np.column_stack([point_b, point_a]), axis=0)
-    distance = disagreements(first, second, pairs[:, ::-1])
+    pairs = np.column_stack([by_id[0][meetings.point_a], by_id[1][meetings.point_b]])
+    distance = disagreements(first, second, pairs)
     one = distance <= limit
     if len(pairs) and not one.any():
         raise InputError(
@@ -152,26 +153,22 @@ def merge(a: Source, b: Source, *, max_error: float = MAX_ERROR) -> Merge:
             f"alignment, found 0 among {len(pairs)} that shared images observe in both "
             f"models; the nearest differs by {distance.min():.4g}"
         )
-    meetings: dict[int, Counter[int]] = defaultdict(Counter)
-    for other, point in zip(shared.point_a.tolist(), shared.point_b.tolist(), strict=True):
-        meetings[point][other] += 1
-    agreeing = [(int(second.point_ids[i]), int(first.point_ids[j])) for i, j in pairs[one].tolist()]
     cameras, notes = _cameras(first, second, images)
-    counts = join(
-        model_a,
-        second.to_pycolmap(),
-        images=ids,
-        keypoints=shared.keypoints,
-        meetings=meetings,
-        agreeing=set(agreeing),
-        cameras=cameras,
+    there = dataclasses.replace(
+        records[1],
+        points=second.points[by_id[1]],
+        cam_from_world=second.cam_from_world[_indices(second.image_ids, records[1].image_ids)],
     )
+    added = added_images(records[0], there, shared, cameras)
+    merged, counts = join(records[0], there, added, keypoints, meetings, one)
     if not counts.num_images:
         notes.append("Every image of B is in A: only points and observations were added.")
-    apart = second.points[pairs[one, 0]] - first.points[pairs[one, 1]]
+    if records[0].num_without_pose:
+        notes.append(f"Images of A without a pose are left out ({records[0].num_without_pose}).")
+    apart = second.points[pairs[one, 1]] - first.points[pairs[one, 0]]
     centers = second.projection_centers[images[:, 1]] - first.projection_centers[images[:, 0]]
     return Merge(
-        problem=Problem.from_pycolmap(model_a),
+        problem=problem_of_records(merged),
         similarity=similarity,
         shared_images=tuple(first.image_names[row] for row in images[:, 0]),
         num_pairs=len(pairs),
@@ -183,6 +180,10 @@ def merge(a: Source, b: Source, *, max_error: float = MAX_ERROR) -> Merge:
         counts=counts,
         notes=tuple(notes),
     )
+
+
+def _records(problem: Problem) -> ModelRecords:
+    return model_records(problem, vars(problem)["source"])
 
 
 def _rows(name: str, problem: Problem) -> dict[str, int]:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bundle.base.display import Display, Displayed
 from bundle.base.words import number, pixels, plural
+from bundle.editing.merging.joining import Joined
 from bundle.georeference.similarity import Similarity
 from bundle.model.problem import Problem
-
-if TYPE_CHECKING:
-    from bundle.model.pycolmap.joining import Joined
 
 __all__ = ["Merge"]
 

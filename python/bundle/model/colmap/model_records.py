@@ -22,12 +22,13 @@ from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.pycolmap.problem_source import is_colmap, source_records
 from bundle.model.rigid_motions import multiply_as_colmap
 
-__all__ = ["ModelRecords", "check", "model_records"]
+__all__ = ["NO_POINT", "ModelRecords", "check", "model_records"]
 
 MAX_POINT_ID = 2**63 - 1
 """The largest point id: ids are stored as signed numbers here."""
 
-_NO_POINT = np.uint64(2**64 - 1)
+NO_POINT = np.uint64(2**64 - 1)
+"""Point id of a keypoint without a point."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +140,7 @@ def model_records(problem: ProblemArrays, source: Any) -> ModelRecords:
     image_ids = problem.image_ids[by_image]
     xy = _keypoints(known, contents, image_ids, first, int(num_keypoints.sum()))
     xy[place] = problem.observation_xy
-    keypoint_points = np.full(len(xy), _NO_POINT)
+    keypoint_points = np.full(len(xy), NO_POINT)
     keypoint_points[place] = problem.point_ids[problem.observation_point]
     tracks = _tracks(problem, known, contents, numbers.keypoint, by_point)
     point_ids = problem.point_ids[by_point]
