@@ -149,9 +149,6 @@ std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, i
 
 namespace {
 
-/// A factorisation of fewer flops, about a millisecond, does not start threads.
-constexpr double kFlopsWorthThreads = 5e7;
-
 /// OpenBLAS' threads are faster if the panels are wide; the average number of entries per column
 /// decides.
 int BlasThreadsFor(const FillOrdering& ordering, int num_threads) {

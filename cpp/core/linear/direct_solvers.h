@@ -16,6 +16,9 @@ namespace bundle {
 std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, int num_threads,
                                               bool same_bits = false, ThreadPool* pool = nullptr);
 
+/// A sparse factorisation of fewer flops, less than a millisecond, does not start threads.
+inline constexpr double kFlopsWorthThreads = 5e7;
+
 /// Supernodal Cholesky factorisation, analysed once. `structure` is sparse, with blocks in the
 /// order of the elimination, as in `ordering`. On return `structure` has the places of its
 /// values in the factor. `pool`: threads that the caller has, which must outlive the solver;

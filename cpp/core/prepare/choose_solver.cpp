@@ -22,22 +22,22 @@
 ///
 ///   dense      n^3 / 3 at the rate of dpotrf or of our kernels (linear/tiled_cholesky), and 8 n^2
 ///              bytes for the substitutions
-///   sparse     f at the rate of dpotrf, and a time for each entry of the factor, which is
-///   assembled
-///              beside the flops and used by the substitutions
+///   sparse     f at the rate of our kernels, and a time for each entry of the factor, which is
+///              assembled beside the flops and used by the substitutions
 ///   iterative  8 s bytes from memory for each product with S; with two levels
-///   (preconditioners.cpp) a
-///              time for each value of S, which goes into the coarse system once, and two passes
-///              over the coarse factor beside each product: about l / 20 entries, as a fifth of the
-///              columns is left
-///
+///              (preconditioners.cpp) a time for each value of S, which goes into the coarse system
+///              once, and two passes over the coarse factor beside each product: about l / 20
+///              entries, as a fifth of the columns is left
 ///   implicit   a pass over the observations for each product (schur/implicit_product.cpp)
 ///
-/// Measured on a server core (AVX-512, OpenBLAS 0.3.21) in processor time: dpotrf of 2000 columns
-/// 37 GFLOP/s, our kernels 75 to 110 from 184 to 2000 columns; supernodal_cholesky on bands, grids
-/// and random couplings of 33 to 3000 blocks of 9, f from 2e6 to 3e10: within 30 % of f / 40
-/// GFLOP/s + 7 ns l; products with S 8 GB/s. OpenBLAS' threads are counted where they are used, and
-/// bandwidth as that of at most four cores.
+/// All but the last also form S: a pair of images that see a point adds a product of rank 3 to a
+/// block of b x b, 3 b^2 multiply-adds at a seventh of the kernels' rate or less.
+///
+/// Measured on a server core (AVX-512, OpenBLAS 0.3.21): dpotrf of 2000 columns 37 GFLOP/s, our
+/// kernels 75 to 110 from 184 to 2000 columns; sparse factors of streets, orbits and a photo
+/// collection, f from 2e7 to 3e10, one thread and two: within 35 % of f / 80 GFLOP/s + 2 ns l (43
+/// GFLOP/s with AVX2, 8 with the baseline); products with S 8 GB/s; a pass 28 to 34 ns an
+/// observation (42 and 75). Bandwidth is that of at most four cores.
 ///
 /// Conjugate gradients with two levels took 2 to 100 products per step (streets of 50 to 1000
 /// images and 1000 of a photo collection), more towards the end. Their steps gain a little less
@@ -45,7 +45,7 @@
 /// still preferred. The coarse system took 10 ns per value. Without S there is no coarse system.
 /// Schur-Jacobi took the fewer products the fuller S: 5 to 40 on average where more than half of it
 /// is full (tracks of 30 to 300 images, small real models), 20 to 60 at a share of 0.1 to 0.2,
-/// hundreds on streets. 30 over the share are assumed. A pass took 40 ns per observation.
+/// hundreds on streets. 30 over the share are assumed.
 
 #include <algorithm>
 #include <cmath>
@@ -53,6 +53,7 @@
 #include <limits>
 
 #include "core/linear/block_structure.h"
+#include "core/linear/direct_solvers.h"
 #include "core/linear/supernodes.h"
 #include "core/linear/tiled_cholesky.h"
 #include "core/model/coupled_blocks.h"
@@ -81,21 +82,37 @@ double FactorisationCost(int64_t columns, double density) {
   return n * entries * entries;
 }
 
-constexpr double kFlopsPerSecond = 40e9;     // of a core
-constexpr double kOwnFlopsPerSecond = 80e9;  // of a core with AVX-512
-constexpr double kBytesPerSecond = 8e9;      // of a core
+constexpr double kBlasFlopsPerSecond = 40e9;  // of a core
+constexpr double kBytesPerSecond = 8e9;       // of a core
 constexpr double kCoresThatFillMemory = 4;
-constexpr double kSecondsPerFactorEntry = 7e-9;
+constexpr double kSecondsPerFactorEntry = 2e-9;
+constexpr double kFormingShare = 1.0 / 7;  // of the kernels' rate
 constexpr double kSupernodalPadding = 1.2;  // zeros that panels store, and upper triangles
 constexpr double kProductsPerStep = 80;
 constexpr double kSecondsPerCoarseValue = 10e-9;
 constexpr double kMostImplicitProducts = 240, kImplicitProductsOfFullSystem = 30;
-constexpr double kSecondsPerObservation = 40e-9;
 constexpr double kSecondsWorthAnotherWay = 5e-3;  // two levels are the safer way
 constexpr double kCoarseFactorShare =
     0.05;  // share of the coarse factor in the entries of the full factor
 constexpr double kExactStepsAreWorth = 1.15;
 constexpr double kShareOfMemory = 0.7;
+
+/// Rates of our kernels on a core.
+struct KernelRates {
+  double flops_per_second;
+  double seconds_per_observation;  ///< time of a product with S that is not formed
+};
+
+KernelRates OwnRates() {
+  switch (BestInstructionSet()) {
+    case InstructionSet::kAvx512:
+      return {80e9, 32e-9};
+    case InstructionSet::kAvx2:
+      return {43e9, 42e-9};
+    default:
+      return {8e9, 75e-9};
+  }
+}
 
 std::string FormatSeconds(double seconds) {
   char text[32];
@@ -181,28 +198,26 @@ SolverChoice ChooseCeresSolver(const AdjustmentProblem& problem, const Parameter
 
 LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
                                            const FillOrdering& ordering, int num_threads,
-                                           int64_t num_observations) {
+                                           int64_t num_observations, int64_t num_pairs) {
+  const KernelRates own = OwnRates();
   const double threads = EffectiveNumThreads(num_threads);
   const double bandwidth = kBytesPerSecond * std::min(threads, kCoresThatFillMemory);
   const double n = structure.num_columns();
   const auto values = static_cast<double>(structure.num_values);
-  const auto rate = [&](double average_column) {
-    return kFlopsPerSecond * (average_column >= kColumnsWorthBlasThreads ? threads : 1);
-  };
   LinearSolverCosts costs;
   costs.dense.flops = n * n * n / 3;
   costs.dense.bytes = 8 * n * n;
-  double dense_rate = rate(n);
+  double dense_rate = kBlasFlopsPerSecond * (n >= kColumnsWorthBlasThreads ? threads : 1);
   if (BestInstructionSet() == InstructionSet::kAvx512) {
-    dense_rate = kOwnFlopsPerSecond * (n >= kColumnsWorthTiles ? threads : 1);
+    dense_rate = own.flops_per_second * (n >= kColumnsWorthTiles ? threads : 1);
   }
   costs.dense.seconds = costs.dense.flops / dense_rate + costs.dense.bytes / bandwidth;
 
   costs.sparse.flops = ordering.flops;
   costs.sparse.bytes = 8 * kSupernodalPadding * ordering.entries;
-  const double average_column = ordering.flops / std::max(1.0, ordering.entries);
-  costs.sparse.seconds =
-      ordering.flops / rate(average_column) + kSecondsPerFactorEntry * ordering.entries;
+  const double sparse_threads = ordering.flops >= kFlopsWorthThreads ? threads : 1;
+  costs.sparse.seconds = ordering.flops / (own.flops_per_second * sparse_threads) +
+                         kSecondsPerFactorEntry * ordering.entries;
 
   const double coarse_entries = kCoarseFactorShare * ordering.entries;
   costs.iterative.flops = 4 * (values + coarse_entries) * kProductsPerStep;
@@ -212,25 +227,34 @@ LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
   const double density = std::min(1.0, 2 * values / std::max(1.0, n * n));
   const double products =
       std::min(kMostImplicitProducts, kImplicitProductsOfFullSystem / std::max(density, 1e-9));
-  costs.implicit.seconds =
-      num_observations == 0
-          ? std::numeric_limits<double>::infinity()
-          : products * kSecondsPerObservation * static_cast<double>(num_observations) / threads;
+  costs.implicit.seconds = num_observations == 0
+                               ? std::numeric_limits<double>::infinity()
+                               : products * own.seconds_per_observation *
+                                     static_cast<double>(num_observations) / threads;
+  const double block = n / std::max(1, structure.num_blocks());
+  costs.forming_seconds = static_cast<double>(num_pairs) * 3 * block * block /
+                          (kFormingShare * own.flops_per_second * threads);
   return costs;
 }
 
 bool LeavesOutSystem(const LinearSolverCosts& costs, double available_bytes) {
   const bool fits = costs.iterative.bytes <= kShareOfMemory * available_bytes;
-  return fits ? costs.implicit.seconds + kSecondsWorthAnotherWay < costs.iterative.seconds
+  return fits ? costs.implicit.seconds + kSecondsWorthAnotherWay <
+                    costs.iterative.seconds + costs.forming_seconds
               : std::isfinite(costs.implicit.seconds);
 }
 
 SolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrdering& ordering,
-                                int num_threads, double available_bytes, int64_t num_observations) {
-  const LinearSolverCosts costs =
-      PredictLinearSolverCosts(structure, ordering, num_threads, num_observations);
+                                int num_threads, double available_bytes, int64_t num_observations,
+                                int64_t num_pairs) {
+  LinearSolverCosts costs =
+      PredictLinearSolverCosts(structure, ordering, num_threads, num_observations, num_pairs);
   SolverChoice choice{LinearSolverType::kIterativeSchur, ""};
   const bool is_implicit = LeavesOutSystem(costs, available_bytes);
+  // Only the comparison with the implicit product needs the time that forms S.
+  for (LinearSolverCost* cost : {&costs.dense, &costs.sparse, &costs.iterative}) {
+    cost->seconds += is_implicit ? costs.forming_seconds : 0;
+  }
   const LinearSolverCost& iterative = is_implicit ? costs.implicit : costs.iterative;
   double seconds = kExactStepsAreWorth * iterative.seconds;
   const auto consider = [&](LinearSolverType type, const LinearSolverCost& cost) {

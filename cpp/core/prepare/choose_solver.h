@@ -35,14 +35,15 @@ struct LinearSolverCosts {
   LinearSolverCost dense;
   LinearSolverCost sparse;
   LinearSolverCost iterative;
-  LinearSolverCost implicit;  ///< conjugate gradients without S; infinite if it is not possible
+  LinearSolverCost implicit;   ///< conjugate gradients without S; infinite if it is not possible
+  double forming_seconds = 0;  ///< time that the other three need to form S
 };
 
 /// `structure` is sparse; `ordering` is the order of its factorisation. `num_observations`: 0 if S
-/// must be formed.
+/// must be formed. `num_pairs`: sum over the points of the pairs of their observations.
 LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
                                            const FillOrdering& ordering, int num_threads,
-                                           int64_t num_observations = 0);
+                                           int64_t num_observations = 0, int64_t num_pairs = 0);
 
 /// True if conjugate gradients can work without S, and S does not fit into memory or makes them
 /// clearly slower.
@@ -52,7 +53,7 @@ bool LeavesOutSystem(const LinearSolverCosts& costs, double available_bytes);
 /// or without S, that fits into the memory.
 SolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrdering& ordering,
                                 int num_threads, double available_bytes,
-                                int64_t num_observations = 0);
+                                int64_t num_observations = 0, int64_t num_pairs = 0);
 
 /// Number of values in the panels of the factor of S (supernodal_cholesky.h), including zeros, if
 /// the blocks are eliminated in this order. Accepts any order; it is postordered first, as in a

@@ -126,7 +126,7 @@ void FusedSolver::ChooseBySize(const ProblemShape& shape) {
     const auto columns = static_cast<double>(shape.num_camera_columns);
     const double available = AvailableMemoryFor(sizeof(double) * columns * columns);
     choice = ChooseLinearSolver(structure_, ordering_, num_threads, available,
-                                NumObservationsWithoutSystem());
+                                NumObservationsWithoutSystem(), NumPairs());
     const double type =
         BroadcastFirst(problem_.division.communicator, static_cast<double>(choice.type));
     choice.type = static_cast<LinearSolverType>(std::lround(type));
@@ -154,6 +154,13 @@ int64_t FusedSolver::NumObservationsWithoutSystem() const {
   return may && ReasonForSystem().empty() ? problem_.num_observations : 0;
 }
 
+/// Pairs of observations of the same point.
+int64_t FusedSolver::NumPairs() const {
+  int64_t pairs = 0;
+  for (const int64_t length : track_lengths_) pairs += length * (length - 1) / 2;
+  return pairs;
+}
+
 /// Decides if conjugate gradients form S, before it is built.
 void FusedSolver::ChooseSystem() {
   const bool is_iterative = options_.linear_solver_type == LinearSolverType::kIterativeSchur;
@@ -172,7 +179,7 @@ void FusedSolver::ChooseSystem() {
   if (structure_.offset.empty()) FindSparseStructure();
   const int num_threads = options_.deterministic ? 1 : options_.num_threads;
   const LinearSolverCosts costs =
-      PredictLinearSolverCosts(structure_, ordering_, num_threads, observations);
+      PredictLinearSolverCosts(structure_, ordering_, num_threads, observations, NumPairs());
   is_implicit_ = LeavesOutSystem(costs, AvailableMemoryFor(costs.iterative.bytes));
 }
 

@@ -49,6 +49,7 @@ class FusedSolver {
   void ChooseBySize(const ProblemShape& shape);
   std::string ReasonForSystem() const;
   int64_t NumObservationsWithoutSystem() const;
+  int64_t NumPairs() const;
   void ChooseSystem();
   void FindSparseStructure();
   FillOrdering FindOrdering() const;

@@ -85,6 +85,19 @@ TEST(LinearSolverCost, LeavesOutAFullSystemOfFewObservations) {
       LeavesOutSystem(PredictLinearSolverCosts(band, FindFillOrdering(band), 2, 60'000), kPlenty));
 }
 
+TEST(LinearSolverCost, LeavesOutASystemThatTakesLongToForm) {
+  const BlockStructure full = Band(320, 320);
+  const FillOrdering ordering = FindFillOrdering(full);
+  const auto choose = [&](int64_t num_pairs) {
+    return ChooseLinearSolver(full, ordering, 2, kPlenty, 150'000, num_pairs).type;
+  };
+  EXPECT_EQ(choose(0), LinearSolverType::kDenseSchur);
+  EXPECT_EQ(choose(20'000'000), LinearSolverType::kIterativeSchur);
+  // Other solvers form S as well: the time does not count between them.
+  EXPECT_EQ(ChooseLinearSolver(full, ordering, 2, kPlenty, 0, 20'000'000).type,
+            LinearSolverType::kDenseSchur);
+}
+
 TEST(LinearSolverCost, ChoosesWhatFitsIntoMemory) {
   const BlockStructure full = Band(100, 100);
   const LinearSolverCosts costs = Predict(full, 2);
