@@ -86,7 +86,7 @@ constexpr double kBlasFlopsPerSecond = 40e9;  // of a core
 constexpr double kBytesPerSecond = 8e9;       // of a core
 constexpr double kCoresThatFillMemory = 4;
 constexpr double kSecondsPerFactorEntry = 2e-9;
-constexpr double kFormingShare = 1.0 / 7;  // of the kernels' rate
+constexpr double kFormingShare = 1.0 / 7;   // of the kernels' rate
 constexpr double kSupernodalPadding = 1.2;  // zeros that panels store, and upper triangles
 constexpr double kProductsPerStep = 80;
 constexpr double kSecondsPerCoarseValue = 10e-9;
@@ -251,9 +251,8 @@ SolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrder
       PredictLinearSolverCosts(structure, ordering, num_threads, num_observations, num_pairs);
   SolverChoice choice{LinearSolverType::kIterativeSchur, ""};
   const bool is_implicit = LeavesOutSystem(costs, available_bytes);
-  // Only the comparison with the implicit product needs the time that forms S.
   for (LinearSolverCost* cost : {&costs.dense, &costs.sparse, &costs.iterative}) {
-    cost->seconds += is_implicit ? costs.forming_seconds : 0;
+    cost->seconds += costs.forming_seconds;
   }
   const LinearSolverCost& iterative = is_implicit ? costs.implicit : costs.iterative;
   double seconds = kExactStepsAreWorth * iterative.seconds;
@@ -264,7 +263,7 @@ SolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrder
   };
   consider(LinearSolverType::kSparseSchur, costs.sparse);
   consider(LinearSolverType::kDenseSchur, costs.dense);
-  choice.reason = "Expected time per step of the reduced camera system (" +
+  choice.reason = "Expected time per step to form and solve the reduced camera system (" +
                   std::to_string(structure.num_columns()) + " columns): dense " +
                   Describe(costs.dense, available_bytes) + ", sparse " +
                   Describe(costs.sparse, available_bytes) + ", conjugate gradients " +

@@ -93,6 +93,12 @@ TEST(LinearSolverCost, LeavesOutASystemThatTakesLongToForm) {
   };
   EXPECT_EQ(choose(0), LinearSolverType::kDenseSchur);
   EXPECT_EQ(choose(20'000'000), LinearSolverType::kIterativeSchur);
+  const auto leaves_out = [&](int64_t num_pairs) {
+    return LeavesOutSystem(PredictLinearSolverCosts(full, ordering, 2, 600'000, num_pairs),
+                           kPlenty);
+  };
+  EXPECT_FALSE(leaves_out(0));
+  EXPECT_TRUE(leaves_out(100'000'000));
   // Other solvers form S as well: the time does not count between them.
   EXPECT_EQ(ChooseLinearSolver(full, ordering, 2, kPlenty, 0, 20'000'000).type,
             LinearSolverType::kDenseSchur);

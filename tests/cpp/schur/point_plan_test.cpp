@@ -247,6 +247,12 @@ void ExpectNumbered(const EliminationPlan& plan, const ImageParts& parts) {
     const bool is_spread = chunk.last_row > 0;
     if (is_spread) {
       ASSERT_EQ(chunk.last_point, chunk.first_point + 1);
+    } else {
+      size_t num_refined = 0;
+      for (int64_t i = plan.first[chunk.first_point]; i < plan.first[chunk.last_point]; ++i) {
+        num_refined += parts.image_refined()[plan.image[i]];
+      }
+      EXPECT_EQ(chunk.tile_observations.size(), num_refined);
     }
     ASSERT_EQ(chunk.first_row, c > 0 && plan.chunks[c - 1].last_point != next_point
                                    ? plan.chunks[c - 1].last_row
