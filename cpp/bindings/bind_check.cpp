@@ -169,7 +169,7 @@ py::tuple CheckReprojections(const py::object& problem,
 
 /// SpotCheck of a solve with these options at the problem's values, with charts turned by
 /// `rotation_offsets` (num_images, 3). `lie`, unless None, gets an observation and its Jacobian (2,
-/// 6 + parameters + 3), and returns the Jacobian to be claimed.
+/// 6 + parameters + 3, and 6 of a rolling shutter's twist), and returns the Jacobian to be claimed.
 std::string SpotCheckSolution(const py::object& problem, const py::dict& options,
                               const py::array_t<double, py::array::c_style>& rotation_offsets,
                               const py::object& lie) {
@@ -199,7 +199,8 @@ std::string SpotCheckSolution(const py::object& problem, const py::dict& options
         const py::ssize_t two = 2;
         const int image = view.observation_image[observation];
         const auto size = static_cast<py::ssize_t>(
-            bundle::kPoseSize + view.camera_models[view.image_camera[image]]->num_params + 3);
+            bundle::kPoseSize + view.camera_models[view.image_camera[image]]->num_params + 3 +
+            (view.HasRollingShutter(image) ? bundle::kTwistSize : 0));
         const auto claimed = py::cast<Array>(lie(observation, Array({two, size}, jacobian)));
         if (claimed.size() != two * size) {
           throw bundle::InputError("lie: expected " + std::to_string(2 * size) + " values, found " +

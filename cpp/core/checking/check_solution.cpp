@@ -144,16 +144,15 @@ SolutionUnderCheck::SolutionUnderCheck(const AdjustmentProblem& problem,
 uint32_t SolutionUnderCheck::FreeColumns(int64_t observation) const {
   const int image = problem_.observation_image[observation];
   const int camera = problem_.image_camera[image];
-  // Columns of twists are not in x.
-  uint32_t free = layout_.RefinedColumns(problem_, image) & ((1u << kFirstTwist) - 1);
+  const uint32_t columns = layout_.RefinedColumns(problem_, image);
+  uint32_t free = columns & ((1u << kFirstTwist) - 1);
   // In local coordinates, all six pose numbers of a rig image may change.
   const bool has_sensor = layout_.blocks_of(image)[ParameterLayout::kSensorBlock] >= 0;
   const bool moves = has_sensor || (free & FreeParameters::kWholePose) != 0;
   if (problem_.FrameOf(image) >= 0 && moves) free |= FreeParameters::kWholePose;
-  if (layout_.point_is_free(problem_.observation_point[observation])) {
-    free |= 7u << (kPoseSize + problem_.camera_models[camera]->num_params);
-  }
-  return free;
+  const int first_of_point = kPoseSize + problem_.camera_models[camera]->num_params;
+  if (layout_.point_is_free(problem_.observation_point[observation])) free |= 7u << first_of_point;
+  return free | columns >> kFirstTwist << (first_of_point + 3);
 }
 
 std::vector<ObservationAtPoint> SolutionUnderCheck::Sample() const {
@@ -166,12 +165,14 @@ std::vector<ObservationAtPoint> SolutionUnderCheck::Sample() const {
     ObservationAtPoint at;
     at.observation = observation;
     at.model = problem_.camera_models[camera];
+    at.rolls = states_.shutter(image) != nullptr;
     at.free = FreeColumns(observation);
     if (at.free == 0) continue;
     states_.Chart(image, at.x);
     double* x = at.x + kPoseSize;
     x = std::copy_n(states_.params(camera), at.model->num_params, x);
-    std::copy_n(&points_[3 * int64_t{problem_.observation_point[observation]}], 3, x);
+    x = std::copy_n(&points_[3 * int64_t{problem_.observation_point[observation]}], 3, x);
+    if (at.rolls) std::copy_n(states_.twist(image), kTwistSize, x);
     sample.push_back(at);
   }
   return sample;
@@ -188,18 +189,27 @@ bool SolutionUnderCheck::operator()(int64_t observation, const double* x, double
     using Model = decltype(model);
     constexpr int kParams = kNumParams<Model>;
     const double *params = x + kPoseSize, *point = params + kParams;
+    ImageShutter moving;
+    const ImageShutter* shutter = states_.shutter(image);
+    if (shutter != nullptr) {
+      moving = *shutter;
+      std::copy_n(point + 3, kTwistSize, moving.twist);
+      shutter = &moving;
+    }
     if (jacobian == nullptr) {
       counts = EvaluateReprojection<Model, kParams>(pose, params, point, measurement, cheirality_,
-                                                    residual, nullptr, states_.shutter(image));
+                                                    residual, nullptr, shutter);
       return;
     }
     ReprojectionJacobian<kParams> parts;
     counts = EvaluateReprojection<Model>(pose, params, point, measurement, cheirality_, residual,
-                                         &parts, states_.shutter(image));
+                                         &parts, shutter);
     for (int row = 0; row < 2; ++row) {
       jacobian = std::copy_n(parts.pose + kPoseSize * row, kPoseSize, jacobian);
       jacobian = std::copy_n(parts.params + kParams * row, kParams, jacobian);
       jacobian = std::copy_n(parts.point + 3 * row, 3, jacobian);
+      if (shutter == nullptr) continue;
+      jacobian = std::copy_n(parts.twist + kTwistSize * row, kTwistSize, jacobian);
     }
   });
   return counts;

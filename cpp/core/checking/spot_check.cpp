@@ -18,11 +18,11 @@
 ///   ||J_j - R|| < 1e-3 max(||J_j||, ||R||) + 4 u.
 ///
 /// h moves the residual by a given part of a pixel, computed from the largest claimed column of j's
-/// kind (rotation, translation, point, or the one parameter). For true columns, the residual is
-/// nearly linear at this scale, for coordinates of 1e-9 as well as 1e9. False columns, 1000 times
-/// too large or too small, are still detected at one of four such scales. If no column moves the
-/// residual, the size of the moved variable bounds h. A feature that is narrower than h may look
-/// smooth, for instance near the pole of a panorama or at a camera's centre. So
+/// kind (rotation, translation, point, twist, or the one parameter). For true columns, the residual
+/// is nearly linear at this scale, for coordinates of 1e-9 as well as 1e9. False columns, 1000
+/// times too large or too small, are still detected at one of four such scales. If no column moves
+/// the residual, the size of the moved variable bounds h. A feature that is narrower than h may
+/// look smooth, for instance near the pole of a panorama or at a camera's centre. So
 ///
 /// - any conclusive step that agrees acquits the observation's column,
 /// - two conclusive steps, 100 times apart or more, that agree and are not J_j convict it,
@@ -83,7 +83,10 @@ std::vector<Kind> KindsOf(const CameraModel& model) {
   for (int j = 0; j < model.num_params; ++j) {
     kinds.push_back({model.params[j].name, kPoseSize + j, 1});
   }
-  kinds.push_back({"point", kPoseSize + model.num_params, 3});
+  const int point = kPoseSize + model.num_params, twist = point + 3;
+  kinds.push_back({"point", point, 3});
+  kinds.push_back({"twist rotation", twist, 3});  // no column of a global shutter is free
+  kinds.push_back({"twist translation", twist + 3, 3});
   return kinds;
 }
 
@@ -140,10 +143,10 @@ class Differences {
 
   /// The scale of x_j: one radian, the typical distance, or the parameter itself.
   double SizeOf(int j) const {
-    if (j < 3) return 1;
-    const int first_of_point = at_.size() - 3;
-    if (j >= kPoseSize && j < first_of_point) return std::max(std::abs(at_.x[j]), 1.0);
-    const double *t = at_.x + 3, *point = at_.x + first_of_point;
+    const int turn = at_.first_of_twist();
+    if (j < 3 || (j >= turn && j < turn + 3)) return 1;
+    if (j >= kPoseSize && j < at_.first_of_point()) return std::max(std::abs(at_.x[j]), 1.0);
+    const double *t = at_.x + 3, *point = at_.x + at_.first_of_point();
     const double size =
         std::max(std::hypot(t[0], t[1], t[2]), std::hypot(point[0], point[1], point[2]));
     return size > 0 ? size : 1;
@@ -214,6 +217,7 @@ void CompareColumns(const ObservationAtPoint& at, const ClaimedDerivatives& deri
   const int size = at.size();
   Differences differences(at, derivatives, RoundingErrors(at, residual, jacobian));
   for (const Kind& kind : KindsOf(*at.model)) {
+    if (kind.first >= size) continue;
     double largest = 0;
     for (int j = kind.first; j < kind.first + kind.size; ++j) {
       largest = std::max(largest, Norm({jacobian[j], jacobian[size + j]}));

@@ -13,17 +13,21 @@
 namespace bundle {
 
 /// An observation and the numbers on which its residual depends: x = (v, t, parameters of the
-/// model, point), with v as in factors/reprojection.h. For an image of a rig, (v, t) are local
-/// coordinates.
+/// model, point, twist), with v as in factors/reprojection.h. For an image of a rig, (v, t) are
+/// local coordinates. Only rolling shutters have a twist.
 struct ObservationAtPoint {
-  static constexpr int kMaxSize = kPoseSize + kMaxCameraParams + 3;
+  static constexpr int kMaxSize = kPoseSize + kMaxCameraParams + 3 + kTwistSize;
+  static_assert(kMaxSize <= 32);
 
   int64_t observation = 0;
   const CameraModel* model = nullptr;
+  bool rolls = false;
   uint32_t free = 0;  ///< bit j: x_j is refined; other columns are not checked
   double x[kMaxSize] = {};
 
-  int size() const { return kPoseSize + model->num_params + 3; }
+  int first_of_point() const { return kPoseSize + model->num_params; }
+  int first_of_twist() const { return first_of_point() + 3; }
+  int size() const { return first_of_twist() + (rolls ? kTwistSize : 0); }
 };
 
 /// The residual (2) of an observation at x and, unless `jacobian` is nullptr, its claimed

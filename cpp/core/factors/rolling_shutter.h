@@ -42,10 +42,12 @@
 ///   C = 1/6 - t^2 E,   B = 1/2 - t^2 D,   A = 1 - t^2 C,
 ///   A'/t = C - B,      B'/t = 2 D - C,    C'/t = 3 E - D.
 ///
-/// A row r of a derivative by p becomes Exp([a]x)^T r by P, s V(a)^T r by v, and by w s times the
-/// rows by a of both terms of p(s). That of x + alpha e + beta f is
+/// A row r of a derivative by p becomes Exp([a]x)^T r by P, s V(a)^T r by v, and s M^T r by w,
+/// where M is the derivative of p by a. With d(a x x) = -[x]x da and d(a x (a x x)) = (a x^T +
+/// (a.x) I - 2 x a^T) da,
 ///
-///   (alpha'/t r.e + beta'/t r.f) a + alpha x x r + beta (e x r + x x (r x a)).
+///   M = a z^T + (a.z) I - [u]x + (q - 2 z) a^T,    u = A P + B b,    z = B P + C b,
+///   q = A'/t a x P + B'/t (a x (a x P) + a x b) + C'/t a x (a x b).
 ///
 /// With a zero twist p(s) = P to the last bit, c = 0 and C = I: the projection of reprojection.h.
 ///
@@ -67,9 +69,10 @@ struct ImageShutter {
 /// Square of the largest turn since the middle row.
 inline constexpr double kMaxRowTurnSquared = 1;
 inline constexpr int kMaxRowSteps = 12;
-/// A Newton step of s below this ends the iteration. The residual is then corrected to first order;
-/// derivatives have a relative error of this size.
-inline constexpr double kLastRowStep = 1e-11;
+/// A Newton step of s below this ends the iteration. The residual and the factor s of derivatives
+/// by the twist are then corrected to first order. Other derivatives have a relative error of the
+/// twist times this. From the measured row, two evaluations are usually enough.
+inline constexpr double kLastRowStep = 1e-9;
 
 template <typename T>
 struct TurnCoefficients {
@@ -123,9 +126,11 @@ struct MovedPoint {
   T turn[3], shift[3];  ///< a, b
   T turn_squared;
   TurnCoefficients<T> k;
-  T start[3];     ///< P
-  T point[3];     ///< p
-  T velocity[3];  ///< dp/ds
+  T start[3];                       ///< P
+  T once[3], twice[3];              ///< a x P, a x (a x P)
+  T once_shift[3], twice_shift[3];  ///< a x b, a x (a x b)
+  T point[3];                       ///< p
+  T velocity[3];                    ///< dp/ds
 
   MovedPoint(const T* twist, const T& s, const T* camera_point)
       : turn{s * twist[0], s * twist[1], s * twist[2]},
@@ -133,7 +138,6 @@ struct MovedPoint {
         turn_squared(DotOf(turn, turn)),
         k(turn_squared),
         start{camera_point[0], camera_point[1], camera_point[2]} {
-    T once[3], twice[3], once_shift[3], twice_shift[3];
     CrossOf(turn, start, once);
     CrossOf(turn, once, twice);
     CrossOf(turn, shift, once_shift);
@@ -148,39 +152,39 @@ struct MovedPoint {
 
   /// The row of a derivative by P, from a row by p.
   void RowByStart(const T* row, T* out) const {
-    T once[3], twice[3];
-    CrossOf(row, turn, once);  // -a x r
-    CrossOf(once, turn, twice);
-    for (int i = 0; i < 3; ++i) out[i] = row[i] + (k.a * once[i] + k.b * twice[i]);
+    T row_turn[3], row_turn_turn[3];
+    CrossOf(row, turn, row_turn);  // -a x r
+    CrossOf(row_turn, turn, row_turn_turn);
+    for (int i = 0; i < 3; ++i) out[i] = row[i] + (k.a * row_turn[i] + k.b * row_turn_turn[i]);
   }
 
-  /// The row of a derivative by the twist, from a row by p.
-  void RowByTwist(const T* row, const T& s, T* out) const {
-    T by_turn[3] = {T(0.0), T(0.0), T(0.0)}, once[3], twice[3];
-    AddByTurn(row, start, k.a, k.b, k.c - k.b, T(2.0) * k.d - k.c, by_turn);
-    AddByTurn(row, shift, k.b, k.c, T(2.0) * k.d - k.c, T(3.0) * k.e - k.d, by_turn);
-    CrossOf(row, turn, once);
-    CrossOf(once, turn, twice);
+  /// M, row-major.
+  void ByTurn(T* m) const {
+    const T d_b = T(2.0) * k.d - k.c, d_a = k.c - k.b, d_c = T(3.0) * k.e - k.d;
+    T u[3], z[3], rest[3];
     for (int i = 0; i < 3; ++i) {
-      out[i] = s * by_turn[i];
-      out[3 + i] = s * (row[i] + (k.b * once[i] + k.c * twice[i]));
+      u[i] = k.a * start[i] + k.b * shift[i];
+      z[i] = k.b * start[i] + k.c * shift[i];
+      rest[i] =
+          d_a * once[i] + d_b * (twice[i] + once_shift[i]) + d_c * twice_shift[i] - T(2.0) * z[i];
+    }
+    const T along = DotOf(turn, z);
+    for (int i = 0; i < 3; ++i) {
+      const int j = (i + 1) % 3, l = (i + 2) % 3;
+      m[4 * i] = turn[i] * z[i] + rest[i] * turn[i] + along;
+      m[3 * i + j] = turn[i] * z[j] + rest[i] * turn[j] + u[l];
+      m[3 * i + l] = turn[i] * z[l] + rest[i] * turn[l] - u[j];
     }
   }
 
- private:
-  /// Adds the row by a of x + alpha a x x + beta a x (a x x).
-  void AddByTurn(const T* row, const T* x, const T& alpha, const T& beta, const T& d_alpha,
-                 const T& d_beta, T* out) const {
-    T once[3], twice[3], x_row[3], once_row[3], row_turn[3], last[3];
-    CrossOf(turn, x, once);
-    CrossOf(turn, once, twice);
-    CrossOf(x, row, x_row);
-    CrossOf(once, row, once_row);
+  /// The row of a derivative by the twist, from a row by p. `by_turn`: M.
+  void RowByTwist(const T* by_turn, const T* row, const T& s, T* out) const {
+    T row_turn[3], row_turn_turn[3];
     CrossOf(row, turn, row_turn);
-    CrossOf(x, row_turn, last);
-    const T along = d_alpha * DotOf(row, once) + d_beta * DotOf(row, twice);
-    for (int i = 0; i < 3; ++i) {
-      out[i] = out[i] + along * turn[i] + alpha * x_row[i] + beta * (once_row[i] + last[i]);
+    CrossOf(row_turn, turn, row_turn_turn);
+    for (int j = 0; j < 3; ++j) {
+      out[j] = s * (row[0] * by_turn[j] + row[1] * by_turn[3 + j] + row[2] * by_turn[6 + j]);
+      out[3 + j] = s * (row[j] + (k.b * row_turn[j] + k.c * row_turn_turn[j]));
     }
   }
 };
@@ -228,13 +232,16 @@ Projection ProjectByRow(const Project& project, int num_params, const ImageShutt
         residual[i] += speed[i] * step;
         carry[i] = speed[i] / slope;
       }
+      s += step;
     }
     if (d_point == nullptr) return projection;
     CarryRows(carry, g, 3, by_point);
     CarryRows(carry, g, num_params, d_params);
+    double by_turn[9];
+    moved.ByTurn(by_turn);
     for (int row = 0; row < 2; ++row) {
       moved.RowByStart(by_point + 3 * row, d_point + 3 * row);
-      moved.RowByTwist(by_point + 3 * row, s, d_twist + kTwistSize * row);
+      moved.RowByTwist(by_turn, by_point + 3 * row, s, d_twist + kTwistSize * row);
     }
     return projection;
   }

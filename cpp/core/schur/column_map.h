@@ -10,7 +10,7 @@
 ///   S_ab goes to M_a^T S_ab M_b,    g_a to M_a^T g_a,    ||J e_j||^2 is (M_a^T A_a^T A_a M_a)_jj,
 ///
 /// where the last needs all entries of A_a^T A_a. This is computed once per block of a chunk, not
-/// once per pair of observations.
+/// once per pair of observations (kernels/map_block.h).
 ///
 /// Maps are, for instance, from one focal length to fx and fy, or from a rotation about a fixed
 /// centre to a pose. A map that differs between the images of a part, such as that of a sensor, is
@@ -47,56 +47,11 @@ struct PartBlock {
   }
 };
 
-/// Maximum columns of two parts in whole quads, and therefore of two blocks' unknowns.
-inline constexpr int kMaxMapped = (kImageColumns + 3) / 4 * 4 * kImageColumns;
-
-/// to = sum over k of factor[index[k] * stride] times row k of a matrix with `size` columns. If
-/// kSize is not 0, it equals `size`.
-template <int kSize>
-inline void CombineRows(const double* factor, const int8_t* index, int stride, int count,
-                        const double* rows, int size, double* to) {
-  constexpr int kMax = kSize > 0 ? kSize : kImageColumns;
-  const int columns = kSize > 0 ? kSize : size;
-  double sum[kMax] = {};
-  for (int k = 0; k < count; ++k) {
-    const double f = factor[index[k] * stride];
-    for (int j = 0; j < columns; ++j) sum[j] += f * rows[k * columns + j];
-  }
-  for (int j = 0; j < columns; ++j) to[j] = sum[j];
-}
-
-inline void CombineRows(const double* factor, const int8_t* index, int stride, int count,
-                        const double* rows, int size, double* to) {
-  if (size == kPoseSize) {
-    CombineRows<kPoseSize>(factor, index, stride, count, rows, size, to);
-  } else {
-    CombineRows<0>(factor, index, stride, count, rows, size, to);
-  }
-}
-
-/// out = M_a^T B M_b, a.size x b.size, of a block B whose rows are a's local columns, each `width`
-/// long.
-inline void MapBlock(const PartBlock& a, const PartBlock& b, const double* block, int width,
-                     double* out) {
-  double right[kMaxMapped];  // B M_b
-  double* const by_rows = a.map == nullptr ? out : right;
-  for (int i = 0; i < a.num_local; ++i) {
-    const double* const row = block + a.local[i] * width;
-    double* const to = by_rows + i * b.size;
-    if (b.map == nullptr) {
-      for (int j = 0; j < b.size; ++j) to[j] = row[b.local[j]];
-      continue;
-    }
-    CombineRows(row, b.local, 1, b.num_local, b.map, b.size, to);
-  }
-  if (a.map == nullptr) return;
-  constexpr int8_t kInTurn[] = {0,  1,  2,  3,  4,  5,  6,  7,  8,  9,  10, 11, 12, 13,
-                                14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27};
-  static_assert(sizeof kInTurn == kImageColumns);
-  for (int u = 0; u < a.size; ++u) {
-    CombineRows(a.map + u, kInTurn, a.size, a.num_local, right, b.size, out + u * b.size);
-  }
-}
+/// Columns of a part in whole quads. Kernels::map_block reads that many numbers from the begin of
+/// each row of a map.
+inline constexpr int kMaxMapColumns = (kImageColumns + 3) / 4 * 4;
+/// Room for a block of two parts, and for its map.
+inline constexpr int kMaxMapped = kMaxMapColumns * (kImageColumns + 1);
 
 /// Fills both triangles of a symmetric block whose upper triangle is defined; `size` local columns.
 inline void FillLower(const double* upper, int size, int width, double* full) {

@@ -1,6 +1,7 @@
 #include "core/schur/state_records.h"
 
 #include <algorithm>
+#include <limits>
 
 #include "core/cameras/registry.h"
 #include "core/schur/elimination_plan.h"
@@ -45,6 +46,7 @@ State::State(const AdjustmentProblem& problem, const ParameterLayout& layout,
       cameras_(problem, layout),
       stride_(RecordStride(problem, has_sensor_maps_)) {
   images_.resize(static_cast<int64_t>(problem.num_images) * stride_);
+  if (!problem.row_scale.empty()) row_times_.resize(plan.num_observations());
   Reset(layout, plan);
 }
 
@@ -56,6 +58,11 @@ void State::Reset(const ParameterLayout& layout, const EliminationPlan& plan) {
   held.Clear();
   cameras_.Reset();
   Update();
+  ForgetRowTimes();
+}
+
+void State::ForgetRowTimes() {
+  std::fill(row_times_.begin(), row_times_.end(), std::numeric_limits<double>::quiet_NaN());
 }
 
 StateRecords State::records() const {
@@ -65,6 +72,7 @@ StateRecords State::records() const {
   const int end = stride_ - ShutterSize(problem_);
   if (end < stride_) records.shutter = end;
   records.at_observed_row = problem_.at_observed_row;
+  records.row_times = row_times_.data();
   if (has_sensor_maps_) records.sensor_map = end - kSensorMap;
   if (problem_.num_frames > 0) {
     records.translation_jacobian = end - kTranslationJacobian - (has_sensor_maps_ ? kSensorMap : 0);
@@ -80,6 +88,7 @@ StateRecords State::CandidateRecords(const StateRecords& before, int chunk) {
   records.before = &before;
   records.images = images_.data();
   records.points = points.data();
+  if (!row_times_.empty()) records.found_row_times = row_times_.data();
   records.sink = held.Collect(chunk);
   return records;
 }
@@ -121,7 +130,9 @@ void State::PutFrameChart(const RigPose& rig, double* record) const {
 }
 
 void State::MoveAnchors() {
-  if (cameras_.MoveAnchors()) Update();
+  if (!cameras_.MoveAnchors()) return;
+  Update();
+  ForgetRowTimes();  // the last bits of poses changed
 }
 
 LargeVector<double> State::AllPoints(const EliminationPlan& plan) const {

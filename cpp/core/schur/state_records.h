@@ -50,11 +50,13 @@ class State {
 
  private:
   void PutFrameChart(const RigPose& rig, double* record) const;
+  void ForgetRowTimes();
 
   const AdjustmentProblem& problem_;
   const bool has_sensor_maps_;  ///< a sensor is refined
   CameraStates cameras_;
   std::vector<double> images_;
+  LargeVector<double> row_times_;  ///< StateRecords::row_times
   int stride_;
 };
 

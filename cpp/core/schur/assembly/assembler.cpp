@@ -38,6 +38,7 @@ Assembler::Assembler(const AdjustmentProblem& problem, const ParameterLayout& la
       AddBlock(p, place);
     }
   }
+  map_values_.resize(map_values_.size() + kMaxMapColumns);  // map_block reads past the last row
   // The addresses of the values do not change from here on.
   for (const MapOf& map : maps_) parts_[map.part].of[map.k].map = &map_values_[map.first];
 }
@@ -193,7 +194,7 @@ void Assembler::AddVectors(int part, const double* vectors, const double* square
     if (a.map != nullptr) {
       double full[kMaxMapped], mapped[kMaxMapped];
       FillLower(squares, parts_[part].num_columns, width, full);
-      MapBlock(a, a, full, width, mapped);
+      kernels_.map_block(a, a, full, width, mapped);
       for (int k = 0; k < a.size; ++k) norms.Add(offset + k, mapped[k * (a.size + 1)]);
       for (int i = 0; i < a.num_local; ++i) {
         const double* const at = vectors + a.local[i];
@@ -227,7 +228,7 @@ void Assembler::AddDiagonal(int part, const double* block, Segment segment,
       if (a.map != nullptr || b.map != nullptr) {
         double full[kMaxMapped], mapped[kMaxMapped];
         FillLower(block, blocks.num_columns, width, full);
-        MapBlock(a, b, full, width, mapped);
+        kernels_.map_block(a, b, full, width, mapped);
         for (int i = 0; i < a.size; ++i) {
           const Target column = Block(sums, a.block, entry, 0, i);
           for (int j = s == t ? i : 0; j < b.size; ++j) column.Add(j, mapped[i * b.size + j]);
@@ -257,7 +258,7 @@ void Assembler::AddCameraDiagonal(int part, const double* block, Segment segment
     if (a.map != nullptr) {
       double full[kMaxMapped], mapped[kMaxMapped];
       FillLower(block, parts_[part].num_columns, width, full);
-      MapBlock(a, a, full, width, mapped);
+      kernels_.map_block(a, a, full, width, mapped);
       for (int i = 0; i < a.size; ++i) {
         for (int j = i; j < a.size; ++j) {
           values.Add(begin + i * a.size + j, mapped[i * a.size + j]);
@@ -284,7 +285,7 @@ void Assembler::AddPair(int first, int second, const double* block, PairSegment 
       if (shared_first && b.is_shared != (segment == PairSegment::kShared)) continue;
       if (a.map != nullptr || b.map != nullptr) {
         double mapped[kMaxMapped];
-        MapBlock(a, b, block, width, mapped);
+        kernels_.map_block(a, b, block, width, mapped);
         AddPairOf(a.WithoutMap(), b.WithoutMap(), mapped, b.size, sums);
       } else {
         AddPairOf(a, b, block, width, sums);
@@ -302,16 +303,24 @@ void Assembler::AddPairOf(const PartBlock& a, const PartBlock& b, const double* 
                        {to.sum, structure_.panel_stride[a.block], to.error, b.size});
     return;
   }
+  if (a.block > b.block) {
+    double transposed[kMaxMapped];
+    for (int j = 0; j < b.size; ++j) {
+      for (int i = 0; i < a.size; ++i) {
+        transposed[j * a.size + i] = block[a.local[i] * width + b.local[j]];
+      }
+    }
+    const Target to = Block(sums, b.block, entry, 0, 0);
+    kernels_.add_block(transposed, a.size, b.size, a.size,
+                       {to.sum, structure_.panel_stride[b.block], to.error, a.size});
+    return;
+  }
   for (int i = 0; i < a.size; ++i) {
     const double* const row = block + a.local[i] * width;
     for (int j = 0; j < b.size; ++j) {
       const double value = row[b.local[j]];
       if (a.block < b.block) {
         Block(sums, a.block, entry, j, i).Add(0, value);
-        continue;
-      }
-      if (a.block > b.block) {
-        Block(sums, b.block, entry, i, j).Add(0, value);
         continue;
       }
       // Added to a diagonal block, together with its transpose.

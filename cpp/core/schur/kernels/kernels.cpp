@@ -3,7 +3,8 @@
 /// BUNDLE_LANES, the doubles of a register.
 ///
 ///   eliminate_chunk.h   linearises and eliminates,   eliminate_point.h   factors of a point,
-///   tile_products.h     products of a tile, block by block,   add_block.h   addition to S
+///   tile_products.h     products of a tile, block by block,   twelve_products.h   of 12 columns
+///   map_block.h         maps of blocks,   add_block.h   addition to S
 ///   multiply_schur.h    products with S that is not formed
 ///   back_substitute.h   substitutes back and evaluates what follows
 ///   survey_points.h     sums over points, for covariances,   point_covariances.h   of points
@@ -18,6 +19,7 @@
 #include "core/schur/kernels/add_block.h"
 #include "core/schur/kernels/back_substitute.h"
 #include "core/schur/kernels/eliminate_chunk.h"
+#include "core/schur/kernels/map_block.h"
 #include "core/schur/kernels/multiply_schur.h"
 #include "core/schur/kernels/point_covariances.h"
 #include "core/schur/kernels/survey_points.h"
@@ -30,10 +32,18 @@ inline int64_t MemoryDoubles(const EliminationInput& input) {
   return of_tile > of_strip ? of_tile : of_strip;
 }
 
-extern constexpr Kernels kKernels = {
-    BUNDLE_ISA_NAME, &MemoryDoubles,      &ScatterMemory::NumDoubles,
-    &Eliminate,      &EvaluateNewtonStep, &MultiplySchur,
-    &AddBlock,       &Products,           &Cost,
-    &Slope,          &SurveyPoints,       &PointCovariances};
+extern constexpr Kernels kKernels = {BUNDLE_ISA_NAME,
+                                     &MemoryDoubles,
+                                     &ScatterMemory::NumDoubles,
+                                     &Eliminate,
+                                     &EvaluateNewtonStep,
+                                     &MultiplySchur,
+                                     &AddBlock,
+                                     &MapBlock,
+                                     &Products,
+                                     &Cost,
+                                     &Slope,
+                                     &SurveyPoints,
+                                     &PointCovariances};
 
 }  // namespace bundle::BUNDLE_ISA

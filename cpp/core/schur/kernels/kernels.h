@@ -8,6 +8,7 @@
 // Unused, but it must stay: without it, GCC 12 fuses other multiply-adds of Products, which changes
 // the bits of results.
 #include "core/model/camera_states.h"
+#include "core/schur/column_map.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/held_residuals.h"
 
@@ -80,6 +81,10 @@ struct StateRecords {
   /// Offset in a record of the twist and the row scale (8 numbers); 0: all shutters are global.
   int shutter = 0;
   bool at_observed_row = false;
+  /// Per observation of the plan, only with rolling shutters: the row time where the iteration of
+  /// the candidate ended that became this state; NaN: unknown. Rows of a candidate are found anew.
+  const double* row_times = nullptr;
+  double* found_row_times = nullptr;  ///< row times of a candidate, written by its pass
   const double* images = nullptr;
   int stride = 0;  ///< stride of `images`; a multiple of 4
   const double* points = nullptr;
@@ -215,6 +220,11 @@ struct Kernels {
   /// Adds a block of a chunk to S (assembly/add_block.h).
   void (*add_block)(const double* from, int from_stride, int num_rows, int num_columns,
                     const BlockTarget& to);
+
+  /// out = M_a^T B M_b, for a block B of a chunk with rows of `width` numbers (map_block.h). `out`:
+  /// kMaxMapped numbers.
+  void (*map_block)(const PartBlock& a, const PartBlock& b, const double* block, int width,
+                    double* out);
 
   /// Computes both directions of the points (3 numbers per point each) from those of the cameras,
   /// and products. `d_squared`: D^2 of the free points' columns; nullptr: not needed.

@@ -181,15 +181,24 @@ struct LaneResiduals {
                                            const LaneState& state, const Lanes& lanes,
                                            const Pack* measurement, Mask* counts) {
     const int32_t* const image = input.plan->image.data();
+    // Known at run time only: a copy of this function for one of the cases could round differently.
+    const bool is_candidate = x.found_row_times != nullptr;
     const double* records[kLanes];
+    Pack row_time;
     for (int lane = 0; lane < kLanes; ++lane) {
-      records[lane] = x.images + int64_t{image[lanes.observation[lane]]} * x.stride + x.shutter;
+      const int64_t observation = lanes.observation[lane];
+      records[lane] = x.images + int64_t{image[observation]} * x.stride + x.shutter;
+      row_time.v[lane] = is_candidate ? __builtin_nan("") : x.row_times[observation];
     }
     Pack shutter[kTwistSize + 2];
     GatherRecords(records, kTwistSize + 2, shutter);
     ProjectByRow(*lanes.group, state.params, shutter, x.at_observed_row, state.camera_point,
-                 measurement, input.cheirality, r, d_camera_point, d_params, d_twist, counts,
-                 lanes.count);
+                 measurement, input.cheirality, !is_candidate, &row_time, r, d_camera_point,
+                 d_params, d_twist, counts, lanes.count);
+    if (!is_candidate) return;
+    for (int lane = 0; lane < lanes.count; ++lane) {
+      x.found_row_times[lanes.observation[lane]] = row_time.v[lane];
+    }
   }
 
   __attribute__((noinline)) void ScaleTwist(const Pack& weight) {

@@ -13,6 +13,7 @@
 
 #include "core/parallel/pack.h"
 #include "core/schur/kernels/eliminate_point.h"
+#include "core/schur/kernels/twelve_products.h"
 #include "core/schur/kernels/wide_row.h"
 
 namespace bundle::BUNDLE_ISA {
@@ -257,6 +258,9 @@ inline void AddOwnProducts(const ImageRecords& records, int first, bool has_midd
                            const ModelGroup::Part& of, double* block) {
   if (kLanes == 8 && of.num_columns == 9) {
     (has_middle ? AddNine<true> : AddNine<false>)(records, first, block);
+  } else if (kLanes == 8 && of.num_columns == 12) {
+    (has_middle ? AddTwelve<true, ImageRecords> : AddTwelve<false, ImageRecords>)(records, first,
+                                                                                  block);
   } else {
     kAddProducts[of.num_quads - 1](records, first, first, has_middle, of.num_columns, block);
   }
@@ -331,6 +335,8 @@ inline void SubtractTile(const EliminationInput& input, const Chunk& chunk,
     double* const block = sum.blocks + sum.block_begin[at->block];
     if (kLanes == 8 && input.part_rows[first] == 9 && input.part_rows[second] == 9) {
       SubtractNine(w, stride, pairs, at->num_pairs, block);
+    } else if (kLanes == 8 && input.part_rows[first] == 12 && input.part_rows[second] == 12) {
+      SubtractTwelve(w, stride, pairs, at->num_pairs, block);
     } else {
       kSubtractPairs[input.part_quads[second] - 1](w, 4 * input.part_quads[first], stride, pairs,
                                                    at->num_pairs, input.part_rows[first], block);
