@@ -91,33 +91,40 @@ double PanelValues(const Ints& sizes, const Int64s& column_begin, const Ints& ro
 }
 
 py::dict CountPanelWork(const Ints& sizes, const Int64s& column_begin, const Ints& rows,
-                        const Ints& order) {
+                        const Ints& order, double near_cache, double far_cache) {
   const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);
   const std::vector<int> blocks(order.data(), order.data() + order.size());
   bundle::PanelWork work;
   {
     const py::gil_scoped_release release;
-    work = bundle::CountPanelWork(pattern, blocks);
+    work = bundle::CountPanelWork(pattern, blocks, {near_cache, far_cache});
   }
   py::dict result;
-  result["panels"] = work.panels;
-  result["updates"] = work.updates;
-  result["stored"] = work.stored;
-  result["products"] = work.products;
-  result["reads"] = work.reads;
-  result["update_flops"] = work.update_flops;
-  result["factor_flops"] = work.factor_flops;
-  result["row_blocks"] = work.row_blocks;
+#define BUNDLE_FIELD(name) result[#name] = work.name
+  BUNDLE_FIELD(panels);
+  BUNDLE_FIELD(updates);
+  BUNDLE_FIELD(stored);
+  BUNDLE_FIELD(products);
+  BUNDLE_FIELD(reads);
+  BUNDLE_FIELD(near_misses);
+  BUNDLE_FIELD(far_misses);
+  BUNDLE_FIELD(update_flops);
+  BUNDLE_FIELD(factor_flops);
+  BUNDLE_FIELD(row_blocks);
+#undef BUNDLE_FIELD
   return result;
 }
 
-/// The linear solver that the fused backend's `auto` chooses, in upper case.
-std::string AutoChoice(const Ints& sizes, const Int64s& column_begin, const Ints& rows,
-                       int num_threads, int64_t num_observations) {
+/// The linear solver that the fused backend's `auto` chooses, in upper case, and true if conjugate
+/// gradients would not form S.
+std::pair<std::string, bool> AutoChoice(const Ints& sizes, const Int64s& column_begin,
+                                        const Ints& rows, int num_threads,
+                                        int64_t num_observations) {
   const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);
   const py::gil_scoped_release release;
-  return bundle::UpperName(bundle::ChooseByPattern(pattern, num_threads, num_observations).type,
-                           bundle::kLinearSolverTypes);
+  const bundle::SolverChoice choice =
+      bundle::ChooseByPattern(pattern, num_threads, num_observations);
+  return {bundle::UpperName(choice.type, bundle::kLinearSolverTypes), choice.leaves_out_system};
 }
 
 bool SumsAreDoubleDoubles(const std::string& linear_solver_type, int num_columns,
@@ -142,7 +149,7 @@ void BindInspection(py::module_& m) {
   m.def("panel_values", &PanelValues, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
         py::arg("order"));
   m.def("panel_work", &CountPanelWork, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
-        py::arg("order"));
+        py::arg("order"), py::arg("near_cache"), py::arg("far_cache"));
   m.def("auto_choice", &AutoChoice, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
         py::arg("num_threads"), py::arg("num_observations"));
   m.def("elimination_plan", &EliminationPlan, py::arg("problem"), py::arg("options"));

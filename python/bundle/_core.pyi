@@ -456,22 +456,20 @@ def auto_choice(
     rows: NDArray[np.int32],
     num_threads: int,
     num_observations: int,
-) -> str: ...
+) -> tuple[str, bool]: ...
 def panel_values(
     sizes: NDArray[np.int32],
     column_begin: NDArray[np.int64],
     rows: NDArray[np.int32],
     order: NDArray[np.int32],
 ) -> float: ...
-
-# bind_graph.cpp
-# A variable: (name, manifold, value, held, lower, upper), the last three empty for none. A factor:
-# (kind, name, places of its variables, loss, scale, what the kind takes).
 def panel_work(
     sizes: NDArray[np.int32],
     column_begin: NDArray[np.int64],
     rows: NDArray[np.int32],
     order: NDArray[np.int32],
+    near_cache: float,
+    far_cache: float,
 ) -> dict[str, float]: ...
 
 # bind_graph.cpp

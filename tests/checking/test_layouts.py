@@ -219,3 +219,57 @@ def test_mistakes_in_some_rows_of_a_relative_pose_are_named(mode, kind, words):
     report = relative_pose(mode)
     assert report.kinds == {kind}
     assert all(words in finding.sentence for finding in report.findings)
+
+
+ROOT = np.linalg.cholesky([[4.0, 1, 0.5], [1, 3, 0.2], [0.5, 0.2, 9]]).T
+
+
+def separable(blocks):
+    """Residuals of which the second depends on one parameter alone."""
+    (x,) = blocks
+    plain = np.sin(x) * [1, 2, 3] + x[::-1] ** 2
+    return plain, np.diag(np.cos(x) * [1, 2, 3]) + np.fliplr(np.diag(2 * x[::-1]))
+
+
+@pytest.mark.parametrize("power", [-1, 1], ids=["residual only", "twice"])
+def test_weights_are_named_where_a_residual_depends_on_one_parameter(power):
+    def weighted(blocks):
+        plain, jacobian = separable(blocks)
+        return ROOT @ plain, [np.linalg.matrix_power(ROOT, 1 + power) @ jacobian]
+
+    report = bundle.check_gradients(weighted, [np.array([0.3, 0.8, 1.4])], num_samples=5)
+    assert report.kinds == {"whitening"}
+
+
+def test_a_matrix_that_any_square_jacobian_has_is_no_weight():
+    """Every square Jacobian of a linear function is a constant matrix times the right Jacobian."""
+    matrix = np.array([[1.0, 2, 3], [4, 5.5, 6], [7, 8, 9.7]])
+    wrong = matrix @ [[1, 0.3, 0], [0.2, 1, 0.5], [0.1, 0, 1]]
+    report = bundle.check_gradients(lambda b: (matrix @ b[0], [wrong]), [np.array([1.0, 2, 3])])
+    assert report.verdict == "wrong" and "whitening" not in report.kinds
+
+
+@pytest.mark.parametrize("row", [0, 1])
+def test_a_residual_in_degrees_is_named(row):
+    def bearing(blocks):
+        at, landmark = blocks
+        x, y = landmark - at
+        square = x * x + y * y
+        angle, length = np.degrees(np.arctan2(y, x)), np.sqrt(square)
+        by_angle, by_length = [-y / square, x / square], [x / length, y / length]
+        order = [0, 1] if row == 0 else [1, 0]
+        jacobian = np.array([by_angle, by_length])[order]  # the first lacks 180 / pi
+        return np.array([angle, length])[order], [-jacobian, jacobian]
+
+    report = bundle.check_gradients(bearing, [np.array([1.0, 2]), np.array([9.0, 5])])
+    assert report.kinds == {"degrees"} and f"residual {row}" in report.findings[0].sentence
+
+
+def test_a_block_stored_by_columns_is_named_where_it_has_zeros():
+    def projection(blocks):
+        (x, y, z), (f,) = blocks
+        right = f * np.array([[1 / z, 0, -x / z**2], [0, 1 / z, -y / z**2]])
+        return f * np.array([x / z, y / z]), [right.T.reshape(2, 3), np.array([[x / z], [y / z]])]
+
+    report = bundle.check_gradients(projection, [np.array([0.3, -0.4, 2.0]), np.array([500.0])])
+    assert report.kinds == {"transposed"}

@@ -63,3 +63,20 @@ def test_an_entry_is_wrong_or_undecided_but_not_both():
     assert tally.num_entries.tolist() == [4]
     assert tally.num_wrong.tolist() == [1]
     assert tally.num_undecided.tolist() == [2]
+
+
+def test_a_slope_that_only_tiny_steps_show_is_not_accused():
+    """Steps beyond 0 find the slope of log |x| on both sides together, which is nearly 0."""
+
+    def logarithm(blocks):
+        intensity, exposure = blocks
+        return np.log(np.abs(intensity)) + exposure, [np.diag(1 / intensity), np.ones((2, 1))]
+
+    blocks = [np.array([1e-12, 3e-11]), np.array([0.3])]
+    assert bundle.check_gradients(logarithm, blocks).verdict != "wrong"
+
+    def wrong(blocks):
+        residual, (by_intensity, by_exposure) = logarithm(blocks)
+        return residual, [1.01 * by_intensity, by_exposure]
+
+    assert bundle.check_gradients(wrong, blocks).verdict == "wrong"

@@ -17,8 +17,6 @@
 /// panels of the top follow in order, each by all threads: its updates in slices of its columns,
 /// its rows below in slices of rows. An entry of a panel takes the same sums in the same order in
 /// any slice (kernels/panel_kernels.h). So no bit depends on the number of threads.
-///
-/// A slice of columns is narrow, so that a product is still in the cache when it is scattered.
 
 #include <algorithm>
 #include <utility>
@@ -26,7 +24,6 @@
 namespace bundle {
 namespace {
 
-constexpr int kColumnsOfSlice = 48;
 constexpr int kRowsOfSlice = 192;
 /// Products of numbers between two looks for an interruption, less than a millisecond.
 constexpr int64_t kWorkBetweenLooks = 1 << 22;

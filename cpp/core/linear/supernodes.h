@@ -9,6 +9,10 @@
 
 namespace bundle {
 
+/// Columns of a panel that its updates process at a time. Such a slice is narrow, so that a product
+/// is still in the cache when it is scattered.
+constexpr int kColumnsOfSlice = 48;
+
 /// The Cholesky factor of S as dense panels. A panel consists of consecutive block columns of L,
 /// with the union of their block rows below. It is column-major. The diagonal blocks of its columns
 /// come first; only their lower triangle is defined.

@@ -254,6 +254,7 @@ SolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrder
   for (LinearSolverCost* cost : {&costs.dense, &costs.sparse, &costs.iterative}) {
     cost->seconds += costs.forming_seconds;
   }
+  choice.leaves_out_system = is_implicit;
   const LinearSolverCost& iterative = is_implicit ? costs.implicit : costs.iterative;
   double seconds = kExactStepsAreWorth * iterative.seconds;
   const auto consider = [&](LinearSolverType type, const LinearSolverCost& cost) {

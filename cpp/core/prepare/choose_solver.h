@@ -16,7 +16,8 @@ namespace bundle {
 
 struct SolverChoice {
   LinearSolverType type = LinearSolverType::kDenseSchur;
-  std::string reason;  ///< one sentence
+  std::string reason;              ///< one sentence
+  bool leaves_out_system = false;  ///< true if conjugate gradients do not form S
 };
 
 /// Chooses a linear solver of Ceres by the shape of the problem and the group that is eliminated

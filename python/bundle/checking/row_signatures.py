@@ -18,6 +18,8 @@ from bundle.checking.jacobian_deviation import Array
 
 __all__ = ["logarithm", "rows", "whitening"]
 
+DEGREE = np.pi / 180
+
 
 def rows(evidence: Evidence) -> None:
     """Find exchanged rows, in all columns or in the columns of a block."""
@@ -59,7 +61,17 @@ def whitening(evidence: Evidence) -> None:
     everything = np.linalg.norm(analytic[..., used] - reference[..., used])
     off = np.abs(ratios - 1) > EXPLAINED
     left = np.linalg.norm(analytic[..., used] - ratios[:, None] * reference[..., used])
-    if left > EXPLAINED * everything or off.sum() < 2:
+    is_by_rows = left <= EXPLAINED * everything
+    degrees = np.flatnonzero(off & _are_degrees(ratios))
+    if is_by_rows and 0 < len(degrees) == off.sum():
+        evidence.found(
+            "degrees",
+            used,
+            f"every column: the derivatives of residual {', '.join(map(str, degrees))} are those "
+            "of an angle in degrees instead of radians, or the reverse",
+        )
+        return
+    if not is_by_rows or off.sum() < 2:
         if not _is_one_matrix(analytic[..., used], reference[..., used]):
             return
         by = "by one matrix from the left"
@@ -135,6 +147,14 @@ def _sources(given: Array, right: Array) -> tuple[NDArray[np.intp], Array]:
     return source, np.where(source == own, 1.0, factors[own, source])
 
 
+def _are_degrees(ratios: Array) -> NDArray[np.bool_]:
+    """Return the mask of factors from degrees to radians, or the reverse."""
+    sizes = np.abs(ratios)
+    off = np.minimum(np.abs(sizes * DEGREE - 1), np.abs(sizes / DEGREE - 1))
+    are: NDArray[np.bool_] = off < 1e-4
+    return are
+
+
 def _row_ratios(given: Array, right: Array) -> Array:
     square = (right * right).sum(axis=(0, 2))
     ratios: Array = (given * right).sum(axis=(0, 2)) / np.where(square > 0, square, 1.0)
@@ -147,7 +167,11 @@ def _is_number(matrix: Array) -> bool:
 
 
 def _is_one_matrix(given: Array, right: Array) -> bool:
-    """Return True if an M that is fitted without a column also gives A = M J in that column."""
+    """Return True if an M that is fitted without a column also gives A = M J in that column.
+
+    Columns without which M is not determined tell nothing, as those of a row that depends on one
+    parameter alone. Two others, and half of all, are to be predicted.
+    """
     num_residuals, num_columns = given.shape[1:]
 
     def stacked(matrices: Array, columns: list[int]) -> Array:
@@ -155,14 +179,16 @@ def _is_one_matrix(given: Array, right: Array) -> bool:
         return rows
 
     left = deviation = 0.0
+    predicted = 0
     for column in range(num_columns):
         others = [j for j in range(num_columns) if j != column]
         change, _, rank, _ = np.linalg.lstsq(
             stacked(right, others).T, stacked(given, others).T, rcond=1e-9
         )
         if rank < num_residuals:
-            return False
+            continue
+        predicted += 1
         own = stacked(right, [column])
         left += float(np.linalg.norm(change.T @ own - stacked(given, [column])) ** 2)
         deviation += float(np.linalg.norm(own - stacked(given, [column])) ** 2)
-    return left <= EXPLAINED**2 * deviation
+    return predicted >= max(2, num_columns / 2) and left <= EXPLAINED**2 * deviation

@@ -137,9 +137,10 @@ def acquitted(line: Line, analytic: Array, deviation: Array, scale: float) -> ND
         line: residuals along the parameter.
         analytic: (R,) column of the Jacobian.
         deviation: (R,) its absolute deviation from the reference.
-        scale: divisor of relative errors.
+        scale: divisor of relative errors, which may be far too small if the reference is that of
+            another scale.
     """
-    close = np.minimum(CLOSE * scale, SHARE * deviation)
+    close = np.minimum(CLOSE * np.maximum(scale, np.abs(analytic)), SHARE * deviation)
     # At smaller steps rounding alone decides: a residual that does not change has slope 0.
     sides = np.nan_to_num(np.maximum(abs(line.plus), abs(line.minus)), posinf=0.0)
     noise = ROUNDING * np.finfo(float).eps * np.maximum(sides[:-1], abs(line.center))

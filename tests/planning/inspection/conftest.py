@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bundle.planning.inspection import problem_inspection
+from bundle.planning.inspection import factor_graph_inspection, problem_inspection
+from bundle.planning.inspection.factor_graph_time import FEATURES
 from bundle.planning.inspection.rates import FactorRate, Rates
 
 CORE = FactorRate(flops_per_second=1e10, seconds_per_entry=1e-9)
@@ -28,6 +29,14 @@ RATES = Rates(
     ceres_product=3e-8,
     ceres_normal_entry=1e-8,
 )
+
+
+@pytest.fixture
+def factor_graph_seconds(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
+    """Let predictions of factor graphs be those for a made-up machine."""
+    seconds = {name: 1e-9 * (k + 1) for k, name in enumerate(FEATURES)}
+    monkeypatch.setattr(factor_graph_inspection, "factor_graph_rates", lambda **_: seconds)
+    return seconds
 
 
 @pytest.fixture

@@ -9,12 +9,17 @@ from scipy.optimize import nnls
 import bundle
 from bundle import _core
 from bundle.planning.inspection import graph_rates, machine_rates
+from bundle.planning.inspection.fitted_rates import fit_rates
 from bundle.planning.inspection.graph_inspection import pattern_of_edges
 
 
-def panels(count, edges, size=3):
+def panels(count, edges, size=3, near=1e6, far=16e6):
     pattern = pattern_of_edges(np.full(count, size, np.int32), np.array(edges))
-    return _core.panel_work(*pattern, np.arange(count, dtype=np.int32))
+    return _core.panel_work(*pattern, np.arange(count, dtype=np.int32), near, far)
+
+
+def beyond(numbers, cache):
+    return np.clip((8 * np.asarray(numbers, float) - cache) / cache, 0, 1)
 
 
 def test_a_full_matrix_is_one_panel_and_a_chain_has_one_update_per_panel():
@@ -44,12 +49,44 @@ def test_update_flops_are_those_of_the_products():
     assert work["stored"] >= counted["entries"] and work["row_blocks"] >= work["updates"]
 
 
+def test_wide_panels_are_updated_by_slices_of_48_columns():
+    count = 120
+    full = [(a, b) for a in range(count) for b in range(a + 1, count)]
+    work = panels(count, full)
+    # Panels have at most 256 columns, 85 blocks of 3, counted from the last.
+    first, last = 3 * (count - 85), 255
+    slices = np.array([48] * 5 + [15])
+    rows = last - 48 * np.arange(6)
+    assert work["panels"] == 2 and work["updates"] == 6
+    assert work["reads"] == (rows * first).sum()
+    assert work["products"] == (rows * slices).sum()
+    assert work["update_flops"] == 2 * first * work["products"]
+
+
+def test_reads_miss_a_cache_that_later_panels_filled():
+    """Leaves of a star update its hub, the last panel: the first leaf waits the longest."""
+    leaves = 60
+    star = [(leaf, leaves) for leaf in range(leaves)]
+    for near, far in ((2e3, 5e3), (1e4, 2e4), (1e6, 16e6), (1.0, 1.0)):
+        work = panels(leaves + 1, star, near=near, far=far)
+        waiting = 18 * np.arange(work["panels"] - 1)  # values of the leaves after each one
+        np.testing.assert_allclose(work["near_misses"], 9 * beyond(waiting, near).sum())
+        np.testing.assert_allclose(work["far_misses"], 9 * beyond(waiting, far).sum())
+    assert work["near_misses"] == work["reads"] - 9  # the last leaf is in any cache
+
+
+def test_a_band_reads_what_it_has_just_written():
+    band = [(k, k + d) for k in range(300) for d in (1, 2, 3) if k + d < 300]
+    work = panels(300, band, near=2e4, far=1e5)
+    assert work["reads"] > 0 and work["near_misses"] == work["far_misses"] == 0
+
+
 def test_the_fit_has_no_negative_time_and_the_least_squares():
     rng = np.random.default_rng(1)
     rows = rng.uniform(size=(20, 6)) * [1, 1e3, 1e6, 1, 1, 1]
     rows[:, 5] = 0  # a feature that no graph has
     times = rows @ [1.0, 2e-3, 0, 0.5, 0, 0] * np.exp(0.1 * rng.normal(size=20))
-    found = graph_rates._fit(rows, times)
+    found = fit_rates(rows, times)
     assert (found >= 0).all() and found[5] == 0
     expected, _ = nnls(rows[:, :5] / times[:, None], np.ones(20))
     np.testing.assert_allclose(found[:5], expected, rtol=1e-4, atol=1e-9)

@@ -114,7 +114,14 @@ def test_auto_leaves_out_the_system_where_tracks_are_long():
     result = bundle.solve(long_tracks, backend="fused", max_num_iterations=2)
     assert result.summary.linear_solver_type_used == "ITERATIVE_SCHUR"
     assert result.summary.preconditioner_type_used == "SCHUR_JACOBI"
-    assert bundle.inspect(long_tracks).auto_choice == "ITERATIVE_SCHUR"
+    found = bundle.inspect(long_tracks)
+    assert found.auto_choice == "ITERATIVE_SCHUR"
+    of = {m.preconditioner: m for m in found.methods if m.backend == "FUSED"}
+    without, formed = of["SCHUR_JACOBI"], of["TWO_LEVEL"]
+    assert without.nnz_reduced == 0 < formed.nnz_reduced and "does not form S" in without.note
+    blocks = {"reduced system", "buffers of chunks"}
+    for name in blocks:
+        assert without.memory_terms[name] < 0.1 * formed.memory_terms[name]
     forced = bundle.solve(
         long_tracks, backend="fused", schur_complement="explicit", max_num_iterations=0
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Self
 from weakref import WeakKeyDictionary
 
@@ -240,9 +240,18 @@ class GraphContents(Displayed):
             ))  # fmt: skip
         return [self._variables[key].core() for key in members], described
 
-    def core(self) -> tuple[list[Any], list[Any]]:
-        """Return variables and factors in the format of ``_core``."""
-        return self._core()
+    def core(self, factors: Sequence[Factor] | None = None) -> tuple[list[Any], list[Any]]:
+        """Return variables and factors in the format of ``_core``.
+
+        Args:
+            factors: some factors of the graph, which are returned with their variables only; None:
+                all factors and variables.
+        """
+        if factors is None:
+            return self._core()
+        return self._core(
+            dict.fromkeys(key for factor in factors for key in factor.keys), None, factors
+        )
 
     def check_free(self) -> None:
         """Refuse a graph without anything to estimate.

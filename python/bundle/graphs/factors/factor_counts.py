@@ -20,13 +20,13 @@ from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.variables import Key, Variable
 from bundle.interface.ordering_alarm import BestOrder, with_ordering_alarm
 
-__all__ = ["with_counts"]
+__all__ = ["FreePattern", "free_pattern", "with_counts"]
 
 LEAST_FLOPS = 2e9
 """Flops of all factorisations, about a second, of which a look takes a small share."""
 
 
-class _Pattern(NamedTuple):
+class FreePattern(NamedTuple):
     """Lower triangle of Lambda over the free variables, by block columns."""
 
     sizes: NDArray[np.int32]
@@ -39,7 +39,7 @@ def with_counts(
 ) -> dict[str, Any]:
     """Return the fields of a summary with the size of the factor and the alarm of its order."""
     begun = perf_counter()
-    pattern = _pattern(variables, factors)
+    pattern = free_pattern(variables, factors)
     wide = pattern.sizes.astype(np.int64)
     columns = int(wide.sum())
     pairs = wide[pattern.rows] * np.repeat(wide, np.diff(pattern.begin))
@@ -73,12 +73,13 @@ def with_counts(
     )
 
 
-def _count(pattern: _Pattern, name: str) -> BestOrder:
+def _count(pattern: FreePattern, name: str) -> BestOrder:
     counts = _core.count_factor(*pattern, _core.order_blocks(*pattern, name))
     return BestOrder(ordering=name, flops=counts["flops"], nonzeros=counts["entries"])
 
 
-def _pattern(variables: Mapping[Key, Variable], factors: Sequence[Factor]) -> _Pattern:
+def free_pattern(variables: Mapping[Key, Variable], factors: Sequence[Factor]) -> FreePattern:
+    """Return the pattern of Lambda over the variables with a free coordinate."""
     sizes = {key: len(v.coordinates) - sum(v.held) for key, v in variables.items()}
     place = {key: k for k, key in enumerate(key for key, size in sizes.items() if size)}
     count = len(place)
@@ -95,4 +96,4 @@ def _pattern(variables: Mapping[Key, Variable], factors: Sequence[Factor]) -> _P
     columns, rows = np.divmod(np.unique(np.concatenate(codes)), max(count, 1))
     begin = np.searchsorted(columns, np.arange(count + 1)).astype(np.int64)
     free = np.array([size for size in sizes.values() if size], np.int32)
-    return _Pattern(free, begin, rows.astype(np.int32))
+    return FreePattern(free, begin, rows.astype(np.int32))

@@ -7,6 +7,7 @@ region, and by a QR factorisation of its Jacobian.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -21,11 +22,15 @@ from bundle.interface.options import GraphOptions, SolveOptions
 from bundle.planning.comparison.graph_comparison import FactorGraphMethod, GraphComparison
 from bundle.planning.comparison.graph_runs import measure, recommend_run
 from bundle.planning.comparison.method import as_tuple, thread_counts
+from bundle.planning.inspection.factor_graph_inspection import inspect_factor_graph
 
 __all__ = ["compare_factor_graph"]
 
 SOLVERS = ("sparse_normal_cholesky", "dense_normal_cholesky", "square_root")
 TRUST_REGIONS = ("levenberg_marquardt", "gauss_newton", "dogleg", "subspace_dogleg")
+
+PREDICTED = ("levenberg_marquardt", "gauss_newton")
+"""Trust regions whose step is one linear solve, which :func:`bundle.inspect` predicts."""
 
 MOST_DENSE_COLUMNS = 2000
 """Free coordinates up to which dense matrices are compared: 32 MB and a second per step."""
@@ -60,11 +65,15 @@ def compare_factor_graph(
     check_function("progress", progress)
     counts = thread_counts("threads", as_tuple("threads", threads))
     environment = Environment.now()
+    predicted = {count: _predicted(graph, count) for count in counts}
     runs = []
     for method in _methods(graph, counts):
         if progress is not None:
             progress(method.name)
-        runs.append(measure(method, _solver(graph, chosen, method), repeat, timeout))
+        time = predicted[method.num_threads].get(method.linear_solver_type, math.nan)
+        if method.trust_region_strategy_type not in PREDICTED:
+            time = math.nan
+        runs.append(measure(method, _solver(graph, chosen, method), repeat, timeout, time))
     best, reason = recommend_run(runs)
     return GraphComparison(
         graph=graph,
@@ -99,6 +108,15 @@ def _methods(graph: FactorGraph, counts: tuple[int, ...]) -> list[FactorGraphMet
         for region in (TRUST_REGIONS if solver == solvers[0] else TRUST_REGIONS[:1])
         if not (has_bounds and region.endswith("dogleg"))
     ]
+
+
+def _predicted(graph: FactorGraph, num_threads: int) -> dict[str, float]:
+    """Return the predicted seconds of a step by linear solver; NaN if a factor failed."""
+    costs = {
+        cost.ordering: cost.time_per_step_in_seconds
+        for cost in inspect_factor_graph(graph, num_threads).costs
+    }
+    return {"sparse_normal_cholesky": costs["amd"], "dense_normal_cholesky": costs["dense"]}
 
 
 def _solver(

@@ -8,6 +8,7 @@ the sum of c^2 + 3 c over the columns of L with c entries below the diagonal
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,7 +23,7 @@ from bundle.planning.inspection.graph_inspection import pattern_of_edges
 from bundle.planning.inspection.peak_memory import Terms, total
 from bundle.planning.inspection.problem_pattern import count_dense
 
-__all__ = ["CONVENTION", "ORDERINGS", "EliminationCost", "advise", "elimination_costs"]
+__all__ = ["CONVENTION", "ORDERINGS", "EliminationCost", "advise", "elimination_costs", "with_time"]
 
 CONVENTION = (
     "Nonzeros count both triangles and the diagonal; those of the factor L, its lower triangle "
@@ -33,6 +34,9 @@ ORDERINGS = ("natural", "amd", "metis", "colamd", "nesdis")
 """Orders of an inspection; of these a solve offers some."""
 
 BYTES = 8
+
+Pattern = tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]
+Predict = Callable[[Pattern, NDArray[np.int32], Mapping[str, Any]], Terms]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +72,7 @@ def elimination_costs(
     sizes: NDArray[np.int32],
     pairs: NDArray[np.int64],
     taken: Sequence[str],
-    predict: Callable[[Mapping[str, float]], Terms] | None = None,
+    predict: Predict | None = None,
 ) -> tuple[EliminationCost, ...]:
     """Return the cost of each order, then of the dense matrix.
 
@@ -76,27 +80,25 @@ def elimination_costs(
         sizes: (n,) scalars of each variable.
         pairs: distinct pairs (smaller, larger) of variables with a nonzero block.
         taken: orders that a solve offers.
-        predict: function from ``_core.panel_work`` to the parts of a step's time; None: unknown.
+        predict: function from pattern, order and ``_core.count_factor`` to the parts of a step's
+            time; None: unknown.
     """
     pattern = pattern_of_edges(sizes, pairs)
     costs = []
     for name in ORDERINGS:
         order = _core.order_blocks(*pattern, name)
         counts: dict[str, Any] = _core.count_factor(*pattern, order)
-        terms = {} if predict is None else predict(_core.panel_work(*pattern, order))
-        costs.append(
-            EliminationCost(
-                ordering=name,
-                nnz_factor=int(counts["entries"]),
-                fill=int(counts["fill_edges"]),
-                flops=int(counts["flops"]),
-                tree_height=int(counts["tree_height"]),
-                memory_in_bytes=BYTES * int(counts["entries"]),
-                is_taken=name in taken,
-                time_per_step_in_seconds=total(terms) if terms else math.nan,
-                time_terms=terms,
-            )
+        terms = {} if predict is None else predict(pattern, order, counts)
+        cost = EliminationCost(
+            ordering=name,
+            nnz_factor=int(counts["entries"]),
+            fill=int(counts["fill_edges"]),
+            flops=int(counts["flops"]),
+            tree_height=int(counts["tree_height"]),
+            memory_in_bytes=BYTES * int(counts["entries"]),
+            is_taken=name in taken,
         )
+        costs.append(with_time(cost, terms))
     n, columns = len(sizes), int(sizes.sum(dtype=np.int64))
     dense = count_dense(columns, n * (n - 1) // 2 - len(pairs), n)
     return (
@@ -111,6 +113,13 @@ def elimination_costs(
             is_taken="dense" in taken,
         ),
     )
+
+
+def with_time(cost: EliminationCost, terms: Terms) -> EliminationCost:
+    """Return the cost with the parts of a predicted time; unchanged without parts."""
+    if not terms:
+        return cost
+    return dataclasses.replace(cost, time_per_step_in_seconds=total(terms), time_terms=terms)
 
 
 def advise(costs: Sequence[EliminationCost], chosen: str, setting: str) -> str:

@@ -1,4 +1,4 @@
-"""Structure of a factor graph, and the cost of factorising its normal equations.
+"""Structure of a factor graph, the cost of factorising its normal equations, and a step's time.
 
 Two variables have a block in Lambda = J^T J if a factor joins them. A factor of k variables
 therefore adds all k (k - 1) / 2 pairs: a prior from a marginalisation makes its variables dense.
@@ -8,21 +8,28 @@ Constant coordinates have no columns.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import bundle._core as _core
 from bundle.base.display import Display, Displayed
-from bundle.base.words import number, plural
+from bundle.base.words import number, plural, span
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.interface.tabular import Tabular
 from bundle.planning.inspection.elimination_costs import (
     EliminationCost,
     advise,
     elimination_costs,
+    with_time,
 )
+from bundle.planning.inspection.factor_graph_time import factor_work, step_terms
+from bundle.planning.inspection.machine_rates import factor_graph_rates
+from bundle.planning.inspection.peak_memory import Terms
 
 __all__ = ["FactorGraphInspection", "inspect_factor_graph"]
 
@@ -51,6 +58,8 @@ class FactorGraphInspection(Displayed, Tabular):
         density: share of nonzeros in that matrix.
         costs: one per order, then the dense matrix.
         auto_ordering: order that a solve selects.
+        num_threads: threads of the predicted times, which are of Ceres' normal equations with the
+            evaluation of this graph's factors. Times are NaN if a factor failed.
     """
 
     num_variables: int
@@ -65,6 +74,7 @@ class FactorGraphInspection(Displayed, Tabular):
     density: float
     costs: tuple[EliminationCost, ...]
     auto_ordering: str
+    num_threads: int
 
     @property
     def recommendation(self) -> str:
@@ -78,7 +88,11 @@ class FactorGraphInspection(Displayed, Tabular):
         facts = [
             ("Lambda", f"{self.nnz} nonzeros, {100 * self.density:.4g} %"),
             *(
-                (cost.ordering, f"{cost.nnz_factor} nonzeros of L, {number(cost.flops)} flops")
+                (
+                    cost.ordering,
+                    f"{cost.nnz_factor} nonzeros of L, {number(cost.flops)} flops, "
+                    f"{span(cost.time_per_step_in_seconds)} per step",
+                )
                 for cost in self.costs
             ),
             ("advice", self.recommendation),
@@ -87,8 +101,12 @@ class FactorGraphInspection(Displayed, Tabular):
         return Display(title=f"FactorGraphInspection: {counts}", facts=tuple(facts))
 
 
-def inspect_factor_graph(graph: FactorGraph) -> FactorGraphInspection:
+def inspect_factor_graph(
+    graph: FactorGraph, num_threads: int = 0, *, recalibrate: bool = False
+) -> FactorGraphInspection:
     """Count the cost of a step of a factor graph's solve; see :func:`bundle.inspect`.
+
+    A sample of the factors is evaluated, which calls functions in Python.
 
     Raises:
         InputError: the graph has no variable, no factor or no free coordinate.
@@ -101,6 +119,11 @@ def inspect_factor_graph(graph: FactorGraph) -> FactorGraphInspection:
     wide = free.astype(np.int64)
     nnz = int((wide**2).sum() + 2 * (wide[pairs[:, 0]] * wide[pairs[:, 1]]).sum())
     columns = int(wide.sum())
+    threads = min(num_threads or _core.hardware_threads(), _core.hardware_threads())
+    predict = _prediction(graph, threads, recalibrate)
+    *sparse, dense = elimination_costs(
+        free, pairs, TAKEN, lambda _pattern, _order, counts: predict(counts)
+    )
     return FactorGraphInspection(
         num_variables=len(variables),
         num_factors=len(factors),
@@ -112,9 +135,22 @@ def inspect_factor_graph(graph: FactorGraph) -> FactorGraphInspection:
         largest_clique=largest,
         nnz=nnz,
         density=nnz / columns**2,
-        costs=elimination_costs(free, pairs, TAKEN),
+        costs=(*sparse, with_time(dense, predict({"columns": columns}))),
         auto_ordering="dense" if columns <= MOST_DENSE_COLUMNS else "amd",
+        num_threads=threads,
     )
+
+
+def _prediction(
+    graph: FactorGraph, num_threads: int, recalibrate: bool
+) -> Callable[[Mapping[str, Any]], Terms]:
+    """Return a function from counts to the parts of a step's time: none if a factor fails."""
+    try:
+        work = factor_work(graph)
+    except Exception:  # of a user's function; the structure is known without it
+        return lambda _: {}
+    rates = factor_graph_rates(recalibrate=recalibrate)
+    return lambda counts: step_terms(rates, work, counts, num_threads)
 
 
 def _pairs(graph: FactorGraph, is_free: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:

@@ -4,14 +4,17 @@ A Gauss-Newton step linearises the edges, factorises the normal equations panel 
 (``cpp/core/linear/supernodal_cholesky.cpp``) and moves the poses. Its time is a sum of
 
 - a constant, and times per edge and per pose, each in the plane and in space;
-- a time per update of a panel by another one, and per block row that an update has to locate;
-- flops of the updates and flops of the panels' own columns, at two rates;
-- bytes of edges and poses beyond the second-level cache, and values of panels that updates read
-  beyond it and beyond half of a third-level cache.
+- a time per update of a slice of a panel by another panel, and per block row that an update has to
+  locate;
+- flops of the updates and flops of the panels' own columns, at two rates, and a time per value of
+  the factor, which a step clears, fills, factorises and uses twice to solve;
+- traffic beyond the second-level cache, and beyond half of a third-level cache: bytes of edges and
+  poses; the four passes over the values of the factor; and rows of panels that an update reads a
+  long time after their last use (``cpp/core/prepare/panel_work.cpp``).
 
 A narrow panel has many updates of few flops, so that its effective rate is low without a table of
-rates by size. The times follow from solves of graphs whose counts differ: the least squares of the
-relative errors under the condition that no time is negative.
+rates by size. The times follow from solves of graphs whose counts differ, the largest beyond the
+third-level cache.
 """
 
 from __future__ import annotations
@@ -28,6 +31,8 @@ import bundle._core as _core
 from bundle.graphs.pose_graphs.lie_groups import compose, inverse
 from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
 from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.planning.inspection.elimination_costs import Pattern
+from bundle.planning.inspection.fitted_rates import fit_rates
 from bundle.planning.inspection.graph_inspection import pattern_of_edges
 from bundle.planning.inspection.peak_memory import Terms
 
@@ -36,6 +41,7 @@ __all__ = [
     "calibrate_graphs",
     "free_pairs",
     "made_graph",
+    "panel_work",
     "step_terms",
     "step_time",
 ]
@@ -51,23 +57,28 @@ EDGES_OF_A_THREAD = 70_000
 """Edges, weighted by the square of their coordinates, that are worth a thread
 (``pose_graph_problem.cpp``)."""
 
+PASSES = 4
+"""Passes of a step over the values of the factor."""
+
 FEATURES = (
     *("step", "edge_3", "edge_6", "pose_3", "pose_6", "update", "row_block"),
-    *("update_flop", "factor_flop", "far_byte", "read_value", "far_value"),
+    *("update_flop", "factor_flop", "value", "near_byte", "far_byte", "near_value", "far_value"),
 )
 
 SHOWN = {
-    "edges": ("edge_3", "edge_6", "far_byte"),
+    "edges": ("edge_3", "edge_6", "near_byte", "far_byte"),
     "poses": ("pose_3", "pose_6"),
-    "updates of panels": ("update", "row_block", "read_value", "far_value"),
+    "updates of panels": ("update", "row_block"),
     "flops": ("update_flop", "factor_flop"),
+    "values of the factor": ("value", "near_value", "far_value"),
     "other": ("step",),
 }
 """Terms of a time, with the features that they add up."""
 
-ENOUGH_SECONDS, LEAST_REPEATS = 0.04, 3
-LONG = 1e-3
-"""Seconds of a step that counts as long."""
+ENOUGH_SECONDS, LONG_ENOUGH, LEAST_REPEATS = 0.04, 0.3, 3
+"""Seconds of solves after which no other follows, in general and before the least repeats."""
+LONG, LARGE = 1e-3, 3000
+"""Seconds of a step that counts as long, and poses of a graph whose steps are."""
 
 STEPS = 3
 
@@ -86,6 +97,13 @@ CASES = (
     ("hubs", 8000, 3, "amd"),
     ("grid", 2000, 6, "natural"),
     ("near", 10000, 6, "amd"),
+    ("grid", 6400, 6, "metis"),
+    ("near", 40000, 6, "amd"),
+    ("chain", 60000, 6, "natural"),
+    *(("band", 1500, d, "natural") for d in (3, 6)),
+    *(("full", poses, d, "natural") for poses, d in ((40, 3), (130, 3), (60, 6))),
+    ("loops", 4000, 3, "natural"),
+    ("loops", 2500, 6, "metis"),
 )
 """Graphs and orders of the calibration: kind, poses, tangent size, order."""
 
@@ -121,7 +139,7 @@ def step_terms(rates: GraphRates, graph: PoseGraph, work: Mapping[str, float]) -
     Args:
         rates: rates of the machine.
         graph: the graph.
-        work: ``_core.panel_work`` of its free poses in the order of the elimination.
+        work: :func:`panel_work` of its free poses in the order of the elimination.
     """
     size = graph.num_edges * graph.tangent_size**2
     threads = min(rates.num_threads, max(1, size // EDGES_OF_A_THREAD))
@@ -144,7 +162,7 @@ def calibrate_graphs(num_threads: int) -> GraphRates:
         if np.isfinite(time):
             rows.append(_features(graph, _work(graph, ordering)))
             times.append(time)
-    seconds = dict(zip(FEATURES, _fit(np.array(rows), np.array(times)).tolist(), strict=True))
+    seconds = dict(zip(FEATURES, fit_rates(np.array(rows), np.array(times)).tolist(), strict=True))
     speedup = 1.0
     if num_threads > 1:
         graph = made_graph("near", 5000 * num_threads, 6, seed=99)
@@ -158,7 +176,8 @@ def made_graph(kind: str, num_poses: int, tangent_size: int, *, seed: int) -> Po
     """Return a seeded graph near its minimum: a chain, with more edges for other kinds.
 
     "grid": rows of equal length, poses of neighbouring rows joined; "near": closures within a
-    fiftieth of the chain; "loops": closures anywhere; "hubs": closures to three poses.
+    fiftieth of the chain; "loops": closures anywhere; "hubs": closures to three poses; "band":
+    closures over 2, 3 and 5 poses; "full": all pairs.
     """
     rng = np.random.default_rng(seed)
     first = np.arange(num_poses - 1)
@@ -175,6 +194,12 @@ def made_graph(kind: str, num_poses: int, tangent_size: int, *, seed: int) -> Po
     elif kind == "hubs":
         a = rng.integers(0, num_poses, num_poses // 5)
         edges.append(np.stack([a, rng.integers(0, num_poses, 3)[rng.integers(0, 3, len(a))]], 1))
+    elif kind == "band":
+        edges += [
+            np.stack([np.arange(num_poses - d), np.arange(d, num_poses)], 1) for d in (2, 3, 5)
+        ]
+    elif kind == "full":
+        edges.append(np.stack(np.triu_indices(num_poses, 1), axis=1))
     pairs = np.sort(np.concatenate(edges), axis=1)
     pairs = np.unique(pairs[pairs[:, 0] < pairs[:, 1]], axis=0)
     t = 0.05 * np.arange(num_poses)
@@ -200,10 +225,15 @@ def made_graph(kind: str, num_poses: int, tangent_size: int, *, seed: int) -> Po
     )
 
 
+def panel_work(pattern: Pattern, order: NDArray[np.int32]) -> dict[str, float]:
+    """Return the counts of ``cpp/core/prepare/panel_work.h``, with the caches assumed here."""
+    return _core.panel_work(*pattern, order, NEAR_CACHE, FAR_CACHE)
+
+
 def _work(graph: PoseGraph, ordering: str) -> dict[str, float]:
     pairs, free = free_pairs(graph)
     pattern = pattern_of_edges(np.full(free, graph.tangent_size, np.int32), pairs)
-    return _core.panel_work(*pattern, _core.order_blocks(*pattern, ordering))
+    return panel_work(pattern, _core.order_blocks(*pattern, ordering))
 
 
 def _features(graph: PoseGraph, work: Mapping[str, float]) -> Floats:
@@ -216,7 +246,6 @@ def _features(graph: PoseGraph, work: Mapping[str, float]) -> Floats:
         """Return the share of the data that a cache does not hold, from 0 to 1."""
         return float(np.clip((total - cache) / cache, 0, 1))
 
-    traffic = work["reads"] + 2 * work["stored"]
     values = {
         "step": 1.0,
         f"edge_{d}": edges,
@@ -225,9 +254,11 @@ def _features(graph: PoseGraph, work: Mapping[str, float]) -> Floats:
         "row_block": work["row_blocks"],
         "update_flop": work["update_flops"],
         "factor_flop": work["factor_flops"],
-        "far_byte": of_graph * beyond(NEAR_CACHE),
-        "read_value": traffic * beyond(NEAR_CACHE),
-        "far_value": traffic * beyond(FAR_CACHE),
+        "near_byte": of_graph * beyond(NEAR_CACHE),
+        "far_byte": of_graph * beyond(FAR_CACHE),
+        "value": work["stored"],
+        "near_value": PASSES * work["stored"] * beyond(NEAR_CACHE) + work["near_misses"],
+        "far_value": PASSES * work["stored"] * beyond(FAR_CACHE) + work["far_misses"],
     }
     return np.array([float(values.get(name, 0.0)) for name in FEATURES])
 
@@ -241,10 +272,10 @@ def step_time(graph: PoseGraph, ordering: str, num_threads: int) -> float:
     found: list[float] = []
     begun = perf_counter()
     repeats = 0
-    while repeats < LEAST_REPEATS or perf_counter() - begun < ENOUGH_SECONDS:
+    while perf_counter() - begun < (ENOUGH_SECONDS if repeats >= LEAST_REPEATS else LONG_ENOUGH):
         repeats += 1
         clock: list[float] = []
-        is_long = bool(found) and min(found) > LONG and num_threads == 1
+        is_long = (graph.num_poses > LARGE or min(found, default=0.0) > LONG) and num_threads == 1
 
         def read(_: Any, clock: list[float] = clock) -> None:
             clock.append(process_time())
@@ -266,29 +297,3 @@ def step_time(graph: PoseGraph, ordering: str, num_threads: int) -> float:
             times = np.diff(clock)
         found += times[taken].tolist()
     return min(found, default=float("nan"))
-
-
-def _fit(rows: Floats, times: Floats) -> Floats:
-    """Return the nonnegative times per feature with the least squares of the relative errors.
-
-    Cyclic coordinate descent: each time in turn takes its best value, at least 0, with all others
-    unchanged.
-    """
-    relative = rows / times[:, None]
-    scale = np.linalg.norm(relative, axis=0)
-    used = scale > 0
-    matrix = relative[:, used] / scale[used]
-    found = np.zeros(matrix.shape[1])
-    residual = np.ones(len(times))
-    for _ in range(20_000):
-        change = 0.0
-        for k in range(len(found)):
-            new = max(0.0, found[k] + float(matrix[:, k] @ residual))
-            residual -= (new - found[k]) * matrix[:, k]
-            change = max(change, abs(new - found[k]))
-            found[k] = new
-        if change < 1e-10:
-            break
-    result = np.zeros(rows.shape[1])
-    result[used] = found / scale[used]
-    return result

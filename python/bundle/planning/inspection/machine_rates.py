@@ -2,7 +2,7 @@
 
 Each rate is measured on real solves of small problems by the solver that it predicts. It therefore
 includes the instruction set, caches, BLAS and threads of the machine (``calibrate``;
-``graph_rates`` for pose graphs).
+``graph_rates`` for pose graphs, ``factor_graph_time`` for other factor graphs).
 
 The cache folder has one file per version and number of threads.
 """
@@ -16,17 +16,19 @@ import json
 import math
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import bundle._core as _core
 from bundle.base.cache_folder import cache_folder, write_cached
 from bundle.planning.inspection.calibrate import calibrate
+from bundle.planning.inspection.factor_graph_time import FEATURES as FACTOR_GRAPH_FEATURES
+from bundle.planning.inspection.factor_graph_time import calibrate_factor_graphs
 from bundle.planning.inspection.graph_rates import FEATURES, GraphRates, calibrate_graphs
 from bundle.planning.inspection.rates import FactorRate, Rates, implausible
 
-__all__ = ["cache_path", "graph_rates", "machine_rates"]
+__all__ = ["cache_path", "factor_graph_rates", "graph_rates", "machine_rates"]
 
 RATE_NAMES = tuple(field.name for field in dataclasses.fields(Rates))
 
@@ -52,18 +54,41 @@ def machine_rates(num_threads: int, *, recalibrate: bool = False) -> Rates:
 
 def graph_rates(num_threads: int, *, recalibrate: bool = False) -> GraphRates:
     """Return the rates of pose graphs on ``num_threads`` threads; measure them unless cached."""
+
+    def measure() -> dict[str, Any]:
+        found = calibrate_graphs(num_threads)
+        return {"seconds": dict(found.seconds), "speedup": found.speedup}
+
     path = cache_path(num_threads, "graph-rates", FEATURES)
+    return GraphRates(num_threads=num_threads, **_fitted(path, FEATURES, measure, recalibrate))
+
+
+def factor_graph_rates(*, recalibrate: bool = False) -> dict[str, float]:
+    """Return the rates of factor graphs that Ceres solves; measure them unless cached."""
+    path = cache_path(1, "factor-graph-rates", FACTOR_GRAPH_FEATURES)
+
+    def measure() -> dict[str, Any]:
+        return {"seconds": calibrate_factor_graphs(), "speedup": 1.0}
+
+    return dict(_fitted(path, FACTOR_GRAPH_FEATURES, measure, recalibrate)["seconds"])
+
+
+def _fitted(
+    path: Path, names: Sequence[str], measure: Callable[[], dict[str, Any]], recalibrate: bool
+) -> dict[str, Any]:
+    """Return seconds per unit of these names and the speedup by threads, cached in a file."""
     try:
         given = {} if recalibrate else json.loads(path.read_text(encoding="ascii"))
         numbers = [given["speedup"], *given["seconds"].values()]
-        if set(given["seconds"]) == {*FEATURES} and all(map(math.isfinite, numbers)):
-            return GraphRates(num_threads=num_threads, **given)
+        is_complete = set(given) == {"seconds", "speedup"} and set(given["seconds"]) == {*names}
+        if is_complete and all(map(math.isfinite, numbers)):
+            return given
     except (OSError, ValueError, TypeError, KeyError):
         pass
-    rates = calibrate_graphs(num_threads)
+    found = measure()
     with contextlib.suppress(OSError):
-        _write(path, {"seconds": dict(rates.seconds), "speedup": rates.speedup})
-    return rates
+        _write(path, found)
+    return found
 
 
 def _measure(num_threads: int) -> Rates:

@@ -22,7 +22,7 @@ from bundle.planning.inspection.elimination_costs import (
     advise,
     elimination_costs,
 )
-from bundle.planning.inspection.graph_rates import free_pairs, step_terms
+from bundle.planning.inspection.graph_rates import free_pairs, panel_work, step_terms
 from bundle.planning.inspection.machine_rates import graph_rates
 
 __all__ = ["PoseGraphInspection", "inspect_pose_graph"]
@@ -112,7 +112,7 @@ def inspect_pose_graph(
         np.full(num_free, d, np.int32),
         kept,
         ORDERINGS,
-        lambda work: step_terms(rates, graph, work),
+        lambda pattern, order, _: step_terms(rates, graph, panel_work(pattern, order)),
     )
     nnz = d * d * (graph.num_poses + 2 * len(pairs))
     return PoseGraphInspection(

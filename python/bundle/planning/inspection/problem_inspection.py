@@ -1,13 +1,14 @@
-"""Predicted cost of each solver method, from the pattern of a problem, and a recommendation."""
+"""Predicted cost of each solver method, from the pattern of a problem."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import cached_property
 from typing import Any, Unpack, overload
 
 import bundle._core as _core
 from bundle.base.arguments import as_flag
-from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY, format_size
+from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY
 from bundle.errors import InputError
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.same_problem import options_of_graph, pose_graph_of, problem_of
@@ -31,15 +32,18 @@ from bundle.planning.inspection.peak_memory import Terms, ceres_memory, fused_me
 from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection, inspect_pose_graph
 from bundle.planning.inspection.problem_pattern import ProblemPattern, find_pattern
 from bundle.planning.inspection.rates import Rates
+from bundle.planning.inspection.recommended_method import explain, recommend
 from bundle.planning.inspection.step_time import (
     COARSE_FACTOR_SHARE,
     ceres_time,
     fused_time,
+    implicit_time,
+    passes_per_step,
     products_per_step,
 )
 from bundle.solving.layout import resolve_defaults
 
-__all__ = ["explain", "inspect", "recommend"]
+__all__ = ["inspect"]
 
 
 @overload
@@ -147,7 +151,7 @@ def _inspect_factor_graph(
     threads = _only_threads(options, changes)
     poses = pose_graph_of(graph)
     if poses is None:
-        return inspect_factor_graph(graph)
+        return inspect_factor_graph(graph, threads, recalibrate=recalibrate)
     return inspect_pose_graph(poses.graph, threads, recalibrate=recalibrate)
 
 
@@ -188,11 +192,21 @@ class _Inspector:
 
     def auto_choice(self) -> str:
         """Return the linear solver that the fused backend would choose; "" if it has no method."""
+        return self._auto[0]
+
+    @cached_property
+    def _auto(self) -> tuple[str, bool]:
+        """Choice of ``auto``, and True if conjugate gradients would not form S."""
         if all(method.backend == "CERES" for method in self.methods()):
-            return ""
+            return "", False
         return _core.auto_choice(
             *self._pattern.reduced, self._num_threads, self._pattern.num_observations
         )
+
+    def _leaves_out_system(self, method: Method) -> bool:
+        """Return True if a solve by the method would not form S (``fused_solver.cpp``)."""
+        is_local = method.preconditioner in ("IDENTITY", "JACOBI", "SCHUR_JACOBI")
+        return method.backend == "FUSED" and is_local and self._auto[1]
 
     def inspect(self, method: Method) -> MethodInspection:
         """Return the counts and predictions of one method."""
@@ -202,7 +216,9 @@ class _Inspector:
         memory, time = self._predict(method, counted)
         bytes_needed = total(memory)
         fits = bytes_needed <= SHARE_OF_FREE_MEMORY * self.available_memory
-        makes_reduced = method.linear_solver_type != "SPARSE_NORMAL_CHOLESKY"
+        makes_reduced = not (
+            method.linear_solver_type == "SPARSE_NORMAL_CHOLESKY" or self._leaves_out_system(method)
+        )
         return MethodInspection(
             name=method.name,
             linear_solver_type=method.linear_solver_type,
@@ -248,6 +264,9 @@ class _Inspector:
         if method.backend == "CERES":
             memory = ceres_memory(pattern, kind, counted)
             return memory, ceres_time(pattern, kind, name, counted, rates)
+        if self._leaves_out_system(method):
+            memory = fused_memory(pattern.without_system(), kind, counted, self._num_threads)
+            return memory, implicit_time(pattern, rates)
         coarse = 0.0
         if name == "TWO_LEVEL":
             coarse = COARSE_FACTOR_SHARE * self._counter.sparse(self._taken_by_fused()).factor.nnz
@@ -255,6 +274,12 @@ class _Inspector:
         return memory, fused_time(pattern, kind, name, counted, rates, coarse)
 
     def _note(self, method: Method, counted: FactorizedSystem | None) -> str:
+        if self._leaves_out_system(method):
+            passes = round(passes_per_step(self._pattern))
+            return (
+                f"does not form S, and assumes {passes} passes over the observations per step; the "
+                "actual number depends on the values"
+            )
         if counted is None:
             products = products_per_step(method.preconditioner)
             return (
@@ -276,68 +301,3 @@ class _Inspector:
         """Return the cheapest of the orders that supernodes.cpp tries; ties go to the first."""
         tried = ("natural", "amd", "metis")
         return min(tried, key=lambda name: self._counter.sparse(name).factor.cholmod_flops)
-
-
-def recommend(methods: Sequence[MethodInspection]) -> int:
-    """Return the index of the fastest method that is available and fits; -1 if none fits."""
-    usable = [i for i, method in enumerate(methods) if method.is_taken and method.fits_in_memory]
-    return min(usable, key=lambda i: methods[i].time_per_step_in_seconds, default=-1)
-
-
-def explain(methods: Sequence[MethodInspection], best: int, density: float) -> str:
-    """Return the recommendation and its reason as a sentence; ``density`` is that of S."""
-    if best < 0:
-        least = min(methods, key=lambda method: method.memory_in_bytes)
-        return (
-            f"No method fits into the free memory; {least.name} needs the least, "
-            f"{format_size(least.memory_in_bytes)}."
-        )
-    chosen = methods[best]
-    reasons = [f"S is {_two_digits(100 * density)} % full"]
-    if chosen.ordering:
-        order = (
-            ""
-            if chosen.linear_solver_type == "DENSE_SCHUR"
-            else f"the {chosen.ordering} order needs "
-        )
-        reasons.append(f"{order}{chosen.flops:.2g} flops per step")
-    else:
-        reasons.append("no factorisation")
-    rival = _rival(methods, chosen)
-    if rival is not None:
-        reasons.append(_against(rival, chosen))
-    return f"{chosen.linear_solver_type}: {', '.join(reasons)}."
-
-
-def _rival(
-    methods: Sequence[MethodInspection], chosen: MethodInspection
-) -> MethodInspection | None:
-    """Return the best method with another linear solver, of the same backend if possible."""
-    others = [
-        method
-        for method in methods
-        if method.is_taken
-        and method.linear_solver_type != chosen.linear_solver_type
-        and method.backend == chosen.backend
-    ]
-    direct = [method for method in others if method.nnz_factor > 0]
-    return min(direct or others, key=lambda m: m.time_per_step_in_seconds, default=None)
-
-
-def _against(rival: MethodInspection, chosen: MethodInspection) -> str:
-    name = rival.linear_solver_type
-    if not rival.fits_in_memory:
-        return f"{name} needs {format_size(rival.memory_in_bytes)}, more than the free memory"
-    times = rival.time_per_step_in_seconds / chosen.time_per_step_in_seconds
-    if chosen.flops and rival.flops > chosen.flops:
-        more = rival.flops / chosen.flops
-        return f"{name} needs {_two_digits(more)} times the flops and takes {_as_long(times)}"
-    return f"{name} takes {_as_long(times)}"
-
-
-def _as_long(times: float) -> str:
-    return "as long" if times < 1.05 else f"{_two_digits(times)} times as long"
-
-
-def _two_digits(value: float) -> str:
-    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"

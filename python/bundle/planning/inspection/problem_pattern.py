@@ -14,7 +14,7 @@ nonzeros of L includes its lower triangle and its diagonal. Blocks count as dens
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -162,6 +162,21 @@ class ProblemPattern:
     def num_unknowns(self) -> int:
         """Total number of unknowns."""
         return self.num_camera_columns + 3 * self.num_free_points
+
+    def without_system(self) -> ProblemPattern:
+        """Return the pattern if S is not formed: its diagonal blocks, and no pairs of images."""
+        blocks = len(self.reduced.sizes)
+        plan = replace(
+            self.plan,
+            num_pairs=0,
+            num_tile_blocks=0,
+            num_chunk_pairs=0,
+            largest_chunk_blocks=min(self.plan.largest_chunk_blocks, blocks),
+        )
+        diagonal = BlockPattern(
+            self.reduced.sizes, np.arange(blocks + 1), np.arange(blocks, dtype=np.int32)
+        )
+        return replace(self, plan=plan, reduced=diagonal)
 
 
 def find_pattern(problem: Problem, options: SolveOptions) -> ProblemPattern:

@@ -9,7 +9,15 @@ from bundle.planning.inspection.peak_memory import Terms
 from bundle.planning.inspection.problem_pattern import FactorCount, ProblemPattern
 from bundle.planning.inspection.rates import FactorRate, Rates
 
-__all__ = ["COARSE_FACTOR_SHARE", "ceres_time", "factor_rate", "fused_time", "products_per_step"]
+__all__ = [
+    "COARSE_FACTOR_SHARE",
+    "ceres_time",
+    "factor_rate",
+    "fused_time",
+    "implicit_time",
+    "passes_per_step",
+    "products_per_step",
+]
 
 PRODUCTS_PER_STEP, PRODUCTS_WITH_TWO_LEVELS = 200, 80
 """Assumed products with S per step by conjugate gradients. Measurements range from 2 to 500,
@@ -19,6 +27,12 @@ most of them in late steps; with two levels from 2 to 100 (cpp/core/prepare/choo
 # Coarse system of TWO_LEVEL: seconds to form it per value of S and thread, and nnz of its factor
 # relative to nnz(L). Both as in choose_solver.cpp.
 _SECONDS_PER_COARSE_VALUE, COARSE_FACTOR_SHARE = 10e-9, 0.05
+
+_MOST_PASSES, _PASSES_OF_FULL_SYSTEM = 240.0, 30.0
+"""Assumed passes over the observations per step without S, as in choose_solver.cpp."""
+_TIME_OF_A_PASS = 2.5
+"""Time of such a pass relative to that of linearising and evaluating the observations (measured
+with 72,000 observations of 900 images)."""
 
 POWER_SERIES_PRODUCTS = 6
 """Products of one iteration with the power series as preconditioner."""
@@ -83,6 +97,18 @@ def fused_time(
     return terms
 
 
+def implicit_time(pattern: ProblemPattern, rates: Rates) -> Terms:
+    """Return the time of a step by conjugate gradients without S."""
+    plan = pattern.plan
+    block = plan.block_doubles / _BLOCK_DOUBLES
+    linearise = rates.fused_observation * math.sqrt(block) * plan.num_observations
+    return {
+        "observations": linearise,
+        "conjugate gradients": passes_per_step(pattern) * _TIME_OF_A_PASS * linearise,
+        "other": rates.fused_step,
+    }
+
+
 def ceres_time(
     pattern: ProblemPattern,
     linear_solver_type: str,
@@ -117,6 +143,13 @@ def ceres_time(
     rate = factor_rate(rates, is_dense, counted.columns, counted.factor)
     terms["factorisation"] = rate.seconds(counted.factor.flops, counted.factor.nnz)
     return terms
+
+
+def passes_per_step(pattern: ProblemPattern) -> float:
+    """Return the assumed number of products without S per step, as ``choose_solver.cpp``."""
+    columns = float(max(pattern.num_camera_columns, 1))
+    density = min(2 * pattern.num_reduced_values / columns**2, 1.0)
+    return min(_MOST_PASSES, _PASSES_OF_FULL_SYSTEM / density)
 
 
 def products_per_step(preconditioner: str) -> int:

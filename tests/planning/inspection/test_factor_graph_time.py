@@ -1,0 +1,164 @@
+"""Predicted steps of factor graphs: work of the factors, terms of a step, failures, the cache."""
+
+import json
+
+import numpy as np
+import pytest
+
+import bundle
+from bundle.planning.inspection import factor_graph_time, machine_rates
+from bundle.planning.inspection.factor_graph_time import FEATURES, factor_work, step_terms
+
+
+def landmarks(values):
+    pose, point = values
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    back = np.array([[c, s], [-s, c]])
+    seen = back @ (point - pose[:2])
+    return seen, [np.c_[-np.eye(2), [seen[1], -seen[0]]], back]
+
+
+def mixed_graph(function=landmarks):
+    """Poses on a path, of which the first is constant, and landmarks that a function relates."""
+    graph = bundle.FactorGraph()
+    rng = np.random.default_rng(4)
+    for k in range(6):
+        graph.add_variable(f"x{k}", [k, 0.1, 0.2], "se2", fixed=k == 0)
+    for k in range(4):
+        graph.add_variable(f"l{k}", [k, 2.0], fixed=[0] if k == 3 else False)
+    for k in range(5):
+        graph.add_factor(bundle.BetweenFactor(f"x{k}", f"x{k + 1}", [1, 0.1, 0], information=9))
+    for k in range(6):
+        for j in rng.choice(4, 2, replace=False):
+            graph.add_factor(bundle.FunctionFactor([f"x{k}", f"l{j}"], function))
+    graph.add_factor(bundle.PriorFactor("x0", [0, 0, 0], 1))  # of a constant variable
+    return graph
+
+
+def test_the_work_of_factors_is_that_of_their_jacobians():
+    graph = mixed_graph()
+    work = factor_work(graph)
+    free = {key: len(v.coordinates) - sum(v.held) for key, v in graph.variables.items()}
+    rows = entries = products = flops = 0
+    for factor in graph.factors:
+        sizes = [free[key] for key in factor.keys if free[key]]
+        size = 3 if isinstance(factor, bundle.BetweenFactor) else 2
+        if sizes:
+            rows += size
+            entries += size * sum(sizes)
+            products += len(sizes) * (len(sizes) + 1) / 2
+            flops += size * sum(sizes) ** 2
+    assert (work.rows, work.entries, work.block_products, work.product_flops) == (
+        (rows, entries, products, flops)
+    )  # fmt: skip
+    assert 0 < work.in_python < work.evaluation
+
+
+def test_the_time_of_a_sample_counts_for_all_factors_of_its_kind(monkeypatch):
+    samples = []
+
+    def step(_graph, factors, **_):
+        samples.append(len(factors))
+        is_slow = factors[0].kind == "function"
+        each = 5e-3 if is_slow else 1e-6
+        return factor_graph_time._Step(each * len(factors), 0.0, 2 * len(factors))
+
+    monkeypatch.setattr(factor_graph_time, "_step", step)
+    graph = bundle.FactorGraph()
+    for k in range(3000):
+        graph.add_variable(k, [0.0])
+        graph.add_factor(bundle.PriorFactor(k, [1.0], 1))
+    for k in range(40):
+        graph.add_factor(bundle.FunctionFactor([k], lambda v: (v[0], [np.eye(1)])))
+    work = factor_work(graph)
+    np.testing.assert_allclose(work.in_python, 40 * 5e-3)
+    np.testing.assert_allclose(work.evaluation, 40 * 5e-3 + 3000 * 1e-6)
+    # quick factors are timed in large samples, slow ones in small samples
+    assert max(samples) == 3000 and set(samples) == {16, 3000}
+
+
+def test_kinds_beyond_the_time_limit_take_the_mean(monkeypatch):
+    monkeypatch.setattr(factor_graph_time, "MOST_SECONDS", 0.0)
+    monkeypatch.setattr(
+        factor_graph_time,
+        "_step",
+        lambda _graph, factors, **_: factor_graph_time._Step(1e-3 * len(factors), 0.0, 7),
+    )
+    work = factor_work(mixed_graph())
+    np.testing.assert_allclose(work.evaluation, 17e-3)
+
+
+def test_terms_add_up_and_functions_in_python_take_one_thread(factor_graph_seconds):
+    graph = mixed_graph()
+    work = factor_work(graph)
+    counts = {"entries": 100, "cholmod_flops": 1000}
+    one, two = (step_terms(factor_graph_seconds, work, counts, n) for n in (1, 2))
+    assert one == two and one["factors"] == work.evaluation
+    plain = step_terms(factor_graph_seconds, work._replace(in_python=0.0), counts, 2)
+    assert plain["factors"] == work.evaluation / 2
+    seconds = factor_graph_seconds
+    assert one["factorisation"] == pytest.approx(100 * seconds["value"] + 1000 * seconds["flop"])
+    panels = step_terms(seconds, work, {"entries": 100, "cholmod_flops": 4000}, 1)
+    assert panels["factorisation"] == pytest.approx(
+        100 * seconds["panel_value"] + 4000 * seconds["panel_flop"]
+    )
+    dense = step_terms(seconds, work, {"columns": 30}, 1)
+    assert dense["factorisation"] == pytest.approx(seconds["dense_flop"] * (work.rows * 900 + 9000))
+    assert dense["normal equations"] == pytest.approx(
+        seconds["dense_entry"] * (work.rows + 30) * 30
+    )
+
+
+@pytest.mark.usefixtures("factor_graph_seconds")
+def test_every_order_of_a_factor_graph_has_a_time():
+    found = bundle.inspect(mixed_graph(), num_threads=1)
+    assert found.num_threads == 1
+    for cost in found.costs:
+        assert sum(cost.time_terms.values()) == cost.time_per_step_in_seconds > 0
+    assert "per step" in str(found)
+
+
+@pytest.mark.usefixtures("factor_graph_seconds")
+def test_a_function_that_fails_leaves_the_structure_without_times():
+    def broken(_):
+        raise RuntimeError("no connection")
+
+    found = bundle.inspect(mixed_graph(broken))
+    whole = bundle.inspect(mixed_graph())
+    assert all(np.isnan(cost.time_per_step_in_seconds) for cost in found.costs)
+    assert [cost.flops for cost in found.costs] == [cost.flops for cost in whole.costs]
+
+
+def test_a_calibration_has_all_rates(monkeypatch):
+    cases = [("chain", 12, 3), ("grid", 40, 3), ("grid", 100, 6)]
+    monkeypatch.setattr(factor_graph_time, "CASES", cases)
+    seconds = factor_graph_time.calibrate_factor_graphs()
+    assert set(seconds) == set(FEATURES)
+    assert all(np.isfinite(value) and value >= 0 for value in seconds.values())
+    assert max(seconds.values()) > 0
+
+
+def test_rates_are_cached_apart_from_those_of_pose_graphs(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    calls = []
+    seconds = dict.fromkeys(FEATURES, 1e-9)
+    monkeypatch.setattr(
+        machine_rates, "calibrate_factor_graphs", lambda: calls.append(1) or seconds
+    )
+    assert machine_rates.factor_graph_rates() == machine_rates.factor_graph_rates() == seconds
+    assert calls == [1]
+    (path,) = (tmp_path / "bundle").glob("factor-graph-rates-*.json")
+    path.write_text(json.dumps({"seconds": {"step": 1.0}, "speedup": 1.0}))
+    assert machine_rates.factor_graph_rates() == seconds
+    machine_rates.factor_graph_rates(recalibrate=True)
+    assert calls == [1] * 3
+
+
+@pytest.mark.usefixtures("factor_graph_seconds")
+def test_a_comparison_states_the_predicted_steps():
+    found = bundle.compare(mixed_graph(), repeat=1, threads=(1,))
+    predicted = {run.method.name: run.predicted_time_per_step_in_seconds for run in found.runs}
+    assert predicted["sparse-normal-cholesky levenberg-marquardt"] > 0
+    assert predicted["dense-normal-cholesky levenberg-marquardt"] > 0
+    assert np.isnan(predicted["sparse-normal-cholesky dogleg"])
+    assert np.isnan(predicted["square-root levenberg-marquardt"])
