@@ -118,12 +118,12 @@ py::dict CountPanelWork(const Ints& sizes, const Int64s& column_begin, const Int
 /// The linear solver that the fused backend's `auto` chooses, in upper case, and true if conjugate
 /// gradients would not form S.
 std::pair<std::string, bool> AutoChoice(const Ints& sizes, const Int64s& column_begin,
-                                        const Ints& rows, int num_threads,
-                                        int64_t num_observations) {
+                                        const Ints& rows, int num_threads, int64_t num_observations,
+                                        int64_t num_pairs) {
   const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);
   const py::gil_scoped_release release;
   const bundle::SolverChoice choice =
-      bundle::ChooseByPattern(pattern, num_threads, num_observations);
+      bundle::ChooseByPattern(pattern, num_threads, num_observations, num_pairs);
   return {bundle::UpperName(choice.type, bundle::kLinearSolverTypes), choice.leaves_out_system};
 }
 
@@ -151,6 +151,6 @@ void BindInspection(py::module_& m) {
   m.def("panel_work", &CountPanelWork, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
         py::arg("order"), py::arg("near_cache"), py::arg("far_cache"));
   m.def("auto_choice", &AutoChoice, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
-        py::arg("num_threads"), py::arg("num_observations"));
+        py::arg("num_threads"), py::arg("num_observations"), py::arg("num_pairs"));
   m.def("elimination_plan", &EliminationPlan, py::arg("problem"), py::arg("options"));
 }

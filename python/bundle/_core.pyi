@@ -456,6 +456,7 @@ def auto_choice(
     rows: NDArray[np.int32],
     num_threads: int,
     num_observations: int,
+    num_pairs: int,
 ) -> tuple[str, bool]: ...
 def panel_values(
     sizes: NDArray[np.int32],

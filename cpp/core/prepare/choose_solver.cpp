@@ -283,10 +283,10 @@ double CountPanelValues(const BlockPatternView& pattern, const std::vector<int>&
 }
 
 SolverChoice ChooseByPattern(const BlockPatternView& pattern, int num_threads,
-                             int64_t num_observations) {
+                             int64_t num_observations, int64_t num_pairs) {
   const BlockStructure structure = StructureOf(pattern);
   return ChooseLinearSolver(structure, FindFillOrdering(structure), num_threads,
-                            AvailableMemoryBytes(), num_observations);
+                            AvailableMemoryBytes(), num_observations, num_pairs);
 }
 
 }  // namespace bundle

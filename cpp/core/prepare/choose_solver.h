@@ -64,6 +64,6 @@ double CountPanelValues(const BlockPatternView& pattern, const std::vector<int>&
 /// The choice of `auto` on this machine, with the memory available now. Does not query the memory
 /// for fewer than a few hundred columns.
 SolverChoice ChooseByPattern(const BlockPatternView& pattern, int num_threads,
-                             int64_t num_observations);
+                             int64_t num_observations, int64_t num_pairs);
 
 }  // namespace bundle

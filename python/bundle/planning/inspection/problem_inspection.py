@@ -199,8 +199,9 @@ class _Inspector:
         """Choice of ``auto``, and True if conjugate gradients would not form S."""
         if all(method.backend == "CERES" for method in self.methods()):
             return "", False
+        pattern = self._pattern
         return _core.auto_choice(
-            *self._pattern.reduced, self._num_threads, self._pattern.num_observations
+            *pattern.reduced, self._num_threads, pattern.num_observations, pattern.num_pairs
         )
 
     def _leaves_out_system(self, method: Method) -> bool:

@@ -131,6 +131,7 @@ class ProblemPattern:
         pair_entries: the same in scalars: half the sum of F^2 over the free points, where F columns
             of camera parameters observe a point.
         longest_track: largest number of observations of a point.
+        num_pairs: pairs of observations of the same point.
         has_equal_blocks: all camera blocks have the same size and each observation has one of them;
             Ceres then uses Schur kernels of fixed size.
         plan: sizes of the fused backend's passes.
@@ -144,6 +145,7 @@ class ProblemPattern:
     block_pairs: int
     pair_entries: float
     longest_track: int
+    num_pairs: int
     has_equal_blocks: bool
     plan: PlanSize
 
@@ -188,7 +190,8 @@ def find_pattern(problem: Problem, options: SolveOptions) -> ProblemPattern:
     given = options.asdict()
     blocks = _core.parameter_blocks(problem, given)
     reduced = BlockPattern(*_core.reduced_pattern(problem, given))
-    longest_track = int(np.bincount(problem.observation_point, minlength=1).max())
+    tracks = np.bincount(problem.observation_point, minlength=1)
+    longest_track = int(tracks.max())
     plan = PlanSize()
     if longest_track <= _core.MAX_TRACK_LENGTH:
         plan = PlanSize(**_core.elimination_plan(problem, given))
@@ -215,6 +218,7 @@ def find_pattern(problem: Problem, options: SolveOptions) -> ProblemPattern:
         block_pairs=int((num_seen * (num_seen + 1) / 2).sum()),
         pair_entries=float((columns**2).sum() / 2),
         longest_track=longest_track,
+        num_pairs=int((tracks * (tracks - 1)).sum()) // 2,
         has_equal_blocks=not within_images.size and len(np.unique(blocks["size"])) == 1,
         plan=plan,
     )
