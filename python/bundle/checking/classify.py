@@ -66,8 +66,9 @@ SIGNATURES: tuple[Callable[[Evidence], None], ...] = (
     column.zeros,
     row.whitening,
     row.logarithm,
-    column.transposed,
+    column.column_major,  # zeros make some of its columns constant factors
     column.factors,
+    column.transposed,  # the negative of a skew matrix is its transpose: a sign is likelier
     rotation.rotation_vectors,
     rotation.turned,
     column.order,

@@ -13,6 +13,7 @@ from bundle.checking.evidence import EXPLAINED, Evidence
 from bundle.checking.jacobian_deviation import Array
 
 __all__ = [
+    "column_major",
     "factors",
     "order",
     "parameter_factors",
@@ -180,19 +181,30 @@ def _factor_in_words(factor: float) -> tuple[str, str]:
     return "factor", f"{times:.{digits}f} times too {'large' if large else 'small'}{sign}"
 
 
+def column_major(evidence: Evidence) -> None:
+    """Find oblong blocks stored column by column, although Ceres expects row-major order."""
+    _find_transposed(evidence, is_square=False)
+
+
 def transposed(evidence: Evidence) -> None:
-    """Find blocks stored column by column, although Ceres expects row-major order."""
+    """Find transposed square blocks."""
+    _find_transposed(evidence, is_square=True)
+
+
+def _find_transposed(evidence: Evidence, *, is_square: bool) -> None:
     for block in evidence.blocks:
         columns = list(block.columns)
         num_points, num_residuals = evidence.analytic.shape[:2]
         if min(num_residuals, block.size) < 2 or not set(columns) & set(evidence.wrong):
+            continue
+        if is_square != (block.size == num_residuals):
             continue
         raw = evidence.deviations.reference[..., columns]
         guess = raw.transpose(0, 2, 1).reshape(num_points, num_residuals, block.size)
         if evidence.explains(guess / evidence.deviations.scale[..., columns], columns):
             what = (
                 "transposed"
-                if block.size == num_residuals
+                if is_square
                 else "transposed in memory: written column by column, to be read row by row"
             )
             evidence.found(

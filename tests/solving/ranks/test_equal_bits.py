@@ -88,6 +88,8 @@ def mixed_widths():
 
 CASES = {
     "one camera": (lambda: street(cameras="shared"), {}),
+    "blocks of nine columns": (lambda: street(camera_model="RADIAL", cameras="individual"), {}),
+    "blocks of twelve columns": (lambda: street(camera_model="OPENCV", cameras="individual"), {}),
     "models of several widths": (mixed_widths, {}),
     "loss": (lambda: street(outlier_share=0.1), {"loss": "cauchy", "loss_scale": 2.0}),
     "far start": (far_start, {}),

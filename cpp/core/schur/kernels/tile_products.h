@@ -170,7 +170,7 @@ void SubtractPairs(const double* w, int width, int64_t stride, const EntryPair* 
   });
 }
 
-/// Stores kRows rows of a 9 x 9 block, and adds its last column, which was summed by rows.
+/// Stores kRows rows of a 9 x 9 block, and its last column, which was summed as a row.
 template <int kRows>
 inline void StoreNine(const WideRow<2>* sum, const WideRow<2>& last_column, double last,
                       double* block) {
@@ -178,8 +178,8 @@ inline void StoreNine(const WideRow<2>* sum, const WideRow<2>& last_column, doub
   last_column.Store(column);
 #pragma GCC unroll 9
   for (int r = 0; r < kRows; ++r) sum[r].Store(block + 12 * r);
-  for (int r = 0; r < 8; ++r) block[12 * r + 8] += column[r];
-  block[12 * 8 + 8] += last;
+  for (int r = 0; r < 8; ++r) block[12 * r + 8] = column[r];
+  block[12 * 8 + 8] = last;
 }
 
 /// The same for 9 x 9 blocks: a pose and three camera parameters. Three quads would leave a quarter
@@ -187,8 +187,8 @@ inline void StoreNine(const WideRow<2>* sum, const WideRow<2>& last_column, doub
 inline void SubtractNine(const double* w, int64_t stride, const EntryPair* pairs, int count,
                          double* block) {
   using Row = WideRow<2>;
-  Row sum[9], last_column = {};
-  double last = 0;
+  Row sum[9], last_column = LoadColumn(block + 8);
+  double last = block[12 * 8 + 8];
 #pragma GCC unroll 9
   for (int r = 0; r < 9; ++r) sum[r] = Row::Load(block + 12 * r);
   for (int i = 0; i < count; ++i) {
@@ -211,8 +211,8 @@ inline void SubtractNine(const double* w, int64_t stride, const EntryPair* pairs
 template <bool kHasMiddle>
 void AddNine(const ImageRecords& records, int first, double* block) {
   using Row = WideRow<2>;
-  Row sum[8], last_column = {};
-  double last = 0;
+  Row sum[8], last_column = LoadColumn(block + 8);
+  double last = block[12 * 8 + 8];
 #pragma GCC unroll 8
   for (int r = 0; r < 8; ++r) sum[r] = Row::Load(block + 12 * r);
   for (int i = 0; i < records.count; ++i) {
@@ -237,7 +237,8 @@ void AddNine(const ImageRecords& records, int first, double* block) {
     }
     last_column.Add(end[0], a[0]);
     last_column.Add(end[1], a[1]);
-    last += end[0] * a_0[8] + end[1] * a_1[8];
+    last += end[0] * a_0[8];
+    last += end[1] * a_1[8];
   }
   StoreNine<8>(sum, last_column, last, block);
 }

@@ -16,8 +16,8 @@
 
 namespace bundle::BUNDLE_ISA {
 
-/// Stores the first eight columns of kRows rows of a 12 x 12 block, and adds the last four: those
-/// of the first eight rows are the rows of `tail`, the others `corner`.
+/// Stores the first eight columns of kRows rows of a 12 x 12 block, and the last four: those of the
+/// first eight rows are the rows of `tail`, the others `corner`.
 template <int kRows>
 inline void StoreTwelve(const WideRow<2>* sum, const WideRow<2>* tail, const Quad* corner,
                         double* block) {
@@ -31,19 +31,22 @@ inline void StoreTwelve(const WideRow<2>* sum, const WideRow<2>* tail, const Qua
   }
   for (int r = 0; r < 8; ++r) {
     double* const to = block + 12 * r + 8;
-    StoreQuad(LoadQuad(to) + Quad{columns[0][r], columns[1][r], columns[2][r], columns[3][r]}, to);
+    StoreQuad(Quad{columns[0][r], columns[1][r], columns[2][r], columns[3][r]}, to);
   }
 }
 
 inline void SubtractTwelve(const double* w, int64_t stride, const EntryPair* pairs, int count,
                            double* block) {
   using Row = WideRow<2>;
-  Row sum[12], tail[4] = {};
+  Row sum[12], tail[4];
   Quad corner[4];
 #pragma GCC unroll 12
   for (int r = 0; r < 12; ++r) sum[r] = Row::Load(block + 12 * r);
 #pragma GCC unroll 4
-  for (int c = 0; c < 4; ++c) corner[c] = LoadQuad(block + 12 * (8 + c) + 8);
+  for (int c = 0; c < 4; ++c) {
+    tail[c] = LoadColumn(block + 8 + c);
+    corner[c] = LoadQuad(block + 12 * (8 + c) + 8);
+  }
   for (int i = 0; i < count; ++i) {
     const double* const a = w + stride * pairs[i].first;
     const double* const b = w + stride * pairs[i].second;
@@ -68,12 +71,15 @@ inline void SubtractTwelve(const double* w, int64_t stride, const EntryPair* pai
 template <bool kHasMiddle, typename Records>
 void AddTwelve(const Records& records, int first, double* block) {
   using Row = WideRow<2>;
-  Row sum[8], tail[4] = {};
+  Row sum[8], tail[4];
   Quad corner[4];
 #pragma GCC unroll 8
   for (int r = 0; r < 8; ++r) sum[r] = Row::Load(block + 12 * r);
 #pragma GCC unroll 4
-  for (int c = 0; c < 4; ++c) corner[c] = LoadQuad(block + 12 * (8 + c) + 8);
+  for (int c = 0; c < 4; ++c) {
+    tail[c] = LoadColumn(block + 8 + c);
+    corner[c] = LoadQuad(block + 12 * (8 + c) + 8);
+  }
   for (int i = 0; i < records.count; ++i) {
     const double* const record = records.first + records.stride * records.observations[i];
     const double* const a[2] = {record + first, record + first + records.row_stride};

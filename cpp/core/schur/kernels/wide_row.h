@@ -73,4 +73,12 @@ struct WideRow {
   }
 };
 
+/// The first eight numbers of a column of a block with rows of 12. Sums begin with what the block
+/// has: on a grid (assembly/sum_grid.h) every product must be rounded to it.
+inline WideRow<2> LoadColumn(const double* column) {
+  double numbers[8];
+  for (int r = 0; r < 8; ++r) numbers[r] = column[12 * r];
+  return WideRow<2>::Load(numbers);
+}
+
 }  // namespace bundle::BUNDLE_ISA
