@@ -24,7 +24,8 @@ namespace {
 // adding a block to S takes as long as four pairs, but not beyond a twelfth of the problem.
 constexpr int64_t kSmallestChunk = 2048, kLargestChunk = 65536;
 constexpr int64_t kChunksOfProblem = 64, kLeastChunks = 12;
-constexpr int64_t kWorkPerBlock = 20, kLeastOfFullChunk = 512;  // times ImageParts::block_copies
+constexpr int64_t kWorkPerBlock = 20;  // times ImageParts::block_copies
+constexpr int64_t kLeastOfFullChunk = 512;
 // Where blocks hardly repeat, as in photo collections, buffers larger than the cache still pay:
 // 1000 images with a million observations took 12.3 s of processor time with 4 MiB, 8.9 s with 32
 // MiB (kMaxBufferBytes).

@@ -16,6 +16,18 @@
 
 namespace bundle::BUNDLE_ISA {
 
+/// Loads what StoreTwelve stores.
+template <int kRows>
+inline void LoadTwelve(const double* block, WideRow<2>* sum, WideRow<2>* tail, Quad* corner) {
+#pragma GCC unroll 12
+  for (int r = 0; r < kRows; ++r) sum[r] = WideRow<2>::Load(block + 12 * r);
+#pragma GCC unroll 4
+  for (int c = 0; c < 4; ++c) {
+    tail[c] = LoadColumn(block + 8 + c);
+    corner[c] = LoadQuad(block + 12 * (8 + c) + 8);
+  }
+}
+
 /// Stores the first eight columns of kRows rows of a 12 x 12 block, and the last four: those of the
 /// first eight rows are the rows of `tail`, the others `corner`.
 template <int kRows>
@@ -40,13 +52,7 @@ inline void SubtractTwelve(const double* w, int64_t stride, const EntryPair* pai
   using Row = WideRow<2>;
   Row sum[12], tail[4];
   Quad corner[4];
-#pragma GCC unroll 12
-  for (int r = 0; r < 12; ++r) sum[r] = Row::Load(block + 12 * r);
-#pragma GCC unroll 4
-  for (int c = 0; c < 4; ++c) {
-    tail[c] = LoadColumn(block + 8 + c);
-    corner[c] = LoadQuad(block + 12 * (8 + c) + 8);
-  }
+  LoadTwelve<12>(block, sum, tail, corner);
   for (int i = 0; i < count; ++i) {
     const double* const a = w + stride * pairs[i].first;
     const double* const b = w + stride * pairs[i].second;
@@ -73,13 +79,7 @@ void AddTwelve(const Records& records, int first, double* block) {
   using Row = WideRow<2>;
   Row sum[8], tail[4];
   Quad corner[4];
-#pragma GCC unroll 8
-  for (int r = 0; r < 8; ++r) sum[r] = Row::Load(block + 12 * r);
-#pragma GCC unroll 4
-  for (int c = 0; c < 4; ++c) {
-    tail[c] = LoadColumn(block + 8 + c);
-    corner[c] = LoadQuad(block + 12 * (8 + c) + 8);
-  }
+  LoadTwelve<8>(block, sum, tail, corner);
   for (int i = 0; i < records.count; ++i) {
     const double* const record = records.first + records.stride * records.observations[i];
     const double* const a[2] = {record + first, record + first + records.row_stride};

@@ -54,12 +54,12 @@ def fitted_lens(
     )
     xy = np.concatenate([center + radii[:, None] * direction for direction in directions])
     start = "SIMPLE_FISHEYE" if "FISHEYE" in model else "SIMPLE_PINHOLE"
-    return _fitted(model, (start, np.array([focal, *center])), rays, xy)
+    return fitted_to_rays(model, (start, np.array([focal, *center])), rays, xy)
 
 
 def fitted_to_rays(
     model: str,
-    start: NDArray[np.float64],
+    start: tuple[str, NDArray[np.float64]],
     rays: NDArray[np.float64],
     xy: NDArray[np.float64],
 ) -> FittedLens | None:
@@ -67,19 +67,10 @@ def fitted_to_rays(
 
     Args:
         model: model to fit.
-        start: parameters of this model near the lens.
+        start: a model and its parameters, near the lens.
         rays: (n, 3) directions.
         xy: (n, 2) pixels of these rays.
     """
-    return _fitted(model, (model, start), rays, xy)
-
-
-def _fitted(
-    model: str,
-    start: tuple[str, NDArray[np.float64]],
-    rays: NDArray[np.float64],
-    xy: NDArray[np.float64],
-) -> FittedLens | None:
     fit = fit_lens(model, start, rays, xy)
     if fit is None:
         return None

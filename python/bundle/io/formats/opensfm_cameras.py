@@ -193,7 +193,7 @@ def _fisheye624(camera: SfmCamera, base: list[float], place: str) -> Camera:
         thin = [*base, k[0], k[1], p1, p2, k[2], k[3], s0, s2]
         return Camera("THIN_PRISM_FISHEYE", np.array(thin))
     rays, xy = _rays_inside(camera)
-    fit = fitted_to_rays(full.model, full.params, rays, xy) if len(rays) else None
+    fit = fitted_to_rays(full.model, (full.model, full.params), rays, xy) if len(rays) else None
     if fit is None:
         raise InputError(f"{place}: expected a lens that {full.model} can represent, found another")
     return Camera(full.model, fit.params, fit.error)
