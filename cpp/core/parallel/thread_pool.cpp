@@ -1,10 +1,5 @@
 #include "core/parallel/thread_pool.h"
 
-#ifdef __linux__
-#include <pthread.h>
-#include <sched.h>
-#endif
-
 #include <algorithm>
 #include <chrono>
 #include <condition_variable>
@@ -14,11 +9,12 @@
 #include <utility>
 #include <vector>
 
+#include "core/parallel/crew.h"
+
 namespace bundle {
 
 namespace {
 
-constexpr std::chrono::microseconds kStayAwake{200};
 constexpr int kSpinsBeforeYield = 2000;
 
 void Pause() {
@@ -26,24 +22,6 @@ void Pause() {
   __builtin_ia32_pause();
 #elif defined(__aarch64__)
   asm volatile("yield");
-#endif
-}
-
-/// Moves a thread that was started or woken off this thread's processor. In a virtual machine,
-/// Linux often puts it there although another one is idle, and balances its processors only after
-/// milliseconds: a small solve would end before its threads run.
-void MoveElsewhere(std::thread* thread) {
-#ifdef __linux__
-  cpu_set_t allowed;
-  const pthread_t handle = thread->native_handle();
-  if (pthread_getaffinity_np(handle, sizeof allowed, &allowed) != 0) return;
-  cpu_set_t others = allowed;
-  CPU_CLR(sched_getcpu(), &others);
-  if (CPU_COUNT(&others) == 0) return;
-  pthread_setaffinity_np(handle, sizeof others, &others);
-  pthread_setaffinity_np(handle, sizeof allowed, &allowed);
-#else
-  static_cast<void>(thread);
 #endif
 }
 
@@ -73,83 +51,18 @@ void SpinWait::Once() {
   }
 }
 
-ThreadPool::ThreadPool(int num_threads) : claimed_(std::max(1, num_threads)) {
-  try {
-    workers_.reserve(std::max(0, num_threads - 1));
-    for (int thread = 1; thread < num_threads; ++thread) {
-      workers_.emplace_back([this, thread] { WorkerLoop(thread); });
-      MoveElsewhere(&workers_.back());
-    }
-  } catch (const std::system_error&) {  // the system cannot start more threads
-  } catch (const std::bad_alloc&) {     // no memory for another thread
-  }
-}
+// One thread needs no crew.
+ThreadPool::ThreadPool(int num_threads)
+    : crew_(num_threads > 1 ? TakeCrew(num_threads) : nullptr) {}
 
 ThreadPool::~ThreadPool() {
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    generation_.store(-1, std::memory_order_release);
-  }
-  wake_.notify_all();
-  for (std::thread& worker : workers_) worker.join();
+  if (crew_ != nullptr) ReturnCrew(std::move(crew_));
 }
+
+int ThreadPool::num_threads() const { return crew_ == nullptr ? 1 : crew_->num_threads(); }
 
 void ThreadPool::Run(const std::function<void(int thread)>& work) {
-  if (!workers_.empty()) {
-    work_ = &work;
-    unfinished_.store(static_cast<int>(workers_.size()), std::memory_order_relaxed);
-    const std::lock_guard<std::mutex> lock(mutex_);
-    generation_.fetch_add(1, std::memory_order_release);
-    if (num_asleep_ > 0) {
-      wake_.notify_all();
-      for (std::thread& worker : workers_) MoveElsewhere(&worker);
-    }
-  }
-  Work(work, 0);
-  const int64_t generation = generation_.load(std::memory_order_relaxed);
-  for (int thread = 1; thread < num_threads(); ++thread) {
-    if (!Claim(thread, generation)) continue;
-    Work(work, thread);
-    unfinished_.fetch_sub(1, std::memory_order_relaxed);
-  }
-  for (SpinWait wait; unfinished_.load(std::memory_order_acquire) > 0;) wait.Once();
-  first_exception_.Rethrow();
-}
-
-bool ThreadPool::Claim(int thread, int64_t generation) {
-  int64_t previous = generation - 1;  // each run's work of each thread is claimed
-  return claimed_[thread].compare_exchange_strong(previous, generation, std::memory_order_acq_rel);
-}
-
-void ThreadPool::Work(const std::function<void(int thread)>& work, int thread) {
-  try {
-    work(thread);
-  } catch (...) {
-    first_exception_.Keep();
-  }
-}
-
-void ThreadPool::WorkerLoop(int thread) {
-  for (int64_t seen = 0;;) {
-    const auto asleep_at = std::chrono::steady_clock::now() + kStayAwake;
-    int64_t generation = generation_.load(std::memory_order_acquire);
-    for (SpinWait wait; generation == seen && std::chrono::steady_clock::now() < asleep_at;) {
-      wait.Once();
-      generation = generation_.load(std::memory_order_acquire);
-    }
-    if (generation == seen) {
-      std::unique_lock<std::mutex> lock(mutex_);
-      ++num_asleep_;
-      wake_.wait(lock, [&] { return generation_.load(std::memory_order_acquire) != seen; });
-      --num_asleep_;
-      generation = generation_.load(std::memory_order_acquire);
-    }
-    if (generation < 0) return;
-    seen = generation;
-    if (!Claim(thread, generation)) continue;
-    Work(*work_, thread);
-    unfinished_.fetch_sub(1, std::memory_order_release);
-  }
+  crew_ == nullptr ? work(0) : crew_->Run(work);
 }
 
 void RunOnThreads(int64_t count, const std::function<void(int64_t)>& run) {

@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <exception>
 #include <functional>
+#include <memory>
 #include <mutex>
 #include <thread>
 #include <utility>
@@ -67,8 +68,11 @@ void ParallelFor(int64_t count, int num_threads, const Function& function,
   RunOnThreads(ranges, [&](int64_t s) { function(begin(s), begin(s + 1)); });
 }
 
-/// Threads with the lifetime of a solve. A pass of a small problem takes less time than starting a
-/// thread, so they wait actively for the next pass for a while.
+class Crew;
+
+/// Threads for the lifetime of a solve, taken from a crew (crew.h) that outlives it. A pass of a
+/// small problem takes less time than waking a thread, so they wait actively for the next pass for
+/// a while.
 ///
 /// The caller waits only for threads that have started: it does the work of the others itself. On a
 /// loaded machine a thread may get a core milliseconds later, when its share has long been done.
@@ -80,7 +84,7 @@ class ThreadPool {
   ThreadPool(const ThreadPool&) = delete;
   ThreadPool& operator=(const ThreadPool&) = delete;
 
-  int num_threads() const { return static_cast<int>(workers_.size()) + 1; }
+  int num_threads() const;
 
   /// Calls work(thread) once for each thread, where the caller's is thread 0, and waits for all.
   /// The caller's thread also makes the calls that no other thread has started when its own has
@@ -89,20 +93,7 @@ class ThreadPool {
   void Run(const std::function<void(int thread)>& work);
 
  private:
-  void WorkerLoop(int thread);
-  /// True for the first caller in a run: only that one may do the work of the thread.
-  bool Claim(int thread, int64_t generation);
-  void Work(const std::function<void(int thread)>& work, int thread);
-
-  std::vector<std::atomic<int64_t>> claimed_;  ///< by thread: latest run whose work was started
-  std::vector<std::thread> workers_;
-  const std::function<void(int)>* work_ = nullptr;
-  std::atomic<int64_t> generation_{0};  ///< number of runs; -1 ends the threads
-  std::atomic<int> unfinished_{0};
-  std::mutex mutex_;
-  std::condition_variable wake_;
-  int num_asleep_ = 0;  ///< threads that wait for `wake_`; guarded by mutex_
-  FirstException first_exception_;
+  std::unique_ptr<Crew> crew_;  ///< nullptr: one thread
 };
 
 /// Calls visit(number, thread) for the numbers 0 to count - 1, which the threads of the pool take

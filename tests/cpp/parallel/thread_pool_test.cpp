@@ -90,7 +90,7 @@ TEST(ThreadPool, DoesNotWaitForAThreadThatHasNotStarted) {
 
 TEST(ThreadPool, MakesDoWithTheThreadsThereAre) {
   const testing::NoThreads none;
-  ThreadPool pool(4);
+  ThreadPool pool(5);
   EXPECT_EQ(pool.num_threads(), 1);
   std::vector<int> ran;
   pool.Run([&](int thread) { ran.push_back(thread); });
