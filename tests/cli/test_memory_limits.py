@@ -84,3 +84,28 @@ def test_a_data_segment_that_is_too_small_ends_in_one_line(
 ) -> None:
     arguments = ("refine", inputs["bal"], "-o", tmp_path / "out", "--quiet")
     expect_work_or_one_line(*run(resource.RLIMIT_DATA, limit * MB, *arguments))
+
+
+SOLVE_WITH_LITTLE_LEFT = """
+import resource, sys
+import bundle
+problem = bundle.load(sys.argv[1])
+bundle.solve(problem, num_threads=1)  # all modules are imported
+pages = int(open("/proc/self/statm").read().split()[0])
+limit = pages * resource.getpagesize() + 100_000_000
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+print(bundle.solve(problem, num_threads=1, linear_solver_type=sys.argv[2]).summary.final_cost)
+"""
+
+
+def test_a_sparse_fused_solve_takes_no_buffers_of_openblas(inputs: dict[str, Path]) -> None:
+    """One buffer has 128 MiB, more than the limit leaves."""
+    solver = "sparse_schur"
+    done = subprocess.run(
+        [sys.executable, "-c", SOLVE_WITH_LITTLE_LEFT, str(inputs["bal"]), solver],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert float(done.stdout) == pytest.approx(
+        bundle.solve(inputs["bal"], linear_solver_type=solver).summary.final_cost, rel=1e-12
+    )

@@ -88,14 +88,16 @@ class DenseSolver final : public LinearSolver {
   LinearSolution DoFactorize(BlockSystem* system, const std::vector<double>& /*scale*/) override {
     values_ = system->values.data();
     if (num_columns_ == 0) return {};
+    if (has_own_kernels_) return Factorized(FactorizeTiled(values_, num_columns_, pool_));
     const ScopedBlasThreads blas_threads(pool_ == nullptr ? blas_threads_ : 1);
+    if (pool_ != nullptr) return Factorized(FactorizeTiled(values_, num_columns_, pool_));
     int info = 0;
-    if (has_own_kernels_ || pool_ != nullptr) {
-      info = FactorizeTiled(values_, num_columns_, pool_);
-      return info == 0 ? LinearSolution{} : NotPositiveDefinite(info, "");
-    }
     dpotrf_(&kLower, &num_columns_, values_, &num_columns_, &info);
     if (info < 0) return RefusedArgument(info);
+    return Factorized(info);
+  }
+
+  static LinearSolution Factorized(int info) {
     return info == 0 ? LinearSolution{} : NotPositiveDefinite(info, "");
   }
 
@@ -187,8 +189,12 @@ class SparseSolver final : public LinearSolver {
     if (num_columns_ == 0 || num_rhs == 0) return {};
     const int64_t size = int64_t{num_columns_} * num_rhs;
     std::copy(rhs, rhs + size, x);
-    const ScopedBlasThreads blas_threads(blas_threads_);
-    cholesky_.Solve(values_, x, num_rhs);
+    if (num_rhs == 1) {
+      cholesky_.Solve(values_, x);
+    } else {
+      const ScopedBlasThreads blas_threads(blas_threads_);
+      cholesky_.Solve(values_, x, num_rhs);
+    }
     return CheckFinite(x, size);
   }
 

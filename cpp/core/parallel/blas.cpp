@@ -21,6 +21,7 @@ namespace {
 std::mutex mutex;
 int num_holders = 0;
 int saved_num_threads = 0;
+std::atomic<bool> buffers_may_fail{false};
 std::atomic<int> max_num_threads{std::numeric_limits<int>::max()};
 
 // Bytes of a buffer, plus stacks of threads and the heap.
@@ -60,7 +61,10 @@ void TakeBlasBuffers() {
   std::call_once(taken, TakeBuffersOnce);
 }
 
+void TakeBlasBuffersAtFirstUse() { buffers_may_fail = true; }
+
 ScopedBlasThreads::ScopedBlasThreads(int num_threads) {
+  if (buffers_may_fail) TakeBlasBuffers();
   const std::lock_guard<std::mutex> lock(mutex);
   if (num_holders++ > 0) return;
   saved_num_threads = openblas_get_num_threads();

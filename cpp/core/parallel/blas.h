@@ -53,6 +53,9 @@ class ScopedBlasThreads {
 /// call wakes all threads of OpenBLAS, which then spin for 30 to 60 ms of CPU time.
 void TakeBlasBuffers();
 
+/// Makes the first ScopedBlasThreads call TakeBlasBuffers: most solves call no routine of OpenBLAS.
+void TakeBlasBuffersAtFirstUse();
+
 /// From this number of columns on, the factorisation of a dense matrix is worth OpenBLAS' threads.
 inline constexpr int kColumnsWorthBlasThreads = 1000;
 

@@ -116,7 +116,7 @@ double AvailableMemoryBytes(const std::string& root) {
 
 double AvailableMemoryFor(double bytes) {
   constexpr double kFitsAnywhere = 1 << 25;
-  return bytes < kFitsAnywhere && !HasMemoryLimit() ? kUnlimited : AvailableMemoryBytes();
+  return bytes < kFitsAnywhere ? std::max(0.0, LeftByLimits("")) : AvailableMemoryBytes();
 }
 
 double PredictFusedWorkingBytes(const ParameterLayout& layout,

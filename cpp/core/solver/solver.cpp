@@ -3,10 +3,6 @@
 /// The fused backend eliminates the points and factorises the reduced camera system, or solves it
 /// iteratively. Ceres handles all other options and problems.
 
-#if __has_include(<unistd.h>)
-#include <unistd.h>
-#endif
-
 #include <algorithm>
 #include <atomic>
 #include <cstdint>
@@ -26,6 +22,7 @@
 #include "core/model/scene_frame.h"
 #include "core/model/world_scale.h"
 #include "core/parallel/blas.h"
+#include "core/parallel/crew.h"
 #include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
 #include "core/solver/fov_jump.h"
@@ -79,11 +76,6 @@ SolveOutput SolveWithCeresAsAsked(const AdjustmentProblem& problem, SolveOptions
   return SolveWithCeres(problem, options, std::move(prepared), progress);
 }
 
-#if __has_include(<unistd.h>)
-int64_t ProcessId() { return getpid(); }
-#else
-int64_t ProcessId() { return 1; }
-#endif
 constexpr int64_t kNobody = 0;
 
 /// At the start and at the solution, in the world of the factors.
@@ -109,7 +101,7 @@ class Solver::Impl {
   Impl(const AdjustmentProblem& problem, const SolveOptions& options, bool is_reused)
       : problem_(problem), options_(options), is_reused_(is_reused) {
     RefuseTooLarge(problem);
-    if (HasMemoryLimit()) TakeBlasBuffers();
+    if (HasMemoryLimit()) TakeBlasBuffersAtFirstUse();
   }
 
   ~Impl() { AbandonAfterFork(); }
