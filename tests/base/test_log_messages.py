@@ -7,6 +7,7 @@ import sys
 import pytest
 
 import bundle
+from bundle.base.log_messages import log
 from tests.scenes import make_problem
 
 
@@ -40,6 +41,7 @@ def test_warnings_of_a_solve(problem, caplog):
 @pytest.mark.parametrize("first", ["", "import logging; "])
 def test_without_a_handler_nothing_is_printed_and_logging_is_not_imported(first):
     script = f"""{first}import sys, bundle
+from bundle.base.log_messages import log
 from tests.scenes import make_problem
 problem = make_problem(num_images=3, num_points=12)
 bundle.solve(problem, linear_solver_type="dense_schur", preconditioner_type="schur_jacobi")
@@ -47,3 +49,12 @@ assert "logging" in sys.modules or not {bool(first)}
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize(("level", "calls"), [(logging.INFO, 1), (logging.WARNING, 0)])
+def test_a_value_is_made_for_a_message_that_is_shown(caplog, level, calls):
+    caplog.set_level(level, logger="bundle")
+    made = []
+    log("info", "%d of %s", 3, lambda: made.append(1) or "seven")
+    assert [r.getMessage() for r in caplog.records] == ["3 of seven"] * calls
+    assert len(made) == calls

@@ -26,10 +26,14 @@ LEVELS = {"debug": 10, "info": 20, "warning": 30}
 
 
 def log(level: str, message: str, *values: object) -> None:
-    """Log a message with values in the style of logging, such as ``log("info", "%d steps", 3)``."""
+    """Log a message with values in the style of logging, such as ``log("info", "%d steps", 3)``.
+
+    A value that is slow to make can be a function, which is called if a handler shows the message.
+    """
     logger = _logger()
-    if logger is not None:
-        logger.log(LEVELS[level], message, *values)
+    if logger is not None and logger.isEnabledFor(LEVELS[level]):
+        shown = (value() if callable(value) else value for value in values)
+        logger.log(LEVELS[level], message, *shown)
 
 
 def logged_iterations(

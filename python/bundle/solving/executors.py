@@ -66,7 +66,7 @@ def solve_prepared(
     refuse_shrinking(prepared.layout)
     log("info", "solving %s", prepared.start)
     result = prepared.result(executor.run(prepared, logged_iterations(progress)))
-    log("info", "%s", result.outcome)
+    log("info", "%s", lambda: result.outcome)
     for sentence in result.summary.warnings:
         log("warning", "%s", sentence)
     return result
