@@ -24,31 +24,28 @@ __all__ = [
 ]
 
 COMMANDS = {
-    "info": "what a reconstruction holds, its reprojection error [px] now, and what looks wrong",
-    "inspect": "what each way to solve a problem will cost: nonzeros, fill, flops, memory, time "
-    "per step",
-    "refine": "bundle adjustment: poses, points and intrinsics that explain the observations best; "
-    "of a pose graph (.g2o) the poses that explain its edges best",
-    "compare": "the same start under several solvers: measured, and one of them recommended",
-    "validate": "which lens model, sharing and loss predict observations best: k folds, one "
-    "recommendation",
-    "check": "validates the analytic Jacobians on this very problem, or those of your own factors "
-    "(FILE.py:NAME), and names what is wrong",
-    "covariance": "how certain poses, points and intrinsics, or the poses of a pose graph are: "
-    "their marginal covariances",
-    "diagnose": "what the observations, or the edges of a pose graph, do not determine, and why: "
-    "rank, weak directions, pieces, points, suspicious edges",
-    "align": "puts a reconstruction where GPS, control points or another model say it is",
-    "merge": "makes two reconstructions of partly the same images one",
+    "info": "counts, cameras, tracks, reprojection errors [px], and warnings",
+    "inspect": "predict nonzeros, fill-in, flops, memory and time per step of each solver",
+    "refine": "bundle adjustment of a model, or optimisation of a pose graph (.g2o)",
+    "compare": "solve from the same start with several solvers, and recommend one",
+    "validate": "cross-validate lens models, sharing of cameras and losses, and recommend one",
+    "check": "check the analytic Jacobians of this problem, or of your own factors "
+    "(FILE.py:NAME), and name mistakes",
+    "covariance": "marginal covariances of poses, points and intrinsics, or of the poses of a "
+    "pose graph",
+    "diagnose": "find undetermined parameters of a model or pose graph: rank, weak directions, "
+    "components, suspicious edges",
+    "align": "georeference a model by GPS or control points, or align it to another model",
+    "merge": "merge two models that share images",
     "evaluate": "errors of a model or trajectory A against a reference: truth, or another model",
-    "report": "one page (HTML, no network) on a reconstruction: residuals, lenses, tracks, a 3-D "
-    "view; on a pose graph: errors by kind of edge, worst edges, structure, trajectory",
-    "triage": "names the cause of the difference between two reports of one input: ordering, fill, "
+    "report": "write a page (HTML, no network) on a model or pose graph: verdicts, residuals, "
+    "worst images or edges, a 3-D view",
+    "triage": "name the cause of the difference between two reports of one input: ordering, fill, "
     "prior, Jacobian, machine, data, options or convergence",
-    "vio": "visual-inertial odometry from feature tracks and IMU samples",
-    "convert": "between formats, saying what is lost",
-    "synth": "seeded synthetic scenes with ground truth, from toy to millions of observations",
-    "demo": "refines a small scene that comes with the package, and writes a report page",
+    "vio": "visual-inertial odometry from images, a recording or feature tracks, and IMU samples",
+    "convert": "convert between formats, and list what is lost",
+    "synth": "make a seeded scene with ground truth, from toy to millions of observations",
+    "demo": "refine a small scene that comes with the package, and write a report page",
 }
 """Commands in the order of the help, with their help texts."""
 
