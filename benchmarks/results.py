@@ -42,6 +42,27 @@ class Results:
     windows: dict[str, Any] = field(default_factory=dict)
     judging: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
 
+    def followed_by(self, later: Results) -> Results:
+        """Return both as one; where both measured the same, the later ones."""
+        kept = [run for run in self.runs if run["problem"] not in later.kinds]
+        tables = (
+            "whole",
+            "practitioners",
+            "uncertainty",
+            "pose_graphs",
+            "inertial",
+            "windows",
+            "judging",
+        )
+        return Results(
+            machine=later.machine,
+            command=f"{self.command}`, then `{later.command}",
+            settings=later.settings,
+            kinds={**self.kinds, **later.kinds},
+            runs=[*kept, *later.runs],
+            **{name: {**getattr(self, name), **getattr(later, name)} for name in tables},
+        )
+
     def of(self, problem: str, rule: str = "default", threads: int = 0) -> list[Run]:
         """Return the runs of a problem under a rule; threads 0 are the ones of the settings."""
         threads = threads or self.settings["threads"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import importlib.util
 import json
 import shlex
@@ -62,7 +63,13 @@ def arguments() -> argparse.Namespace:
         action="store_true",
         help="put the short report into README.md, all tables and plots into docs/",
     )
-    add("--from-json", type=Path, metavar="FILE", help="the tables of an older run, again")
+    add(
+        "--from-json",
+        type=Path,
+        metavar="FILE",
+        nargs="+",
+        help="the tables of older runs, again; what several files measured is that of the last",
+    )
     add("--output", type=Path, default=RESULTS, metavar="FOLDER", help="default benchmarks/results")
     options = parser.parse_args()
     every = ",".join(sorted({solver.family for solver in solvers.SOLVERS}))
@@ -240,7 +247,8 @@ def main() -> int:
     options = arguments()
     options.output.mkdir(parents=True, exist_ok=True)
     if options.from_json:
-        write(Results(**json.loads(options.from_json.read_text())), options)
+        older = [Results(**json.loads(path.read_text())) for path in options.from_json]
+        write(functools.reduce(Results.followed_by, older), options)
         return 0
     chosen = choose(options)
     if not chosen:
