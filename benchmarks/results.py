@@ -55,7 +55,10 @@ class Results:
             "judging",
         )
         return Results(
-            machine=later.machine,
+            machine={
+                **later.machine,
+                "load before": f"{self.machine['load before']}, {later.machine['load before']}",
+            },
             command=f"{self.command}`, then `{later.command}",
             settings=later.settings,
             kinds={**self.kinds, **later.kinds},
@@ -71,6 +74,10 @@ class Results:
             for run in self.runs
             if (run["problem"], run["rule"], run["threads"]) == (problem, rule, threads)
         ]
+
+    def tried(self, problem: str, solver: str) -> bool:
+        """Return True if a solver had to solve a problem; some problems are for a few solvers."""
+        return any(run["solver"] == solver for run in self.of(problem))
 
     def best_cost(self, problem: str) -> float:
         """Return the best known cost of a problem, from all runs of whatever rule and threads."""

@@ -262,7 +262,7 @@ def _large_synthetic(results: Results) -> list[Target]:
     names = [
         name
         for name in results.problems("synthetic")
-        if results.size(name).get("images", 0) >= MANY_IMAGES
+        if results.size(name).get("images", 0) >= MANY_IMAGES and results.tried(name, CERES)
     ]
     ratios = []
     for name in names:
@@ -305,6 +305,8 @@ def _growth(results: Results) -> list[Target]:
 def _choice(results: Results) -> list[Target]:
     ratios = []
     for name in results.kinds:
+        if not any(results.tried(name, solver) for solver in (FUSED, CERES)):
+            continue
         both = [_total(results.row(name, solver)) for solver in (FUSED, CERES)]
         better = min((t for t in both if t), key=lambda time: time.median, default=None)
         ratios.append((name, quotient(_total(results.row(name, REFERENCE)), better)))

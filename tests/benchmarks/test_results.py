@@ -9,11 +9,14 @@ from benchmarks.results import Results
 
 def measured(command: str, cost: float, *names: str, **tables: Any) -> Results:
     return Results(
-        machine={"date": command},
+        machine={"date": command, "load before": f"{cost}"},
         command=command,
         settings={"threads": 2},
         kinds=dict.fromkeys(names, "bal"),
-        runs=[{"problem": name, "cost": cost} for name in names],
+        runs=[
+            {"problem": name, "cost": cost, "rule": "default", "threads": 2, "solver": command}
+            for name in names
+        ],
         whole={name: {"bundle": [{"wall": cost}]} for name in names},
         **tables,
     )
@@ -29,4 +32,5 @@ def test_later_runs_replace_those_of_the_same_problem() -> None:
     assert [both.whole[name]["bundle"][0]["wall"] for name in "abc"] == [1.0, 2.0, 2.0]
     assert both.pose_graphs == graphs
     assert ("first" in both.command, "second" in both.command) == (True, True)
-    assert both.machine["date"] == "second"
+    assert both.machine == {"date": "second", "load before": "1.0, 2.0"}
+    assert (both.tried("a", "first"), both.tried("b", "first")) == (True, False)
