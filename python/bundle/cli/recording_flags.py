@@ -1,4 +1,4 @@
-"""Flags of recordings, whose images are tracked, and their reading.
+"""Flags of recordings, whose images are tracked.
 
 Other inputs refuse these flags.
 """
@@ -7,29 +7,13 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from typing import TYPE_CHECKING, NamedTuple
 
-from bundle.cli.option_flags import add_fields, naming_flags, options_given
+from bundle.cli.option_flags import add_fields
 from bundle.cli.path_checks import a_path
-from bundle.cli.progress import Progress
-from bundle.errors import InputError, shown
-from bundle.interface.finding import Finding
+from bundle.errors import InputError
 from bundle.interface.tracking_options import TrackingOptions
-from bundle.io.recognition import is_recording
-from bundle.io.sequences.sequence_folder import read_sequence, refuse_fatal
-from bundle.model.sequence.sequence import Sequence
-from bundle.model.sequence.sequence_findings import SequenceFinding
 
-if TYPE_CHECKING:
-    from bundle.inertial.tracking.track_recording import Tracking
-
-__all__ = [
-    "RECORDING",
-    "GivenSequence",
-    "add_recording_flags",
-    "given_sequence",
-    "refuse_recording_flags",
-]
+__all__ = ["RECORDING", "add_recording_flags", "refuse_recording_flags"]
 
 RECORDING = (
     "calibration",
@@ -37,25 +21,6 @@ RECORDING = (
     *(field.name for field in dataclasses.fields(TrackingOptions)),
 )
 """Destinations of the flags."""
-
-
-class GivenSequence(NamedTuple):
-    """Sequence from the command line; ``tracking`` is None if the input has tracks."""
-
-    sequence: Sequence
-    findings: tuple[SequenceFinding | Finding, ...]
-    tracking: Tracking | None
-
-    def refuse_fatal(self) -> None:
-        """Raise an error for a sequence on which odometry would fail.
-
-        Raises:
-            InputError: a finding is fatal.
-        """
-        for finding in self.findings:
-            if isinstance(finding, Finding) and finding.is_problem:
-                raise InputError(finding.sentence)
-        refuse_fatal(each for each in self.findings if isinstance(each, SequenceFinding))
 
 
 def add_recording_flags(parser: argparse.ArgumentParser) -> None:
@@ -98,33 +63,6 @@ def add_recording_flags(parser: argparse.ArgumentParser) -> None:
             "the only topic)",
         )
     add_fields(group, "TrackingOptions")
-
-
-def given_sequence(path: str, arguments: argparse.Namespace, progress: Progress) -> GivenSequence:
-    """Read a sequence; track features if it has images.
-
-    Raises:
-        InputError: the input violates its format, or has flags of another kind.
-        OSError: a file cannot be read.
-    """
-    if not is_recording(path):
-        refuse_recording_flags(arguments)
-        sequence, findings = read_sequence(path)
-        return GivenSequence(sequence, findings, None)
-    from bundle.inertial.tracking.track_images import track_images  # for images only
-
-    progress.stage(f"tracking features of {shown(path)}")
-    places = ("imu", "frame_times", "image_topic", "imu_topic")
-    with naming_flags(TrackingOptions, **{name: arguments.flags[name] for name in places}):
-        tracked = track_images(
-            path,
-            calibration=arguments.calibration or (),
-            camera=arguments.camera or "cam0",
-            options=options_given(arguments, TrackingOptions),
-            progress=progress.share,
-            **{name: getattr(arguments, name) for name in places},
-        )
-    return GivenSequence(tracked.sequence, tracked.findings, tracked.tracking)
 
 
 def refuse_recording_flags(arguments: argparse.Namespace) -> None:

@@ -6,9 +6,7 @@ import argparse
 import dataclasses
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from bundle.base.waiting_time import Waiting, waiting_since
 from bundle.cli.carried_georeference import (
@@ -37,21 +35,16 @@ from bundle.interface.loop_options import LoopOptions
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
 from bundle.interface.validation_options import HoldOutOptions
+from bundle.io.atomic.background import completing_in_background
 from bundle.io.open import save
-from bundle.judging.findings.find import find
-from bundle.reports.terminal.refine import refinement
-from bundle.reports.terminal.timing import WallTime
 from bundle.solving.kept_errors import Edit
 from bundle.solving.request import PartRequest, RunPlan, SolveRequest
 from bundle.solving.rounds import solve_rounds
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bundle.georeference.georeferenced import Georeference
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.inertial.offline.inertial_result import InertialAdjustment
-    from bundle.interface.finding import Finding
     from bundle.solving.result import Result
 
 __all__ = ["run"]
@@ -77,25 +70,29 @@ def run(arguments: argparse.Namespace) -> int:
         known = opened.known
         georeference = None if known is None else known.georeference(solved)
         attitudes = () if known is None else known.attitude_errors(solved)
-        begun = perf_counter()
-        written, lost = _write(opened, solved, georeference, progress)
-        save_time = perf_counter() - begun
-        statistics_time = _measure(opened, solved, progress)
-        findings = _judge(asked, opened, solved, inertial)
-        if asked.page is not None:
-            _write_page(asked, asked.page, opened, solved, georeference, findings, progress)
-    wall = WallTime(
+        with completing_in_background() as output:
+            begun = perf_counter()
+            written, lost = _write(opened, solved, georeference, progress)
+            save_time = perf_counter() - begun
+            from bundle.cli import refine_outcome as outcome  # late: while the disk is busy
+
+            statistics_time = _measure(opened, solved, progress)
+            findings = outcome.judge(asked, opened, solved, inertial)
+            if asked.page is not None:
+                progress.stage(f"writing {shown(asked.page)}")
+                outcome.write_page(asked, asked.page, opened, solved, georeference, findings)
+    wall = outcome.WallTime(
         load=opened.load_time,
         build=solved.build_time_in_seconds,
         solve=solved.solve_time_in_seconds,
-        save=save_time,
+        save=save_time + output.waited,
         statistics=statistics_time,
         total=perf_counter() - started,
     )
     told = (asked.source, opened.loaded, solved, wall, written)
-    sigmas = _readout_sigmas(asked, opened, closed, solved)
+    sigmas = outcome.readout_sigmas(asked, opened, closed, solved)
     beside = asked.options_beside()
-    report = refinement(
+    report = outcome.refinement(
         *told, lost, beside, georeference, opened.edits, closed, findings, waiting,
         attitudes, inertial, sigmas,
     )  # fmt: skip
@@ -200,72 +197,6 @@ def _measure(opened: Opened, solved: Result, progress: Progress) -> float:
         opened.sliced.measure(solved)
     solved.measure()
     return perf_counter() - begun
-
-
-def _judge(
-    asked: Refinement, opened: Opened, solved: Result, inertial: InertialAdjustment | None
-) -> tuple[Finding, ...]:
-    """Return the findings about the result; none about one that is not usable or in slices."""
-    if not solved.summary.is_solution_usable or opened.sliced is not None:
-        return ()
-    priors: tuple[Any, ...] = () if opened.known is None else opened.known.priors
-    return find(
-        solved.problem,
-        source=asked.source,
-        target=asked.target,
-        given=asked.given,
-        options=solved.options,
-        rounds=len(solved.rounds),
-        priors=priors if inertial is None else (inertial, *priors),
-        is_minimum=solved.summary.termination_type == "CONVERGENCE",
-    )
-
-
-def _readout_sigmas(
-    asked: Refinement, opened: Opened, closed: LoopClosing | None, solved: Result
-) -> dict[int, float]:
-    """Return the standard deviation of each refined readout, by camera id."""
-    shutter = solved.problem.rolling_shutter
-    if not solved.options.refine_readout or not solved.summary.is_solution_usable:
-        return {}
-    if shutter is None or np.isnan(shutter.readout[shutter.is_rolling]).any():
-        return {}  # not determined; a warning says so
-    from bundle.analysis.uncertainty.covariance_by_input import covariance  # few runs need it
-
-    return covariance(
-        solved.problem,
-        solved.options,
-        of="intrinsics",
-        scale="sigma0",
-        factors=() if closed is None else closed.factors,
-        priors=() if opened.known is None else opened.known.priors,
-        constraints=asked.constraints,
-    ).readout_sigmas
-
-
-def _write_page(
-    asked: Refinement,
-    page: str,
-    opened: Opened,
-    solved: Result,
-    georeference: Georeference | None,
-    findings: Sequence[Finding],
-    progress: Progress,
-) -> None:
-    """Write the report page; most runs do not need its imports."""
-    from bundle.reports.page.report_page import write_report
-
-    progress.stage(f"writing {shown(page)}")
-    write_report(
-        solved,
-        page,
-        images=asked.georeference.images,
-        priors=() if opened.known is None else opened.known.priors,
-        constraints=asked.constraints,
-        georeference=georeference,
-        findings=findings,
-        name=asked.source,
-    )
 
 
 def _has_wrong_jacobians(asked: Refinement, opened: Opened, progress: Progress) -> bool:

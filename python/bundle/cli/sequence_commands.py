@@ -9,9 +9,10 @@ import numpy as np
 
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.flags_by_kind import refuse_flags_of_reconstructions
+from bundle.cli.given_sequence import given_sequence
 from bundle.cli.output import check_replaced, publish
 from bundle.cli.progress import Progress
-from bundle.cli.recording_flags import RECORDING, given_sequence
+from bundle.cli.recording_flags import RECORDING
 from bundle.errors import shown
 from bundle.inertial.vio.sequence_statistics import sequence_statistics
 from bundle.io.recognition import Kind, sequence_format

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bundle.analysis.diagnosis.track_table import TrackTable
 from bundle.analysis.diagnosis.weak_joints import weak_joint
-from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
 from bundle.judging.findings.duplicates import duplicate_points
@@ -31,6 +30,9 @@ from bundle.judging.findings.systematic import SystematicResiduals
 from bundle.judging.findings.wrong_attitudes import wrong_attitudes
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
+
+if TYPE_CHECKING:
+    from bundle.analysis.uncertainty.covariance_result import Covariance
 
 __all__ = ["find", "one_list"]
 

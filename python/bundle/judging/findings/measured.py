@@ -13,17 +13,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.interface.options import SolveOptions
 from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals, residuals
 from bundle.model.rotations import quaternion_rotate
+
+if TYPE_CHECKING:
+    from bundle.analysis.uncertainty.covariance_result import Covariance
 
 __all__ = ["SMALLEST_SCALE", "Measured", "median", "median_by_group"]
 

@@ -1,0 +1,90 @@
+"""Outcome of `bundle refine`: findings, report page and report.
+
+The command imports this module late: most of its imports are done while the disk takes the output.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bundle.judging.findings.find import find
+from bundle.reports.terminal.refine import refinement
+from bundle.reports.terminal.timing import WallTime
+
+if TYPE_CHECKING:
+    from bundle.cli.refine_input import Opened
+    from bundle.cli.refinement import Refinement
+    from bundle.georeference.georeferenced import Georeference
+    from bundle.graphs.loops.loop_closing import LoopClosing
+    from bundle.inertial.offline.inertial_result import InertialAdjustment
+    from bundle.interface.finding import Finding
+    from bundle.solving.result import Result
+
+__all__ = ["WallTime", "judge", "readout_sigmas", "refinement", "write_page"]
+
+
+def judge(
+    asked: Refinement, opened: Opened, solved: Result, inertial: InertialAdjustment | None
+) -> tuple[Finding, ...]:
+    """Return the findings about the result; none about one that is not usable or in slices."""
+    if not solved.summary.is_solution_usable or opened.sliced is not None:
+        return ()
+    priors: tuple[Any, ...] = () if opened.known is None else opened.known.priors
+    return find(
+        solved.problem,
+        source=asked.source,
+        target=asked.target,
+        given=asked.given,
+        options=solved.options,
+        rounds=len(solved.rounds),
+        priors=priors if inertial is None else (inertial, *priors),
+        is_minimum=solved.summary.termination_type == "CONVERGENCE",
+    )
+
+
+def readout_sigmas(
+    asked: Refinement, opened: Opened, closed: LoopClosing | None, solved: Result
+) -> dict[int, float]:
+    """Return the standard deviation of each refined readout, by camera id."""
+    shutter = solved.problem.rolling_shutter
+    if not solved.options.refine_readout or not solved.summary.is_solution_usable:
+        return {}
+    if shutter is None or np.isnan(shutter.readout[shutter.is_rolling]).any():
+        return {}  # not determined; a warning says so
+    from bundle.analysis.uncertainty.covariance_by_input import covariance  # few runs need it
+
+    return covariance(
+        solved.problem,
+        solved.options,
+        of="intrinsics",
+        scale="sigma0",
+        factors=() if closed is None else closed.factors,
+        priors=() if opened.known is None else opened.known.priors,
+        constraints=asked.constraints,
+    ).readout_sigmas
+
+
+def write_page(
+    asked: Refinement,
+    page: str,
+    opened: Opened,
+    solved: Result,
+    georeference: Georeference | None,
+    findings: Sequence[Finding],
+) -> None:
+    """Write the report page; most runs do not need its imports."""
+    from bundle.reports.page.report_page import write_report
+
+    write_report(
+        solved,
+        page,
+        images=asked.georeference.images,
+        priors=() if opened.known is None else opened.known.priors,
+        constraints=asked.constraints,
+        georeference=georeference,
+        findings=findings,
+        name=asked.source,
+    )
