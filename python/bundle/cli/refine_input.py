@@ -15,9 +15,10 @@ from bundle.cli.problem_edits import cameras_edited, with_rigs, with_shutters
 from bundle.cli.progress import Progress
 from bundle.cli.refinement import Refinement
 from bundle.cli.sliced_input import sliced_input
-from bundle.errors import InputError, shown
+from bundle.errors import shown
 from bundle.interface.options import SolveOptions
 from bundle.io.open import check_target, load, output_format
+from bundle.model.unobserved import require_observations
 
 if TYPE_CHECKING:
     from bundle.editing.cameras.edit_record import CameraEdits
@@ -78,8 +79,7 @@ def open_input(asked: Refinement, progress: Progress) -> Opened:
         sliced = sliced_input(source, asked.target, asked.format, asked.options)
     loaded = load(source, progress.text, asked.reading) if sliced is None else sliced.cameras
     load_time = perf_counter() - begun
-    if loaded.num_observations == 0:
-        raise InputError(f"{shown(source)}: expected observations to refine, found 0")
+    require_observations(loaded, shown(source))
     edits = cameras_edited(asked.lenses, loaded)
     problem = with_rigs(loaded if edits is None else edits.problem, asked.rig_config)
     problem, options = with_shutters(problem, asked.shutters, asked.options)

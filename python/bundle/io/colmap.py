@@ -135,6 +135,7 @@ def check_save(problem: Problem, *, binary: bool) -> None:
         problem.check_padding()
         return
     source = vars(problem)["source"]
+    _check_cameras(problem)
     check(problem, source)
     if not binary and is_colmap(source):  # images of other problems get names
         _check_names(problem.image_ids, problem.image_names)
@@ -221,6 +222,7 @@ def _rewrite(problem: Problem, folder: Path, model: _core.ColmapModel) -> tuple[
 def write(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
     """Write every record of a model; see :func:`save`."""
     source = vars(problem)["source"]
+    _check_cameras(problem)
     records = model_records(problem, source)
     if not binary:
         _check_names(records.image_ids, records.image_names)
@@ -240,6 +242,11 @@ def write(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
             "source, only the observed keypoints are known."
         )
     return (*losses, *_lost(problem, binary=binary))
+
+
+def _check_cameras(problem: Problem) -> None:
+    if problem.num_cameras == 0:
+        raise InputError("camera_ids: expected a camera, as in each COLMAP model, found 0")
 
 
 def _check_names(image_ids: NDArray[np.int64], names: tuple[str, ...]) -> None:

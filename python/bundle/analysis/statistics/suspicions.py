@@ -16,6 +16,7 @@ from bundle.base.words import plural
 from bundle.interface.finding import Finding
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
+from bundle.model.unobserved import unobserved
 
 __all__ = ["count_repeated", "suspicions"]
 
@@ -67,12 +68,9 @@ def suspicions(
 
 
 def _empty(problem: Problem) -> Iterator[Finding]:
-    if problem.num_observations == 0:
-        yield Finding(
-            kind="no_observations",
-            sentence="There are no observations: nothing can be refined.",
-            is_problem=True,
-        )
+    sentence = unobserved(problem)
+    if sentence:
+        yield Finding(kind="no_observations", sentence=sentence, is_problem=True)
 
 
 def _models(problem: Problem) -> Iterator[Finding]:

@@ -55,19 +55,7 @@ def read(path: Path, options: ReadOptions) -> Problem:
     cameras = {name: read_camera(camera) for name, camera in node.get("cameras").items()}
     shots = dict(node.get("shots").items())
     _check_names(node, table)
-    listed = _tracks_file(path)
-    tracks = _core.read_tracks_csv(
-        listed,
-        [name.encode(errors="surrogateescape") for name in shots],
-        table["names"],
-        table["ends"],
-        options.progress,
-    )
-    if shots and len(table["ends"]) and not len(tracks["image"]):
-        raise InputError(
-            f"{shown(listed)}: expected observations of the {plural(len(shots), 'shot')} of "
-            f"{shown(path)}, found 0"
-        )
+    tracks = _tracks(path, shots, table, options)
     return _imported(path, node, cameras, shots, table, tracks).problem()
 
 
@@ -94,6 +82,30 @@ def chosen_reconstruction(node: Node, number: int | None) -> Node:
             f"choose by --reconstruction 0 to {len(found) - 1}"
         )
     return found[0]
+
+
+def _tracks(
+    path: Path, shots: dict[str, Node], table: dict[str, Any], options: ReadOptions
+) -> dict[str, Any]:
+    """Return the observations of the points; a reconstruction without points needs no file."""
+    if not len(table["ends"]):
+        empty = np.empty(0, np.int32)
+        no_pixels: dict[str, Any] = {"xy": np.empty((0, 2)), "scale": np.empty(0)}
+        return {"image": empty, "point": empty, "key": empty, **no_pixels}
+    listed = _tracks_file(path)
+    tracks = _core.read_tracks_csv(
+        listed,
+        [name.encode(errors="surrogateescape") for name in shots],
+        table["names"],
+        table["ends"],
+        options.progress,
+    )
+    if shots and not len(tracks["image"]):
+        raise InputError(
+            f"{shown(listed)}: expected observations of the {plural(len(shots), 'shot')} of "
+            f"{shown(path)}, found 0"
+        )
+    return tracks
 
 
 def _tracks_file(path: Path) -> Path:

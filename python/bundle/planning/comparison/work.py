@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from bundle.base.memory_sizes import format_size
 from bundle.base.paths import is_path
-from bundle.errors import InputError, shown
+from bundle.errors import shown
 from bundle.interface.compare_options import SECONDS_NOT_REPEATED
 from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary
 from bundle.io.files import Source, as_problem
+from bundle.model.unobserved import require_observations
 from bundle.planning.comparison import hand_over
 from bundle.planning.comparison.comparison_result import ComparedProblem
 from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
@@ -77,8 +78,7 @@ class Work:
             name = os.fspath(source)
             self.report(Progress(stage=f"reading {shown(name)}"))
         source = as_problem(source, name="problems")
-        if source.num_observations == 0:
-            raise InputError(f"{shown(name)}: expected observations to refine, found 0")
+        require_observations(source, shown(name))
         if self.perturb:
             source = perturbed(source, self.options, self.perturb, self.seed)
         hand_over.store(source, self.folder / str(index))

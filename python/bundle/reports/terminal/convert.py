@@ -14,6 +14,7 @@ from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.sequence_findings import SequenceFinding
+from bundle.model.unobserved import unobserved
 from bundle.reports.sections import Report, Section
 from bundle.reports.terminal.camera_edit_rows import edit_data, edit_rows
 from bundle.reports.terminal.inputs import (
@@ -43,8 +44,8 @@ def converted(
 ) -> Report:
     """Return the report on a reconstruction."""
     facts = [*problem_facts(path, problem), *edit_rows(edits)]
-    warnings = () if edits is None else edits.warnings
     content = problem if edits is None else edits.problem
+    warnings = [*(() if edits is None else edits.warnings), *filter(None, [unobserved(content)])]
     return Report(
         command="convert",
         input=about_problem(path, problem),
