@@ -108,14 +108,16 @@ def targets(truth: bundle.Problem) -> list[str]:
 
 
 def other_programs(folder: Path, _data: Path) -> None:
-    """Files of Bundler with its photographs, VisualSFM, OpenSfM and OpenMVG."""
+    """Files of Bundler with its photographs, Metashape, VisualSFM, OpenSfM, OpenMVG and others."""
     own = foreign.small(num_points=60)
     names = [f"photos/{index}.jpg" for index in range(4)]
-    for name in ("bundler/photos", "nerf", "mvg_out"):
+    for name in ("bundler/photos", "nerf", "mvg_out", "metashape", "realitycapture"):
         (folder / name).mkdir(parents=True)
     for name in names:
         Image.new("L", (800, 600)).save(folder / "bundler" / name)
     foreign.write_bundler(own, folder / "bundler" / "bundle.out", names=names)
+    foreign.write_metashape(own, folder / "metashape")
+    foreign.write_realitycapture(own, folder / "realitycapture")
     foreign.write_nvm(foreign.small("SIMPLE_PINHOLE", num_points=60), folder / "model.nvm")
     foreign.write_opensfm(own, folder / "opensfm")
     foreign.write_openmvg(own, folder / "sfm_data.json")

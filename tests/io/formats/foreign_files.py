@@ -50,9 +50,12 @@ def views(problem, point):
     return np.flatnonzero(problem.observation_point == point)
 
 
-def write_bundler(problem, path: Path, *, unregistered=(), names=None) -> None:
-    """`unregistered`: positions in the file of additional images without a pose."""
-    flip = np.diag([1.0, -1, -1])
+def write_bundler(problem, path: Path, *, unregistered=(), names=None, forward=False) -> None:
+    """`unregistered`: positions in the file of additional images without a pose.
+
+    `forward`: axes that are not Bundler's: x right, y down, z forward.
+    """
+    flip = np.diag([1.0, 1, 1] if forward else [1.0, -1, -1])
     lines, place = ["# Bundle file v0.3"], []
     count = problem.num_images + len(unregistered)
     lines.append(f"{count} {problem.num_points}")
@@ -75,11 +78,29 @@ def write_bundler(problem, path: Path, *, unregistered=(), names=None) -> None:
             image = problem.observation_image[row]
             camera = problem.image_camera[image]
             x, y = (problem.observation_xy[row] - problem.camera_params[camera, 1:3]).tolist()
-            seen.append(f"{place[image]} {problem.observation_keypoint[row]} {x!r} {-y!r}")
+            y = y if forward else -y
+            seen.append(f"{place[image]} {problem.observation_keypoint[row]} {x!r} {y!r}")
         lines.append(" ".join([str(len(seen)), *seen]))
     path.write_text("\n".join(lines) + "\n")
     if names is not None:
         (path.parent / "list.txt").write_text("".join(f"{name} 0 800.5\n" for name in names))
+
+
+def write_metashape(problem, folder: Path) -> None:
+    """Bundler files as Metashape writes them: unregistered images, and paths of another machine.
+
+    Blocks.exportCameras(..., format=CamerasFormatBundler, save_points=True, bundler_save_list=True)
+    """
+    write_bundler(problem, folder / "cameras.out", unregistered=(1,))
+    names = [f"D:/survey one/DJI_{k:04}.JPG" for k in range(problem.num_images + 1)]
+    (folder / "list.txt").write_text("".join(f"{name}\r\n" for name in names))
+
+
+def write_realitycapture(problem, folder: Path) -> None:
+    """Bundler files as RealityCapture writes them, in both directions of z."""
+    write_bundler(problem, folder / "negative_z.out")
+    write_bundler(problem, folder / "positive_z.out", forward=True)
+    (folder / "images.imagelist").write_text("".join(f"{name}\n" for name in problem.image_names))
 
 
 def write_nvm(

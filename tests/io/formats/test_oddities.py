@@ -103,3 +103,42 @@ def test_a_point_without_views_and_a_repeated_view(tmp_path) -> None:
     assert (found.num_points, found.num_observations) == (31, problem.num_observations + 1)
     assert any("not numbered" in note for note in found.source.notes)
     assert found.source.rmse == pytest.approx(found.source.source_rmse, abs=1e-9)
+
+
+def test_metashapes_list_has_paths_of_another_machine(tmp_path) -> None:
+    truth = small()
+    foreign.write_metashape(truth, tmp_path)
+    with pytest.raises(bundle.InputError, match=r"list.txt: .*DJI_0000.JPG; give --image-size"):
+        bundle.load(tmp_path / "cameras.out")
+    problem = bundle.load(tmp_path / "cameras.out", image_size=(800, 600))
+    assert problem.image_names == tuple(f"D:/survey one/DJI_{k:04}.JPG" for k in (0, 2, 3, 4))
+    assert problem.source.rmse == pytest.approx(problem.source.source_rmse, abs=1e-9)
+    assert problem.num_observations == truth.num_observations
+
+
+def test_realitycapture_has_two_directions_of_z(tmp_path) -> None:
+    truth = small()
+    foreign.write_realitycapture(truth, tmp_path)
+    images = tmp_path / "images.imagelist"
+    problem = bundle.load(tmp_path / "negative_z.out", image_size=(800, 600), image_list=images)
+    assert problem.image_names == truth.image_names
+    np.testing.assert_allclose(problem.points, truth.points, atol=1e-9)
+    with pytest.raises(bundle.InputError, match=r"90 of 90 observed points behind; .*negative Z"):
+        bundle.load(tmp_path / "positive_z.out", image_size=(800, 600), image_list=images)
+
+
+@pytest.mark.parametrize(("behind", "is_refused"), [(15, False), (16, True)])
+def test_half_of_the_points_may_be_behind(tmp_path, behind, is_refused) -> None:
+    """A bad start, which a refinement can mend, is no other convention."""
+    truth = small()
+    points = truth.points.copy()
+    points[:behind] = 2 * truth.projection_centers.mean(axis=0) - points[:behind]
+    moved = truth.replace(points=points)
+    share = bundle.reprojection_errors(moved)[1].mean()
+    assert (share > 0.5) == is_refused
+    foreign.write_openmvg(moved, tmp_path / "m.json")
+    if is_refused:
+        with pytest.raises(bundle.InputError, match=r"48 of 90 observed points behind$"):
+            bundle.load(tmp_path / "m.json")
+    else:
+        assert bundle.load(tmp_path / "m.json").num_points == 30

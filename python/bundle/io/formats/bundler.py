@@ -42,6 +42,10 @@ LIST = "list.txt"
 FLIP = np.array([1.0, -1.0, -1.0])
 """Diagonal of S, COLMAP's camera frame from Bundler's."""
 
+_AXES = (
+    "; cameras of the format look along -z: export RealityCapture's or RealityScan's "
+    '"Bundler v0.3 (negative Z)", not "Bundler v0.3"'
+)
 _NUMBERS = 15
 _LINE = re.compile(r"(.*?)(?:\s+\d+(?:\s+[-+.\deE]+)?)?\s*")
 
@@ -177,6 +181,7 @@ def _imported(
         unit=np.ones(len(registered)),
         notes=notes,
         data={"names": names},
+        axes=_AXES,
     )
 
 

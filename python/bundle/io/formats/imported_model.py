@@ -5,6 +5,9 @@ distortion. Each reader therefore states the projection of its format a second t
 of NumPy on the numbers of the file (``Imported.project``). The reprojection errors by this formula
 and by the problem must agree to 1e-6 pixels, in the mean square and in the median, or the file is
 refused with both numbers. A lens that was fitted may differ by the error of its fit.
+
+Both formulas are wrong alike for a file whose program had other axes than its format. Such a file
+is refused by the side on which its points are: most of them must be in front of their cameras.
 """
 
 from __future__ import annotations
@@ -60,6 +63,7 @@ class Imported:
         fit_error: largest error of fitted lenses in pixels.
         notes: sentences about data that the problem lacks or approximates.
         data: values by name that the writer of the same format uses again.
+        axes: advice for a file whose points are behind its cameras.
     """
 
     path: Path
@@ -71,18 +75,21 @@ class Imported:
     fit_error: float = 0.0
     notes: Sequence[str] = ()
     data: Mapping[str, Any] = field(default_factory=dict)
+    axes: str = ""
 
     def problem(self) -> Problem:
         """Return the problem of the file.
 
         Raises:
-            InputError: a value is invalid, or the reprojection errors do not agree.
+            InputError: a value is invalid, the reprojection errors do not agree, or most points
+                are behind their cameras.
         """
         try:
             problem = Problem(**_frozen(self.fields))
         except InputError as error:
             raise InputError(f"{shown(self.path)}: {error}") from None
-        theirs, ours = self._errors(problem), _core.reprojection_errors(problem, 0, "auto")[0]
+        ours, behind = _core.reprojection_errors(problem, 0, "auto")
+        theirs = self._errors(problem)
         defined = np.isfinite(theirs) & np.isfinite(ours)
         if not defined.all():
             theirs, ours = theirs[defined], ours[defined]
@@ -97,6 +104,7 @@ class Imported:
                     f"{shown(self.path)}: expected the same reprojection error ({name}) by the "
                     f"formula of the format and by COLMAP's, found {one:.9g} px and {other:.9g} px"
                 )
+        self._check_axes(behind)
         source = ImportedSource(
             point_ids=problem.point_ids,
             point_colors=self.colors,
@@ -106,6 +114,14 @@ class Imported:
             data=self.data,
         )
         return problem._moved(source=source)
+
+    def _check_axes(self, behind: NDArray[np.bool_]) -> None:
+        count = int(np.count_nonzero(behind))
+        if 2 * count > len(behind):
+            raise InputError(
+                f"{shown(self.path)}: expected points in front of their cameras, found "
+                f"{count} of {len(behind)} observed points behind{self.axes}"
+            )
 
     def _errors(self, problem: Problem) -> Array:
         """Return the error of each observation in pixels by the formula of the format."""
