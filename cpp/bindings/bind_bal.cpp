@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "bindings/file_access.h"
+#include "bindings/gil.h"
 #include "bindings/immutable_array.h"
 #include "core/error.h"
 #include "core/io/bal.h"
@@ -117,7 +118,7 @@ void WriteBalFile(const py::object& given_path, const Array<double>& cam_from_wo
   problem.observation_xy = Checked(observation_xy, "observation_xy", problem.num_observations, 2);
   BlockWatch watch(progress, OutputFile::kBlockSize);
   try {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     WriteBal(problem, path, CompressionFromName(compression), watch.OnBlock());
   } catch (const std::system_error& error) {
     ThrowOsError(error, path);
@@ -128,7 +129,7 @@ void WriteBalFile(const py::object& given_path, const Array<double>& cam_from_wo
 template <typename Call>
 void Unlocked(const BalStream& stream, const Call& call) {
   try {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     call();
   } catch (const std::system_error& error) {
     ThrowOsError(error, stream.path());

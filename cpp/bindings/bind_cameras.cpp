@@ -3,6 +3,7 @@
 
 #include <string>
 
+#include "bindings/gil.h"
 #include "core/cameras/registry.h"
 #include "core/error.h"
 
@@ -68,7 +69,7 @@ py::tuple ProjectPoints(const std::string& name, const Array& params, const Arra
   double* d_point_data = d_point.mutable_data();
   double* d_params_data = d_params.mutable_data();
   {
-    py::gil_scoped_release release;
+    ReleaseGil release;
     for (py::ssize_t i = 0; i < n; ++i) {
       status_data[i] = static_cast<int8_t>(
           model.project(param_data, point_data + 3 * i, xy_data + 2 * i,

@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/gil.h"
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
 #include "bindings/to_numpy.h"
@@ -160,7 +161,7 @@ py::tuple CheckReprojections(const py::object& problem,
   const double* offset_data = offsets.data();
   const bundle::Cheirality named = CheiralityFromName(cheirality);
   {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     bundle::CheckReprojections(view, indices, n, offset_data, named, relative_precision,
                                num_threads, out);
   }

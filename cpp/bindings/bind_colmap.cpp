@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "bindings/file_access.h"
+#include "bindings/gil.h"
 #include "bindings/immutable_array.h"
 #include "core/error.h"
 #include "core/io/colmap_model.h"
@@ -128,7 +129,7 @@ void PutObservations(ColmapObservations observations, py::dict* fields) {
 py::tuple ReadModel(const std::string& folder, bool may_be_empty) {
   auto model = std::make_unique<ColmapModel>();
   {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     *model = ReadColmapModel(folder, may_be_empty);
   }
   py::dict fields;
@@ -189,7 +190,7 @@ void WriteModel(const ColmapModel& model, const py::object& given_folder,
   const ColmapValues values = CheckedValues(model, point_ids, cam_from_world, camera_params, points,
                                             point_errors, rig_from_world, sensor_from_rig);
   try {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     WriteColmapModel(model, values, folder);
   } catch (const std::system_error& error) {
     ThrowOsError(error, folder);
@@ -199,7 +200,7 @@ void WriteModel(const ColmapModel& model, const py::object& given_folder,
 py::tuple SurveyModel(const std::string& folder) {
   ColmapSurvey survey;
   {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     survey = SurveyColmap(folder, CheckSignals);
   }
   const auto num_points = static_cast<py::ssize_t>(survey.point_ids.size());
@@ -222,7 +223,7 @@ py::tuple ReadPartOfModel(const std::string& folder,
   const LargeVector<int32_t> places(place.data(), place.data() + place.size());
   ColmapPart part;
   {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     part = ReadColmapPart(folder, ids, places, CheckSignals);
   }
   py::dict fields;

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "bindings/file_access.h"
+#include "bindings/gil.h"
 #include "bindings/immutable_array.h"
 #include "core/cameras/registry.h"
 #include "core/error.h"
@@ -88,7 +89,7 @@ py::dict Contents(const ColmapModel& model) {
   std::vector<double> xy;
   ColmapTracks tracks;
   {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     xy = ReadKeypoints(model);
     tracks = ReadTracks(model);
   }
@@ -211,7 +212,7 @@ void WriteRecords(const py::object& given_folder, bool is_binary, const py::obje
   records.track_images = track_images.data();
   records.track_keypoints = track_keypoints.data();
   try {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     WriteColmapRecords(records, is_binary, folder, CheckSignals);
   } catch (const std::system_error& error) {
     ThrowOsError(error, folder);

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/gil.h"
 #include "bindings/graph_from_python.h"
 #include "bindings/immutable_array.h"
 #include "bindings/options_from_python.h"
@@ -128,7 +129,7 @@ py::tuple MarginalInformation(const py::list& variables, const py::list& factors
   RefuseTooManyColumns(kept, graph.blocks);
   const bundle::LinearizedGraph linear = Linearize(graph, 1);
   bundle::MarginalInformation found = [&] {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     return bundle::FindMarginalInformation(kept, graph.blocks, linear);
   }();
   const auto n = static_cast<py::ssize_t>(found.eta.size());

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/gil.h"
 #include "bindings/graph_from_python.h"
 #include "bindings/immutable_array.h"
 #include "bindings/pose_graph_from_python.h"
@@ -95,7 +96,7 @@ std::string AutoOrdering(const py::object& graph, const Array<bool>& held) {
   const PoseGraphView view = ViewGraph(arrays, held);
   const PoseGraph made = MakePoseGraph(view, {});
   if (std::all_of(made.held.begin(), made.held.end(), [](uint8_t h) { return h != 0; })) return "";
-  const py::gil_scoped_release release;
+  const ReleaseGil release;
   return PatternOfEdges(made, view.tangent(), "auto").ordering.name;
 }
 

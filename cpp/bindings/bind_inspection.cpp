@@ -6,6 +6,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/gil.h"
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
 #include "bindings/to_numpy.h"
@@ -54,7 +55,7 @@ py::dict EliminationPlan(const py::object& problem, const py::dict& options) {
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   bundle::PlanSize size;
   {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     const bundle::PreparedSolve prepared = bundle::PrepareSolve(view, solve_options);
     size = bundle::MeasurePlan(view, prepared.layout);
   }
@@ -86,7 +87,7 @@ double PanelValues(const Ints& sizes, const Int64s& column_begin, const Ints& ro
                    const Ints& order) {
   const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);
   const std::vector<int> blocks(order.data(), order.data() + order.size());
-  const py::gil_scoped_release release;
+  const ReleaseGil release;
   return bundle::CountPanelValues(pattern, blocks);
 }
 
@@ -96,7 +97,7 @@ py::dict CountPanelWork(const Ints& sizes, const Int64s& column_begin, const Int
   const std::vector<int> blocks(order.data(), order.data() + order.size());
   bundle::PanelWork work;
   {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     work = bundle::CountPanelWork(pattern, blocks, {near_cache, far_cache});
   }
   py::dict result;
@@ -121,7 +122,7 @@ std::pair<std::string, bool> AutoChoice(const Ints& sizes, const Int64s& column_
                                         const Ints& rows, int num_threads, int64_t num_observations,
                                         int64_t num_pairs) {
   const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);
-  const py::gil_scoped_release release;
+  const ReleaseGil release;
   const bundle::SolverChoice choice =
       bundle::ChooseByPattern(pattern, num_threads, num_observations, num_pairs);
   return {bundle::UpperName(choice.type, bundle::kLinearSolverTypes), choice.leaves_out_system};

@@ -12,6 +12,7 @@
 
 #include "bindings/columns.h"
 #include "bindings/file_access.h"
+#include "bindings/gil.h"
 #include "core/io/input_file.h"
 #include "core/io/point_tracks.h"
 
@@ -27,7 +28,7 @@ py::dict ReadTracks(const py::object& given_path, const py::object& progress, Re
   BlockWatch watch(progress, kReadBlockSize);
   PointTracks tracks;
   try {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     tracks = read(path, watch.OnBlock());
   } catch (const std::system_error& error) {
     ThrowOsError(error, path);

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "bindings/file_access.h"
+#include "bindings/gil.h"
 #include "bindings/immutable_array.h"
 #include "bindings/options_from_python.h"
 #include "bindings/pose_graph_from_python.h"
@@ -37,7 +38,7 @@ py::dict ReadG2oFile(const py::object& given_path) {
   const std::filesystem::path path = PathFromPython(given_path);
   G2oGraph graph;
   try {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     graph = ReadG2o(path, CheckSignals);
   } catch (const std::system_error& error) {
     ThrowOsError(error, path);
@@ -77,7 +78,7 @@ void WriteG2oFile(const py::object& given_path, const py::object& graph,
   view.measurements = arrays.measurements.data();
   view.information = arrays.information.data();
   try {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     WriteG2o(view, path, CompressionFromName(compression), CheckSignals);
   } catch (const std::system_error& error) {
     ThrowOsError(error, path);
@@ -162,7 +163,7 @@ py::array EdgeChi2FromPython(const py::object& graph, const std::string& error) 
   PoseErrorOptions errors;
   errors.error = PoseErrorFromName(error);
   std::vector<double> chi2 = [&] {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     const PoseGraph made = MakePoseGraph(view, errors);
     return EdgeChi2(made, made.poses);
   }();
@@ -174,7 +175,7 @@ FillOrdering OrderPoses(const py::object& graph, const Array<bool>& held,
                         const std::string& ordering) {
   const GraphArrays arrays(graph);
   const PoseGraphView view = ViewGraph(arrays, held);
-  const py::gil_scoped_release release;
+  const ReleaseGil release;
   const PoseGraph made = MakePoseGraph(view, {});
   return PatternOfEdges(made, view.tangent(), ordering).ordering;
 }
@@ -208,7 +209,7 @@ double StartCost(const py::object& graph, const Array<bool>& held, const std::st
   const PoseGraphView view = ViewWithErrors(arrays, held);
   PoseErrorOptions errors;
   errors.error = PoseErrorFromName(error);
-  const py::gil_scoped_release release;
+  const ReleaseGil release;
   const PoseGraph made = MakePoseGraph(view, errors);
   if (init == "spanning_tree") return CostUpTo(made, SpanningTreePoses(made), limit);
   if (init != "odometry") {
@@ -282,7 +283,7 @@ py::object SolveEdgeSystemFromPython(const Array<int32_t>& edges, const Array<do
   const EdgeSystem system{static_cast<int>(d), n,         m, edges.data(), diagonal.data(),
                           between.data(),      rhs.data()};
   std::vector<double> x = [&] {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     return SolveEdgeSystem(system);
   }();
   if (static_cast<py::ssize_t>(x.size()) != n * d) return py::none();

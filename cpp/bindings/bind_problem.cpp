@@ -4,6 +4,7 @@
 #include <string>
 #include <string_view>
 
+#include "bindings/gil.h"
 #include "bindings/immutable_array.h"
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
@@ -42,7 +43,7 @@ void Validate(const py::object& problem) {
   for (int i = 0; i < view.num_images; ++i) {
     CheckImageName(view.image_ids[i], names[py::int_(i)]);
   }
-  py::gil_scoped_release release;
+  ReleaseGil release;
   bundle::ValidateProblem(view);
 }
 
@@ -53,7 +54,7 @@ py::tuple ReprojectionErrors(const py::object& problem, int num_threads,
   bundle::LargeVector<uint8_t> behind(view.num_observations);
   const bundle::Cheirality named = CheiralityFromName(cheirality);
   {
-    py::gil_scoped_release release;
+    ReleaseGil release;
     bundle::ComputeReprojectionErrors(view, num_threads, named, errors.data(), behind.data());
   }
   const py::ssize_t size = view.num_observations;
@@ -70,7 +71,7 @@ py::tuple ReprojectionResiduals(const py::object& problem, int num_threads,
   double* residuals_data = residuals.mutable_data();
   auto* behind_data = reinterpret_cast<uint8_t*>(behind.mutable_data());
   {
-    py::gil_scoped_release release;
+    ReleaseGil release;
     bundle::ComputeReprojectionResiduals(view, num_threads, named, residuals_data, behind_data);
   }
   return py::make_tuple(residuals, behind);
@@ -92,7 +93,7 @@ py::tuple Linearize(const py::object& problem, const std::string& cheirality,
   const double* offsets = rotation_offsets.data();
   const bundle::Cheirality named = CheiralityFromName(cheirality);
   {
-    py::gil_scoped_release release;
+    ReleaseGil release;
     bundle::Linearize(view, offsets, named, out);
   }
   return py::make_tuple(residual, d_pose, d_params, d_point, d_twist);

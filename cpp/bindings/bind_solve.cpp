@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/gil.h"
 #include "bindings/given_factors.h"
 #include "bindings/immutable_array.h"
 #include "bindings/options_from_python.h"
@@ -97,7 +98,7 @@ py::dict SolvePart(const py::object& problem, const py::dict& options, const py:
   view.division.point_section = section.data();
   PythonProgress report(progress);
   bundle::SolveOutput output = [&] {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     view.factors = factors.Check();
     return bundle::Solve(view, solve_options, std::ref(report));
   }();

@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/gil.h"
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
 #include "bindings/to_numpy.h"
@@ -47,7 +48,7 @@ bundle::BlockPatternView ViewPattern(const Ints& sizes, const Int64s& column_beg
   ExpectLength("rows", rows, column_begin.data()[sizes.size()]);
   const bundle::BlockPatternView pattern{static_cast<int>(sizes.size()), sizes.data(),
                                          column_begin.data(), rows.data()};
-  const py::gil_scoped_release release;
+  const ReleaseGil release;
   bundle::CheckBlockPattern(pattern);
   return pattern;
 }
@@ -70,7 +71,7 @@ py::array_t<int> OrderBlocks(const Ints& sizes, const Int64s& column_begin, cons
   const bundle::BlockPatternView pattern = ViewPattern(sizes, column_begin, rows);
   std::vector<int> order;
   {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     order = bundle::FindOrder(pattern, ordering);
   }
   if (static_cast<int>(order.size()) != pattern.num_blocks) throw std::bad_alloc();
@@ -84,7 +85,7 @@ py::dict CountFactor(const Ints& sizes, const Int64s& column_begin, const Ints& 
   const std::vector<int> blocks(order.data(), order.data() + order.size());
   bundle::FactorCounts counts;
   {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     bundle::CheckOrder(blocks, pattern.num_blocks);
     counts = bundle::CountFactor(pattern, blocks);
   }
@@ -111,7 +112,7 @@ py::tuple PatternOf(const py::object& problem, const py::dict& options) {
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   bundle::BlockPattern pattern;
   {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     pattern = kFindPattern(view, bundle::PrepareSolve(view, solve_options).layout);
   }
   return ToTuple(std::move(pattern));
@@ -123,7 +124,7 @@ py::tuple OrderedFullPattern(const py::object& problem, const py::dict& options,
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   bundle::OrderedPattern ordered;
   {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     ordered = bundle::OrderFullPattern(view, bundle::PrepareSolve(view, solve_options).layout,
                                        most_entries);
   }

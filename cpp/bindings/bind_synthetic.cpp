@@ -6,6 +6,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/gil.h"
 #include "bindings/immutable_array.h"
 #include "core/cameras/registry.h"
 #include "core/synthetic/visible_pairs.h"
@@ -81,7 +82,7 @@ py::tuple PairsOf(const Images& images, const Array<double>& positions,
   const double* wants = wanted.data();
   VisiblePairs pairs;
   {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     pairs = FindVisiblePairs(
         images.view(), points, cells, order_of_points, wants, fewest,
         [random] { return random->next_double(random->state); }, num_threads);
@@ -100,7 +101,7 @@ Array<double> ExactPixels(const Images& images, const Array<double>& positions,
   const double* from = positions.data();
   const int32_t* of_image = image.data();
   const int32_t* of_point = point.data();
-  const py::gil_scoped_release release;
+  const ReleaseGil release;
   ProjectExactly(images.view(), from, count, of_image, of_point, num_threads, out);
   return xy;
 }

@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/gil.h"
 #include "bindings/immutable_array.h"
 #include "bindings/options_from_python.h"
 #include "bindings/python_progress.h"
@@ -286,7 +287,7 @@ py::dict MarginalizeWindowFromPython(const py::dict& window, const py::dict& req
   marginalization.square_root = py::cast<bool>(request["square_root"]);
   marginalization.single_precision = py::cast<bool>(request["single_precision"]);
   MarginalizedWindow output = [&] {
-    const py::gil_scoped_release release;
+    const ReleaseGil release;
     return MarginalizeWindow(view, marginalization);
   }();
   py::dict result;

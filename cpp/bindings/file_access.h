@@ -12,6 +12,7 @@
 #include <string>
 #include <system_error>
 
+#include "bindings/gil.h"
 #include "core/error.h"
 #include "core/io/input_file.h"
 #include "core/io/output_file.h"
@@ -20,7 +21,7 @@ namespace bundle {
 
 /// Makes Ctrl-C end the reading or writing of a large file.
 inline void CheckSignals() {
-  const pybind11::gil_scoped_acquire acquire;
+  const HoldGil held;
   if (PyErr_CheckSignals() != 0) throw pybind11::error_already_set();
 }
 
@@ -34,9 +35,9 @@ class BlockWatch {
 
   std::function<void()> OnBlock() {
     return [this] {
-      const pybind11::gil_scoped_acquire acquire;
+      const HoldGil held;
       if (PyErr_CheckSignals() != 0) throw pybind11::error_already_set();
-      if (!progress_.is_none()) progress_(bytes_);
+      if (!progress_.is_none()) CallPython(progress_, pybind11::make_tuple(bytes_));
       bytes_ += bytes_per_block_;
     };
   }
@@ -72,7 +73,7 @@ auto ReadFile(const pybind11::object& given_path, Read read,
   const std::filesystem::path path = PathFromPython(given_path);
   BlockWatch watch(progress, kReadBlockSize);
   try {
-    const pybind11::gil_scoped_release release;
+    const ReleaseGil release;
     return read(path, watch.OnBlock());
   } catch (const std::system_error& error) {
     ThrowOsError(error, path);

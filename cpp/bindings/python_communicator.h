@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <utility>
 
+#include "bindings/gil.h"
 #include "core/sums/communicator.h"
 
 /// Methods of the object: sum_to_first(what, values), sum_double_doubles_to_first(what, sums,
@@ -24,18 +25,18 @@ class PythonCommunicator final : public bundle::Communicator {
   int num_ranks() const override { return num_ranks_; }
 
   void SumToFirst(const char* what, double* values, int64_t count) override {
-    const pybind11::gil_scoped_acquire acquire;
+    const HoldGil held;
     ranks_.attr("sum_to_first")(what, View(values, count));
   }
 
   void SumDoubleDoubleToFirst(const char* what, double* sums, double* errors,
                               int64_t count) override {
-    const pybind11::gil_scoped_acquire acquire;
+    const HoldGil held;
     ranks_.attr("sum_double_doubles_to_first")(what, View(sums, count), View(errors, count));
   }
 
   void Broadcast(const char* what, double* values, int64_t count, int root) override {
-    const pybind11::gil_scoped_acquire acquire;
+    const HoldGil held;
     ranks_.attr("broadcast")(what, View(values, count), root);
   }
 

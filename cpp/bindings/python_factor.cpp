@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "bindings/gil.h"
 #include "core/error.h"
 #include "core/parallel/thread_pool.h"
 #include "core/words.h"
@@ -20,7 +21,7 @@ py::object Call(const py::object& function, const std::vector<bundle::Retraction
   for (size_t b = 0; b < retractions.size(); ++b) {
     blocks.append(Array(static_cast<py::ssize_t>(retractions[b].ambient_size()), values[b]));
   }
-  return function(blocks, jacobians);
+  return CallPython(function, py::make_tuple(blocks, jacobians));
 }
 
 int CountResiduals(const std::string& name, const py::object& function,
@@ -49,13 +50,13 @@ PythonFactor::PythonFactor(bundle::FactorHead head, std::vector<bundle::Retracti
       function_(std::move(function)) {}
 
 PythonFactor::~PythonFactor() {
-  const py::gil_scoped_acquire acquire;
+  const HoldGil held;
   function_ = py::object();
 }
 
 bool PythonFactor::Evaluate(const double* const* values, double* residual,
                             double* const* jacobians) const {
-  const py::gil_scoped_acquire acquire;
+  const HoldGil held;
   try {
     if (PyErr_CheckSignals() != 0) throw py::error_already_set();
     const py::object answer = Call(function_, retractions(), values, jacobians != nullptr);

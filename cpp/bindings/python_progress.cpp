@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "bindings/gil.h"
 #include "bindings/summary_to_python.h"
 
 namespace py = pybind11;
@@ -12,9 +13,9 @@ PythonProgress::PythonProgress(py::object callback) : callback_(std::move(callba
 }
 
 bool PythonProgress::operator()(const bundle::IterationRecord& record) {
-  const py::gil_scoped_acquire acquire;
+  const HoldGil held;
   if (!callback_.is_none()) {
-    Guard([&] { callback_(ToDict(record)); });
+    Guard([&] { CallPython(callback_, py::make_tuple(ToDict(record))); });
   }
   LookForSignals();
   return !stopped_;
@@ -22,7 +23,7 @@ bool PythonProgress::operator()(const bundle::IterationRecord& record) {
 
 bool PythonProgress::IsInterrupted() {
   if (!sees_signals_) return stopped_;  // without a need to wait for the GIL
-  const py::gil_scoped_acquire acquire;
+  const HoldGil held;
   LookForSignals();
   return stopped_;
 }

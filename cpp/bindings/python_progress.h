@@ -7,6 +7,7 @@
 #include <functional>
 #include <optional>
 
+#include "bindings/gil.h"
 #include "core/interface/summary.h"
 #include "core/parallel/thread_pool.h"
 
@@ -41,7 +42,7 @@ class PythonProgress {
 template <typename Function>
 auto RunWatched(PythonProgress* progress, const Function& solve) {
   try {
-    const pybind11::gil_scoped_release release;
+    const ReleaseGil release;
     const bundle::InterruptionScope scope([progress] { return progress->IsInterrupted(); });
     return solve();
   } catch (const bundle::Interrupted&) {
