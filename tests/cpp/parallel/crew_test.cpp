@@ -8,6 +8,10 @@
 #endif
 
 #include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <filesystem>
+#include <iterator>
 #include <mutex>
 #include <thread>
 #include <vector>
@@ -93,6 +97,23 @@ TEST(Crew, AffinityChosenLaterIsObeyed) {
   }
   ASSERT_EQ(sched_setaffinity(0, sizeof before, &before), 0);
   EXPECT_EQ(counts, std::vector<int>(2, 1));
+}
+
+int CountThreads() {
+  const auto tasks = std::filesystem::directory_iterator("/proc/self/task");
+  return static_cast<int>(std::distance(begin(tasks), end(tasks)));
+}
+
+TEST(Crew, OneIdleCrewIsKept) {
+  IdsOfNewPool(2);  // ends an idle crew of another size
+  const int before = CountThreads();
+  {
+    ThreadPool first(2), second(2), third(2);
+  }
+  for (int k = 0; k < 1000 && CountThreads() > before; ++k) {  // a joined thread is listed a while
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  EXPECT_EQ(CountThreads(), before);
 }
 
 TEST(Crew, ForkStartsThreadsOfItsOwn) {
