@@ -56,9 +56,10 @@ class ChunkCutter {
 
   /// Returns the chunks of points [begin, end), of about equal sizes.
   std::vector<Chunk> Cut(int begin, int end) {
-    const int64_t work = sizes_.Work(begin, end);
+    // At least 1: points that no image sees have no work, but their chunks must not be empty.
+    const int64_t work = std::max<int64_t>(1, sizes_.Work(begin, end));
     const int64_t count = (work + chunk_size_.usual - 1) / chunk_size_.usual;
-    const int64_t wanted = (work + count - 1) / std::max<int64_t>(count, 1);
+    const int64_t wanted = (work + count - 1) / count;
     for (int p = begin; p < end;) p = HasTooManyBlocks(p) ? AddRows(p) : AddChunk(p, end, wanted);
     return std::exchange(chunks_, {});
   }
