@@ -8,7 +8,11 @@
 
 #include "core/error.h"
 #include "core/interface/options.h"
+#include "core/linear/block_structure.h"
+#include "core/model/coupled_blocks.h"
 #include "core/parallel/thread_pool.h"
+#include "core/prepare/choose_solver.h"
+#include "core/prepare/prepare.h"
 #include "core/solver/solver.h"
 #include "support/checked_solve.h"
 #include "support/cost.h"
@@ -134,6 +138,55 @@ TEST(SolveWithFused, EveryThreadCountGivesTheSameBits) {
       EXPECT_EQ(found.camera_params, expected.camera_params);
     }
   }
+}
+
+/// The scene with its points in reverse order.
+Scene WithPointsReversed(Scene scene) {
+  const auto count = static_cast<int>(scene.point_ids.size());
+  const std::vector<double> points = scene.points;
+  for (int p = 0; p < count; ++p) {
+    std::copy_n(&points[3 * (count - 1 - p)], 3, &scene.points[3 * p]);
+  }
+  std::reverse(scene.point_ids.begin(), scene.point_ids.end());
+  for (int32_t& point : scene.observation_point) point = count - 1 - point;
+  return scene;
+}
+
+// Sums of conjugate gradients are on a grid (schur/assembly/sum_grid.h).
+TEST(SolveWithFused, TheOrderOfPointsChangesNoBitOfConjugateGradients) {
+  for (const int images_per_camera : {1, 20}) {
+    SceneOptions scene_options;
+    scene_options.num_images = 20;
+    scene_options.num_points = 400;
+    scene_options.images_per_camera = images_per_camera;
+    const Scene scene = MakeScene(scene_options);
+    SolveOptions options = Options(LinearSolverType::kIterativeSchur);
+    options.schur_complement = SchurComplement::kExplicit;
+    options.max_num_iterations = 6;
+    const SolveOutput expected = CheckedSolve(scene, options);
+    const SolveOutput found = CheckedSolve(WithPointsReversed(scene), options);
+    EXPECT_EQ(found.cam_from_world, expected.cam_from_world);
+    EXPECT_EQ(found.camera_params, expected.camera_params);
+  }
+}
+
+TEST(SolveWithFused, ChoosesASolverByAllPairsOfObservations) {
+  SceneOptions scene_options;
+  scene_options.num_images = 60;
+  scene_options.num_points = 400;
+  const Scene scene = MakeScene(scene_options);
+  const AdjustmentProblem problem = scene.View();
+  SolveOptions options = Options(LinearSolverType::kAuto);
+  options.schur_complement = SchurComplement::kExplicit;
+  options.max_num_iterations = 0;
+  const ParameterLayout layout = PrepareSolve(problem, options).layout;
+  const BlockStructure structure =
+      SparseStructure(layout.BlockSizes(), FindCoupledBlocks(problem, layout));
+  const SolverChoice expected =
+      ChooseLinearSolver(structure, FindFillOrdering(structure), options.num_threads, 1e15,
+                         /*num_observations=*/0, /*num_pairs=*/400 * (60 * 59 / 2));
+  const SolveOutput found = CheckedSolve(scene, options);
+  EXPECT_EQ(found.summary.linear_solver_choice, expected.reason);
 }
 
 TEST(SolveWithFused, UglyProblemsEndOrderly) {

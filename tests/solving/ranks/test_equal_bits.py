@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from tests.rig_scenes import rig_problem
 from tests.scenes import make_problem
 from tests.solving.ranks.thread_crew import alone_and_divided
 
+ROOT = Path(__file__).parents[3]
 OPTIONS = {
     "linear_solver_type": "iterative_schur",
     "preconditioner_type": "schur_jacobi",
@@ -138,6 +140,23 @@ def test_points_in_any_order():
     other = bundle.solve(shuffled, **OPTIONS)
     np.testing.assert_array_equal(other.problem.cam_from_world, alone.problem.cam_from_world)
     np.testing.assert_array_equal(other.problem.points, alone.problem.points[order])
+
+
+@pytest.mark.parametrize("instructions", ["baseline", "avx2"])
+def test_with_other_instructions(instructions):
+    """Without fused multiply-adds, products are rounded before they are added."""
+    program = """
+from tests.solving.ranks import test_equal_bits as tests
+tests.test_points_in_any_order()
+for case in ("one camera", "blocks of twelve columns", "loss"):
+    tests.test_with(case)
+"""
+    subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | {"BUNDLE_INSTRUCTION_SET": instructions},
+        cwd=ROOT,
+        check=True,
+    )
 
 
 def test_a_solver_that_is_used_again():

@@ -51,7 +51,7 @@ void SumGrid::Choose(const std::vector<double>& squared_norms, double cost) {
     of_column_[j] = PowerOfTwoAbove(std::sqrt(squared_norms[j]));
   }
   for (size_t k = 0; k < column_.size(); ++k) {
-    scale_[k] = column_[k] < 0 ? 0 : of_column_[column_[k]];
+    scale_[k] = column_[k] < 0 ? 1 : of_column_[column_[k]];
   }
   residual_ = PowerOfTwoAbove(std::sqrt(2 * cost));
   is_chosen_ = true;

@@ -13,7 +13,10 @@
 /// sum that starts at 3/2 2^e instead of 0, and stays within a quarter of 2^(e+1) of it, rounds
 /// each term to the grid. (J. Demmel, H. D. Nguyen: Fast Reproducible Floating-Point Summation,
 /// ARITH 2013.) A term half way between two multiples is rounded to the even one, which may depend
-/// on the order. Products of Jacobians have too many digits for that to happen.
+/// on the order. A product that is added by a fused multiply-add has too many digits for that to
+/// happen. Without such instructions, the term of a point or of an observation is rounded first,
+/// and its last bit is then set to 1. As a term is at most s_a s_b / 2 (below), this bit is at most
+/// an eighth of the spacing, so the term is not half way.
 ///
 /// The required bound is Cauchy-Schwarz. A point adds u_a^T P u_b or u_a^T u_b to entry (a, b) of S
 /// and subtracts u_a^T P u_b. Here u_a are the rows of the Jacobian's column a that see the point,
@@ -64,7 +67,10 @@ class SumGrid {
   bool is_chosen() const { return is_chosen_; }
 
   /// Adds the start values of the sums of a chunk.
-  void Start(const Chunk& chunk, ChunkSum* sum) const { Add(chunk, 1, sum); }
+  void Start(const Chunk& chunk, ChunkSum* sum) const {
+    Add(chunk, 1, sum);
+    sum->last_bit = 1;
+  }
   /// Subtracts the start values; the differences are multiples of the spacings.
   void Finish(const Chunk& chunk, ChunkSum* sum) const { Add(chunk, -1, sum); }
 
@@ -74,7 +80,7 @@ class SumGrid {
   const EliminationInput& input_;
   size_t stride_;                  ///< stride of a part in column_ and scale_
   std::vector<int32_t> column_;    ///< column of the layout, per column of each part; -1: none
-  std::vector<double> scale_;      ///< s of each part's columns
+  std::vector<double> scale_;      ///< s of each part's columns; 1 without a column
   std::vector<double> of_column_;  ///< s of each column of the layout
   double residual_ = 0;            ///< t
   bool is_chosen_ = false;

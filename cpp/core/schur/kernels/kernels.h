@@ -108,6 +108,9 @@ struct ChunkSum {
   double* vectors = nullptr;
   /// J_c^T J_c of each part, laid out as the diagonal blocks; nullptr: not needed.
   double* camera_diagonal = nullptr;
+  /// 1: sums are on a grid, and the last bits of their terms must be set where products are rounded
+  /// before they are added (assembly/sum_grid.h). Else 0.
+  int64_t last_bit = 0;
   double* BlockOf(size_t b) const { return blocks + block_begin[b]; }
   double* VectorsOf(const EliminationInput& input, size_t i) const {
     return vectors + int64_t{kVectors} * input.part_columns * static_cast<int64_t>(i);

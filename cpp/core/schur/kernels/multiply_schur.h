@@ -55,7 +55,7 @@ inline void MultiplySchur(const EliminationInput& input, const StateRecords& x, 
         },
         &step);
     ForImages(input, at.image, at.EndOfImages(*tile), at.observations, begin[at.first_point],
-              records,
+              records, /*last_bit=*/0,
               [&](const ModelGroup& group, const Tile::Image& image, const ImageRecords& of) {
                 for (int kind = 0; kind < input.plan->num_kinds; ++kind) {
                   const uint16_t part = chunk.images.data()[image.image].part[kind];

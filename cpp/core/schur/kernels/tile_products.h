@@ -36,13 +36,25 @@ inline constexpr int kPanelRows = PanelRows<kQuads>();
 /// doubles, of which a row takes `width` in the first factor and 4 kQuads in the second.
 template <int kQuads, int kRows>
 void SubtractPanel(const double* first, int width, const double* second, int64_t stride,
-                   const EntryPair* pairs, int count, double* block) {
+                   const EntryPair* pairs, int count, int64_t last_bit, double* block) {
   WideRow<kQuads> sum[kRows];
 #pragma GCC unroll 16
   for (int r = 0; r < kRows; ++r) sum[r] = WideRow<kQuads>::Load(block + 4 * kQuads * r);
   for (int i = 0; i < count; ++i) {
     const double* const a = first + stride * pairs[i].first;
     const double* const b = second + stride * pairs[i].second;
+    if constexpr (!kFuses) {
+#pragma GCC unroll 16
+      for (int r = 0; r < kRows; ++r) {
+        WideRow<kQuads> term = {};
+#pragma GCC unroll 3
+        for (int k = 0; k < 3; ++k) {
+          term.Subtract(a[width * k + r], WideRow<kQuads>::Load(b + 4 * kQuads * k));
+        }
+        sum[r].AddTerm(term, last_bit);
+      }
+      continue;
+    }
 #pragma GCC unroll 3
     for (int k = 0; k < 3; ++k) {
       const auto row = WideRow<kQuads>::Load(b + 4 * kQuads * k);
@@ -61,6 +73,7 @@ struct ImageRecords {
   int row_stride;                ///< from row 0 to row 1
   const uint16_t* observations;  ///< numbers in the tile
   int count;
+  int64_t last_bit;  ///< ChunkSum::last_bit
 };
 
 /// Adds A_a^T M A_b of all observations to kRows rows of a block, where the rows of A_a begin at
@@ -88,8 +101,7 @@ void AddPanel(const ImageRecords& records, int first, int second, double* block)
     }
 #pragma GCC unroll 16
     for (int r = 0; r < kRows; ++r) {
-      sum[r].Add(a_0[r], row_0);
-      sum[r].Add(a_1[r], row_1);
+      sum[r].AddTwo(a_0[r], row_0, a_1[r], row_1, records.last_bit);
     }
   }
 #pragma GCC unroll 16
@@ -108,11 +120,9 @@ void AddVectors(const ImageRecords& records, int first, double* vectors) {
     const Row row_0 = Row::Load(record + first);
     const Row row_1 = Row::Load(record + first + records.row_stride);
     for (int v = 0; v < 2; ++v) {
-      sum[v].Add(record[2 * v], row_0);
-      sum[v].Add(record[2 * v + 1], row_1);
+      sum[v].AddTwo(record[2 * v], row_0, record[2 * v + 1], row_1, records.last_bit);
     }
-    sum[2].AddSquares(row_0);
-    sum[2].AddSquares(row_1);
+    sum[2].AddTwoSquares(row_0, row_1, records.last_bit);
   }
   for (int v = 0; v < ChunkSum::kVectors; ++v) sum[v].Store(vectors + 4 * kQuads * v);
 }
@@ -163,9 +173,9 @@ void AddProducts(const ImageRecords& records, int first, int second, bool has_mi
 /// block -= sum of W_a W_b^T over pairs of entries; `num_rows` rows of kQuads quads.
 template <int kQuads>
 void SubtractPairs(const double* w, int width, int64_t stride, const EntryPair* pairs, int count,
-                   int num_rows, double* block) {
+                   int64_t last_bit, int num_rows, double* block) {
   ForPanels<kQuads>(num_rows, [&](int row, int height) {
-    PanelsFor<kQuads>::kSubtract[height - 1](w + row, width, w, stride, pairs, count,
+    PanelsFor<kQuads>::kSubtract[height - 1](w + row, width, w, stride, pairs, count, last_bit,
                                              block + 4 * kQuads * row);
   });
 }
@@ -296,13 +306,13 @@ inline void AddImage(const EliminationInput& input, const ModelGroup& group,
 template <typename Visit>
 inline void ForImages(const EliminationInput& input, const Tile::Image* begin,
                       const Tile::Image* end, const uint16_t* observations, int64_t first,
-                      const TileRecords& records, const Visit& visit) {
+                      const TileRecords& records, int64_t last_bit, const Visit& visit) {
   for (const Tile::Image* at = begin; at < end; ++at) {
     const int image = input.plan->image.data()[first + *observations];
     const ModelGroup& group = input.groups[input.image_group[image]];
     visit(group, *at,
           ImageRecords{records.Of(first), records.stride(), 4 * group.num_quads, observations,
-                       at->num_observations});
+                       at->num_observations, last_bit});
     observations += at->num_observations;
   }
 }
@@ -311,7 +321,7 @@ inline void ForImages(const EliminationInput& input, const Tile::Image* begin,
 inline void AddImages(const EliminationInput& input, const Chunk& chunk, const Tile::Image* begin,
                       const Tile::Image* end, const uint16_t* observations, int64_t first,
                       const TileRecords& records, const ChunkSum& sum) {
-  ForImages(input, begin, end, observations, first, records,
+  ForImages(input, begin, end, observations, first, records, sum.last_bit,
             [&](const ModelGroup& group, const Tile::Image& image, const ImageRecords& of) {
               AddImage(input, group, chunk.images.data()[image.image], of, sum);
             });
@@ -340,7 +350,8 @@ inline void SubtractTile(const EliminationInput& input, const Chunk& chunk,
       SubtractTwelve(w, stride, pairs, at->num_pairs, block);
     } else {
       kSubtractPairs[input.part_quads[second] - 1](w, 4 * input.part_quads[first], stride, pairs,
-                                                   at->num_pairs, input.part_rows[first], block);
+                                                   at->num_pairs, sum.last_bit,
+                                                   input.part_rows[first], block);
     }
     pairs += at->num_pairs;
   }

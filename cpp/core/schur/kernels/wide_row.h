@@ -14,6 +14,13 @@ inline constexpr int kWide =
     2;
 #endif
 
+/// True if a product is added before it is rounded.
+#if defined(__FMA__) || defined(__aarch64__)
+inline constexpr bool kFuses = true;
+#else
+inline constexpr bool kFuses = false;
+#endif
+
 /// A row of kQuads quads in the widest registers of the instruction set.
 template <int kQuads>
 struct WideRow {
@@ -59,6 +66,44 @@ struct WideRow {
     for (int k = 0; k < kWides; ++k) wide[k] += row.wide[k] * row.wide[k];
 #pragma GCC unroll 8
     for (int k = 0; k < kRest; ++k) quad[k] += row.quad[k] * row.quad[k];
+  }
+  /// += term, whose last bits are set to 1 first if `last_bit` is 1 (ChunkSum::last_bit)
+  void AddTerm(const WideRow& term, int64_t last_bit) {
+    using Bits = int64_t __attribute__((vector_size(8 * kWide)));
+    using QuadBits = int64_t __attribute__((vector_size(sizeof(Quad))));
+#pragma GCC unroll 16
+    for (int k = 0; k < kWides; ++k) {
+      wide[k] += reinterpret_cast<Wide>(reinterpret_cast<Bits>(term.wide[k]) | last_bit);
+    }
+#pragma GCC unroll 8
+    for (int k = 0; k < kRest; ++k) {
+      quad[k] += reinterpret_cast<Quad>(reinterpret_cast<QuadBits>(term.quad[k]) | last_bit);
+    }
+  }
+  /// += factor_0 * row_0 + factor_1 * row_1, a term of a block; `last_bit` as in AddTerm
+  void AddTwo(double factor_0, const WideRow& row_0, double factor_1, const WideRow& row_1,
+              int64_t last_bit) {
+    if constexpr (kFuses) {
+      Add(factor_0, row_0);
+      Add(factor_1, row_1);
+    } else {
+      WideRow term = {};
+      term.Add(factor_0, row_0);
+      term.Add(factor_1, row_1);
+      AddTerm(term, last_bit);
+    }
+  }
+  /// += row_0 * row_0 + row_1 * row_1, number by number, a term likewise
+  void AddTwoSquares(const WideRow& row_0, const WideRow& row_1, int64_t last_bit) {
+    if constexpr (kFuses) {
+      AddSquares(row_0);
+      AddSquares(row_1);
+    } else {
+      WideRow term = {};
+      term.AddSquares(row_0);
+      term.AddSquares(row_1);
+      AddTerm(term, last_bit);
+    }
   }
   /// The product with a row, in four parts.
   Quad Times(const WideRow& row) const {
