@@ -146,7 +146,9 @@ void EliminateChunk(const EliminationInput& input, const StateRecords& x, const 
                 });
     AddImages(input, chunk, at.image, at.EndOfImages(*tile), at.observations, begin[at.first_point],
               records, *sum);
-    SubtractTile(input, chunk, at.block, at.EndOfBlocks(*tile), at.pairs, memory, *sum);
+    if (at.first_point < input.plan->num_free_points) {
+      SubtractTile(input, chunk, at.block, at.EndOfBlocks(*tile), at.pairs, memory, *sum);
+    }
     at.Pass(*tile);
   }
 }
