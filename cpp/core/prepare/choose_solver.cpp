@@ -115,12 +115,12 @@ KernelRates OwnRates() {
 }
 
 std::string FormatSeconds(double seconds) {
+  constexpr double kLeast = 0.01;
+  const bool is_short = seconds < 1;
+  const double value = is_short ? std::max(1e3 * seconds, kLeast) : seconds;
   char text[32];
-  if (seconds < 1) {
-    std::snprintf(text, sizeof(text), "%.2g ms", 1e3 * seconds);
-  } else {
-    std::snprintf(text, sizeof(text), "%.0f s", seconds);
-  }
+  std::snprintf(text, sizeof(text), value < 10 ? "%.2g %s" : "%.0f %s", value,
+                is_short ? "ms" : "s");
   return text;
 }
 

@@ -75,8 +75,6 @@ PreparedSolve PrepareSolve(const AdjustmentProblem& problem, const SolveOptions&
           num_free,          std::llround(longest_of_all), std::move(factor_for_ceres)};
 }
 
-namespace {}  // namespace
-
 bool IsIterative(LinearSolverType type) {
   return type == LinearSolverType::kIterativeSchur || type == LinearSolverType::kCgnr;
 }

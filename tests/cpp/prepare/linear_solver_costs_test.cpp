@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <regex>
 #include <string>
 #include <vector>
 
@@ -112,6 +113,18 @@ TEST(LinearSolverCost, ChoosesWhatFitsIntoMemory) {
   const std::string reason =
       ChooseLinearSolver(full, FindFillOrdering(full), 2, costs.iterative.bytes).reason;
   EXPECT_NE(reason.find("dense needs"), std::string::npos) << reason;
+}
+
+TEST(LinearSolverCost, TellsTimesWithoutExponents) {
+  const BlockStructure band = Band(60, 20);
+  const FillOrdering ordering = FindFillOrdering(band);
+  for (int64_t num_pairs = 1; num_pairs < 1'000'000'000'000; num_pairs *= 3) {
+    const std::string reason = ChooseLinearSolver(band, ordering, 2, kPlenty, 0, num_pairs).reason;
+    EXPECT_FALSE(std::regex_search(reason, std::regex("[0-9]e[+-]"))) << reason;
+  }
+  const std::string reason =
+      ChooseLinearSolver(SparseStructure({1}, {{0}}), FillOrdering(), 2, kPlenty).reason;
+  EXPECT_FALSE(std::regex_search(reason, std::regex("[0-9]e[+-]"))) << reason;
 }
 
 }  // namespace
