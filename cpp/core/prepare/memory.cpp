@@ -121,21 +121,22 @@ double AvailableMemoryFor(double bytes) {
 
 double PredictFusedWorkingBytes(const ParameterLayout& layout,
                                 const LargeVector<int64_t>& track_lengths, bool has_sigmas,
-                                int num_threads, double buffer_bytes) {
-  // Image, measurement and place in the chunk, and the lists of chunks (measured). During sorting,
-  // an observation takes more, but the other arrays are not allocated yet.
-  const double bytes_per_observation = 22 + 5 + (has_sigmas ? 8 : 0);
+                                bool has_pairs, int num_threads, double buffer_bytes) {
+  // Image, measurement, places in chunk and tile, and entries of two kinds
+  // (schur/elimination_plan.h). During sorting, an observation takes more, but the other arrays are
+  // not allocated yet.
+  const double bytes_per_observation = 20 + 4 + 4 + (has_sigmas ? 8 : 0);
   // Two states, the scale of the columns, and the index of the point in the plan. The output is
   // allocated after the last step, when only one state is left.
   constexpr double kBytesPerPoint = 3 * 24 + 8 + 4;
-  constexpr double kBytesPerPair = 2;
+  constexpr double kBytesPerPair = 4;  // without the blocks of tiles, which are fewer
   constexpr double kBuffersPerThread = 3;
   const auto num_points = static_cast<int>(track_lengths.size());
   double observations = 0, pairs = 0;
   for (int p = 0; p < num_points; ++p) {
     const auto length = static_cast<double>(track_lengths[p]);
     observations += length;
-    if (layout.point_is_free(p)) pairs += length * (length - 1) / 2;
+    if (has_pairs && layout.point_is_free(p)) pairs += length * (length - 1) / 2;
   }
   double arrays =
       bytes_per_observation * observations + kBytesPerPoint * num_points + kBytesPerPair * pairs;

@@ -34,10 +34,11 @@ bool HasMemoryLimit();
 
 /// Bytes of the fused backend in addition to S or its factor: the sorted observations, the numbers
 /// of their pairs, two states with their records, and chunk buffers of `num_threads` threads with
-/// at most `buffer_bytes` each. `has_sigmas`: observations have them.
+/// at most `buffer_bytes` each. `has_sigmas`: observations have them. `has_pairs`: S is formed, so
+/// pairs are listed.
 double PredictFusedWorkingBytes(const ParameterLayout& layout,
                                 const LargeVector<int64_t>& track_lengths, bool has_sigmas,
-                                int num_threads, double buffer_bytes);
+                                bool has_pairs, int num_threads, double buffer_bytes);
 
 /// Bytes of Ceres' objects for observations and points, and of the Jacobian, as measured
 /// (python/bundle/planning/inspection/peak_memory.py).

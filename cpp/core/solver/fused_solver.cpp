@@ -90,9 +90,9 @@ void FusedSolver::ChooseSolver() {
   CheckTrustRegion(options_);
   Warn(WarningKind::kPreconditionerNotUsed, FindIdlePreconditioner(options_), &warnings_);
   RefuseTooMuchMemory(options_.linear_solver_type, shape, /*cameras_eliminated=*/false);
-  working_bytes_ =
-      PredictFusedWorkingBytes(layout_, track_lengths_, problem_.observation_sigma != nullptr,
-                               EffectiveNumThreads(options_.num_threads), BufferBytes());
+  working_bytes_ = PredictFusedWorkingBytes(
+      layout_, track_lengths_, problem_.observation_sigma != nullptr,
+      /*has_pairs=*/!is_implicit_, EffectiveNumThreads(options_.num_threads), BufferBytes());
   track_lengths_ = {};
   RefuseTooMuchMemory(working_bytes_);
   if (options_.preconditioner_type == PreconditionerType::kAuto) {

@@ -123,10 +123,14 @@ TEST(WorkingMemory, CountsPairsBuffersAndBothStates) {
   const AdjustmentProblem problem = scene.View();
   const PreparedSolve prepared = PrepareSolve(problem, SolveOptions());
   const double observations = 2000, pairs = 100 * 190;
-  const double one = PredictFusedWorkingBytes(prepared.layout, prepared.track_lengths, false, 1, 0);
-  EXPECT_EQ(one, 27 * observations + 84 * 100 + 2 * pairs);
-  EXPECT_EQ(PredictFusedWorkingBytes(prepared.layout, prepared.track_lengths, false, 4, 1e6),
-            one + 12e6);
+  const auto predict = [&](bool has_pairs, int num_threads, double buffer_bytes) {
+    return PredictFusedWorkingBytes(prepared.layout, prepared.track_lengths, false, has_pairs,
+                                    num_threads, buffer_bytes);
+  };
+  const double one = predict(true, 1, 0);
+  EXPECT_EQ(one, 28 * observations + 84 * 100 + 4 * pairs);
+  EXPECT_EQ(predict(false, 1, 0), one - 4 * pairs);
+  EXPECT_EQ(predict(true, 4, 1e6), one + 12e6);
 
   ProblemShape shape = ShapeOf(prepared.layout, 4000);
   const double ceres = PredictCeresWorkingBytes(shape);
