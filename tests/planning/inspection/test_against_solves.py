@@ -17,10 +17,13 @@ from tests.planning.inspection.dense_oracle import (
     jacobian_pattern,
     scalar_order,
 )
-from tests.scenes import make_problem
+from tests.scenes import make_problem, with_observations
 
 OWN = make_problem(num_images=12, num_points=30, track=3)
 SHARED = make_problem(num_images=12, num_points=30, track=3, shared=True)
+UNEVEN = with_observations(
+    OWN, (OWN.observation_point % 2 == 0) | (np.arange(OWN.num_observations) % 3 > 0)
+)
 HALVES = OWN.replace(image_camera=np.array([0, 0, 0, 0, 1, 1, 1, 1, 2, 3, 4, 5]))
 
 CASES = {
@@ -31,6 +34,7 @@ CASES = {
     "poses-points": (SHARED, {"refine": ("poses", "points")}),
     "focal-points": (HALVES, {"refine": ("focal", "points")}),
     "fixed": (OWN, {"fixed_image_ids": (2, 6), "fixed_camera_ids": (5,), "fixed_point_ids": (1,)}),
+    "fixed-points": (UNEVEN, {"fixed_point_ids": (2, 4, 8, 11, 12, 20)}),
     "drive": (drive(40, 200, 4), {}),
 }
 DIRECT = ("dense_schur", "sparse_schur")
