@@ -14,7 +14,6 @@
 #include "core/schur/image_parts.h"
 #include "core/sums/point_sections.h"
 #include "support/scene.h"
-#include "support/some_factors.h"
 
 namespace bundle {
 namespace {
@@ -272,57 +271,6 @@ void ExpectNumbered(const EliminationPlan& plan, const ImageParts& parts) {
 TEST_F(PointPlanTest, NumbersTheBlocksOfItsChunks) {
   const ImageParts parts(problem_, *layout_);
   ExpectNumbered(PlanPoints(problem_, *layout_, parts, &pool_), parts);
-}
-
-/// Five images, of which the points from `num_seen` on, with priors, are in none.
-struct PointsWithPriors {
-  explicit PointsWithPriors(int num_seen) {
-    testing::SceneOptions options;
-    options.num_points = 40;
-    scene = testing::MakeScene(options);
-    const testing::Scene all = scene;
-    scene.observation_image.clear();
-    scene.observation_point.clear();
-    scene.observation_xy.clear();
-    for (int64_t i = 0; i < all.num_observations(); ++i) {
-      if (all.observation_point[i] >= num_seen) continue;
-      scene.observation_image.push_back(all.observation_image[i]);
-      scene.observation_point.push_back(all.observation_point[i]);
-      scene.observation_xy.insert(scene.observation_xy.end(), all.observation_xy.begin() + 2 * i,
-                                  all.observation_xy.begin() + 2 * i + 2);
-    }
-    testing::FactorMaker maker(scene);
-    for (int p = num_seen; p < options.num_points; ++p) {
-      maker.Prior(testing::Kind::kPoint, p, LossType::kTrivial);
-    }
-    factors = maker.Take();
-  }
-
-  AdjustmentProblem View() const {
-    AdjustmentProblem problem = scene.View();
-    problem.factors = &factors;
-    return problem;
-  }
-
-  testing::Scene scene;
-  ProblemFactors factors;
-};
-
-// They are a range of their own: with 3 seen points the last section, with all images the first
-// twelfth of the points.
-TEST(PointPlan, HasPointsThatOnlyFactorsDependOn) {
-  for (const int num_seen : {3, 20, 39}) {
-    const PointsWithPriors all(num_seen);
-    const AdjustmentProblem problem = all.View();
-    const ParameterLayout layout = PrepareSolve(problem, SolveOptions()).layout;
-    const ImageParts parts(problem, layout);
-    for (const bool in_sections : {false, true}) {
-      const EliminationPlan plan =
-          PlanPoints(problem, layout, parts, nullptr, /*keep_order=*/false, in_sections);
-      EXPECT_EQ(plan.num_points(), 40);
-      ExpectNumbered(plan, parts);
-    }
-  }
 }
 
 /// `length` images that all see the first two points; three of them see another hundred. `repeat`:

@@ -3,7 +3,8 @@
 /// BUNDLE_LANES, the doubles of a register.
 ///
 ///   eliminate_chunk.h   linearises and eliminates,   eliminate_point.h   factors of a point,
-///   tile_products.h     products of a tile, block by block,   twelve_products.h   of 12 columns
+///   tile_products.h     products of a tile, block by block
+///   nine_products.h     of 9 columns,   twelve_products.h   of 12 columns
 ///   map_block.h         maps of blocks,   add_block.h   addition to S
 ///   multiply_schur.h    products with S that is not formed
 ///   back_substitute.h   substitutes back and evaluates what follows

@@ -15,10 +15,11 @@ inline constexpr int kWide =
 #endif
 
 /// True if a product is added before it is rounded.
+inline constexpr bool kFuses =
 #if defined(__FMA__) || defined(__aarch64__)
-inline constexpr bool kFuses = true;
+    true;
 #else
-inline constexpr bool kFuses = false;
+    false;
 #endif
 
 /// A row of kQuads quads in the widest registers of the instruction set.
