@@ -63,6 +63,29 @@ def test_an_output_waits_for_the_one_before(tmp_path, disk) -> None:
     assert tree(tmp_path) == in_model(NEW_MODEL | {"beside.json": "{}"})
 
 
+def test_a_model_may_go_into_the_folder_of_the_one_before(tmp_path, disk) -> None:
+    threading.Timer(0.1, disk.set).start()
+    with completing_in_background():
+        write_model(tmp_path / "model")
+        write_model(tmp_path / "model" / "inner")
+    inner = {f"inner/{name}": text for name, text in NEW_MODEL.items()}
+    assert tree(tmp_path) == in_model(NEW_MODEL | inner)
+
+
+def test_an_output_after_a_failed_one_is_completed(tmp_path, monkeypatch) -> None:
+    def fsync(_: int) -> None:
+        raise OSError(errno.EIO, "cannot flush")
+
+    with completing_in_background():
+        with monkeypatch.context() as patched:
+            patched.setattr(os, "fsync", fsync)
+            write_model(tmp_path / "failed")
+            with pytest.raises(OSError, match="cannot flush"):
+                background.wait_for_output()
+        write_model(tmp_path / "model")
+    assert tree(tmp_path) == in_model(NEW_MODEL)
+
+
 def test_outputs_in_each_other_are_all_completed(tmp_path) -> None:
     with completing_in_background(), atomic.replace_file(tmp_path / "outer") as outer:
         outer.write_text("1")
@@ -101,7 +124,7 @@ def test_an_error_of_the_block_does_not_cancel_the_output(tmp_path, disk) -> Non
 def test_an_interruption_of_the_wait_does_not_cancel_the_output(tmp_path, disk) -> None:
     def interrupt() -> None:
         os.kill(os.getpid(), signal.SIGINT)
-        threading.Timer(0.1, disk.set).start()
+        threading.Timer(1.0, disk.set).start()  # long after the block would end without waiting
 
     with pytest.raises(KeyboardInterrupt), recording() as written, completing_in_background():
         write_model(tmp_path / "model")
