@@ -165,6 +165,22 @@ def test_both_backends_take_the_same_steps(mode, solver):
         assert runs["fused"].summary.final_cost == pytest.approx(squares / 2, rel=1e-9)
 
 
+@pytest.mark.parametrize("solver", ["sparse_schur", "dense_schur", "iterative_schur"])
+def test_hard_twists_have_the_same_bits_on_any_number_of_threads(solver):
+    problem = start_of(small(num_points=200, ties=True, rate=0.1))
+    options = {
+        **{"twists": "hard", "linear_solver_type": solver, "max_num_iterations": 4},
+        "refine": ("poses", "points"),
+    }
+    ends = [
+        bundle.solve(problem, backend="fused", num_threads=threads, **options).problem
+        for threads in (1, 2, 5)
+    ]
+    for other in ends[1:]:
+        assert other.cam_from_world.tobytes() == ends[0].cam_from_world.tobytes()
+        assert other.points.tobytes() == ends[0].points.tobytes()
+
+
 def test_hard_twists_follow_the_poses():
     problem = start_of(small(ties=True, num_points=60, rate=0.1))
     options = {"twists": "hard", "refine": ("poses", "points"), **EXACT}

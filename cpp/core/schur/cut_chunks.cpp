@@ -24,7 +24,7 @@ namespace {
 // adding a block to S takes as long as four pairs, but not beyond a twelfth of the problem.
 constexpr int64_t kSmallestChunk = 2048, kLargestChunk = 65536;
 constexpr int64_t kChunksOfProblem = 64, kLeastChunks = 12;
-constexpr int64_t kWorkPerBlock = 20;  // times ImageParts::block_copies
+constexpr int64_t kWorkPerBlock = 20;
 constexpr int64_t kLeastOfFullChunk = 512;
 // Where blocks hardly repeat, as in photo collections, buffers larger than the cache still pay:
 // 1000 images with a million observations took 12.3 s of processor time with 4 MiB, 8.9 s with 32
@@ -37,7 +37,6 @@ constexpr int kMaxBlocks = 0xffff;
 struct ChunkSize {
   int64_t usual = 0;
   int64_t largest = 0;  ///< limit of chunks that grow
-  int64_t per_block = kWorkPerBlock;
 };
 
 /// Cuts ranges of the points of a plan into chunks, one range after the other.
@@ -87,9 +86,8 @@ class ChunkCutter {
     int p = begin;
     for (; p < end; work += sizes_.Work(p++)) {
       const bool full = chunk.num_blocks() > most_blocks_ && work >= kLeastOfFullChunk;
-      const bool enough =
-          work >= std::max(wanted, std::min(chunk_size_.per_block * chunk.num_blocks(),
-                                            chunk_size_.largest));
+      const bool enough = work >= std::max(wanted, std::min(kWorkPerBlock * chunk.num_blocks(),
+                                                            chunk_size_.largest));
       const bool has_numbers = chunk.num_blocks() <= kMaxBlocks / 2 &&
                                chunk.images.size() <= kMaxBlocks / 2 && !HasTooManyBlocks(p);
       if (enough || full || !has_numbers) break;
@@ -234,13 +232,13 @@ class ChunkCutter {
 };
 
 /// Begins of ranges of points that are cut on their own: the sections, or parts of the points.
-std::vector<int> CutRanges(const EliminationPlan& plan, bool in_sections, int64_t least_chunks) {
+std::vector<int> CutRanges(const EliminationPlan& plan, bool in_sections) {
   if (in_sections) return plan.section_begin;
   std::vector<int> begin;
   for (size_t s = 0; s + 1 < plan.section_begin.size(); ++s) {
     const int64_t first = plan.section_begin[s], count = plan.section_begin[s + 1] - first;
-    for (int64_t k = 0; k < least_chunks; ++k) {
-      begin.push_back(static_cast<int>(first + count * k / least_chunks));
+    for (int64_t k = 0; k < kLeastChunks; ++k) {
+      begin.push_back(static_cast<int>(first + count * k / kLeastChunks));
     }
   }
   begin.push_back(plan.section_begin.back());
@@ -254,12 +252,10 @@ void CutIntoChunks(const ImageParts& parts, const PointSizes& sizes, bool in_sec
   const int64_t total = SumOverRanks(communicator, sizes.Work(0, plan->num_points()));
   ChunkSize chunk_size;
   chunk_size.usual = std::clamp(total / kChunksOfProblem, kSmallestChunk, kLargestChunk);
-  const int64_t least_chunks = kLeastChunks / parts.block_copies();
-  chunk_size.largest = std::max(chunk_size.usual, total / least_chunks);
-  chunk_size.per_block *= parts.block_copies();
+  chunk_size.largest = std::max(chunk_size.usual, total / kLeastChunks);
   plan->image_in_chunk.resize(plan->num_observations());
   plan->entry.resize(plan->num_observations() * plan->num_kinds, 0);
-  const std::vector<int> range_begin = CutRanges(*plan, in_sections, least_chunks);
+  const std::vector<int> range_begin = CutRanges(*plan, in_sections);
   const size_t num_ranges = range_begin.size() - 1;
   std::vector<std::vector<Chunk>> chunks(num_ranges);
   std::vector<std::unique_ptr<ChunkCutter>> cutters(pool == nullptr ? 1 : pool->num_threads());

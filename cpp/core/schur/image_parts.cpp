@@ -14,7 +14,6 @@ constexpr int kNumColumns = kImageColumns;
 constexpr uint32_t kPoseBits = (1u << kPoseSize) - 1;
 /// Columns of a pose, and of the twist that belongs to it.
 constexpr uint32_t kMotionBits = kPoseBits | ((1u << kTwistSize) - 1) << kFirstTwist;
-constexpr int kCopiesOfHardTies = 4;  // measured
 constexpr int8_t kPoseColumns[] = {0, 1, 2, 3, 4, 5};
 static_assert(sizeof kPoseColumns == kPoseSize);
 
@@ -42,7 +41,6 @@ ImageParts::ImageParts(const AdjustmentProblem& problem, const ParameterLayout& 
   GroupImages(problem, layout);
   NumberParts(problem, layout);
   Measure();
-  if (layout.HasHardTwists()) block_copies_ = kCopiesOfHardTies;
 }
 
 void ImageParts::GroupImages(const AdjustmentProblem& problem, const ParameterLayout& layout) {

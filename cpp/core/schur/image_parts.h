@@ -58,9 +58,6 @@ class ImageParts {
   int camera_quads() const { return camera_quads_; }
   /// Average doubles of a block of two parts.
   int block_size() const { return block_size_; }
-  /// Time to add such a block to S, in units of one block: with hard-tied twists it becomes nine
-  /// blocks, which one thread adds (column_map.h).
-  int block_copies() const { return block_copies_; }
 
  private:
   void GroupImages(const AdjustmentProblem& problem, const ParameterLayout& layout);
@@ -74,7 +71,6 @@ class ImageParts {
   std::vector<uint8_t> part_rows_, part_quads_;
   int num_own_parts_ = 0, num_kinds_ = 1;
   int record_columns_ = 4, part_columns_ = 4, own_quads_ = 0, camera_quads_ = 0, block_size_ = 1;
-  int block_copies_ = 1;
 };
 
 }  // namespace bundle

@@ -64,7 +64,7 @@ Linearization SchurProblem::Linearize(double damping) {
 }
 
 SchurProblem::PointSums SchurProblem::SumUp(double damping, bool first, double factors_cost) {
-  CameraSums& cameras = sums_.sums();
+  CameraSums& cameras = camera_sums();
   const auto pass = [&] {
     PointSums sums = SumChunks(damping, first, factors_cost);
     SumCameraVectors(communicator_, &sums_.sums());
@@ -72,10 +72,15 @@ SchurProblem::PointSums SchurProblem::SumUp(double damping, bool first, double f
   };
   if (grid_ == nullptr) {
     PointSums sums = pass();
-    SumSystems(communicator_, structure_, assembler_, &cameras);
-    assembler_.Round(&pool_, &cameras);
+    CameraSums& summed = sums_.sums();
+    const Assembler& assembler = setup_.assembler_of_sums();
+    SumSystems(communicator_, setup_.structure_of_sums(), assembler, &summed);
+    assembler.Round(&pool_, &summed);
+    if (setup_.part_sums != nullptr) {
+      setup_.part_sums->Map(summed, solver_->NeedsCameraDiagonal(), &pool_, &cameras);
+    }
     factors_.AddTo(&cameras);
-    if (cameras.has_error_terms || has_camera_factors_)
+    if (summed.has_error_terms || has_camera_factors_ || setup_.part_sums != nullptr)
       BroadcastCameraVectors(communicator_, &cameras);
     return sums;
   }
@@ -134,7 +139,7 @@ SchurProblem::PointSums SchurProblem::SumChunks(double damping, bool first, doub
 }
 
 void SchurProblem::DampCameras(double damping, bool first) {
-  CameraSums& sums = sums_.sums();
+  CameraSums& sums = camera_sums();
   for (size_t j = 0; j < scale_.size(); ++j) {
     const double squared_norm = sums.squared_norms[j];
     if (first) scale_[j] = JacobiScale(squared_norm);
@@ -149,7 +154,7 @@ void SchurProblem::HoldActive() {
   for (size_t j = 0; j < active_.size(); ++j) {
     active_[j] = bounds_.IsActive(j, x_->camera_state[j], gradient()[j]);
   }
-  assembler_.ClearColumns(active_, &sums_.sums());
+  assembler_.ClearColumns(active_, &camera_sums());
 }
 
 }  // namespace bundle

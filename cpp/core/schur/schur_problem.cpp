@@ -49,8 +49,9 @@ SchurProblem::SchurProblem(const AdjustmentProblem& problem, const ParameterLayo
       step_(problem, layout),
       other_step_(problem, layout),
       squared_scale_(x_->points.size(), 0.0),
-      sums_(input_, structure_, assembler_, setup_.parts.num_own_parts(), pool_.num_threads(),
-            solver->NeedsCameraDiagonal(),
+      sums_(input_, setup_.structure_of_sums(), setup_.assembler_of_sums(),
+            setup_.parts.num_own_parts(), pool_.num_threads(),
+            solver->NeedsCameraDiagonal() || setup_.part_sums != nullptr,
             /*keeps_error_terms=*/setup_.sums == SumOrder::kSections),
       bounds_(layout.Bounds(problem)) {
   const auto n = static_cast<size_t>(structure_.num_columns());
@@ -81,6 +82,7 @@ void SchurProblem::Reset(const SolveOptions& options) {
 
 void SchurProblem::FreeSteps() {
   sums_.FreeSystem();
+  std::vector<double>().swap(mapped_sums_.system.values);
   for (LargeVector<double>* values : {&candidate_->points, &squared_scale_, &points_p_, &points_q_,
                                       &points_d_squared_, &points_line_})
     LargeVector<double>().swap(*values);
@@ -88,11 +90,11 @@ void SchurProblem::FreeSteps() {
 
 NewtonResult SchurProblem::SolveNewton(double eta) {
   if (solver_->NeedsGaugeDirections()) {
-    sums_.sums().system.gauge_directions = GaugeDirections(problem_, layout_, x_->cameras());
+    system().gauge_directions = GaugeDirections(problem_, layout_, x_->cameras());
   }
   LinearSolution solution;
   if (IsFirst(communicator_)) {
-    solution = solver_->Solve(&sums_.sums().system, scale_, eta, newton_.data());
+    solution = solver_->Solve(&system(), scale_, eta, newton_.data());
   }
   BroadcastSolution(communicator_, &solution, &newton_);
   NewtonResult result{solution.status, solution.num_iterations, solution.message};

@@ -77,7 +77,7 @@ class SchurProblem final : public LeastSquares {
   bool ReleaseHeld();
 
   /// S and its right-hand side at the last linearisation.
-  BlockSystem& system() { return sums_.sums().system; }
+  BlockSystem& system() { return camera_sums().system; }
   /// Per column at the last linearisation: 1 if its number is on an active bound. Empty without
   /// bounds.
   const std::vector<uint8_t>& active_columns() const { return active_; }
@@ -130,7 +130,9 @@ class SchurProblem final : public LeastSquares {
   void MultiplySchur(const double* x, double* y);
   /// Scales and damps the columns of the camera parameters.
   void DampCameras(double damping, bool first);
-  const std::vector<double>& gradient() { return sums_.sums().gradient; }
+  /// Sums by the columns of the layout.
+  CameraSums& camera_sums() { return setup_.part_sums != nullptr ? mapped_sums_ : sums_.sums(); }
+  const std::vector<double>& gradient() { return camera_sums().gradient; }
   /// Removes the columns of numbers on active bounds from the normal equations.
   void HoldActive();
   /// Removes rounding errors along free similarities from q (newton_gauge.h). Returns the decrease
@@ -171,6 +173,7 @@ class SchurProblem final : public LeastSquares {
   CameraStep other_step_;
   LargeVector<double> squared_scale_;  ///< per column of each point
   OrderedSums sums_;
+  CameraSums mapped_sums_;              ///< with SchurSetup::part_sums only
   std::unique_ptr<SumGrid> grid_;       ///< nullptr: the sums need no grid
   std::vector<double> observed_norms_;  ///< ||J e_j||^2 at the last use of the grid
   bool has_camera_factors_ = false;     ///< true if any rank has them

@@ -54,7 +54,13 @@ SchurSetup::SchurSetup(const AdjustmentProblem& of_problem, const ParameterLayou
       input(MakeInput(options, plan)),
       is_reused_(is_reused),
       pool_(pool) {
-  if (sums == SumOrder::kSections) assembler.PlaceErrorTerms();
+  const bool has_error_terms = sums == SumOrder::kSections;
+  if (layout.HasHardTwists() && !is_implicit) {
+    part_sums = std::make_unique<PartSums>(problem, layout, parts, kernels, plan, structure,
+                                           assembler, has_error_terms);
+  } else if (has_error_terms) {
+    assembler.PlaceErrorTerms();
+  }
 }
 
 EliminationInput SchurSetup::MakeInput(const SolveOptions& options,

@@ -10,6 +10,7 @@
 #include "core/linear/block_structure.h"
 #include "core/model/parameter_layout.h"
 #include "core/schur/assembly/assembler.h"
+#include "core/schur/assembly/part_sums.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/image_parts.h"
 #include "core/schur/kernels/kernels.h"
@@ -58,6 +59,16 @@ struct SchurSetup {
   const SumOrder sums;
   EliminationPlan plan;
   EliminationInput input;
+  /// Only with hard-tied twists, if S is formed.
+  std::unique_ptr<PartSums> part_sums;
+
+  /// Structure and assembler of the sums over chunks.
+  const BlockStructure& structure_of_sums() const {
+    return part_sums != nullptr ? part_sums->structure() : structure;
+  }
+  const Assembler& assembler_of_sums() const {
+    return part_sums != nullptr ? part_sums->assembler() : assembler;
+  }
 
  private:
   struct FixedObservations {

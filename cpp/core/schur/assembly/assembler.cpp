@@ -13,7 +13,7 @@ constexpr size_t kPairsAhead = 6;  // about the number of cache misses that a co
 
 Assembler::Assembler(const AdjustmentProblem& problem, const ParameterLayout& layout,
                      const ImageParts& parts, const Kernels& kernels,
-                     const BlockStructure& structure)
+                     const BlockStructure& structure, bool by_parts)
     : problem_(problem),
       layout_(layout),
       image_parts_(parts),
@@ -24,6 +24,10 @@ Assembler::Assembler(const AdjustmentProblem& problem, const ParameterLayout& la
   for (int p = 0; p < parts.num_parts(); ++p) {
     const CameraPart& part = parts.part(p);
     parts_[p].num_columns = part.num_columns;
+    if (by_parts) {
+      AddWhole(p);
+      continue;
+    }
     if (part.kind == kSensorPart) {
       AddBlock(p, ParameterLayout::kSensorBlock);
       continue;
@@ -82,6 +86,14 @@ void Assembler::AddBlock(int part, int place) {
         static_cast<int8_t>(std::find(of_part.columns, end, local[k]) - of_part.columns);
     added.is_contiguous &= added.local[k] == added.local[0] + k;
   }
+}
+
+void Assembler::AddWhole(int part) {
+  PartBlock& added = parts_[part].of[parts_[part].count++];
+  added.block = part;
+  added.size = image_parts_.part(part).num_columns;
+  added.is_shared = image_parts_.part(part).kind != kOwnPart;
+  added = added.WithoutMap();
 }
 
 void Assembler::Target::Add(int64_t i, double value) const {
@@ -214,34 +226,40 @@ void Assembler::AddVectors(int part, const double* vectors, const double* square
   }
 }
 
-/// Only the upper triangle of `block` is defined.
 void Assembler::AddDiagonal(int part, const double* block, Segment segment,
                             CameraSums* sums) const {
   const PartBlocks& blocks = parts_[part];
-  const int width = WidthOf(part);
   for (int s = 0; s < blocks.count; ++s) {
     for (int t = 0; t < blocks.count; ++t) {
       const PartBlock &a = blocks.of[s], &b = blocks.of[t];
       if (a.block > b.block) continue;
       if ((a.is_shared && b.is_shared) != (segment == Segment::kShared)) continue;
-      const int64_t entry = Entry(a.block, b.block);
-      if (a.map != nullptr || b.map != nullptr) {
-        double full[kMaxMapped], mapped[kMaxMapped];
-        FillLower(block, blocks.num_columns, width, full);
-        kernels_.map_block(a, b, full, width, mapped);
-        for (int i = 0; i < a.size; ++i) {
-          const Target column = Block(sums, a.block, entry, 0, i);
-          for (int j = s == t ? i : 0; j < b.size; ++j) column.Add(j, mapped[i * b.size + j]);
-        }
-        continue;
-      }
-      for (int i = 0; i < a.size; ++i) {
-        const Target column = Block(sums, a.block, entry, 0, i);
-        for (int j = s == t ? i : 0; j < b.size; ++j) {
-          const auto [first, second] = std::minmax(a.local[i], b.local[j]);
-          column.Add(j, block[first * width + second]);
-        }
-      }
+      AddDiagonalOf(part, s, t, block, WidthOf(part), sums);
+    }
+  }
+}
+
+/// Only the upper triangle of `block` is defined.
+void Assembler::AddDiagonalOf(int part, int s, int t, const double* block, int width,
+                              CameraSums* sums) const {
+  const PartBlocks& blocks = parts_[part];
+  const PartBlock &a = blocks.of[s], &b = blocks.of[t];
+  const int64_t entry = Entry(a.block, b.block);
+  if (a.map != nullptr || b.map != nullptr) {
+    double full[kMaxMapped], mapped[kMaxMapped];
+    FillLower(block, blocks.num_columns, width, full);
+    kernels_.map_block(a, b, full, width, mapped);
+    for (int i = 0; i < a.size; ++i) {
+      const Target column = Block(sums, a.block, entry, 0, i);
+      for (int j = s == t ? i : 0; j < b.size; ++j) column.Add(j, mapped[i * b.size + j]);
+    }
+    return;
+  }
+  for (int i = 0; i < a.size; ++i) {
+    const Target column = Block(sums, a.block, entry, 0, i);
+    for (int j = s == t ? i : 0; j < b.size; ++j) {
+      const auto [first, second] = std::minmax(a.local[i], b.local[j]);
+      column.Add(j, block[first * width + second]);
     }
   }
 }
@@ -283,13 +301,7 @@ void Assembler::AddPair(int first, int second, const double* block, PairSegment 
       const PartBlock &a = parts_[first].of[s], &b = parts_[second].of[t];
       if (a.is_shared != shared_first) continue;
       if (shared_first && b.is_shared != (segment == PairSegment::kShared)) continue;
-      if (a.map != nullptr || b.map != nullptr) {
-        double mapped[kMaxMapped];
-        kernels_.map_block(a, b, block, width, mapped);
-        AddPairOf(a.WithoutMap(), b.WithoutMap(), mapped, b.size, sums);
-      } else {
-        AddPairOf(a, b, block, width, sums);
-      }
+      AddBlockOf(first, s, second, t, block, width, sums);
     }
   }
 }

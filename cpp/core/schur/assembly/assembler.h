@@ -51,9 +51,11 @@ struct CameraSums {
 
 class Assembler {
  public:
-  /// Keeps references to all arguments.
+  /// Keeps references to all arguments. `by_parts`: the structure has a block per part, which is
+  /// that part's only block, without a map (part_sums.h).
   Assembler(const AdjustmentProblem& problem, const ParameterLayout& layout,
-            const ImageParts& parts, const Kernels& kernels, const BlockStructure& structure);
+            const ImageParts& parts, const Kernels& kernels, const BlockStructure& structure,
+            bool by_parts = false);
   Assembler(const Assembler&) = delete;
   Assembler& operator=(const Assembler&) = delete;
 
@@ -81,6 +83,15 @@ class Assembler {
   /// blocks.
   void AddSharedBlocks(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum,
                        CameraSums* sums) const;
+
+  /// Adds the vectors of a part, and the block diagonal where it is wanted. `vectors` and `squares`
+  /// as in ChunkSum.
+  void AddVectorsOf(int part, const double* vectors, const double* squares, CameraSums* sums) const;
+  /// Adds a block of two parts to S, for block s of the first part and block t of the second one.
+  /// Row-major with this width; of a part with itself, only the upper triangle is defined. The part
+  /// with itself has each pair of its blocks once: the block of `s` is not after that of `t`.
+  void AddBlockOf(int first, int s, int second, int t, const double* block, int width,
+                  CameraSums* sums) const;
 
   /// Adds a vector by the columns of a part to one by the columns of the layout.
   void AddVector(int part, const double* vector, double* sum) const;
@@ -129,6 +140,7 @@ class Assembler {
   };
 
   void AddBlock(int part, int place);
+  void AddWhole(int part);
   /// `squares`: A^T A of the part; only blocks with a map (PartBlock::map) use it.
   void AddVectors(int part, const double* vectors, const double* squares, Segment segment,
                   CameraSums* sums) const;
@@ -136,6 +148,8 @@ class Assembler {
   void AddCameraDiagonal(int part, const double* block, Segment segment, CameraSums* sums) const;
   void AddPair(int first, int second, const double* block, PairSegment segment,
                CameraSums* sums) const;
+  void AddDiagonalOf(int part, int s, int t, const double* block, int width,
+                     CameraSums* sums) const;
   void AddPairOf(const PartBlock& a, const PartBlock& b, const double* block, int width,
                  CameraSums* sums) const;
   int WidthOf(int part) const { return 4 * image_parts_.part(part).num_quads; }
