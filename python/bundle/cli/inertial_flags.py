@@ -12,18 +12,18 @@ from bundle.cli.path_checks import a_path
 from bundle.errors import InputError
 
 if TYPE_CHECKING:
-    from bundle.georeference.position_prior import PositionPrior
     from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.interface.options import SolveOptions
+    from bundle.interface.round_options import RoundOptions
     from bundle.interface.solve_record import Progress
     from bundle.model.problem import Problem
+    from bundle.solving.placed_problem import Prior
 
 __all__ = ["InertialFiles", "add_inertial_flags", "adjusted_with_imu", "inertial_given"]
 
 ELSEWHERE = (
-    *("num_rounds", "only_images", "hold_out", "checkpoint", "resume", "loops", "rules"),
-    *("constraints", "gcp", "gravity", "orientations", "rig_config", "fixed_image_ids"),
-    "fixed_point_ids",
+    *("only_images", "hold_out", "checkpoint", "resume", "loops", "rules", "constraints"),
+    *("fixed_image_ids", "fixed_point_ids"),
 )
 """Arguments of other ways to refine, which are not valid with an IMU."""
 
@@ -127,10 +127,11 @@ def adjusted_with_imu(
     given: InertialFiles,
     problem: Problem,
     options: SolveOptions,
-    positions: tuple[PositionPrior, ...],
+    priors: tuple[Prior, ...],
+    rounds: RoundOptions,
     progress: Progress,
 ) -> InertialAdjustment:
-    """Adjust a problem with the samples of an IMU, and with measured positions of images.
+    """Adjust a problem with the samples of an IMU, with priors, and in rounds if requested.
 
     Raises:
         InputError: a file is wrong, or the samples do not fit the images.
@@ -166,6 +167,7 @@ def adjusted_with_imu(
             options,
             imu_noise_scale=given.noise_scale,
             imu_samples=given.samples,
-            positions=positions,
+            priors=priors,
+            rounds=rounds,
             progress=progress,
         )

@@ -143,9 +143,13 @@ def _adjusted_with_imu(
     if opened.place is not None:
         raise InputError("--imu: expected a model without georeference.json, which it would move")
     progress.stage("adjusting with the IMU")
-    return adjusted_with_imu(
-        asked.inertial, opened.problem, opened.options, opened.positions, progress.iteration
-    )
+    priors = () if opened.known is None else opened.known.priors
+    flags = {**GEOREFERENCE_FLAGS, "priors": main_flag(asked.georeference)}
+    with naming_flags(SolveOptions, RoundOptions, **flags):
+        return adjusted_with_imu(
+            asked.inertial, opened.problem, opened.options, priors, asked.rounds,
+            progress.iteration,
+        )  # fmt: skip
 
 
 def _with_edits(

@@ -23,7 +23,6 @@ from bundle.model.unobserved import require_observations
 if TYPE_CHECKING:
     from bundle.editing.cameras.edit_record import CameraEdits
     from bundle.georeference.known_priors import KnownPriors
-    from bundle.georeference.position_prior import PositionPrior
     from bundle.model.problem import Problem
     from bundle.solving.slices.sliced_refinement import SlicedRefinement
 
@@ -57,14 +56,6 @@ class Opened:
     place: dict[str, Any] | None
     sliced: SlicedRefinement | None
     load_time: float
-
-    @property
-    def positions(self) -> tuple[PositionPrior, ...]:
-        """Priors of positions of images."""
-        from bundle.georeference.position_prior import PositionPrior  # few runs have any
-
-        known = () if self.known is None else self.known.priors
-        return tuple(prior for prior in known if isinstance(prior, PositionPrior))
 
 
 def open_input(asked: Refinement, progress: Progress) -> Opened:

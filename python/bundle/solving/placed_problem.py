@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     Prior = PositionPrior | GroundControlPoint | AttitudePrior
 
-__all__ = ["PlacedProblem", "place_at_priors"]
+__all__ = ["PlacedProblem", "place_at_priors", "sorted_priors"]
 
 FEWEST = 3
 
@@ -83,7 +83,7 @@ def place_at_priors(
     from bundle.georeference.similarity import moved
     from bundle.georeference.target_priors import TargetPriors
 
-    positions, attitudes, points = _sorted(priors)
+    positions, attitudes, points = sorted_priors(priors)
     known = ProblemPriors.make(problem, positions)
     turned = _attitudes(problem, attitudes)
     targets = TargetPriors.make(problem, points) if points else None
@@ -129,16 +129,16 @@ def _placement(
     return _similarity(problem, known, targets)
 
 
-def _sorted(priors: tuple[Any, ...]) -> tuple[list[Any], list[Any], list[Any]]:
+def sorted_priors(priors: tuple[Any, ...]) -> tuple[list[Any], list[Any], list[Any]]:
     """Return the positions, the attitudes, and the control points."""
     from bundle.georeference.attitude_priors import AttitudePrior
     from bundle.georeference.control_point import GroundControlPoint
     from bundle.georeference.position_prior import PositionPrior
 
     kinds = (PositionPrior, AttitudePrior, GroundControlPoint)
-    sorted_priors: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
+    groups: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
     for place, prior in enumerate(priors):
-        for kind, group in zip(kinds, sorted_priors, strict=True):
+        for kind, group in zip(kinds, groups, strict=True):
             if isinstance(prior, kind):
                 group.append(prior)
                 break
@@ -147,7 +147,7 @@ def _sorted(priors: tuple[Any, ...]) -> tuple[list[Any], list[Any], list[Any]]:
                 "priors: expected PositionPriors, GroundControlPoints and priors of attitudes, "
                 f"found {brief(prior)} at [{place}]"
             )
-    return sorted_priors
+    return groups
 
 
 def _similarity(problem: Problem, known: ProblemPriors, targets: TargetPriors | None) -> Similarity:

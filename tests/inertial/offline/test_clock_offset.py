@@ -107,7 +107,7 @@ def test_positions_place_the_result_in_their_frame(are_few):
     priors = tuple(
         bundle.PositionPrior(problem.image_names[k], places[k] + noise[k], 0.02) for k in chosen
     )
-    found = adjusted(flight.sequence, problem, stamps, imu_noise_scale=1.0, positions=priors)
+    found = adjusted(flight.sequence, problem, stamps, imu_noise_scale=1.0, priors=priors)
     result = found.result
     assert result.summary.is_solution_usable
     sizes = np.linalg.norm(result.problem.projection_centers - places, axis=1)

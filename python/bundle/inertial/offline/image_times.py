@@ -1,8 +1,8 @@
 """Times of a reconstruction's images, from a file with a line for each frame of a video.
 
 Lines have the name of an image and its time in nanoseconds, between blanks, tabs or a comma; lines
-that begin with ``#`` and a header are ignored. The times ascend from line to line. Frames that are
-not in the reconstruction are ignored.
+that begin with ``#`` and a header are ignored. The times ascend from line to line; images of a rig
+may have the same time. Frames that are not in the reconstruction are ignored.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ def read_image_times(path: str | os.PathLike[str], problem: Problem) -> NDArray[
                 f"{place}: expected the name of an image and nanoseconds, found {brief(text)}"
             )
         stamp = int(word)
-        if last is not None and stamp <= last[1]:
+        if last is not None and stamp < last[1]:
             raise InputError(
-                f"{place}: expected a time after {last[1]} ns of line {last[0]}, found {stamp}"
+                f"{place}: expected a time from {last[1]} ns of line {last[0]} on, found {stamp}"
             )
         if name in times:
             raise InputError(

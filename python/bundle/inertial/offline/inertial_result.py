@@ -44,8 +44,8 @@ class InertialAdjustment(Displayed):
         similarity: similarity from the input to the start.
         scale: factor between the positions of the input and of the result.
         start: scale, gravity and biases of the start.
-        timestamps_ns: (n,) times of the images.
-        velocities: (n, 3) of the IMU at the images in the world, m/s.
+        timestamps_ns: (n,) times of the images, or of the frames of a rig.
+        velocities: (n, 3) of the IMU at these times in the world, m/s.
         gyro_biases: (n, 3) rad/s.
         accel_biases: (n, 3) m/s^2.
         imu_cost: cost of the motions in the result.
@@ -53,6 +53,8 @@ class InertialAdjustment(Displayed):
         num_solves: number of solves.
         clock: offset of the clocks; a clear offset was added to the times of images.
         imu_samples: kind of the samples: "instant" or "interval".
+        gauge_freedom: degrees of freedom of the world that motions and priors leave: 4 (position
+            and heading) without priors, 3 with headings, 0 with positions.
     """
 
     result: Result
@@ -68,6 +70,7 @@ class InertialAdjustment(Displayed):
     num_solves: int
     clock: ClockOffset
     imu_samples: str
+    gauge_freedom: int
 
     @property
     def sentence(self) -> str:
@@ -101,6 +104,7 @@ class InertialAdjustment(Displayed):
             "accel_bias": self.accel_biases.mean(axis=0).tolist(),
             "num_solves": self.num_solves,
             "imu_samples": self.imu_samples,
+            "gauge_freedom": self.gauge_freedom,
             "clock_offset": self.clock.seconds,
             "clock_offset_sigma": self.clock.sigma if math.isfinite(self.clock.sigma) else None,
             "clock_offset_used": self.clock.is_clear,

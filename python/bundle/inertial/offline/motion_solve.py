@@ -2,26 +2,32 @@
 
 The cost gains, for consecutive images, the factors of ``cpp/core/factors/image_imu_factor.h`` and
 random walks of the biases. Velocities and biases are three numbers each, and additional points of
-the problem without observations; the result does not have them.
+the problem without observations; the result does not have them. A filter between adjustments (see
+:func:`bundle.solve_rounds`) keeps them, because factors name them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+import dataclasses
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.graphs.factors.factors import BetweenFactor, Factor, PriorFactor
+from bundle.inertial.offline.imu_bodies import ImuBodies
 from bundle.inertial.preintegration.imu_factors import ImageImuFactor
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.interface.options import SolveOptions
+from bundle.interface.round_options import RoundOptions
 from bundle.interface.solve_record import Progress
 from bundle.model.problem import Problem
 from bundle.model.sequence.imu_noise import ImuNoise
 from bundle.solving.result import Result
-from bundle.solving.solve import solve
+from bundle.solving.rounds.solve_rounds import solve_rounds
+
+if TYPE_CHECKING:
+    from bundle.solving.placed_problem import Prior
 
 __all__ = ["GRAVITY", "MotionState", "solved_with_motions"]
 
@@ -43,16 +49,19 @@ class MotionState(NamedTuple):
 
 def solved_with_motions(
     state: MotionState,
-    order: NDArray[np.intp],
+    bodies: ImuBodies,
     motions: list[Preintegration],
-    camera_from_imu: Array,
     noise: ImuNoise,
-    others: Sequence[Factor],
+    priors: tuple[Prior, ...],
     options: SolveOptions,
+    rounds: RoundOptions,
     progress: Progress | None,
 ) -> tuple[Result, MotionState]:
-    """Solve from a state with the motions between consecutive images, and with other factors."""
-    problem, count = state.problem, len(order)
+    """Solve from a state with the motions between consecutive bodies, and with priors.
+
+    The result has no points of motions, neither in its problem nor in the counts of its rounds.
+    """
+    problem, count = state.problem, len(bodies)
     first_id = int(problem.point_ids.max(initial=0)) + 1
     ids = first_id + np.arange(3 * count)
     added = [state.velocities, state.biases[:, :3], state.biases[:, 3:]]
@@ -60,37 +69,38 @@ def solved_with_motions(
         points=np.concatenate([problem.points, *added]),
         point_ids=np.concatenate([problem.point_ids, ids]),
     )
-    factors = _factors(
-        problem.image_ids[order].tolist(),
-        ids.reshape(3, count).tolist(),
-        motions,
-        camera_from_imu,
-        noise,
+    factors = _factors(bodies, problem, ids.reshape(3, count).tolist(), motions, noise)
+    result = solve_rounds(
+        extended, options, factors=factors, priors=priors, align=False, progress=progress,
+        **rounds.asdict(),
+    )  # fmt: skip
+    solved = result.problem
+    num_points = solved.num_points - len(ids)
+    velocities, gyro, accel = solved.points[num_points:].reshape(3, count, 3)
+    refined = solved.replace(
+        points=solved.points[:num_points], point_ids=solved.point_ids[:num_points]
     )
-    factors += others
-    result = solve(extended, options, factors=factors, progress=progress)
-    points = result.problem.points
-    velocities, gyro, accel = points[problem.num_points :].reshape(3, count, 3)
-    refined = result.problem.replace(
-        points=points[: problem.num_points], point_ids=problem.point_ids
+    done = tuple(
+        dataclasses.replace(one, num_points=one.num_points - len(ids)) for one in result.rounds
     )
+    result = dataclasses.replace(result, rounds=done)
     return result, MotionState(refined, velocities, np.hstack([gyro, accel]))
 
 
 def _factors(
-    images: list[int],
+    bodies: ImuBodies,
+    problem: Problem,
     points: list[list[int]],
     motions: list[Preintegration],
-    camera_from_imu: Array,
     noise: ImuNoise,
 ) -> list[Factor]:
     """Return the motions, then random walks and priors of the biases."""
     velocity, gyro, accel = ([("point", one) for one in part] for part in points)
-    pose = [("image", image) for image in images]
+    pose = bodies.keys(problem)
     factors: list[Factor] = [
         ImageImuFactor(
             pose[k], velocity[k], gyro[k], accel[k], pose[k + 1], velocity[k + 1], motion,
-            camera_from_imu, gravity=(0.0, 0.0, -GRAVITY),
+            bodies.body_from_imu, gravity=(0.0, 0.0, -GRAVITY),
         )
         for k, motion in enumerate(motions)
     ]  # fmt: skip
