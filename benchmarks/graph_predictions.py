@@ -106,7 +106,7 @@ def rows_of(
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    """Return the share of predictions within the factor, and whether the target is met."""
+    """Return the share within the factor, whether it meets the target, and unsolved steps."""
     known = [row for row in rows if math.isfinite(row.measured)]
     if not known:
         return "No step was measured."
@@ -115,7 +115,12 @@ def verdict(rows: Sequence[Row]) -> str:
     words = "met" if share >= SHARE else "missed"
     return (
         f"{len(near)} of {len(known)} predictions are within a factor {FACTOR} ({100 * share:.0f} "
-        f"%, target {100 * SHARE:.0f} %: {words}); {len(rows) - len(known)} long steps not solved."
+        f"%, target {100 * SHARE:.0f} %: {words}); {len(rows) - len(known)} long steps not solved"
+        + "".join(
+            f"{', ' if k else ': '}{row.graph} {row.ordering} ({row.predicted:.3g} s predicted)"
+            for k, row in enumerate(row for row in rows if not math.isfinite(row.measured))
+        )
+        + "."
     )
 
 

@@ -97,7 +97,7 @@ std::string AutoOrdering(const py::object& graph, const Array<bool>& held) {
   const PoseGraph made = MakePoseGraph(view, {});
   if (std::all_of(made.held.begin(), made.held.end(), [](uint8_t h) { return h != 0; })) return "";
   const ReleaseGil release;
-  return PatternOfEdges(made, view.tangent(), "auto").ordering.name;
+  return OrderEdges(made, view.tangent(), "auto").name;
 }
 
 std::vector<uint8_t> HeldOf(const Array<bool>& held, const FactorGraph& graph) {

@@ -7,6 +7,7 @@
 #include <functional>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -105,11 +106,14 @@ PoseErrorOptions ErrorsFromPython(const py::dict& options) {
 py::dict SolvePoseGraphFromPython(const py::object& graph, const Array<bool>& held,
                                   const Array<bool>& robust, const py::dict& options,
                                   const py::object& progress, const FillOrdering* order,
-                                  bool with_trials) {
+                                  bool with_trials, const std::optional<Array<double>>& chi2) {
   const GraphArrays arrays(graph);
   PoseGraphView view = ViewWithErrors(arrays, held);
   if (robust.size() != view.num_edges()) throw InputError("robust: expected a flag for each edge");
   view.robust = reinterpret_cast<const uint8_t*>(robust.data());
+  if (chi2 && chi2->size() != view.num_edges()) {
+    throw InputError("chi2: expected a number for each edge");
+  }
   const PoseErrorOptions errors = ErrorsFromPython(options);
   SolveOptions solve_options;
   ReadPoseGraphOptions(options, &solve_options);
@@ -117,7 +121,7 @@ py::dict SolvePoseGraphFromPython(const py::object& graph, const Array<bool>& he
   PythonProgress report(progress);
   PoseGraphOutput output = RunWatched(&report, [&] {
     return SolvePoseGraph(view, errors, solve_options, ordering, std::ref(report), order,
-                          with_trials);
+                          with_trials, chi2 ? chi2->data() : nullptr);
   });
   report.Rethrow();
   const py::ssize_t n = arrays.poses.shape(0), m = arrays.edges.shape(0);
@@ -177,7 +181,7 @@ FillOrdering OrderPoses(const py::object& graph, const Array<bool>& held,
   const PoseGraphView view = ViewGraph(arrays, held);
   const ReleaseGil release;
   const PoseGraph made = MakePoseGraph(view, {});
-  return PatternOfEdges(made, view.tangent(), ordering).ordering;
+  return OrderEdges(made, view.tangent(), ordering);
 }
 
 py::array InitialPoses(const py::object& graph, const Array<bool>& held, const std::string& init,
@@ -189,7 +193,7 @@ py::array InitialPoses(const py::object& graph, const Array<bool>& held, const s
   PythonProgress report(py::none{});
   std::vector<double> poses = RunWatched(&report, [&] {
     const PoseGraph made = MakePoseGraph(view, {});
-    if (init == "odometry") return OdometryPoses(made, arrays.ids.data());
+    if (init == "odometry") return Odometry(made, arrays.ids.data()).Poses();
     if (init == "spanning_tree") return SpanningTreePoses(made);
     if (init == "chordal") return ChordalPoses(made, information, num_threads, order);
     throw InputError("init: expected odometry, spanning_tree or chordal, found " + init);
@@ -215,16 +219,16 @@ double StartCost(const py::object& graph, const Array<bool>& held, const std::st
   if (init != "odometry") {
     throw InputError("init: expected odometry or spanning_tree, found " + init);
   }
-  const bool has_gap = FindOdometryGap(made, arrays.ids.data()).first >= 0;
-  if (has_gap) return std::numeric_limits<double>::infinity();
-  return CostUpTo(made, OdometryPoses(made, arrays.ids.data()), limit);
+  const Odometry chain(made, arrays.ids.data());
+  if (chain.Gap().first >= 0) return std::numeric_limits<double>::infinity();
+  return CostUpTo(made, chain.Poses(), limit);
 }
 
 std::pair<int32_t, int32_t> OdometryGap(const py::object& graph) {
   const GraphArrays arrays(graph);
   const PoseGraphView view = ViewGraph(arrays, arrays.fixed);
   const PoseGraph made = MakePoseGraph(view, {});
-  return FindOdometryGap(made, arrays.ids.data());
+  return Odometry(made, arrays.ids.data()).Gap();
 }
 
 template <typename Group>
@@ -303,7 +307,7 @@ void BindPoseGraph(py::module_& m) {
         py::arg("compression"));
   m.def("solve_pose_graph", &bundle::SolvePoseGraphFromPython, py::arg("graph"), py::arg("held"),
         py::arg("robust"), py::arg("options"), py::arg("progress"), py::arg("order") = nullptr,
-        py::arg("with_trials") = false);
+        py::arg("with_trials") = false, py::arg("chi2") = py::none());
   m.def("order_poses", &bundle::OrderPoses, py::arg("graph"), py::arg("held"), py::arg("ordering"));
   m.def("pose_components", &bundle::PoseComponents, py::arg("num_poses"), py::arg("edges"));
   m.def("hold_poses", &bundle::HoldPosesFromPython, py::arg("graph"));

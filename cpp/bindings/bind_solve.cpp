@@ -177,7 +177,10 @@ void BindSolve(py::module_& m) {
   m.def("changeable_options", &ChangeableOptions);
   m.def("default_options", &DefaultOptions);
   m.def("option_choices", &OptionChoices);
-  m.def("hardware_threads", [] { return bundle::EffectiveNumThreads(0); });
+  m.def("hardware_threads", [] {
+    static const int threads = bundle::EffectiveNumThreads(0);  // reads a file of the system
+    return threads;
+  });
   m.def(
       "reason_for_ceres",
       [](const py::dict& options) { return bundle::ReasonForCeres(OptionsFromPython(options)); },

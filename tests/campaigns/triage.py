@@ -205,7 +205,14 @@ NOISE: dict[str, Callable[[Workshop], tuple[Path, Path]]] = {
                 w.run("refine", w.graph(), *flags, "--threads", 1),
             )
         )
-        for flags in ((), ("--loss", "dcs"), ("--backend", "ceres"), ("--init", "file"))
+        for flags in (
+            (),
+            ("--loss", "dcs"),
+            ("--backend", "ceres"),
+            ("--init", "file"),
+            ("--pose-ordering", "metis"),
+            ("--trust-region", "dogleg"),
+        )
     },
     **{
         f"a model, {' '.join(flags) or 'by default'}": (
@@ -220,6 +227,7 @@ NOISE: dict[str, Callable[[Workshop], tuple[Path, Path]]] = {
             ("--backend", "ceres"),
             ("--solver", "iterative-schur"),
             ("--trust-region", "dogleg"),
+            ("--refine", "poses,points"),
         )
     },
     "odometry": lambda w: (w.run("vio", w.flight()), w.run("vio", w.flight())),

@@ -10,6 +10,9 @@ import numpy as np
 import bundle
 from tests.campaigns.triage_inputs import relative
 
+NANOSECONDS_OF_START = 4e9
+"""Time after which faults of image points begin."""
+
 
 def wrong_closures(graph: bundle.PoseGraph, rng: Any) -> bundle.PoseGraph:
     """Ten closures between places that are far from each other."""
@@ -79,9 +82,13 @@ def far_start(problem: bundle.Problem, rng: Any) -> bundle.Problem:
 
 
 def wrong_tracks(sequence: Any, rng: Any) -> Any:
-    """A fifth of the image points are anywhere."""
-    xy = sequence.xy.copy()
-    wrong = rng.random(len(xy)) < 0.2
+    """A fifth of the image points are anywhere, after the seconds that a start needs.
+
+    Odometry refuses to begin with such points.
+    """
+    xy, stamps = sequence.xy.copy(), sequence.image_timestamps_ns
+    is_late = stamps - stamps.min() > NANOSECONDS_OF_START
+    wrong = is_late & (rng.random(len(xy)) < 0.2)
     xy[wrong] += 60 * rng.standard_normal((int(wrong.sum()), 2))
     return replace(sequence, xy=xy)
 

@@ -166,13 +166,22 @@ def test_bad_arguments_are_one_line(program: Path, how: str, line: str) -> None:
     assert run(program, how) == f"refused|{line}"
 
 
-@pytest.mark.skipif(shutil.which("clang++") is None, reason="no clang++")
-@pytest.mark.parametrize("header", ["check.h", "jet_cost.h", "numeric_jacobian.h", "richardson.h"])
-def test_clang_accepts_the_headers(header: str, tmp_path: Path) -> None:
+HEADERS = ["check.h", "jet_cost.h", "numeric_jacobian.h", "richardson.h"]
+
+
+@pytest.mark.parametrize("compiler", ["g++", "clang++"])
+@pytest.mark.parametrize("header", HEADERS)
+def test_compilers_accept_the_headers(compiler: str, header: str, tmp_path: Path) -> None:
+    """With the installed Ceres, and with those whose include folders BUNDLE_OTHER_CERES lists."""
+    if shutil.which(compiler) is None:
+        pytest.skip(f"no {compiler}")
     (tmp_path / "x.cpp").write_text(f"#include <bundle/{header}>\n")
-    done = subprocess.run(
-        ["clang++", "-std=c++17", "-fsyntax-only", *WARNINGS.split(), f"-I{bundle.get_include()}",
-         "-isystem", "/usr/include/eigen3", tmp_path / "x.cpp"],
-        env=os.environ, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    others = [path for path in os.environ.get("BUNDLE_OTHER_CERES", "").split(os.pathsep) if path]
+    for folder in ([], *([path] for path in others)):
+        include = [word for path in (*folder, "/usr/include/eigen3") for word in ("-isystem", path)]
+        done = subprocess.run(
+            [compiler, "-std=c++17", "-fsyntax-only", *WARNINGS.split(),
+             f"-I{bundle.get_include()}", *include, tmp_path / "x.cpp"],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr

@@ -18,6 +18,9 @@ struct EdgePattern {
   std::vector<int> pose_of;   ///< pose per block
 };
 
+/// The ordering of PatternOfEdges, without the pattern.
+FillOrdering OrderEdges(const PoseGraph& graph, int block_size, const std::string& ordering);
+
 /// `ordering`: "natural", "amd", "metis", or "auto". "auto" is AMD or, if a factorisation takes
 /// long, the cheapest ordering. `known`: the ordering of an earlier pattern with the same edges and
 /// constant poses, whose blocks may have another size; nullptr: it is computed.

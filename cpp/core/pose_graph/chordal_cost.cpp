@@ -112,7 +112,7 @@ ChordalProblem MakeChordalProblem(const PoseGraphView& view, const double* kappa
   ChordalProblem problem;
   problem.graph = MakePoseGraph(view, {});
   std::fill(problem.graph.held.begin(), problem.graph.held.end(), uint8_t{0});
-  problem.ordering = PatternOfEdges(problem.graph, problem.block(), "auto").ordering;
+  problem.ordering = OrderEdges(problem.graph, problem.block(), "auto");
   problem.num_threads = num_threads;
   problem.kappa.assign(kappa, kappa + view.num_edges());
   problem.tau.assign(tau, tau + view.num_edges());

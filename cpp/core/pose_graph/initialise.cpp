@@ -130,53 +130,42 @@ std::vector<double> SpanningTreePoses(const PoseGraph& graph) {
   return composer.Poses();
 }
 
-namespace {
-
-/// For each pair of poses with consecutive ids, in the order of ids: the lower pose, the upper
-/// pose, and the first edge between them, or -1.
-struct OdometryEdge {
-  int32_t from, to;
-  int64_t edge;
-};
-
-std::vector<OdometryEdge> FindOdometry(const PoseGraph& graph, const int64_t* ids) {
+Odometry::Odometry(const PoseGraph& graph, const int64_t* ids) : graph_(graph) {
   std::vector<int32_t> order(graph.num_poses());
   std::iota(order.begin(), order.end(), 0);
-  std::stable_sort(order.begin(), order.end(),
-                   [&](int32_t a, int32_t b) { return ids[a] < ids[b]; });
+  const auto is_before = [&](int32_t a, int32_t b) { return ids[a] < ids[b]; };
+  if (!std::is_sorted(order.begin(), order.end(), is_before)) {
+    std::stable_sort(order.begin(), order.end(), is_before);
+  }
   std::vector<int32_t> rank(order.size());
   for (size_t k = 0; k < order.size(); ++k) rank[order[k]] = static_cast<int32_t>(k);
-  std::vector<OdometryEdge> chain;
-  for (size_t k = 1; k < order.size(); ++k) chain.push_back({order[k - 1], order[k], -1});
+  chain_.reserve(order.size());
+  for (size_t k = 1; k < order.size(); ++k) chain_.push_back({order[k - 1], order[k], -1});
   for (int64_t e = 0; e < graph.num_edges(); ++e) {
     const int32_t a = rank[graph.edges()[2 * e]], b = rank[graph.edges()[2 * e + 1]];
     if (a - b != 1 && b - a != 1) continue;
-    int64_t& edge = chain[std::min(a, b)].edge;
+    int64_t& edge = chain_[std::min(a, b)].edge;
     if (edge < 0) edge = e;
   }
-  return chain;
 }
 
-}  // namespace
-
-std::pair<int32_t, int32_t> FindOdometryGap(const PoseGraph& graph, const int64_t* ids) {
-  for (const OdometryEdge& link : FindOdometry(graph, ids)) {
+std::pair<int32_t, int32_t> Odometry::Gap() const {
+  for (const Link& link : chain_) {
     if (link.edge < 0) return {link.from, link.to};
   }
   return {-1, -1};
 }
 
-std::vector<double> OdometryPoses(const PoseGraph& graph, const int64_t* ids) {
-  const std::vector<OdometryEdge> chain = FindOdometry(graph, ids);
-  Composer composer(graph);
-  std::vector<uint8_t> reached = graph.held;
-  for (const OdometryEdge& link : chain) {
+std::vector<double> Odometry::Poses() const {
+  Composer composer(graph_);
+  std::vector<uint8_t> reached = graph_.held;
+  for (const Link& link : chain_) {
     if (link.edge < 0 || reached[link.from] == 0 || reached[link.to] != 0) continue;
     composer.Follow(link.edge, link.from);
     reached[link.to] = 1;
   }
   // Backwards from the first held pose, if it is not the first pose.
-  for (auto link = chain.rbegin(); link != chain.rend(); ++link) {
+  for (auto link = chain_.rbegin(); link != chain_.rend(); ++link) {
     if (link->edge < 0 || reached[link->to] == 0 || reached[link->from] != 0) continue;
     composer.Follow(link->edge, link->to);
     reached[link->from] = 1;

@@ -28,12 +28,25 @@ HeldPoses HoldPoses(int64_t num_poses, int64_t num_edges, const int32_t* edges,
 /// Poses computed from the held ones, breadth first along the edges.
 std::vector<double> SpanningTreePoses(const PoseGraph& graph);
 
-/// The first two poses with consecutive ids, by position, that no edge joins; {-1, -1} if odometry
-/// joins all.
-std::pair<int32_t, int32_t> FindOdometryGap(const PoseGraph& graph, const int64_t* ids);
+/// The edges between poses with consecutive ids, in the order of ids. If several edges join two
+/// poses, the first is used. Keeps a reference to the graph.
+class Odometry {
+ public:
+  Odometry(const PoseGraph& graph, const int64_t* ids);
 
-/// Poses computed from the held ones along edges between consecutive ids, in the order of ids. If
-/// several edges join two poses, the first is used. Poses that it does not reach do not change.
-std::vector<double> OdometryPoses(const PoseGraph& graph, const int64_t* ids);
+  /// The first two poses, by position, that no edge joins; {-1, -1} if odometry joins all.
+  std::pair<int32_t, int32_t> Gap() const;
+  /// Poses computed from the held ones. Poses that the chain does not reach do not change.
+  std::vector<double> Poses() const;
+
+ private:
+  struct Link {
+    int32_t from, to;  ///< the lower pose, the upper pose
+    int64_t edge;      ///< -1: none
+  };
+
+  const PoseGraph& graph_;
+  std::vector<Link> chain_;
+};
 
 }  // namespace bundle

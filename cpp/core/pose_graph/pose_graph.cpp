@@ -133,11 +133,8 @@ std::vector<int32_t> FindComponents(int64_t num_poses, int64_t num_edges, const 
   return parent;
 }
 
-namespace {
-
 template <typename Group>
-std::vector<double> EdgeChi2Of(const PoseGraph& graph, const std::vector<double>& poses) {
-  const std::vector<double> records = PoseRecords<Group>(poses);
+std::vector<double> EdgeChi2AtRecords(const PoseGraph& graph, const std::vector<double>& records) {
   std::vector<int64_t> edges(graph.num_edges());
   std::iota(edges.begin(), edges.end(), int64_t{0});
   std::vector<double> chi2(edges.size());
@@ -146,10 +143,12 @@ std::vector<double> EdgeChi2Of(const PoseGraph& graph, const std::vector<double>
   return chi2;
 }
 
-}  // namespace
+template std::vector<double> EdgeChi2AtRecords<Se2>(const PoseGraph&, const std::vector<double>&);
+template std::vector<double> EdgeChi2AtRecords<Se3>(const PoseGraph&, const std::vector<double>&);
 
 std::vector<double> EdgeChi2(const PoseGraph& graph, const std::vector<double>& poses) {
-  return graph.dimension() == 2 ? EdgeChi2Of<Se2>(graph, poses) : EdgeChi2Of<Se3>(graph, poses);
+  return graph.dimension() == 2 ? EdgeChi2AtRecords<Se2>(graph, PoseRecords<Se2>(poses))
+                                : EdgeChi2AtRecords<Se3>(graph, PoseRecords<Se3>(poses));
 }
 
 namespace {

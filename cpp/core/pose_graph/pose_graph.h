@@ -97,6 +97,10 @@ std::vector<int32_t> FindComponents(int64_t num_poses, int64_t num_edges, const 
 /// r^T Omega r of each edge at `poses`, without the loss and without 1/2.
 std::vector<double> EdgeChi2(const PoseGraph& graph, const std::vector<double>& poses);
 
+/// The same from the records of the poses (relative_pose.h).
+template <typename Group>
+std::vector<double> EdgeChi2AtRecords(const PoseGraph& graph, const std::vector<double>& records);
+
 /// 1/2 r^T Omega r of all edges, without the loss. Stops at the first sum above `limit` and returns
 /// it: most starts of a graph exceed the cost of a solution after a few edges.
 double CostUpTo(const PoseGraph& graph, const std::vector<double>& poses, double limit);

@@ -138,6 +138,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   double StateNorm() const override { return state_norm_; }
 
   const std::vector<double>& poses() const override { return x_; }
+  std::vector<double> Chi2() const override { return EdgeChi2AtRecords<Group>(graph_, x_records_); }
   void Restore(const std::vector<double>& poses) override {
     x_ = poses;
     x_records_ = PoseRecords<Group>(x_);

@@ -33,6 +33,8 @@ class PoseGraphProblem : public LeastSquares {
  public:
   /// Poses at x, as the graph stores them.
   virtual const std::vector<double>& poses() const = 0;
+  /// EdgeChi2 at x, without another pass over the poses.
+  virtual std::vector<double> Chi2() const = 0;
   /// Sets x to poses in this form.
   virtual void Restore(const std::vector<double>& poses) = 0;
   /// Cost of edges between constant poses.

@@ -66,6 +66,7 @@ void SolveByNormalEquations(const PoseGraph& graph, const SolveOptions& options,
   for (IterationRecord& record : output->iterations) record.cost += fixed_cost;
   JudgeEnd(/*has_bounds=*/false, options.function_tolerance, output);
   output->poses = problem->poses();
+  output->chi2_after = problem->Chi2();
 }
 
 template <typename Group>
@@ -123,7 +124,7 @@ void ReportNothingToRefine(const SolveOptions& options, double cost, PoseGraphOu
 PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors,
                                const SolveOptions& given, const std::string& ordering,
                                const ProgressCallback& progress, const FillOrdering* known,
-                               bool with_trials) {
+                               bool with_trials, const double* chi2) {
   const Stopwatch time;
   SolveOptions options = given;
   options.num_threads = EffectiveNumThreads(options.num_threads);
@@ -132,7 +133,8 @@ PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions
   }
   const PoseGraph graph = MakePoseGraph(view, errors);
   PoseGraphOutput output;
-  output.chi2_before = EdgeChi2(graph, graph.poses);
+  output.chi2_before = chi2 == nullptr ? EdgeChi2(graph, graph.poses)
+                                       : std::vector<double>(chi2, chi2 + graph.num_edges());
   const bool any_free =
       std::any_of(graph.held.begin(), graph.held.end(), [](uint8_t held) { return held == 0; });
   if (!any_free) {
@@ -151,7 +153,7 @@ PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions
   if (given.backend == Backend::kAuto) {
     output.summary.backend_choice = "Pose graphs have normal equations of their own.";
   }
-  output.chi2_after = EdgeChi2(graph, output.poses);
+  if (output.chi2_after.empty()) output.chi2_after = EdgeChi2(graph, output.poses);
   output.weights = EdgeWeights(graph, output.chi2_after);
   const int n = view.ambient();
   for (int64_t i = 0; i < view.num_poses; ++i) {

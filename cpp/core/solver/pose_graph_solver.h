@@ -21,13 +21,15 @@ struct PoseGraphOutput : SolveRecord {
 /// trust region, stopping rules, and threads. `ordering` is that of the fused backend: "auto",
 /// "natural", "amd" or "metis"; `known` as in PatternOfEdges. All poses that are not held are free.
 /// In a component without a held pose, only the damping makes the normal equations regular.
-/// `with_trials`: MinimizePoseGraph in the fused backend.
+/// `with_trials`: MinimizePoseGraph in the fused backend. `chi2`: r^T Omega r of each edge at the
+/// start, if it is known.
 ///
 /// Throws InputError if the graph's arrays contradict each other (MakePoseGraph), or if the Ceres
 /// backend is used with a loss that factors do not have.
 PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors,
                                const SolveOptions& options, const std::string& ordering,
                                const ProgressCallback& progress,
-                               const FillOrdering* known = nullptr, bool with_trials = false);
+                               const FillOrdering* known = nullptr, bool with_trials = false,
+                               const double* chi2 = nullptr);
 
 }  // namespace bundle

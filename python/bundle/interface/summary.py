@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 __all__ = ["Summary", "held_facts", "share", "sizes", "solver_phases", "solver_table"]
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+# Methods written for all subclasses: a dataclass would compile its own, and with sixty fields that
+# takes as long as a small solve.
+@dataclass(frozen=True, kw_only=True, repr=False, init=False, eq=False)
 class Summary(Displayed):
     """Ceres' Solver::Summary with Ceres' field names; times in seconds, -1 if not measured.
 
@@ -144,6 +146,25 @@ class Summary(Displayed):
     held_cost: float = 0.0
     num_processes: int = 1
     processes: ProcessRecord | None = None
+
+    def __init__(self, **fields: Any) -> None:
+        kind = type(self)
+        names = kind.__dataclass_fields__
+        missing = [name for name in names if name not in fields and not hasattr(kind, name)]
+        unknown = [name for name in fields if name not in names]
+        if missing or unknown:
+            raise TypeError(
+                f"{kind.__name__}: expected its fields by name, missing: "
+                f"{', '.join(missing) or '-'}, unknown: {', '.join(unknown) or '-'}"
+            )
+        for name in names:
+            vars(self)[name] = fields[name] if name in fields else getattr(kind, name)
+
+    def __eq__(self, other: object) -> bool:
+        return vars(self) == vars(other) if type(other) is type(self) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(tuple(vars(self).values()))
 
     def __setstate__(self, state: Any) -> None:
         """Restore a pickle: the fields, and the iterations if it has them."""

@@ -56,6 +56,8 @@ class Start:
         reason: reason of the choice; "" if the user chose.
         starts: poses of the starts that were compared, by name.
         costs: their costs without a loss, by name.
+        graph: the graph with these poses, if it was made.
+        chi2: (m,) r^T Omega r of each edge there, if it was computed.
     """
 
     poses: Floats
@@ -63,6 +65,8 @@ class Start:
     reason: str = ""
     starts: dict[str, Floats] | None = None
     costs: dict[str, float] | None = None
+    graph: PoseGraph | None = None
+    chi2: Floats | None = None
 
 
 def start_without_poses(graph: PoseGraph) -> PoseGraph:
@@ -96,7 +100,7 @@ def choose_lower(
     held: Flags,
     num_threads: int,
     order: _core.PoseOrder,
-    cost: Callable[[PoseGraph], float],
+    error: str,
 ) -> Start:
     """Return the chordal start if its cost is lower than that of the file's poses, or these.
 
@@ -105,22 +109,34 @@ def choose_lower(
         held: (n,) mask of constant poses.
         num_threads: number of threads of the relaxation.
         order: order of elimination of the relaxation.
-        cost: function that returns the cost at the poses of a graph.
+        error: error of an edge.
     """
     try:
         chordal = _core.initial_poses(graph, held, "chordal", num_threads, order)
     except InputError:  # its system is singular
         return Start(poses=graph.poses, init="file")
     starts = {"file": graph.poses, "chordal": chordal}
-    file_cost, chordal_cost = cost(graph), cost(graph.replace(poses=chordal))
+    moved = graph.replace(poses=chordal)
+    file_chi2, chordal_chi2 = _core.edge_chi2(graph, error), _core.edge_chi2(moved, error)
+    file_cost, chordal_cost = 0.5 * float(file_chi2.sum()), 0.5 * float(chordal_chi2.sum())
     costs = {"file": file_cost, "chordal": chordal_cost}
     if not chordal_cost < file_cost:
-        return Start(poses=graph.poses, init="file", starts=starts, costs=costs)
+        return Start(
+            poses=graph.poses, init="file", starts=starts, costs=costs, graph=graph, chi2=file_chi2
+        )
     reason = (
         f"The chordal start: twice its cost is {number(2 * chordal_cost)}, that of the given poses "
         f"{number(2 * file_cost)}."
     )
-    return Start(poses=chordal, init="chordal", reason=reason, starts=starts, costs=costs)
+    return Start(
+        poses=chordal,
+        init="chordal",
+        reason=reason,
+        starts=starts,
+        costs=costs,
+        graph=moved,
+        chi2=chordal_chi2,
+    )
 
 
 def choose_start(graph: PoseGraph, held: Flags, doubted: Flags, options: PoseGraphOptions) -> Start:
@@ -220,10 +236,16 @@ def _costs_up_to(
 
 def _comparison(graph: PoseGraph, end: float) -> Callable[[dict[str, float]], bool]:
     """Return a predicate: is the lowest of some costs below ``end`` by more than rounding?"""
-    size = max(1.0, float(np.abs(graph.poses).max()))
-    trace = float(np.einsum("kii->", graph.information))
-    least = max(NOT_LOWER * end, trace * (ROUNDING * size) ** 2)
-    return lambda costs: bool(costs) and end - min(costs.values()) > least
+
+    def is_lower(costs: dict[str, float]) -> bool:
+        gain = end - min(costs.values(), default=np.inf)
+        if not gain > NOT_LOWER * end:
+            return False
+        size = max(1.0, float(np.abs(graph.poses).max()))
+        trace = float(np.einsum("kii->", graph.information))
+        return gain > trace * (ROUNDING * size) ** 2
+
+    return is_lower
 
 
 def _reached(

@@ -58,5 +58,30 @@ TEST(Krylov, OrthonormalColumnsLeaveOutWhatDependsOnOthers) {
   EXPECT_LT((found.transpose() * found - Eigen::MatrixXd::Identity(2, 2)).norm(), 1e-13);
 }
 
+TEST(Krylov, NearlyParallelColumnsStayOrthogonalToTheBasis) {
+  const Eigen::MatrixXd basis = Orthonormalize(Eigen::MatrixXd(50, 0), Random(50, 10, 5));
+  Eigen::MatrixXd more = Random(50, 3, 6) + 10 * basis * Random(10, 3, 7);
+  more.col(1) = more.col(0) + 1e-6 * more.col(1);
+  more.col(2) = more.col(0) - 1e-7 * more.col(2);
+  const Eigen::MatrixXd found = Orthonormalize(basis, more);
+  ASSERT_EQ(found.cols(), 3);
+  EXPECT_LT((basis.transpose() * found).norm(), 1e-13);
+  EXPECT_LT((found.transpose() * found - Eigen::MatrixXd::Identity(3, 3)).norm(), 1e-13);
+}
+
+TEST(Krylov, ALongSearchMeetsItsTolerance) {
+  // The range of a chain's normal equations: neighbouring eigenvalues need many dimensions.
+  const Eigen::MatrixXd a =
+      WithEigenvalues(Eigen::VectorXd::LinSpaced(400, 1e-3, 1).array().pow(2));
+  const EigenPairs found = FindLargest(
+      400, 2, 2, 160, 1e-4, [&](const Eigen::MatrixXd& x) { return Eigen::MatrixXd(a * x); });
+  ASSERT_EQ(found.values.size(), 2u);
+  for (int k = 0; k < 2; ++k) {
+    const Eigen::VectorXd x = found.vectors.col(k);
+    EXPECT_LT((a * x - found.values[k] * x).norm(), 1.01e-4 * found.values[k]) << k;
+  }
+  EXPECT_NEAR(found.values[0], 1, 1e-3);
+}
+
 }  // namespace
 }  // namespace bundle

@@ -67,6 +67,25 @@ def test_the_default_start_is_the_lower_of_chordal_and_file(dimension):
         assert bundle.solve(graph, loss=loss).summary.init == "file"
 
 
+@pytest.mark.parametrize("error", ["log", "g2o"])
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_errors_of_edges_are_those_at_start_and_end(dimension, error):
+    """A solve passes them on instead of evaluating them again."""
+    graph = graphs.loop(dimension, num_poses=30, num_closures=30, noise=0.01, start_noise=2, seed=7)
+    chordal = graph.replace(poses=bundle.initial_poses(graph, "chordal"))
+    far = bundle.solve(graph, error=error)
+    near = bundle.solve(far.problem, error=error, max_num_iterations=0)
+    for result, start in ((far, chordal), (near, far.problem)):
+        np.testing.assert_array_equal(result.chi2_before, bundle.pose_graph_chi2(start, error))
+        end = bundle.pose_graph_chi2(result.problem, error)
+        np.testing.assert_allclose(result.chi2_after, end, rtol=1e-8)  # quaternions are normalised
+    held, _, _ = _core.hold_poses(graph)
+    options = bundle.PoseGraphOptions().asdict()
+    flags = np.zeros(graph.num_edges, bool)
+    with pytest.raises(bundle.InputError, match="chi2: expected a number for each edge"):
+        _core.solve_pose_graph(graph, held, flags, options, None, None, False, far.chi2_after[1:])
+
+
 def test_the_file_is_the_start_if_the_chordal_one_is_worse_or_does_not_exist(monkeypatch):
     graph = graphs.loop(2)
     real = _core.initial_poses

@@ -1,6 +1,7 @@
 """Predicted steps of factor graphs: work of the factors, terms of a step, failures, the cache."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -77,6 +78,49 @@ def test_the_time_of_a_sample_counts_for_all_factors_of_its_kind(monkeypatch):
     assert max(samples) == 3000 and set(samples) == {16, 3000}
 
 
+def test_a_sample_counts_by_its_shortest_time(monkeypatch):
+    clock = iter(range(1, 100))
+    monkeypatch.setattr(
+        factor_graph_time,
+        "_step",
+        lambda _graph, factors, **_: factor_graph_time._Step(next(clock) * len(factors), 0.0, 1),
+    )
+    graph = bundle.FactorGraph()
+    graph.add_variable(0, [0.0])
+    graph.add_factor(bundle.PriorFactor(0, [1.0], 1))
+    assert factor_work(graph).evaluation == 1
+
+
+def solved(monkeypatch, **changes):
+    """A step of three iterations after the start, with the times of a solve as given."""
+    summary = {
+        "interrupted": False,
+        "jacobian_evaluation_time_in_seconds": 8.0,
+        "num_jacobian_evaluations": 4,
+        "residual_evaluation_time_in_seconds": 3.0,
+        "num_residual_evaluations": 6,
+        "num_residuals": 7,
+    }
+    output = {
+        "summary": summary | changes,
+        "iterations": {"iteration_time_in_seconds": [100.0, 5.0, 6.0, 7.0]},
+    }
+    core = SimpleNamespace(solve_graph=lambda *_: output)
+    monkeypatch.setattr(factor_graph_time, "_core", core)
+    graph = mixed_graph()
+    return factor_graph_time._step(graph, graph.factors, steps=3)
+
+
+def test_a_step_is_its_evaluations_and_the_rest(monkeypatch):
+    # The first of 4 Jacobians belongs to the start, whose 100 s do not count either.
+    step = solved(monkeypatch)
+    assert step == (8 / 4 + 3 / 6, (5 + 6 + 7 - 3 - 3 * 2) / 3, 7)
+    unmeasured = {"residual_evaluation_time_in_seconds": -1.0, "num_residual_evaluations": 0}
+    assert solved(monkeypatch, **unmeasured) == (2 * 8 / 4, (5 + 6 + 7 - 3 * 2) / 3, 7)
+    with pytest.raises(KeyboardInterrupt):
+        solved(monkeypatch, interrupted=True)
+
+
 def test_kinds_beyond_the_time_limit_take_the_mean(monkeypatch):
     monkeypatch.setattr(factor_graph_time, "MOST_SECONDS", 0.0)
     monkeypatch.setattr(
@@ -136,6 +180,33 @@ def test_a_calibration_has_all_rates(monkeypatch):
     assert set(seconds) == set(FEATURES)
     assert all(np.isfinite(value) and value >= 0 for value in seconds.values())
     assert max(seconds.values()) > 0
+
+
+def test_a_calibration_fits_the_counts_of_each_system(monkeypatch):
+    """Sparse and, if small, dense; times that the clock does not resolve are left out."""
+    fitted = []
+    monkeypatch.setattr(factor_graph_time, "CASES", [("chain", 5, 3), ("chain", 9, 6)])
+    monkeypatch.setattr(factor_graph_time, "MOST_DENSE_COLUMNS", 12)
+    monkeypatch.setattr(
+        factor_graph_time,
+        "_step",
+        lambda graph, factors, dense=False, **_: factor_graph_time._Step(
+            1.0, 7.0 if dense else len(graph.variables) - 5.0, 3 * len(factors)
+        ),
+    )
+    monkeypatch.setattr(
+        factor_graph_time,
+        "fit_rates",
+        lambda rows, times: fitted.append((rows, times)) or np.zeros(len(FEATURES)),
+    )
+    factor_graph_time.calibrate_factor_graphs()
+    ((rows, times),) = fitted
+    assert times.tolist() == [7.0, 4.0]  # dense, 5 poses; sparse, 9 poses
+    of_dense, of_sparse = (dict(zip(FEATURES, row, strict=True)) for row in rows.tolist())
+    assert (of_dense["dense_step"], of_dense["step"]) == (1, 0)
+    assert (of_sparse["dense_step"], of_sparse["step"]) == (0, 1)
+    n, m = 3 * 4, 3 * 4  # free coordinates, residuals
+    assert of_dense["dense_flop"] == m * n**2 + n**3 / 3
 
 
 def test_rates_are_cached_apart_from_those_of_pose_graphs(tmp_path, monkeypatch):

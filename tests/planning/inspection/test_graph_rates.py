@@ -1,15 +1,13 @@
-"""Predicted steps of pose graphs: the counts of panels, the fit, the cache, measured steps."""
+"""Predicted steps of pose graphs: the counts of panels, the cache, measured steps."""
 
 import json
 
 import numpy as np
 import pytest
-from scipy.optimize import nnls
 
 import bundle
 from bundle import _core
 from bundle.planning.inspection import graph_rates, machine_rates
-from bundle.planning.inspection.fitted_rates import fit_rates
 from bundle.planning.inspection.graph_inspection import pattern_of_edges
 
 
@@ -79,17 +77,6 @@ def test_a_band_reads_what_it_has_just_written():
     band = [(k, k + d) for k in range(300) for d in (1, 2, 3) if k + d < 300]
     work = panels(300, band, near=2e4, far=1e5)
     assert work["reads"] > 0 and work["near_misses"] == work["far_misses"] == 0
-
-
-def test_the_fit_has_no_negative_time_and_the_least_squares():
-    rng = np.random.default_rng(1)
-    rows = rng.uniform(size=(20, 6)) * [1, 1e3, 1e6, 1, 1, 1]
-    rows[:, 5] = 0  # a feature that no graph has
-    times = rows @ [1.0, 2e-3, 0, 0.5, 0, 0] * np.exp(0.1 * rng.normal(size=20))
-    found = fit_rates(rows, times)
-    assert (found >= 0).all() and found[5] == 0
-    expected, _ = nnls(rows[:, :5] / times[:, None], np.ones(20))
-    np.testing.assert_allclose(found[:5], expected, rtol=1e-4, atol=1e-9)
 
 
 def test_terms_add_up_and_threads_divide_large_graphs_only():

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["PoseGraphResult", "PoseGraphSummary"]
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False, init=False, eq=False)
 class PoseGraphSummary(Summary):
     """Summary (:class:`bundle.Summary`) with chi2; costs are 1/2 sum rho(||r||^2) over the edges.
 

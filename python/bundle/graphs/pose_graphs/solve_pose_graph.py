@@ -187,7 +187,7 @@ def _refined(
             held,
             options.num_threads,
             order,
-            lambda there: 0.5 * float(_core.edge_chi2(there, options.error).sum()),
+            options.error,
         )
     elif options.init == "lower":
         start = started(weighed, held, "file", options.num_threads)
@@ -195,7 +195,7 @@ def _refined(
         start = started(weighed, held, options.init, options.num_threads)
         if options.loss == "trivial" and options.backend != "ceres":
             order = _core.order_poses(weighed, held, options.ordering)
-    started_graph = weighed.replace(poses=start.poses)
+    started_graph = start.graph or weighed.replace(poses=start.poses)
     c_squared = options.loss_scale**2 * ONE_IN_2000[graph.tangent_size]
     proposals: list[Proposal] = []
 
@@ -205,7 +205,7 @@ def _refined(
 
             return solve_gnc(started_graph, held, doubted, how, progress, proposals)
         found = _core.solve_pose_graph(
-            started_graph, held, doubted, how.asdict(), progress, order, with_trials
+            started_graph, held, doubted, how.asdict(), progress, order, with_trials, start.chi2
         )
         if options.loss == "auto" and how.loss != "trivial":
             proposals.append((found["chi2_after"] <= c_squared, found["poses"]))

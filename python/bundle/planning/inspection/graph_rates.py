@@ -8,9 +8,9 @@ A Gauss-Newton step linearises the edges, factorises the normal equations panel 
   locate;
 - flops of the updates and flops of the panels' own columns, at two rates, and a time per value of
   the factor, which a step clears, fills, factorises and uses twice to solve;
-- traffic beyond the second-level cache, and beyond half of a third-level cache: bytes of edges and
-  poses; the four passes over the values of the factor; and rows of panels that an update reads a
-  long time after their last use (``cpp/core/prepare/panel_work.cpp``).
+- traffic beyond the second-level cache, and beyond a share of the third-level cache: bytes of
+  edges and poses; the four passes over the values of the factor; and rows of panels that an update
+  reads a long time after their last use (``cpp/core/prepare/panel_work.cpp``).
 
 A narrow panel has many updates of few flops, so that its effective rate is low without a table of
 rates by size. The times follow from solves of graphs whose counts differ, the largest beyond the
@@ -46,7 +46,7 @@ __all__ = [
     "step_time",
 ]
 
-NEAR_CACHE, FAR_CACHE = 1e6, 16e6
+NEAR_CACHE, FAR_CACHE = 1e6, 8e6
 """Bytes from which data leave the second-level cache, and the share of the third-level cache that a
 solve may expect."""
 
@@ -264,7 +264,11 @@ def _features(graph: PoseGraph, work: Mapping[str, float]) -> Floats:
 
 
 def step_time(graph: PoseGraph, ordering: str, num_threads: int) -> float:
-    """Return the shortest step of several solves; NaN without a successful step.
+    """Return the shortest step of several solves; NaN if none is whole.
+
+    A step that is taken ends with the linearisation at its end. One that is rejected leaves the
+    next step to linearise again, with more damping. A step is whole if it linearises once: if it is
+    taken after a taken one, or rejected after a rejected one.
 
     Other load only adds time. Of a long step on one thread the processor time counts, which other
     load changes little; for a short step the calls that read it would take too long.
@@ -291,9 +295,9 @@ def step_time(graph: PoseGraph, ordering: str, num_threads: int) -> float:
             parameter_tolerance=0.0,
             progress=read if is_long else None,
         )
-        taken = np.asarray(result.iterations["step_is_successful"], bool)[1:]
+        taken = np.asarray(result.iterations["step_is_successful"], bool)
         times = np.asarray(result.iterations["iteration_time_in_seconds"])[1:]
         if is_long and len(clock) == len(times) + 1:
             times = np.diff(clock)
-        found += times[taken].tolist()
+        found += times[taken[1:] == taken[:-1]].tolist()
     return min(found, default=float("nan"))
