@@ -139,7 +139,7 @@ PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions
       std::any_of(graph.held.begin(), graph.held.end(), [](uint8_t held) { return held == 0; });
   if (!any_free) {
     double cost = 0;
-    for (const double chi2 : output.chi2_before) cost += 0.5 * chi2;
+    for (const double of_edge : output.chi2_before) cost += 0.5 * of_edge;
     output.poses = graph.poses;
     ReportNothingToRefine(options, cost, &output);
   } else if (options.backend != Backend::kCeres) {
