@@ -185,15 +185,31 @@ double ChordalCost(const ChordalProblem& problem, const MatrixXd& point, MatrixX
   return cost;
 }
 
-double ChordalRounding(const ChordalProblem& problem, const MatrixXd& point) {
+namespace {
+
+double RoundingOfEdge(const ChordalProblem& problem, const MatrixXd& point, int64_t e) {
   const int d = problem.dimension(), b = problem.block();
+  const int64_t i = problem.graph.edges()[2 * e], j = problem.graph.edges()[2 * e + 1];
+  const double squares = point.col(i * b + d).squaredNorm() + point.col(j * b + d).squaredNorm();
+  return 16 * kEpsilon * kEpsilon * (d * problem.kappa[e] + problem.tau[e] * squares);
+}
+
+}  // namespace
+
+double ChordalRounding(const ChordalProblem& problem, const MatrixXd& point) {
   double sum = 0;
+  for (int64_t e = 0; e < problem.graph.num_edges(); ++e) sum += RoundingOfEdge(problem, point, e);
+  return sum;
+}
+
+bool HasExactEdges(const ChordalProblem& problem, const MatrixXd& point, double share) {
   for (int64_t e = 0; e < problem.graph.num_edges(); ++e) {
-    const int64_t i = problem.graph.edges()[2 * e], j = problem.graph.edges()[2 * e + 1];
-    sum += d * problem.kappa[e] + problem.tau[e] * (point.col(i * b + d).squaredNorm() +
-                                                    point.col(j * b + d).squaredNorm());
+    const double cost = ResidualsOf(problem, point, e).cost;
+    if (!(cost <= std::max(share * problem.kappa[e], RoundingOfEdge(problem, point, e)))) {
+      return false;
+    }
   }
-  return 16 * kEpsilon * kEpsilon * sum;
+  return true;
 }
 
 MatrixXd Multipliers(const ChordalProblem& problem, const MatrixXd& point,

@@ -53,6 +53,9 @@ double ChordalCost(const ChordalProblem& problem, const Eigen::MatrixXd& point,
 /// Rounding error of F at a point: F below it is zero.
 double ChordalRounding(const ChordalProblem& problem, const Eigen::MatrixXd& point);
 
+/// True if the cost of each edge is at most this share of its kappa, or its rounding error.
+bool HasExactEdges(const ChordalProblem& problem, const Eigen::MatrixXd& point, double share);
+
 /// Lambda_i = sym(Y_i^T (X Q)_i) of all poses, d x d n.
 Eigen::MatrixXd Multipliers(const ChordalProblem& problem, const Eigen::MatrixXd& point,
                             const Eigen::MatrixXd& product);

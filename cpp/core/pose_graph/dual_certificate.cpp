@@ -44,12 +44,17 @@ namespace {
 /// Relative gap at which a point counts as optimal. Tenths of it are tried for the bound.
 constexpr double kRelativeGap = 1e-6;
 constexpr int kSmallerShifts = 3;
-/// F below this share of the sum of all kappa has errors of 1e-6 rad: it is 0, its bound.
+/// An edge with a cost below this share of its kappa has an error of 1e-6 rad. If all have, F is 0,
+/// its bound. The sum of all kappa is no measure of that: one large weight would hide the errors of
+/// all other edges.
 constexpr double kExactEdges = 1e-12;
 /// Long chains amplify rounding: a shift of so many times the smallest one passes if its gap is
 /// this share of F.
 constexpr double kMostRounding = 1e3;
 constexpr double kRoundedGap = 1e-3;
+/// A gap beyond this share of F is no certificate, even if the shift passes: weights that differ by
+/// 1e12 raise the smallest shift above the eigenvalues of the light edges.
+constexpr double kMostGap = 0.1;
 /// Shifts below this share of the mean diagonal entry of S at the rotations are rounding. The error
 /// E of a factorisation has |E_ij| up to about 1e-16 sqrt(S_ii S_jj), so that tr(Z E Z^T) is up to
 /// about that share of the sum of these entries, as a shift of this size is in (1).
@@ -73,7 +78,6 @@ DualCertificate::DualCertificate(const ChordalProblem& problem, const MatrixXd& 
   cost_ = ChordalCost(problem, point, &residual_);
   const MatrixXd multipliers = Multipliers(problem, point, residual_);
   trace_ = 0;
-  for (const double kappa : problem.kappa) sum_kappa_ += kappa;
   for (int64_t i = 0; i < problem.num_poses(); ++i) {
     const SmallMatrix lambda = multipliers.middleCols(i * d_, d_);
     trace_ += lambda.trace();
@@ -114,8 +118,8 @@ DualBound DualCertificate::Bound() {
   const double count = static_cast<double>(problem_.num_poses()) * d_;
   const double floor = kSmallestShift * mean_;
   const double largest = std::max({kRelativeGap * cost_ / count, floor, rounding_ / count});
-  found.holds = Factorize(largest);
-  if (found.holds) {
+  const bool is_definite = Factorize(largest);
+  if (is_definite) {
     found.shift = largest;
     for (int k = 0; k < kSmallerShifts && found.shift > floor; ++k) {
       const double smaller = std::max(0.1 * found.shift, floor);
@@ -124,11 +128,11 @@ DualBound DualCertificate::Bound() {
     }
   } else {
     found.shift = SmallestPositiveShift(largest);
-    const bool is_exact = cost_ <= std::max(rounding_, kExactEdges * sum_kappa_);
-    const bool is_rounding =
-        found.shift <= kMostRounding * floor && found.shift * count <= kRoundedGap * cost_;
-    found.holds = is_exact || is_rounding;
   }
+  const double gap = found.shift * count;
+  const bool is_rounding = found.shift <= kMostRounding * floor && gap <= kRoundedGap * cost_;
+  found.holds = (is_definite && gap <= kMostGap * cost_) || is_rounding ||
+                HasExactEdges(problem_, point_, kExactEdges);
   found.bound = trace_ - found.shift * count;
   return found;
 }

@@ -45,7 +45,6 @@ class DualCertificate {
   const int d_, b_;
   const bool explicit_;
   double cost_, trace_, rounding_;
-  double sum_kappa_ = 0;
   double scale_ = 0;          ///< largest diagonal entry of S
   double mean_ = 0;           ///< mean diagonal entry at the rotations
   Eigen::MatrixXd diagonal_;  ///< diagonal blocks of S

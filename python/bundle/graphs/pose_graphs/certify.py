@@ -54,7 +54,8 @@ NEAR_CHI2 = 0.01
 """Relative decrease of chi2 in three steps from poses that are near a minimum of chi2."""
 
 ZERO_COST = 1e-9
-"""F and chi2 below this share of the sum of all weights are those of exact measurements."""
+"""F and chi2 below this share of the median weight, times the number of edges, are those of exact
+measurements."""
 
 
 def certify(
@@ -240,7 +241,7 @@ def _verdict(
     chi2: float,
     threads: int,
 ) -> str:
-    zero = ZERO_COST * float(weights.kappa.sum())
+    zero = ZERO_COST * graph.num_edges * float(np.median(weights.kappa))
     is_critical = found["holds"] or (found["converged"] and found["is_minimum"])
     is_near = found["initial_cost"] <= (1 + NEAR_COST) * found["cost"] + zero
     if not is_critical or not (is_near or _is_settled(graph, error, chi2, zero, threads)):
