@@ -44,7 +44,7 @@ def short_outcome(summary: Summary, done: str) -> str:
     """
     if summary.interrupted:
         return f"Interrupted after {done}"
-    verdict = f"{_VERDICTS.get(summary.termination_type, 'Ended after')} {done}"
+    verdict = f"{_verdict(summary)} {done}"
     for beginning, reason in _REASONS.items():
         if summary.message.startswith(beginning):
             why = reason.partition(": ")[2].removesuffix(". The best state is kept")
@@ -62,11 +62,18 @@ def sentence(summary: Summary, num_steps: int, num_rejected: int = 0) -> str:
         steps += f", {num_rejected} rejected"
     if summary.interrupted:
         return f"Interrupted after {steps}. The best state is kept."
-    verdict = f"{_VERDICTS.get(summary.termination_type, 'Ended after')} {steps}"
+    verdict = f"{_verdict(summary)} {steps}"
     for beginning, reason in _REASONS.items():
         if summary.message.startswith(beginning):
             return f"{verdict}{reason.format(limit=_limit(summary.message))}."
     return f"{verdict}: {' '.join(summary.message.split()) or summary.termination_type}"
+
+
+def _verdict(summary: Summary) -> str:
+    """Return the first words; a solve whose result is no solution has not converged to one."""
+    if summary.termination_type == "CONVERGENCE" and not summary.is_solution_usable:
+        return "Ended after"
+    return _VERDICTS.get(summary.termination_type, "Ended after")
 
 
 def _limit(message: str) -> str:

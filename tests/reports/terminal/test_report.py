@@ -342,3 +342,13 @@ def test_five_changed_cameras_are_shown_and_the_others_counted(count, folded):
     assert text.count(" M ") == 5
     assert ("1 other camera" in text) == folded
     assert ("other camera" in text) == folded
+
+
+def test_only_a_usable_solution_has_converged():
+    """A result that is dropped is told in the words of a solve that ended elsewhere."""
+    end = {"termination_type": "CONVERGENCE", "message": "Parameter tolerance reached. 0 <= 0"}
+    usable, dropped = (
+        sentence(fakes.summary(**end, is_solution_usable=usable), 5) for usable in (True, False)
+    )
+    assert usable.split()[0] != dropped.split()[0]
+    assert usable.split()[2:] == dropped.split()[2:]
