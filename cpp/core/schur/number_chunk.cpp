@@ -176,7 +176,7 @@ class ChunkNumbering {
                      std::vector<uint8_t>* scratch) {
     std::vector<uint8_t>& is_seen = *scratch;
     is_seen.assign(entries.size(), 0);
-    uint16_t* to = &plan_.entry[plan_.first[point] * plan_.num_kinds];
+    uint16_t* to = plan_.entry.data() + plan_.first[point] * plan_.num_kinds;
     for (int i = 0; i < entries.num_refined(); ++i) {
       for (int kind = 0; kind < plan_.num_kinds; ++kind, ++to) {
         const int e = entries.EntryOf(i, kind);
