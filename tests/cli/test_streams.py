@@ -104,7 +104,7 @@ def interrupting(where: str) -> str:
 @pytest.mark.parametrize(
     ("where", "written"),
     [("bundle.io.open.load", False), ("bundle.io.bal.save", False),
-     ("bundle.io.atomic.atomic_write.flush", True),  # in the background: it completes
+     ("bundle.io.atomic.atomic_write.flush", False),
      ("bundle.io.atomic.atomic_write.note_replaced", True),
      ("bundle.cli.output.show", True)],
 )  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 from pathlib import Path
 from time import perf_counter
@@ -35,7 +36,6 @@ from bundle.interface.loop_options import LoopOptions
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
 from bundle.interface.validation_options import HoldOutOptions
-from bundle.io.atomic.background import completing_in_background
 from bundle.io.open import save
 from bundle.solving.kept_errors import Edit
 from bundle.solving.request import PartRequest, RunPlan, SolveRequest
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
         known = opened.known
         georeference = None if known is None else known.georeference(solved)
         attitudes = () if known is None else known.attitude_errors(solved)
-        with completing_in_background() as output:
+        with contextlib.nullcontext():  # a thread for the disk made Ctrl-C lose its one line
             begun = perf_counter()
             written, lost = _write(opened, solved, georeference, progress)
             save_time = perf_counter() - begun
@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
         load=opened.load_time,
         build=solved.build_time_in_seconds,
         solve=solved.solve_time_in_seconds,
-        save=save_time + output.waited,
+        save=save_time,
         statistics=statistics_time,
         total=perf_counter() - started,
     )
