@@ -21,9 +21,9 @@ __all__ = ["interrupts_deferred"]
 def interrupts_deferred() -> Iterator[None]:
     """Defer SIGINT until the block has ended; an exception of the block takes precedence.
 
-    Use this only for blocks that take milliseconds, or that wait for the disk. In threads other
-    than the main thread it has no effect, because Python runs signal handlers in the main thread.
-    A handler that is not a function (SIG_IGN, SIG_DFL) stays.
+    Use this only for blocks that take milliseconds. In threads other than the main thread it has no
+    effect, because Python runs signal handlers in the main thread. A handler that is not a function
+    (SIG_IGN, SIG_DFL) stays.
 
     Example:
         >>> with interrupts_deferred():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import dataclasses
 from pathlib import Path
 from time import perf_counter
@@ -24,11 +23,10 @@ from bundle.cli.inertial_flags import adjusted_with_imu
 from bundle.cli.on_disk import on_disk, with_disk_use
 from bundle.cli.option_flags import naming_flags
 from bundle.cli.output import publish
-from bundle.cli.problem_edits import (
-    loops_closed,
-)
+from bundle.cli.problem_edits import loops_closed
 from bundle.cli.progress import Progress
 from bundle.cli.refine_input import Opened, open_input
+from bundle.cli.refine_outcome import judge, readout_sigmas, write_page
 from bundle.cli.refinement import Refinement
 from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
@@ -37,6 +35,8 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
 from bundle.interface.validation_options import HoldOutOptions
 from bundle.io.open import save
+from bundle.reports.terminal.refine import refinement
+from bundle.reports.terminal.timing import WallTime
 from bundle.solving.kept_errors import Edit
 from bundle.solving.request import PartRequest, RunPlan, SolveRequest
 from bundle.solving.rounds import solve_rounds
@@ -70,18 +70,15 @@ def run(arguments: argparse.Namespace) -> int:
         known = opened.known
         georeference = None if known is None else known.georeference(solved)
         attitudes = () if known is None else known.attitude_errors(solved)
-        with contextlib.nullcontext():  # a thread for the disk made Ctrl-C lose its one line
-            begun = perf_counter()
-            written, lost = _write(opened, solved, georeference, progress)
-            save_time = perf_counter() - begun
-            from bundle.cli import refine_outcome as outcome  # late: while the disk is busy
-
-            statistics_time = _measure(opened, solved, progress)
-            findings = outcome.judge(asked, opened, solved, inertial)
-            if asked.page is not None:
-                progress.stage(f"writing {shown(asked.page)}")
-                outcome.write_page(asked, asked.page, opened, solved, georeference, findings)
-    wall = outcome.WallTime(
+        begun = perf_counter()
+        written, lost = _write(opened, solved, georeference, progress)
+        save_time = perf_counter() - begun
+        statistics_time = _measure(opened, solved, progress)
+        findings = judge(asked, opened, solved, inertial)
+        if asked.page is not None:
+            progress.stage(f"writing {shown(asked.page)}")
+            write_page(asked, asked.page, opened, solved, georeference, findings)
+    wall = WallTime(
         load=opened.load_time,
         build=solved.build_time_in_seconds,
         solve=solved.solve_time_in_seconds,
@@ -90,9 +87,9 @@ def run(arguments: argparse.Namespace) -> int:
         total=perf_counter() - started,
     )
     told = (asked.source, opened.loaded, solved, wall, written)
-    sigmas = outcome.readout_sigmas(asked, opened, closed, solved)
+    sigmas = readout_sigmas(asked, opened, closed, solved)
     beside = asked.options_beside()
-    report = outcome.refinement(
+    report = refinement(
         *told, lost, beside, georeference, opened.edits, closed, findings, waiting,
         attitudes, inertial, sigmas,
     )  # fmt: skip

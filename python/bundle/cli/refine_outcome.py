@@ -1,7 +1,4 @@
-"""Outcome of `bundle refine`: findings, report page and report.
-
-The command imports this module late: most of its imports are done while the disk takes the output.
-"""
+"""Outcome of `bundle refine`: findings, sigmas of refined readouts, and report page."""
 
 from __future__ import annotations
 
@@ -11,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bundle.judging.findings.find import find
-from bundle.reports.terminal.refine import refinement
-from bundle.reports.terminal.timing import WallTime
 
 if TYPE_CHECKING:
     from bundle.cli.refine_input import Opened
@@ -23,7 +18,7 @@ if TYPE_CHECKING:
     from bundle.interface.finding import Finding
     from bundle.solving.result import Result
 
-__all__ = ["WallTime", "judge", "readout_sigmas", "refinement", "write_page"]
+__all__ = ["judge", "readout_sigmas", "write_page"]
 
 
 def judge(

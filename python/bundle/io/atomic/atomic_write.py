@@ -24,14 +24,12 @@ import contextlib
 import os
 import stat
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from functools import partial
+from contextlib import contextmanager
 from pathlib import Path
 
 from bundle.base.interrupts import interrupts_deferred
 from bundle.errors import InputError, shown
 from bundle.io.atomic import exchange, in_place
-from bundle.io.atomic.background import complete, wait_for_output
 from bundle.io.atomic.flush import flush, flush_folder, flush_with_files
 from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files
 from bundle.io.atomic.replaced_paths import note_replaced
@@ -131,26 +129,18 @@ def replace_file(path: Path) -> Iterator[Path]:
         InputError: see ``check_file``.
         OSError: a system call fails; the error names ``path``, not the temporary file.
     """
-    wait_for_output()
     check_file(path)
     target = Path(os.path.realpath(path))
     remove_leftovers(target.parent)
     mode = 0o600 | stat.S_IMODE(target.stat().st_mode) if target.exists() else 0o666
-    with ExitStack() as stack:
-        stack.enter_context(_blaming(path))
-        temporary = stack.enter_context(temporary_file(target.parent, mode))
+    with _blaming(path), temporary_file(target.parent, mode) as temporary:
         yield temporary.path
-        complete(stack, partial(_enter_file, path, target, temporary.path))
-
-
-def _enter_file(path: Path, target: Path, new: Path) -> None:
-    """Give a complete new file its name; ``path`` is the user's name of ``target``."""
-    _take_over_file(target, new)
-    flush(new)
-    with interrupts_deferred():
-        new.replace(target)
-        note_replaced(path)
-    flush_folder(target.parent)
+        _take_over_file(target, temporary.path)
+        flush(temporary.path)
+        with interrupts_deferred():
+            temporary.path.replace(target)
+            note_replaced(path)
+        flush_folder(target.parent)
 
 
 @contextmanager
@@ -164,38 +154,27 @@ def replace_folder(path: Path) -> Iterator[Path]:
         InputError: see ``check_folder``.
         OSError: a system call fails; the error names ``path``, not the temporary folder.
     """
-    wait_for_output()
     check_folder(path)
     target = Path(os.path.realpath(path))
     exists = target.exists()
     for folder in (target.parent, target):
         remove_leftovers(folder)
     beside = not exists or exchange.can_exchange(target)
-    with ExitStack() as stack:
-        stack.enter_context(_blaming(path))
-        temporary = stack.enter_context(temporary_folder(target.parent if beside else target))
+    with _blaming(path), temporary_folder(target.parent if beside else target) as temporary:
         new = temporary.path / NEW
         new.mkdir()
         if exists:
             beside = exchange.take_over_folder(target, new) and beside
         yield new
-        complete(stack, partial(_enter_folder, path, target, temporary, exists, beside))
-
-
-def _enter_folder(
-    path: Path, target: Path, temporary: Temporary, exists: bool, beside: bool
-) -> None:
-    """Give a complete new folder its name; ``path`` is the user's name of ``target``."""
-    new = temporary.path / NEW
-    for file in new.iterdir():
-        _take_over_file(target / file.name, file)
-    flush_with_files(new)
-    with interrupts_deferred():
-        if exists or not exchange.move_new_folder(new, target):
-            _replace_existing(target, temporary, beside)
-        note_replaced(path)
-        temporary.remove()
-    flush_folder(target.parent)
+        for file in new.iterdir():
+            _take_over_file(target / file.name, file)
+        flush_with_files(new)
+        with interrupts_deferred():
+            if exists or not exchange.move_new_folder(new, target):
+                _replace_existing(target, temporary, beside)
+            note_replaced(path)
+            temporary.remove()
+        flush_folder(target.parent)
 
 
 def write_text(path: Path, text: str) -> None:
