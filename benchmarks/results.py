@@ -75,9 +75,9 @@ class Results:
             if (run["problem"], run["rule"], run["threads"]) == (problem, rule, threads)
         ]
 
-    def tried(self, problem: str, solver: str) -> bool:
-        """Return True if a solver had to solve a problem; some problems are for a few solvers."""
-        return any(run["solver"] == solver for run in self.of(problem))
+    def tried(self, problem: str, *solvers: str) -> bool:
+        """Return True if any of the solvers has runs; some problems are for a few solvers only."""
+        return any(run["solver"] in solvers for run in self.of(problem))
 
     def best_cost(self, problem: str) -> float:
         """Return the best known cost of a problem, from all runs of whatever rule and threads."""

@@ -305,7 +305,7 @@ def _growth(results: Results) -> list[Target]:
 def _choice(results: Results) -> list[Target]:
     ratios = []
     for name in results.kinds:
-        if not any(results.tried(name, solver) for solver in (FUSED, CERES)):
+        if not results.tried(name, FUSED, CERES):
             continue
         both = [_total(results.row(name, solver)) for solver in (FUSED, CERES)]
         better = min((t for t in both if t), key=lambda time: time.median, default=None)

@@ -38,8 +38,8 @@ class Crew {
   /// See ThreadPool::Run.
   void Run(const std::function<void(int thread)>& work);
 
-  /// True if this process started `num_threads` threads and the caller may use the same processors:
-  /// a fork has no threads, and processors are chosen when a thread starts.
+  /// True if it has `num_threads` threads, the caller's included, which may use the processors that
+  /// the caller may use now: a thread takes over the affinity of the thread that starts it.
   bool Suits(int num_threads) const;
 
   /// True in the process that started the threads; another one must not join them.

@@ -66,7 +66,8 @@ class ImuBodies:
 
     def imu_rotations(self, problem: Problem) -> Array:
         """Return the (n, 3, 3) rotations world_from_imu."""
-        turned: Array = self._world_from_body(problem) @ self._imu_rotation
+        body_from_imu = rotation_matrices(self.body_from_imu[None, :4])[0]
+        turned: Array = self._world_from_body(problem) @ body_from_imu
         return turned
 
     def centers(self, problem: Problem) -> Array:
@@ -79,11 +80,6 @@ class ImuBodies:
         """Return the (n, 3) vectors from body to IMU along the axes of the world, in metres."""
         along: Array = self._world_from_body(problem) @ self.body_from_imu[4:]
         return along
-
-    @property
-    def _imu_rotation(self) -> Array:
-        rotations: Array = rotation_matrices(self.body_from_imu[None, :4])
-        return np.asarray(rotations[0])
 
     def _poses(self, problem: Problem) -> Array:
         poses = problem.cam_from_world if self.kind == "image" else problem.rig_from_world
