@@ -308,3 +308,13 @@ def test_a_known_order_changes_no_bit(dimension):
     np.testing.assert_allclose(*poses, atol=1e-9)
     with pytest.raises(RuntimeError, match="same free poses"):
         _core.solve_pose_graph(graph, ~held, none, options, None, order)
+
+
+@pytest.mark.parametrize(("share", "is_lower"), [(0.5, False), (2.0, True)])
+def test_a_gain_that_rounding_explains_is_none(share, is_lower):
+    graph = graphs.loop(2)
+    graph = graph.replace(poses=graph.poses + np.array([1e6, 0, 0]))
+    size = np.abs(graph.poses).max()
+    rounding = graph.information.trace(axis1=1, axis2=2).sum() * (starts.ROUNDING * size) ** 2
+    assert starts._comparison(graph, share * rounding)({"odometry": 0.0}) == is_lower
+    assert not starts._comparison(graph, share * rounding)({})

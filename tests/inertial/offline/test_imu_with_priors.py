@@ -11,6 +11,7 @@ from bundle import InputError
 from bundle.georeference.control_point import Measurement
 from bundle.georeference.similarity import Similarity, moved
 from bundle.inertial.offline.imu_bodies import ImuBodies
+from bundle.inertial.offline.upright_start import to_priors
 from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.interface.round_options import RoundOptions
 from tests.inertial.offline.models import model_of
@@ -283,3 +284,13 @@ def test_rigs_that_cannot_carry_an_imu_are_refused(flight):
         with pytest.raises(InputError, match=word) as error:
             ImuBodies.of(given, when, flight.sequence.calibration.camera_from_imu)
         assert "\n" not in str(error.value) and json.dumps(str(error.value))
+
+
+def test_one_position_gives_no_heading(model):
+    problem, _ = model
+    names = problem.image_names
+    one = bundle.PositionPrior(names[0], (0.0, 0.0, 0.0), 1.0)
+    flat = bundle.PositionPrior(names[-1], (5.0, 0.0, float("nan")), 1.0)
+    for priors in ([one], [one, flat]):
+        with pytest.raises(InputError, match="found 1"):
+            to_priors(problem, priors)

@@ -1,6 +1,7 @@
 """Predicted steps of pose graphs: the counts of panels, the cache, measured steps."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -135,3 +136,17 @@ def test_a_prediction_has_the_size_of_a_measured_step():
             assert 0.1 < cost.time_per_step_in_seconds / measured < 10
     by_order = {cost.ordering: cost.time_per_step_in_seconds for cost in found.costs}
     assert by_order["natural"] > by_order["amd"] and np.isnan(by_order["dense"])
+
+
+def test_a_step_is_timed_if_it_linearises_once(monkeypatch):
+    """Taken after taken, or rejected after rejected."""
+    iterations = {
+        "step_is_successful": [True, True, False, False, True, True],
+        "iteration_time_in_seconds": [9.0, 5.0, 1.0, 4.0, 0.5, 6.0],
+    }
+    solved = SimpleNamespace(iterations=iterations)
+    monkeypatch.setattr(graph_rates, "solve_pose_graph", lambda *_, **__: solved)
+    monkeypatch.setattr(graph_rates, "LONG_ENOUGH", 0.01)
+    monkeypatch.setattr(graph_rates, "ENOUGH_SECONDS", 0.01)
+    graph = graph_rates.made_graph("chain", 20, 3, seed=1)
+    assert graph_rates.step_time(graph, "amd", 2) == 4.0
