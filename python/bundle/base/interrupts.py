@@ -1,9 +1,10 @@
 """Deferral of Ctrl-C during short critical blocks.
 
-Two kinds of blocks must not be interrupted:
+Three kinds of blocks must not be interrupted:
 
 * renames of files that belong together: the folder would contain a mixture of two models;
-* the import of pycolmap, which fails after an interruption.
+* the import of pycolmap, which fails after an interruption;
+* the start of a process with its files: what an interrupted constructor opened stays open.
 """
 
 from __future__ import annotations

@@ -1,8 +1,11 @@
 """Workers that end in every way there is."""
 
 import json
+import os
 import signal
+import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -176,3 +179,22 @@ def test_interrupt_ends_the_worker(work, instead, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         work(on_iteration=interrupt)
     assert not is_running(note)
+
+
+@pytest.mark.parametrize("constructor", ["fdopen", "TemporaryFile", "Popen"])
+def test_interrupt_in_a_constructor_leaves_nothing_open(work, monkeypatch, constructor):
+    module = {"fdopen": os, "TemporaryFile": tempfile, "Popen": subprocess}[constructor]
+    construct = getattr(module, constructor)
+    made = []
+
+    def interrupted(*arguments, **settings):
+        made.append(construct(*arguments, **settings))
+        signal.raise_signal(signal.SIGINT)
+        return made[0]
+
+    monkeypatch.setattr(module, constructor, interrupted)
+    before = set(Path("/proc/self/fd").iterdir())
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert set(Path("/proc/self/fd").iterdir()) == before
+    assert constructor != "Popen" or made[0].returncode == -signal.SIGKILL

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
+from bundle.base.interrupts import interrupts_deferred
 from bundle.base.memory_sizes import format_size
 from bundle.planning.comparison import process_memory
 
@@ -67,29 +68,32 @@ def run_worker(
         memory_cap: bytes beyond the loaded problem; 0: no cap.
         on_iteration: called regularly with the latest iteration.
     """
-    reader, writer = os.pipe()
-    with tempfile.TemporaryFile() as words, os.fdopen(reader, "rb", buffering=0) as channel:
-        try:
-            process = subprocess.Popen(
-                worker_command(folder, request, writer),
-                env=_environment(),
-                stdin=subprocess.DEVNULL,
-                stdout=words,
-                stderr=words,
-                pass_fds=(writer,),
-                # Ctrl-C goes to the parent only, and killing the group reaches all
-                process_group=0,
-            )
-        finally:
-            os.close(writer)
+    with contextlib.ExitStack() as open_things:
+        with interrupts_deferred():  # an interrupted constructor leaves a file or process behind
+            reader, writer = os.pipe()
+            channel = open_things.enter_context(os.fdopen(reader, "rb", buffering=0))
+            try:
+                words = open_things.enter_context(tempfile.TemporaryFile())
+                process = subprocess.Popen(
+                    worker_command(folder, request, writer),
+                    env=_environment(),
+                    stdin=subprocess.DEVNULL,
+                    stdout=words,
+                    stderr=words,
+                    pass_fds=(writer,),
+                    # Ctrl-C goes to the parent only, and killing the group reaches all
+                    process_group=0,
+                )
+            finally:
+                os.close(writer)
+            open_things.callback(_kill, process)
         try:
             end = _listen(process, channel, timeout, memory_cap, on_iteration)
             if not end.outcome:  # the channel closes only when the worker ends
                 process.wait(SECONDS_TO_END)
         except subprocess.TimeoutExpired:
             end = WorkerEnd(outcome="died", message="the process stopped responding")
-        finally:
-            _kill(process)
+        _kill(process)
         words.seek(0)
         return _explained(end, process.returncode, words.read().decode(errors="replace"))
 
