@@ -1,10 +1,10 @@
-"""Rigs and frames of the images that a merge adds."""
+"""Ids, rigs and frames of the images that a merge adds."""
 
 from types import SimpleNamespace
 
 import numpy as np
 
-from bundle.editing.merging.joined_images import AddedImages
+from bundle.editing.merging.joined_images import AddedImages, added_images
 from bundle.model.colmap.source_records import CAMERA, Sensor
 
 NONE = np.empty(0, np.int64)
@@ -51,3 +51,22 @@ def test_new_frames_never_replace_others():
     found, frames = rigs_and_frames([(1, [1])], [8], [8, 9], [1, 1])
     assert found == {1: [1]}
     assert frames == {9: 1, 10: 1}
+
+
+def records(images, cameras, image_cameras):
+    """Ids of the images and cameras of a model, and the camera of each image."""
+    return SimpleNamespace(
+        image_ids=np.array(images),
+        camera_ids=np.array(cameras),
+        image_camera_ids=np.array(image_cameras),
+    )
+
+
+def test_new_ids_are_above_all_ids_of_both_models():
+    a, b = records([1, 2, 3], [1], [1, 1, 1]), records([3, 2, 4], [1, 2], [1, 1, 2])
+    found = added_images(a, b, np.array([[0, 0]]), {})
+    assert found.added.tolist() == [1, 2]
+    assert found.image_ids.tolist() == [5, 4]  # 4 is taken by the other image of B
+    assert found.camera_ids.tolist() == [3, 2]
+    assert found.image_camera_ids.tolist() == [3, 2]
+    assert found.place_of_b.tolist() == [0, 3, 4]
