@@ -105,6 +105,26 @@ def test_parts_and_georeferenced_models_must_be_upright(run, model):
     assert refine(run, model, "--gravity", gravity).code == 2
 
 
+def test_orientations_do_not_bend_a_model_that_must_not_turn(run, model):
+    truth, _ = upright_and_turned()
+    path = model.parent / "orientations.txt"
+    turned = rotations(truth) * Rotation.from_euler("z", 30, degrees=True)
+    lines = [
+        " ".join([name, *map(repr, rotation.as_quat().tolist())])
+        for name, rotation in zip(truth.image_names, turned, strict=True)
+    ]
+    path.write_text("\n".join(["name qx qy qz qw", *lines]))
+    bundle.save(truth, model.parent / "true", "colmap")
+    words = ("--orientations", path, "--only-images", "1-4")
+    code, out, err = refine(run, model.parent / "true", *words)
+    assert (code, out) == (2, "")
+    line = err.splitlines()[-1]
+    assert line.startswith("error: --orientations: expected a model with axes east, north, up")
+    assert "30 degrees" in line
+    wide = (*words, "--orientation-sigma", "40/1")
+    assert refine(run, model.parent / "true", *wide).code == 0
+
+
 def test_orientations_and_headings_from_files(run, model):
     truth, _ = upright_and_turned()
     path = model.parent / "orientations.txt"

@@ -15,12 +15,16 @@ from numpy.typing import NDArray
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.attitude_files import read_gravity, read_orientations
-from bundle.georeference.attitude_mean import MEDIAN
+from bundle.georeference.attitude_mean import MEDIAN, log
 from bundle.georeference.attitude_priors import AttitudePrior, GravityPrior
 from bundle.georeference.image_finder import ImageFinder
 from bundle.georeference.problem_attitudes import AttitudesOfKind, ProblemAttitudes
 from bundle.georeference.similarity import moved
-from bundle.interface.georeference_options import GRAVITY_SIGMA, ORIENTATION_SIGMA
+from bundle.interface.georeference_options import (
+    GRAVITY_SIGMA,
+    ORIENTATION_SIGMA,
+    ROBUST_SCALES,
+)
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
 from bundle.model.problem import Problem
@@ -31,10 +35,11 @@ Array = NDArray[np.float64]
 
 FALSE_ALARM = 1e-3
 """Probability that any of n good measurements counts as wrong."""
-CONFIDENCE = math.sqrt(5.991464547107979)
-"""Length in standard errors below which 95 % of errors of the vertical are."""
+FEWEST = 5
+"""Number of measurements from which their residuals, not their sigmas, give the spread."""
 TILT = 3.0
-"""Factor of the sigma by which the vertical of a model that cannot turn may be wrong."""
+"""Factor of the sigma by which the axes of a model that cannot turn may be wrong."""
+SMALLEST_TILT = math.radians(1)
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,7 @@ class ImageAttitude:
         degrees: angle between the model and the measurement.
         apart: the same angle in a model that is turned to the robust mean of the measurements.
         sigmas: length of the residual in standard deviations.
-        used: True if the image has observations, which tie it to the model.
+        used: True if observations tie the image, or another one of its rig's frame, to the model.
         agrees: False if the measurement contradicts most others.
     """
 
@@ -65,8 +70,8 @@ class AttitudeErrors:
     Attributes:
         noun: "gravity", "orientation" or "heading".
         images: one entry per prior.
-        rms_sigmas: root mean square of the residuals' coordinates in standard deviations; 1 for
-            right sigmas.
+        rms_sigmas: root mean square of the coordinates of used images' residuals in standard
+            deviations; 1 for right sigmas.
         ratio: median length of the residuals about their robust mean, over that of right sigmas.
         sigma: median standard deviation in degrees.
         off: degrees between the model and the robust mean of the measurements.
@@ -121,19 +126,16 @@ class AttitudeErrors:
     def of(group: AttitudesOfKind, problem: Problem) -> AttitudeErrors:
         """Return the residuals of the priors of a kind."""
         size = group.kind.num_residuals
-        found = group.agreement(problem)
+        tied = group.tied(problem)
+        kept = group.of_tied(problem)
+        found = kept.agreement(problem)
         # Residuals about the mean that most agree on: a wrong one that pulls does not hide.
         ratio = float(np.median(found.lengths)) / MEDIAN[size]
-        agrees = found.lengths <= _largest(size, len(found.lengths)) * max(1.0, ratio)
-        squares = float((found.weights * found.lengths**2).sum())
-        weight = float(found.weights.sum())
-        scale = math.sqrt(squares / (size * weight)) if weight > 0 else 1.0
-        if len(found.lengths) < 5:  # too few to estimate the spread
-            scale = max(scale, 1.0)
-        strength = float((found.weights[:, None] / group.sigmas**2).sum(axis=0).min())
-        error = scale / math.sqrt(strength) if strength > 0 else math.pi
+        lengths = np.linalg.norm(group.turns(problem, found.rotation) / group.sigmas, axis=1)
+        agrees = lengths <= _largest(size, len(found.lengths)) * max(1.0, ratio)
+        strength = float((found.weights[:, None] / kept.sigmas**2).sum(axis=0).min())
+        error = _radius(size, found.lengths, found.weights) / math.sqrt(strength)
         off = math.acos(min(1.0, max(-1.0, (float(np.trace(found.rotation)) - 1) / 2)))
-        seen = np.bincount(problem.observation_image, minlength=problem.num_images) > 0
         angles, sigmas = group.angles(problem), group.whitened(problem)
         apart = group.angles(problem, found.rotation)
         images = tuple(
@@ -142,7 +144,7 @@ class AttitudeErrors:
                 float(angles[k]),
                 float(apart[k]),
                 float(sigmas[k]),
-                bool(seen[row]),
+                bool(tied[k]),
                 bool(agrees[k]),
             )
             for k, row in enumerate(group.rows.tolist())
@@ -150,12 +152,28 @@ class AttitudeErrors:
         return AttitudeErrors(
             noun=group.kind.noun,
             images=images,
-            rms_sigmas=float(np.sqrt((sigmas**2).mean() / size)),
+            rms_sigmas=float(np.sqrt((kept.whitened(problem) ** 2).mean() / size)),
             ratio=ratio,
             sigma=math.degrees(float(np.median(group.sigmas))),
             off=math.degrees(off),
-            within=min(math.degrees(math.hypot(off, CONFIDENCE * error)), 180.0),
+            within=min(math.degrees(math.hypot(off, error)), 180.0),
         )
+
+
+def _radius(size: int, lengths: Array, weights: Array) -> float:
+    """Return the length in standard errors below which 95 % of errors of a mean are.
+
+    Few residuals hardly tell their spread. With m degrees of freedom, the squared length over that
+    of the residuals has, for two coordinates, the F distribution with 2 and m degrees: P(F > x) =
+    (1 + 2 x / m)^(-m / 2), and m (0.05^(-2 / m) - 1) takes the place of chi squared's -2 log 0.05.
+    The same factor serves for one and three coordinates.
+    """
+    squares, weight = float((weights * lengths**2).sum()), float(weights.sum())
+    if len(lengths) < FEWEST:
+        return ROBUST_SCALES[size] * max(math.sqrt(squares / (size * weight)), 1.0)
+    freedom = size * (weight - 1)
+    wider = freedom * math.expm1(-2 / freedom * math.log(0.05)) / (-2 * math.log(0.05))
+    return ROBUST_SCALES[size] * math.sqrt(squares / freedom * wider)
 
 
 def _largest(size: int, count: int) -> float:
@@ -193,19 +211,21 @@ class Attitudes:
         return tuple(AttitudeErrors.of(group, problem) for group in known.groups)
 
     def check_upright(self, problem: Problem, reason: str) -> None:
-        """Refuse a model that gravity contradicts and that cannot be turned.
+        """Refuse a model that its attitudes contradict and that cannot be turned.
 
         Raises:
-            InputError: the vertical of the model is wrong by more than its uncertainty.
+            InputError: the axes of the model are wrong by more than their uncertainty.
         """
-        group = ProblemAttitudes.make(problem, self.priors).group(GravityPrior)
-        if group is None:
-            return
-        found = AttitudeErrors.of(group, problem)
-        if found.off > max(TILT * math.degrees(float(np.median(group.sigmas))), 1.0):
+        for group in ProblemAttitudes.make(problem, self.priors).groups:
+            turn = log(group.of_tied(problem).agreement(problem).rotation[None])[0]
+            most = np.maximum(TILT * np.median(group.sigmas, axis=0), SMALLEST_TILT)
+            if np.linalg.norm(turn / most) <= 1:
+                continue
+            is_gravity = group.kind is GravityPrior
             raise InputError(
-                f"gravity: expected a model with z up {reason}, found one that is "
-                f"{found.off:.3g} degrees off"
+                f"{'gravity' if is_gravity else 'orientations'}: expected a model with "
+                f"{'z up' if is_gravity else 'axes east, north, up'} {reason}, found one that is "
+                f"{math.degrees(float(np.linalg.norm(turn))):.3g} degrees off"
             )
 
 

@@ -109,6 +109,28 @@ class AttitudesOfKind:
 
         return agree(turns, own, self.sigmas, self.kind.num_residuals)
 
+    def tied(self, problem: Problem) -> NDArray[np.bool_]:
+        """Return (n,) True for images that observations tie to the model, also on their rig."""
+        seen = np.bincount(problem.observation_image, minlength=problem.num_images) > 0
+        if problem.num_frames:
+            frames = np.zeros(problem.num_frames + 1, bool)  # the last entry: no frame
+            frames[problem.image_frame[seen]] = True
+            frames[-1] = False
+            seen |= frames[problem.image_frame]
+        return np.asarray(seen[self.rows])
+
+    def of_tied(self, problem: Problem) -> AttitudesOfKind:
+        """Return the priors of tied images; all if no image is tied.
+
+        A solve turns an image without observations to its own measurement, which says nothing
+        about the world.
+        """
+        places = np.flatnonzero(self.tied(problem))
+        if len(places) in (0, len(self.rows)):
+            return self
+        chosen = tuple(self.priors[place] for place in places.tolist())
+        return AttitudesOfKind(self.kind, chosen, self.rows[places])
+
     @cached_property
     def sigmas(self) -> Array:
         """Standard deviations in radians: (n, 3) along the world's axes, or (n, 1) of all axes."""
@@ -190,11 +212,16 @@ class ProblemAttitudes:
         turn = np.eye(3)
         for group in self.groups:
             if group.kind is not HeadingPrior or self.group(OrientationPrior) is None:
-                turn = group.agreement(problem, turn).rotation @ turn
+                turn = group.of_tied(problem).agreement(problem, turn).rotation @ turn
         if np.linalg.norm(log(turn[None])[0]) < math.radians(1e-9):
             return None
         middle = problem.projection_centers.mean(axis=0)
         return Similarity(1.0, turn, middle - turn @ middle)
+
+    @property
+    def has_vertical(self) -> bool:
+        """True for priors that determine the vertical of the world on their own."""
+        return any(group.kind is not HeadingPrior for group in self.groups)
 
     def check(self, problem: Problem) -> None:
         """Refuse priors without a meaning at the start of a solve.

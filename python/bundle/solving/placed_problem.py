@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from bundle.base.arguments import as_flag
 from bundle.errors import InputError, brief
 from bundle.model.problem import Problem
@@ -121,12 +123,43 @@ def _placement(
 ) -> Similarity | None:
     """Return the similarity to the priors; without positions, the turn to the attitudes.
 
+    Positions on a line leave the turn about it to the attitudes.
+
     Raises:
         InputError: the priors do not determine the similarity.
     """
     if turned is not None and not known.priors and targets is None:
         return turned.placement(problem)
-    return _similarity(problem, known, targets)
+    try:
+        return _similarity(problem, known, targets)
+    except InputError as error:
+        if turned is None or not turned.has_vertical:
+            raise
+        try:
+            return _levelled(problem, known, targets, turned)
+        except InputError:
+            raise error from None
+
+
+def _levelled(
+    problem: Problem,
+    known: ProblemPriors,
+    targets: TargetPriors | None,
+    turned: ProblemAttitudes,
+) -> Similarity:
+    """Return the similarity to the priors with the vertical of the attitudes.
+
+    Raises:
+        InputError: positions do not determine scale and heading.
+    """
+    from bundle.georeference.correspondences import Correspondences
+    from bundle.georeference.level_alignment import level_similarity
+
+    points = known.correspondences(problem)
+    if targets is not None:
+        points = Correspondences.joined(targets.correspondences(), points)
+    upright = turned.placement(problem)
+    return level_similarity(points, np.eye(3) if upright is None else upright.rotation)
 
 
 def sorted_priors(priors: tuple[Any, ...]) -> tuple[list[Any], list[Any], list[Any]]:

@@ -144,8 +144,8 @@ def solve(
         priors: measured positions and attitudes of images, and control points. Their costs come
             after those of the factors: positions, attitudes, then control points.
         align: True to move the problem to its priors first. None: move it if there are no factors,
-            and at least three positions and control points that do not lie on one line, or
-            attitudes without positions.
+            and at least three positions and control points that do not lie on one line, two beside
+            gravity or orientations, or attitudes without positions.
         constraints: rules that fix, bound or share parameters or add priors, such as
             ``"cameras *: f prior 2 %"`` (:class:`bundle.Constraints`). They refer to the problem
             after it was moved to the priors. The costs of their priors come last. ``constraints``

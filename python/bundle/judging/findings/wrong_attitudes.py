@@ -8,12 +8,15 @@ distribution with k = 1, 2 or 3 degrees of freedom.
 Single images. a_i is above max(1, ratio) times the quantile that the largest of n good ones exceeds
 with a probability of 0.1 %, and above 1 degree, in less than half of the images. The ratio is the
 median of a_i over that of the chi distribution.
-Wrong sigmas. The ratio is above 2, over at least 6 images. The command gives the sigma that the
-residuals show.
+Wrong sigmas. The ratio is above 2 and 3 of its standard errors above 1, over at least 6 images. The
+median of n lengths has the relative standard error c_k / sqrt(n), with c_k = 1 / (2 f(m) m), m the
+median and f the density of the chi distribution. The command gives the sigma that the residuals
+show.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,6 +32,9 @@ if TYPE_CHECKING:
 __all__ = ["wrong_attitudes"]
 
 RATIO = 2.0
+ERRORS = 3.0
+SPREAD = {"heading": 1.17, "gravity": 0.72, "orientation": 0.56}
+"""c_k: relative standard error of the median length, times the root of the number of images."""
 FEWEST = 6
 SMALLEST = 1.0
 """Angle in degrees below which a measurement is not accused."""
@@ -79,11 +85,14 @@ def _single(measured: Measured, errors: AttitudeErrors) -> Finding | None:
 
 
 def _wrong_sigmas(measured: Measured, errors: AttitudeErrors) -> Finding | None:
-    if len(errors.images) < FEWEST or not errors.ratio > RATIO:
+    count = len(errors.images)
+    if count < FEWEST:
+        return None
+    if not errors.ratio > max(RATIO, 1 + ERRORS * SPREAD[errors.noun] / math.sqrt(count)):
         return None
     evidence: dict[str, Any] = {
         "noun": errors.noun,
-        "num_images": len(errors.images),
+        "num_images": count,
         "ratio": errors.ratio,
     }
     flag = FLAGS.get(errors.noun)
