@@ -169,6 +169,9 @@ def test_a_median_method_decides_about_the_machine(reports):
     found = bundle.triage(old, slow)
     assert [one.cause for one in found.causes] == ["machine"]
     assert len(found.methods["machine"]) == len(runs)
+    slow = edited(old, *((f"runs.{k}.time_in_seconds", 3.0 + k) for k in runs))
+    (machine,) = bundle.triage(old, slow).causes
+    assert machine.evidence["excess"] == pytest.approx(3.0), "that of the first method"
 
 
 def test_cost_and_termination(reports):
@@ -233,6 +236,8 @@ def test_reports_of_different_inputs(reports):
     other = edited(reports["graph"], ("input.path", "a/other.g2o"), ("input.num_poses", 9))
     with pytest.raises(InputError, match=r"600 poses.*9 poses"):
         bundle.triage(reports["graph"], other)
+    with pytest.raises(InputError, match=r"g2o, 600 poses.*other, 600 poses"):
+        bundle.triage(reports["graph"], edited(reports["graph"], ("input.format", "other")))
     renamed = edited(reports["graph"], ("input.path", "a/other.g2o"))
     assert causes(reports["graph"], renamed) == []
     with pytest.raises(InputError, match="found other contents"):

@@ -1,0 +1,91 @@
+"""Causes of differences of which all facts are given."""
+
+from dataclasses import replace
+
+import pytest
+
+from bundle.judging.triage.causes import causes_of
+from tests.judging.triage.test_difference import FLIGHT, GRAPH, between
+
+DENSER = {"information_nonzeros": 3e4, "factor_nonzeros": 6e4, "factor_flops": 9e6}
+
+
+def named(two):
+    """Return the causes of a difference."""
+    return [cause.cause for cause in causes_of(two)]
+
+
+@pytest.mark.parametrize(
+    ("densest", "edges", "is_prior"),
+    [
+        (10, 110, True),
+        (10, 140, True),
+        (10, 200, False),  # 45 pairs of variables do not hold 100 edges
+        (7, 110, False),  # at least 4 more than before
+        (20, 110, True),
+    ],
+)
+def test_a_prior_beside_more_measurements(densest, edges, is_prior):
+    two = between(
+        replace(GRAPH, densest=4.0),
+        ({"num_edges": 100}, {"num_edges": edges}),
+        measurements=950.0,
+        densest=float(densest),
+        **DENSER,
+    )
+    assert ("prior-densifies" in named(two)) == is_prior
+
+
+def test_a_prior_in_the_place_of_its_factors_is_no_other_data():
+    inputs = {"num_edges": 100}, {"num_edges": 60}
+    assert named(between(GRAPH, inputs, measurements=600.0, **DENSER)) == ["prior-densifies"]
+
+
+def test_a_sparser_matrix_is_no_prior():
+    sparser = {"information_nonzeros": 5e3, "factor_nonzeros": 1e4, "factor_flops": 2e5}
+    assert "prior-densifies" not in named(between(GRAPH, **sparser))
+
+
+def test_a_prior_of_a_longer_window_is_no_cause():
+    window = replace(FLIGHT, options={"window": 10}, prior_columns=10.0)
+    assert named(between(window, prior_columns=20.0)) == ["prior-densifies"]
+    assert named(between(window, prior_columns=20.0, options={"window": 20})) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "is_ordering"), [(1.2, 3.0, True), (2.0, 3.0, False), (1.2, 1.5, False)]
+)
+def test_flops_far_above_the_best_order_are_the_ordering(old, new, is_ordering):
+    two = between(
+        replace(GRAPH, factor_flops=old * 1e6, least_flops=1e6),
+        information_nonzeros=1.05e4,
+        factor_flops=new * 1.05e6,
+        least_flops=1.05e6,
+    )
+    assert ("ordering" in named(two)) == is_ordering
+
+
+def test_fill_compares_factors_of_one_solver():
+    fill = {"information_nonzeros": 1.05e4, "measurements": 950.0, "factor_nonzeros": 4e4}
+    assert "fill" in named(between(GRAPH, **fill))
+    assert "fill" not in named(between(GRAPH, **fill, solver="ceres SPARSE_SCHUR"))
+
+
+def test_fewer_steps_of_a_late_window_are_the_machine():
+    fewer = {"steps": 5.0, "seconds": 0.9}
+    assert named(between(FLIGHT, **fewer, warnings={"out of time": 3})) == ["machine"]
+    assert named(between(FLIGHT, **fewer)) == ["convergence"]
+
+
+def test_more_rejected_steps_from_another_start_are_no_jacobian():
+    rejected = {"steps": 40.0, "rejected": 20.0}
+    parts = {"structure": "1", "measurements": "2", "start": "3"}
+    for start, cause in (("3", "jacobian"), ("4", "convergence")):
+        inputs = {"digests": parts}, {"digests": parts | {"start": start}}
+        assert named(between(GRAPH, inputs, **rejected)) == [cause]
+
+
+def test_an_option_that_ends_a_solve_early_is_named_with_it():
+    old = replace(GRAPH, options={"max_num_iterations": 50})
+    two = between(old, options={"max_num_iterations": 3}, steps=3.0, is_converged=False)
+    assert named(two) == ["options", "convergence"]
