@@ -72,6 +72,8 @@ BAD_GRAVITY = {
     "7 0 1 0 0": "line 1: sigma: expected degrees above 0",
     "7 0 1 0 -1": "line 1: sigma",
     "7 0 1 0 nan": "line 1: sigma",
+    "7 0 1 0 1e-200": "line 1: sigma: expected at least",
+    "7 0 1 0 1e200": "line 1: sigma: expected at most",
     "7 0 0 0 1": "line 1: expected a direction",
     "7 0 1": "2 words",
     "7 0 1 0 1 5": "5 words",

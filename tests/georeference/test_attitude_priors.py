@@ -199,6 +199,23 @@ def test_angles_mean_what_they_say():
     assert rolled.apply([1, 0, 0])[2] < 0
 
 
+def test_whole_turns_change_nothing():
+    """Headings and angles of any size mean the same in the factor and in the report."""
+    truth, _ = upright_and_turned()
+    costs = []
+    wanted = OrientationPrior.from_angles(1, 20, 20, -20, 1).rotation
+    for wound in (20, 1100, 20 - 360 * 2.0**40):
+        prior = HeadingPrior(1, wound, 1, axis=(1, 0.3, 0.2))
+        priors = [*gravity_of(truth, 1.0), prior]
+        result = bundle.solve(truth, priors=priors)
+        heading = ProblemAttitudes.make(result.problem, priors).groups[-1]
+        assert AttitudeErrors.of(heading, result.problem).off < 1
+        costs.append(result.summary.final_cost)
+        angles = OrientationPrior.from_angles(1, wound, wound, -wound, 1).rotation
+        np.testing.assert_allclose(np.abs(np.dot(angles, wanted)), 1)
+    np.testing.assert_allclose(costs, costs[0], rtol=1e-6)
+
+
 BAD = [
     (lambda: GravityPrior("a", (0, 0, 0), 1), "zero"),
     (lambda: GravityPrior("a", (0, 1), 1), "3 numbers"),
@@ -209,7 +226,11 @@ BAD = [
     (lambda: GravityPrior(True, (0, 1, 0), 1), "id or a name"),
     (lambda: GravityPrior("a", (0, 1, 0), 1, loss="hubber"), "huber"),
     (lambda: OrientationPrior("a", (0, 0, 0, 0), 1), "quaternion"),
-    (lambda: OrientationPrior("a", (0, 0, 0, 1), (1, 0)), "above 0"),
+    (lambda: OrientationPrior("a", (0, 0, 0, 1), (1, 0)), "at least"),
+    (lambda: OrientationPrior("a", (0, 0, 0, 1), (np.nan, 1)), "finite"),
+    (lambda: OrientationPrior("a", (0, 0, 0, 1), 1e160), "at most"),
+    (lambda: GravityPrior("a", (0, 1, 0), 1e-160), "at least"),
+    (lambda: HeadingPrior("a", 1, 1e300), "at most"),
     (lambda: OrientationPrior("a", (0, 0, 0, 1), (1, 2, 3)), "heading, tilt"),
     (lambda: HeadingPrior("a", np.nan, 1), "heading_degrees"),
     (lambda: HeadingPrior("a", 1, 1, axis=(0, 0, 0)), "zero"),

@@ -39,6 +39,7 @@ from bundle.georeference.attitude_priors import (
     GravityPrior,
     HeadingPrior,
     OrientationPrior,
+    as_sigma,
     quaternion_of_angles,
 )
 from bundle.georeference.image_finder import ImageFinder
@@ -219,6 +220,6 @@ def _numbers(place: str, names: Sequence[str], words: Sequence[str], required: i
 
 
 def _above_zero(place: str, name: str, value: float) -> float:
-    if value > 0:
-        return value
-    raise InputError(f"{place}: {name}: expected degrees above 0, found {value:g}")
+    if not value > 0:
+        raise InputError(f"{place}: {name}: expected degrees above 0, found {value:g}")
+    return as_sigma(f"{place}: {name}", value)

@@ -53,10 +53,14 @@ __all__ = [
     "GravityPrior",
     "HeadingPrior",
     "OrientationPrior",
+    "as_sigma",
     "quaternion_of_angles",
 ]
 
 Array = NDArray[np.float64]
+
+LEAST_SIGMA, MOST_SIGMA = 1e-12, 1e12
+"""Range of standard deviations in degrees, whose squares must be numbers beside all others."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,7 +147,7 @@ class GravityPrior(AttitudePrior):
     def __post_init__(self) -> None:
         self._check()
         self._set("direction", self._direction("direction"))
-        sigma = number(f"{self.name}: sigma_degrees", self.sigma_degrees, above=0)
+        sigma = as_sigma(f"{self.name}: sigma_degrees", self.sigma_degrees)
         self._set("sigma_degrees", sigma)
 
     def factor(self, image_id: int) -> DirectionFactor:
@@ -194,11 +198,13 @@ class OrientationPrior(AttitudePrior):
         self._set("rotation", rotation / np.linalg.norm(rotation))
         name = f"{self.name}: sigma_degrees"
         sigmas = np.atleast_1d(as_array(name, self.sigma_degrees))
-        if sigmas.shape not in ((1,), (2,)) or not ((sigmas > 0) & np.isfinite(sigmas)).all():
+        if sigmas.shape not in ((1,), (2,)):
             raise InputError(
                 f"{name}: expected one number above 0, or (heading, tilt), "
                 f"found {brief(self.sigma_degrees)}"
             )
+        for sigma in sigmas.tolist():
+            as_sigma(name, sigma)
         self._set("sigma_degrees", np.array([sigmas[0], sigmas[-1]]))
 
     @staticmethod
@@ -230,7 +236,7 @@ class HeadingPrior(AttitudePrior):
     Attributes:
         image: id or name of the image.
         heading_degrees: heading of ``axis``, clockwise from north; the world's axes are east,
-            north, up.
+            north, up. Stored without whole turns.
         sigma_degrees: standard deviation.
         axis: (3,) axis in the camera's frame; by default the viewing direction. Use (0, -1, 0), the
             upper edge of the image, for cameras that look down.
@@ -254,8 +260,8 @@ class HeadingPrior(AttitudePrior):
     def __post_init__(self) -> None:
         self._check()
         heading = number(f"{self.name}: heading_degrees", self.heading_degrees)
-        self._set("heading_degrees", heading)
-        sigma = number(f"{self.name}: sigma_degrees", self.sigma_degrees, above=0)
+        self._set("heading_degrees", math.fmod(heading, 360))
+        sigma = as_sigma(f"{self.name}: sigma_degrees", self.sigma_degrees)
         self._set("sigma_degrees", sigma)
         self._set("axis", self._direction("axis"))
 
@@ -270,9 +276,19 @@ class HeadingPrior(AttitudePrior):
         return self._shown(("heading", f"{self.heading_degrees:g} degrees"), ("sigma", sigma))
 
 
+def as_sigma(name: str, value: Any) -> float:
+    """Return a standard deviation in degrees.
+
+    Raises:
+        InputError: it is not a number, or out of range.
+    """
+    return number(name, value, minimum=LEAST_SIGMA, maximum=MOST_SIGMA)
+
+
 def quaternion_of_angles(angles: Array) -> Array:
     """Return (n, 4) quaternions of cam_from_world of (n, 3) yaw, pitch and roll in degrees."""
-    (cy, cp, cr), (sy, sp, sr) = np.cos(np.radians(angles)).T, np.sin(np.radians(angles)).T
+    radians = np.radians(np.fmod(angles, 360))
+    (cy, cp, cr), (sy, sp, sr) = np.cos(radians).T, np.sin(radians).T
     # Rz(yaw) Ry(pitch) Rx(roll): forward, right, down of the body in columns, north, east, down.
     ned = np.array(
         [

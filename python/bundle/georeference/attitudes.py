@@ -107,8 +107,9 @@ class AttitudeErrors:
             "heading": "Headings right",
         }[self.noun]
         count = plural(len(self.images), "image")
+        about = " about the model's z axis" if self.noun == "heading" else ""
         return (
-            f"{verb} within {self.within:.2g} degrees: {self.noun} of {count}, median angle "
+            f"{verb} within {self.within:.2g} degrees{about}: {self.noun} of {count}, median angle "
             f"{self.median:.2g} degrees."
         )
 
