@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -122,7 +124,8 @@ def sometimes_nothing(rng):
 
 def test_a_function_that_is_not_deterministic_is_called_so(capfd):
     rng = np.random.default_rng(0)
-    for draw in (lambda: 1e-3 * rng.standard_normal(2), sometimes_nothing(rng)):
+    draws = [lambda size=size: size * rng.standard_normal(2) for size in (1e-3, 1e-6)]
+    for draw in (*draws, sometimes_nothing(rng)):
         report = bundle.check_gradients(changing(draw), [[1.0, 2.0]])
         assert report.kinds == {"unstable"}
         assert len(report.findings) == 1
@@ -312,12 +315,58 @@ def test_what_the_function_raises_comes_through():
     def function(blocks):
         calls.append(0)
         if len(calls) > 30:
-            raise ZeroDivisionError("of the user")
+            raise RuntimeError("of the user")
         return good(blocks)
 
-    with pytest.raises(ZeroDivisionError, match="of the user"):
+    with pytest.raises(RuntimeError, match="of the user"):
         bundle.check_gradients(function, [[1.0, 2.0]])
     assert len(calls) == 31
+
+
+def root(blocks, factor=1.0):
+    """A residual of math.sqrt, which raises below 0."""
+    x, y = blocks[0]
+    return [math.sqrt(x) * y], [[[factor * 0.5 / math.sqrt(x) * y, math.sqrt(x)]]]
+
+
+@pytest.mark.parametrize("x", [1e-3, 0.05, 2.0])
+def test_an_exception_outside_the_domain_is_no_value(x):
+    report = bundle.check_gradients(root, [[x, 3.0]])
+    assert (report.verdict, report.num_skipped) == ("correct", 0)
+    wide = bundle.check_gradients(root, [[x, 3.0]], radius=1.0, num_samples=30)
+    assert wide.ok and wide.num_skipped > 0
+    wrong = bundle.check_gradients(lambda b: root(b, -1.0), [[x, 3.0]])
+    assert wrong.kinds == {"sign"}
+
+
+def test_an_exception_at_the_given_point_comes_through():
+    with pytest.raises(ValueError, match="math domain error"):
+        bundle.check_gradients(root, [[-1.0, 3.0]])
+
+
+def test_an_exception_beside_a_zero_that_only_a_signature_tries():
+    """The residual has a value with x = 0, but none at steps below."""
+
+    def function(blocks):
+        x, y = blocks[0]
+        if x < 0:
+            raise IndexError("outside the table")
+        return [np.sqrt(x) ** 3 * y], [[[1.5 * np.sqrt(x) * y + y**2, np.sqrt(x) ** 3]]]
+
+    report = bundle.check_gradients(function, [[2.0, 3.0]])
+    assert report.verdict == "wrong"
+    assert report.findings[0].columns == ("block 0 [0]",)
+
+
+@pytest.mark.parametrize("size", [1e-250, 1e-160, 1e160, 1e250])
+def test_the_size_of_a_residual_does_not_matter(size):
+    def linear(blocks, factor=1.0):
+        matrix = size * np.array([[1.0, 2.0], [-3.0, 0.5]])
+        return matrix @ blocks[0], [matrix * [1.0, factor]]
+
+    assert bundle.check_gradients(linear, [[0.3, 0.2]]).ok
+    wrong = bundle.check_gradients(lambda b: linear(b, -1.0), [[0.3, 0.2]])
+    assert (wrong.kinds, wrong.findings[0].columns) == ({"sign"}, ("block 0 [1]",))
 
 
 def test_the_second_reference_against_formulas():

@@ -39,6 +39,14 @@ def test_small_entries_are_measured_by_a_thousandth_of_the_usual_size():
     found = deviations([1.0, 1.0, 1e-6], [0.0, 0.0, 1e-4], [0.0, 0.0, 0.0])
     assert found.scale.ravel() == pytest.approx([1.0, 1.0, 1e-3])
     assert found.deviation.ravel() == pytest.approx([0.0, 0.0, 0.1])
+    found = deviations([1.0, 1.0, 100.0, 1e-6], np.zeros(4), np.zeros(4))
+    assert found.scale.ravel() == pytest.approx([1.0, 1.0, 100.0, 1e-3]), "usual: the median"
+
+
+def test_a_column_of_zeros_is_measured_by_the_others():
+    reference = np.array([[[4.0, 0.0]], [[4.0, 0.0]]])
+    found = JacobianDeviation(reference, reference, np.zeros_like(reference))
+    assert found.scale.tolist() == [[[4.0, 4.0]], [[4.0, 4.0]]]
 
 
 def test_what_the_reference_does_not_know_is_no_error():
@@ -56,6 +64,41 @@ def test_a_guess_explains_only_what_stands_clear_of_the_doubt(doubt, is_explaine
     assert evidence.explains(np.full((3, 1, 1), 1.5), [0]) == is_explained
 
 
+def explained(analytic, doubts, guess):
+    """Return True if a guess explains a column whose correct entries are 1."""
+    wrong = deviations(np.ones(3), np.subtract(analytic, 1), doubts)
+    evidence = Evidence(wrong, [Column("x", "x")], [], np.ones((3, 1)), lambda *_: None, [0])
+    return evidence.explains(np.reshape(guess, (3, 1, 1)), [0])
+
+
+def test_a_guess_is_compared_where_the_reference_is_known():
+    assert explained([1.5] * 3, [0, 0, 0.5], [1.5, 1.5, 7.0])
+    assert not explained([1.5] * 3, [0, 0.5, 0.5], [1.5] * 3), "half of the entries are unknown"
+
+
+def test_a_guess_leaves_a_hundred_thousandth_of_deviation_and_jacobian():
+    for analytic, close, off in ((1.5, 1e-6, 1e-4), (1e-3, 1e-9, 1e-6), (1e3, 1e-3, 1e-1)):
+        assert explained([analytic] * 3, [0] * 3, [analytic + close] * 3)
+        assert not explained([analytic] * 3, [0] * 3, [analytic + off] * 3)
+
+
+def test_the_worst_entries_are_of_several_columns():
+    tally = Tally([Column("x", "x"), Column("y", "y")], tolerance=0.01)
+    reference = np.ones((20, 1, 2))
+    off = np.linspace(1, 2, 20)[:, None, None] * [1, 0.1]
+    tally.add(JacobianDeviation(reference + off, reference, 0 * reference), np.arange(20))
+    assert sorted(entry.column for entry in tally.worst) == [0, 0, 0, 1, 1, 1]
+    assert [entry.error for entry in tally.worst[:2]] == pytest.approx([2.0, 1 + 18 / 19])
+
+
+def test_a_few_numbers_in_single_precision_are_called_so():
+    matrix = np.random.default_rng(1).normal(size=(3, 3))
+    report = bundle.check_gradients(
+        lambda b: (matrix @ b[0], [matrix.astype(np.float32)]), [[0.3, 0.2, 0.7]], num_samples=2
+    )
+    assert report.kinds == {"float_precision"}
+
+
 def test_an_entry_is_wrong_or_undecided_but_not_both():
     tally = Tally([Column("x", "x")], tolerance=0.01)
     # Right; wrong beyond its doubt; within its doubt; without a reference.
@@ -63,6 +106,7 @@ def test_an_entry_is_wrong_or_undecided_but_not_both():
     assert tally.num_entries.tolist() == [4]
     assert tally.num_wrong.tolist() == [1]
     assert tally.num_undecided.tolist() == [2]
+    assert not tally.is_undecided(0), "half of the entries"
 
 
 def test_a_slope_that_only_tiny_steps_show_is_not_accused():

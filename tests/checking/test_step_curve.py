@@ -22,8 +22,9 @@ def test_a_slope_of_one_side_is_a_derivative():
 
     assert is_acquitted(kink, 1, 2.5)
     assert is_acquitted(kink, 4, 2.5)
-    for claimed in (-1, 0, 2, 5):
+    for claimed in (-1, 0, 2, 5, 1 + 5e-6):
         assert not is_acquitted(kink, claimed, 2.5)
+    assert is_acquitted(kink, 1 + 2e-7, 2.5)
 
 
 def test_a_slope_below_which_digits_cancel_is_a_derivative():

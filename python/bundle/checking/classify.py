@@ -1,8 +1,8 @@
 """Classification of wrong Jacobians: signatures of mistakes, from specific to general.
 
 A signature is a hypothesis about the mistake: it predicts the wrong columns from the correct ones.
-It is accepted if it leaves at most 1/1000 of the deviation unexplained. Errors without a signature
-are classified by size.
+It is accepted if it leaves at most 1e-5 of the deviation unexplained (``EXPLAINED``). Errors
+without a signature are classified by size.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""User-defined residual: calls, checks of shapes, flattening."""
+"""User-defined residual: calls, checks of shapes, flattening.
+
+Functions such as ``math.sqrt`` raise outside their domain where NumPy returns nan. Both mean that
+the residual has no value there. Only the first call, which counts the residuals, is to succeed.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +40,12 @@ class UserFunction:
         Raises:
             InputError: the returned values have wrong shapes.
         """
-        residual, jacobians = self._call(blocks)
+        answer = self._inside(blocks)
+        if answer is None:
+            return np.full(self.num_residuals, np.nan), np.full(
+                (self.num_residuals, sum(self.sizes)), np.nan
+            )
+        residual, jacobians = answer
         values = self._residual(residual)
         if len(values) != self.num_residuals:
             raise InputError(
@@ -47,11 +56,23 @@ class UserFunction:
 
     def core(self, blocks: list[Array], jacobians: bool) -> tuple[Array, list[Array] | None] | None:
         """Return the values for ``_core``; None if the residual is not finite."""
-        residual, matrices = self._call(blocks)
+        answer = self._inside(blocks)
+        if answer is None:
+            return None
+        residual, matrices = answer
         values = self._residual(residual)
         if not np.isfinite(values).all():
             return None
         return values, self._jacobians(matrices) if jacobians else None
+
+    def _inside(self, blocks: Sequence[Array]) -> tuple[Any, Sequence[Any]] | None:
+        """Return residual and Jacobians; None outside the function's domain."""
+        try:
+            return self._call(blocks)
+        except InputError:
+            raise
+        except (ArithmeticError, ValueError):
+            return None
 
     def _call(self, blocks: Sequence[Array]) -> tuple[Any, Sequence[Any]]:
         answer = self.function([block.copy() for block in blocks])

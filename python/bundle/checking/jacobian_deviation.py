@@ -40,7 +40,9 @@ class JacobianDeviation:
         points. If the column is zero at all points, the divisor is the usual size of the other
         columns.
         """
-        norms = np.linalg.norm(np.nan_to_num(self.reference), axis=1, keepdims=True)
+        reference = np.nan_to_num(self.reference)
+        size = np.abs(reference).max(axis=1, keepdims=True, initial=np.finfo(float).tiny)
+        norms = size * np.linalg.norm(reference / size, axis=1, keepdims=True)  # no overflow
         nonzero = np.where(norms > 0, norms, np.nan)
         usual = np.ones(norms.shape[2])
         has_any = (norms > 0).any(axis=(0, 1))

@@ -231,11 +231,8 @@ class _Check:
             points = np.zeros((len(points), len(columns)))
 
         def reference_at(k: int, parameter: int) -> Array | None:
-            at = self.samples[int(kept.points[k])].without(parameter)
-            if at is None:
-                return None
-            found = at.reference(self.layout.core)
-            return found[0] if np.isfinite(found[1]).all() else None
+            at = self.samples[int(kept.points[k])]
+            return at.reference_without(parameter, self.layout.core)
 
         evidence = Evidence(
             kept.deviations,

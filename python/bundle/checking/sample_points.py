@@ -43,16 +43,20 @@ class SamplePoint:
             self.user.core, self.user.num_residuals, self.blocks, manifolds, CHECKER_PRECISION
         )
 
-    def without(self, parameter: int) -> SamplePoint | None:
-        """Return the point with one parameter set to zero; None if it has no residual."""
+    def reference_without(
+        self, parameter: int, manifolds: list[tuple[str, list[int]]]
+    ) -> Array | None:
+        """Return the reference with one parameter set to zero; None if it has none there."""
         flat = np.concatenate(self.blocks)
         flat[parameter] = 0.0
-        blocks = np.split(flat, np.cumsum(self.user.sizes)[:-1])
+        there = SamplePoint(self.user, np.split(flat, np.cumsum(self.user.sizes)[:-1]))
         try:
-            has_value = self.user.core(blocks, False) is not None
+            if self.user.core(there.blocks, False) is None:
+                return None
+            values, uncertainty, *_ = there.reference(manifolds)
         except Exception:  # the user's function may fail at a zero that it never meets
             return None
-        return SamplePoint(self.user, blocks) if has_value else None
+        return values if np.isfinite(uncertainty).all() else None
 
 
 @dataclass(frozen=True, eq=False)

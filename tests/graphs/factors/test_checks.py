@@ -167,10 +167,10 @@ def test_an_exception_of_a_function_keeps_the_name_of_the_factor():
     def fails_later(values):
         calls.append(1)
         if len(calls) > 3:
-            raise ZeroDivisionError("far away")
+            raise RuntimeError("far away")
         return measured_range(values)
 
-    with pytest.raises(ZeroDivisionError) as caught:
+    with pytest.raises(RuntimeError) as caught:
         make_graph(fails_later, count=1).check_gradients()
     assert "factor 0" in caught.value.__notes__[0]
 

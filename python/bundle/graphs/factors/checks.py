@@ -163,7 +163,8 @@ def check_gradients(
 
     Raises:
         InputError: blocks, manifolds or names do not match, or the function returns wrong shapes.
-            Exceptions of the function are passed on.
+            Exceptions of the function are passed on, except ArithmeticError and ValueError away
+            from the given point: the residual has no value there.
     """
     settings: dict[str, Any] = {
         "radius": radius,
