@@ -212,6 +212,24 @@ def test_a_few_undecided_samples_are_counted_and_no_error():
         assert lie.verdict == "wrong"
 
 
+@pytest.mark.parametrize(("folded", "num_undecided"), [(1, 0), (2, 0), (3, 1), (4, 1)])
+def test_a_sample_is_undecided_with_most_of_its_entries(folded, num_undecided):
+    visited = []
+
+    def function(blocks, fold=0.0):
+        (x,) = blocks
+        visited.append(x)
+        off, slope = x - fold, np.ones(4)
+        slope[:folded] = np.sign(off[:folded])
+        return [slope @ off], [slope[None]]
+
+    start = [[1.0, 2.0, 3.0, 4.0]]
+    bundle.check_gradients(function, start, num_samples=5)
+    third = visited[1 + 3]  # after the call that counts the residuals
+    report = bundle.check_gradients(lambda b: function(b, third), start, num_samples=5)
+    assert (report.verdict, report.num_undecided) == ("correct", num_undecided)
+
+
 @pytest.mark.parametrize("num_samples", [1, 3, 10])
 def test_a_start_on_a_kink_is_undecided(num_samples):
     def function(blocks, factor=1.0):
