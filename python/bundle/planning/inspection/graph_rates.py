@@ -46,9 +46,9 @@ __all__ = [
     "step_time",
 ]
 
-NEAR_CACHE, FAR_CACHE = 1e6, 8e6
-"""Bytes from which data leave the second-level cache, and the share of the third-level cache that a
-solve may expect."""
+NEAR_CACHE, FAR_CACHE = 1e6, 24e6
+"""Bytes from which data leave the second-level cache, and the share of a third-level cache of 32 MB
+that a solve may expect."""
 
 EDGE_BYTES, POSE_BYTES = {3: 100.0, 6: 290.0}, {3: 100.0, 6: 250.0}
 """Bytes of an edge and of a pose, by tangent size."""

@@ -32,7 +32,7 @@ __all__ = ["cache_path", "factor_graph_rates", "graph_rates", "machine_rates"]
 
 RATE_NAMES = tuple(field.name for field in dataclasses.fields(Rates))
 
-KERNELS = 2
+KERNELS = 3
 """Number of the generation of kernels; rates of earlier ones are measured anew."""
 
 ATTEMPTS = 3
