@@ -124,3 +124,23 @@ def test_a_slope_that_only_tiny_steps_show_is_not_accused():
         return residual, [1.01 * by_intensity, by_exposure]
 
     assert bundle.check_gradients(wrong, blocks).verdict == "wrong"
+
+
+@pytest.mark.parametrize(("amplitude", "kind"), [(0.1, "small_part"), (1.5, "large_part")])
+def test_an_error_without_a_pattern_is_named_by_its_size(amplitude, kind):
+    matrix = np.array([[1.0, 2.0], [-1.5, 1.0]])
+
+    def function(blocks):
+        (x,) = blocks
+        other = np.cos(100 * x[0] + np.array([[0.0, 1.0], [2.0, 4.0]]))
+        return matrix @ x, [matrix + amplitude * other]
+
+    assert bundle.check_gradients(function, [[0.3, 0.2]]).kinds == {kind}
+
+
+def test_a_factor_close_to_one_is_named():
+    def function(blocks):
+        return np.sin(blocks[0]), [1.0005 * np.diag(np.cos(blocks[0]))]
+
+    (finding,) = bundle.check_gradients(function, [[0.3]]).findings
+    assert (finding.kind, finding.factor) == ("factor", pytest.approx(1.0005, rel=1e-6))
