@@ -98,6 +98,15 @@ def test_a_padded_quaternion_and_one_that_lacks_a_column_are_told_apart():
     assert lacking.kinds == {"zero"}
 
 
+def test_a_padded_quaternion_hides_no_mistake_of_another_block():
+    def function(blocks):
+        residual, (_, by_point) = rotate(blocks)
+        return residual, [np.hstack([-skew(residual), np.zeros((3, 1))]), -by_point]
+
+    report = bundle.check_gradients(function, [UNIT, POINT], ["quaternion_wxyz", None])
+    assert "sign" in report.kinds
+
+
 def curve(blocks):
     a, b, c = blocks[0]
     times = np.array([0.0, 0.5, 1.0, 2.0])
