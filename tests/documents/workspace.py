@@ -25,6 +25,7 @@ from tests.graphs.loops.drift import closures_of, drifted_street
 from tests.inertial.images.other_forms import write_bag, write_kalibr, write_video
 from tests.inertial.images.rendered_flight import SMALL, Flight, render
 from tests.io.formats import foreign_files as foreign
+from tests.io.formats import learned_exports
 
 REPOSITORY = Path(__file__).parents[2]
 FRAME = LocalFrame(45.15, 9.0, 100.0)
@@ -108,10 +109,13 @@ def targets(truth: bundle.Problem) -> list[str]:
 
 
 def other_programs(folder: Path, _data: Path) -> None:
-    """Files of Bundler with its photographs, Metashape, VisualSFM, OpenSfM, OpenMVG and others."""
+    """Files of Bundler with its photographs, Metashape, VisualSFM, OpenSfM, VGGT and others."""
     own = foreign.small(num_points=60)
     names = [f"photos/{index}.jpg" for index in range(4)]
-    for name in ("bundler/photos", "nerf", "mvg_out", "metashape", "realitycapture"):
+    for name in (
+        *("bundler/photos", "nerf", "mvg_out", "metashape", "realitycapture"),
+        *("vggt", "mast3r"),
+    ):
         (folder / name).mkdir(parents=True)
     for name in names:
         Image.new("L", (800, 600)).save(folder / "bundler" / name)
@@ -122,6 +126,9 @@ def other_programs(folder: Path, _data: Path) -> None:
     foreign.write_opensfm(own, folder / "opensfm")
     foreign.write_openmvg(own, folder / "sfm_data.json")
     foreign.write_database(own.image_names, folder / "database.db")
+    images = learned_exports.truth(0)
+    bundle.save(learned_exports.export(images, "single", 5), folder / "vggt" / "sparse")
+    bundle.save(learned_exports.export(images, "pairs", 5), folder / "mast3r" / "sparse")
 
 
 def measured(folder: Path, _data: Path) -> None:

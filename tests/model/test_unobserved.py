@@ -1,9 +1,10 @@
 """Problems without observations."""
 
+import numpy as np
 import pytest
 
 from bundle import InputError
-from bundle.model.unobserved import require_observations, unobserved
+from bundle.model.unobserved import require_observations, require_tracks, unobserved
 from tests.scenes import make_problem
 
 
@@ -18,3 +19,15 @@ def test_advice_to_triangulate_is_for_images_without_points():
     require_observations(whole, "model")
     with pytest.raises(InputError, match=r"^model: "):
         require_observations(unseen, "model")
+
+
+def test_one_point_that_two_images_see_is_enough():
+    whole = make_problem(num_images=3, num_points=12)
+    first = np.unique(whole.observation_point, return_index=True)[1]
+    alone = whole.select(observations=first).problem
+    assert (alone.num_observations, alone.num_points) == (12, 12)
+    require_observations(alone, "model")
+    with pytest.raises(InputError, match=r"^model: .*12 points"):
+        require_tracks(alone, "model")
+    second = np.flatnonzero(whole.observation_point == 0)[:2]
+    require_tracks(whole.select(observations=np.union1d(first, second)).problem, "model")

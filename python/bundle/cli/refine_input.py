@@ -18,7 +18,7 @@ from bundle.cli.sliced_input import sliced_input
 from bundle.errors import shown
 from bundle.interface.options import SolveOptions
 from bundle.io.open import check_target, load, output_format
-from bundle.model.unobserved import require_observations
+from bundle.model.unobserved import require_observations, require_tracks
 
 if TYPE_CHECKING:
     from bundle.editing.cameras.edit_record import CameraEdits
@@ -90,6 +90,9 @@ def open_input(asked: Refinement, progress: Progress) -> Opened:
     place = georeference_at(source)
     kept = _kept_world(asked, place)
     known = priors_of(given, problem, kept=kept)
+    has_free_points = "points" in options.refine and not options.fixed_point_ids
+    if sliced is None and known is None and has_free_points and not asked.rules.changed():
+        require_tracks(problem, shown(source))
     if place is not None:
         check_georeference(**output)
     return Opened(

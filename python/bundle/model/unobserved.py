@@ -1,11 +1,19 @@
-"""Problems without observations, in the same words for every format and command."""
+"""Problems that cannot be refined, in the same words for every format and command.
+
+They have no observations, or only points that one image sees each. Exports of learned models, such
+as those of VGGT without bundle adjustment, are of the latter kind: a point is a pixel with its
+depth, its residual is zero wherever the camera is, and nothing relates the images.
+"""
 
 from __future__ import annotations
 
-from bundle.base.words import Counts, contents
-from bundle.errors import InputError
+import numpy as np
 
-__all__ = ["require_observations", "unobserved"]
+from bundle.base.words import Counts, contents, plural
+from bundle.errors import InputError
+from bundle.model.problem_arrays import ProblemArrays
+
+__all__ = ["require_observations", "require_tracks", "unobserved"]
 
 _ADVICE = "; triangulate points first, for example with `colmap point_triangulator`"
 
@@ -29,6 +37,24 @@ def require_observations(problem: Counts, name: str) -> None:
     found = _content_without_observations(problem)
     if found:
         raise InputError(f"{name}: expected observations to refine, found {found}")
+
+
+def require_tracks(problem: ProblemArrays, name: str) -> None:
+    """Refuse a problem whose points relate no images.
+
+    Args:
+        problem: a problem with observations, whose points are refined.
+        name: path or name, for the message.
+
+    Raises:
+        InputError: no point is observed twice.
+    """
+    if np.bincount(problem.observation_point).max(initial=0) == 1:
+        raise InputError(
+            f"{name}: expected points that several images see, found "
+            f"{plural(problem.num_observations, 'point')} with one observation each; export the "
+            "tracks, too, for example VGGT's with --use_ba"
+        )
 
 
 def _content_without_observations(problem: Counts) -> str:

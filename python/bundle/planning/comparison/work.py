@@ -19,7 +19,7 @@ from bundle.interface.compare_options import SECONDS_NOT_REPEATED
 from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary
 from bundle.io.files import Source, as_problem
-from bundle.model.unobserved import require_observations
+from bundle.model.unobserved import require_observations, require_tracks
 from bundle.planning.comparison import hand_over
 from bundle.planning.comparison.comparison_result import ComparedProblem
 from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
@@ -79,6 +79,8 @@ class Work:
             self.report(Progress(stage=f"reading {shown(name)}"))
         source = as_problem(source, name="problems")
         require_observations(source, shown(name))
+        if "points" in self.options.refine and not self.options.fixed_point_ids:
+            require_tracks(source, shown(name))
         if self.perturb:
             source = perturbed(source, self.options, self.perturb, self.seed)
         hand_over.store(source, self.folder / str(index))
