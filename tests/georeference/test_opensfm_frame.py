@@ -117,7 +117,7 @@ def test_a_refinement_with_positions_of_the_project(tmp_path, capsys) -> None:
     there = new.to_geodetic(bundle.load(out).projection_centers)
     np.testing.assert_allclose(REFERENCE.to_enu(there), made.cameras, atol=1e-3)
     kept = tmp_path / "kept"
-    assert main(["refine", source, "-o", str(kept), "--quiet"]) == 0
+    assert main(["refine", source, "-o", str(kept), "--refine", "poses", "--quiet"]) == 0
     (content,) = json.loads((kept / "reconstruction.json").read_text())
     assert content["reference_lla"] == LLA  # the frame of the input
 
