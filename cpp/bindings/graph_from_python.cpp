@@ -19,6 +19,7 @@
 #include "core/factors/linear_prior.h"
 #include "core/factors/measurement_factors.h"
 #include "core/factors/twist_tie.h"
+#include "core/factors/velocity_factor.h"
 
 namespace py = pybind11;
 
@@ -69,6 +70,9 @@ class FactorReader {
     }
     if (kind_ == "position") {
       return std::make_unique<bundle::PositionFactor>(head_, At(0), At(1), At(2));
+    }
+    if (kind_ == "velocity") {
+      return std::make_unique<bundle::VelocityFactor>(head_, At(0), At(1), At(2));
     }
     if (kind_ == "direction") {
       return std::make_unique<bundle::DirectionFactor>(head_, At(0), At(1),

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from bundle.georeference.attitude_priors import GravityPrior, HeadingPrior, OrientationPrior
     from bundle.georeference.control_point import GroundControlPoint
     from bundle.georeference.position_prior import PositionPrior
+    from bundle.georeference.velocity_prior import VelocityPrior
     from bundle.graphs.factors.attitude_factors import (
         DirectionFactor,
         HeadingFactor,
@@ -242,6 +243,7 @@ __all__ = [
     "TriageOptions",
     "ValidatedCandidate",
     "Validation",
+    "VelocityPrior",
     "VioStart",
     "WindowLoop",
     "WindowOptions",
@@ -335,6 +337,7 @@ _DEFERRED = {
     "georeference.attitude_priors": ("GravityPrior", "HeadingPrior", "OrientationPrior"),
     "georeference.control_point": ("GroundControlPoint",),
     "georeference.position_prior": ("PositionPrior",),
+    "georeference.velocity_prior": ("VelocityPrior",),
     "graphs.factors.attitude_factors": ("DirectionFactor", "HeadingFactor", "RotationFactor"),
     "graphs.factors.checks": ("check_gradients", "check_jacobians"),
     "graphs.factors.factor_graph": ("DigitsLeft", "FactorGraph", "GraphResult"),

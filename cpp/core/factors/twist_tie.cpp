@@ -76,7 +76,7 @@ TwistTieFactor::TwistTieFactor(FactorHead head, double num_frames, double sigma_
   const std::pair<const char*, double> given[] = {
       {"num_frames", num_frames}, {"sigma_w", sigma_w}, {"sigma_v", sigma_v}};
   for (const auto& [what, value] : given) {
-    if (value > 0 && std::isfinite(value)) continue;
+    if (value > 0 && (std::isfinite(value) || what == given[2].first)) continue;
     throw InputError(name() + ": " + what + ": expected a finite number above 0, found " +
                      ShortNumber(value));
   }

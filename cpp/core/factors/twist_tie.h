@@ -54,11 +54,13 @@ void HardTwist(const double* pose_a, const double* pose_b, const PoseState& stat
 /// Its variables are the twist of the image, the readout of its camera, T_a and T_b.
 class TwistTieFactor final : public Factor {
  public:
-  /// Throws InputError unless num_frames is finite and above 0, and both sigmas are.
+  /// Throws InputError unless num_frames is finite and above 0, and both sigmas are; sigma_v may
+  /// also be infinite, for a tie of the rotation alone.
   TwistTieFactor(FactorHead head, double num_frames, double sigma_w, double sigma_v);
 
   bool Evaluate(const double* const* values, double* residual,
                 double* const* jacobians) const override;
+  int num_measurements() const override { return weights_[1] > 0 ? kTwistSize : 3; }
 
  private:
   double num_frames_;

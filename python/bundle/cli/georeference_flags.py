@@ -1,4 +1,4 @@
-"""Positions, control points and attitudes from the command line, as options and as priors."""
+"""Priors from the command line: positions, control points, attitudes and velocities."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bundle.cli.carried_georeference import georeference_at
 from bundle.cli.option_flags import flags_of, naming_flags, options_given
 from bundle.errors import InputError, shown
 from bundle.interface.georeference_options import GeoreferenceOptions
@@ -30,7 +31,7 @@ def georeference_given(
     page: bool = False,
     only_images: str | None = None,
 ) -> GeoreferenceOptions:
-    """Return the options of positions, control points and attitudes.
+    """Return the options of positions, control points, attitudes and velocities.
 
     Args:
         arguments: parsed command line.
@@ -48,15 +49,24 @@ def georeference_given(
     given = options_given(arguments, GeoreferenceOptions, beside=beside)
     if not given.is_given:
         return given
-    reads_images = given.gps == "exif" or given.orientations == "xmp"
-    if reads_images and given.images is None:
-        flag = "--gps exif" if given.gps == "exif" else "--orientations xmp"
-        raise InputError(f"{flag}: expected --images DIR, too")
-    if given.images is not None and not reads_images and not page:
-        kind = "--orientations xmp" if given.gps is None else "--gps exif"
+    sources = {"gps": "exif", "orientations": "xmp", "velocities": "xmp"}
+    read = [f"--{name} {word}" for name, word in sources.items() if getattr(given, name) == word]
+    if read and given.images is None:
+        raise InputError(f"{read[0]}: expected --images DIR, too")
+    if given.images is not None and not read and not page:
+        kind = next(f"--{name} {sources[name]}" for name in sources if getattr(given, name))
         raise InputError(f"--images: valid only with {kind}, found {kind.split()[0]} with a file")
     if arguments.prior_loss_scale is not None and given.prior_loss == "trivial":
         raise InputError("--prior-loss-scale: valid only with a --prior-loss other than trivial")
+    if (
+        given.velocities is not None
+        and not given.has_positions
+        and georeference_at(arguments.input) is None
+    ):
+        raise InputError(
+            "--velocities: expected --gps, --gcp or a georeference.json beside INPUT, which say "
+            "where east, north and up are, found none"
+        )
     flag = main_flag(given)
     if only_images is not None and given.has_positions:
         raise InputError(
@@ -74,6 +84,7 @@ def main_flag(given: GeoreferenceOptions) -> str:
         "--gps": given.gps,
         "--gravity": given.gravity,
         "--orientations": given.orientations,
+        "--velocities": given.velocities,
     }
     return next((flag for flag, value in flags.items() if value is not None), "--gps")
 
@@ -96,7 +107,7 @@ def priors_of(
         return None
     from bundle.georeference.known_priors import KnownPriors  # most runs have no priors
 
-    survey = attitudes = None
+    survey = attitudes = velocities = None
     with naming_flags(**GEOREFERENCE_FLAGS):
         if given.has_positions:
             survey = _survey(given, problem)
@@ -106,7 +117,15 @@ def priors_of(
             attitudes = read_attitudes(problem, **_settings(given, _OF_ATTITUDES))
             if kept:
                 attitudes.check_upright(problem, kept)
-    return KnownPriors(survey, attitudes)
+    if given.velocities is not None:
+        from bundle.georeference.velocities import read_velocities
+
+        settings = _settings(given, _OF_VELOCITIES)
+        if "antenna" in settings:
+            settings["antenna"] = given.lever_arm
+        with naming_flags(**{**GEOREFERENCE_FLAGS, "priors": "--velocities"}):
+            velocities = read_velocities(problem, **settings)
+    return KnownPriors(survey, attitudes, velocities)
 
 
 def _survey(given: GeoreferenceOptions, problem: Problem) -> GcpPriors | GpsPriors:
@@ -124,7 +143,10 @@ def _survey(given: GeoreferenceOptions, problem: Problem) -> GcpPriors | GpsPrio
 
 
 _ONLY_ATTITUDES = {"gravity", "gravity_sigma", "orientations", "orientation_sigma"}
-_OF_ATTITUDES = {*_ONLY_ATTITUDES, "images", "prior_loss", "prior_loss_scale"}
+_SHARED = {"images", "prior_loss", "prior_loss_scale"}
+_OF_ATTITUDES = {*_ONLY_ATTITUDES, *_SHARED}
+_ONLY_VELOCITIES = {"velocities", "velocity_sigma"}
+_OF_VELOCITIES = {*_ONLY_VELOCITIES, *_SHARED, "antenna"}
 
 
 def _settings(given: GeoreferenceOptions, names: Collection[str]) -> dict[str, Any]:
@@ -137,7 +159,7 @@ def settings_of(given: GeoreferenceOptions) -> dict[str, Any]:
     Raises:
         InputError: the antenna position is invalid.
     """
-    settings = _settings(given, set(given.names()) - _ONLY_ATTITUDES)
+    settings = _settings(given, set(given.names()) - _ONLY_ATTITUDES - _ONLY_VELOCITIES)
     if "antenna" in settings:
         settings["antenna"] = given.lever_arm
     if "gcp" in settings:

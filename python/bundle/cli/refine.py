@@ -70,6 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
         known = opened.known
         georeference = None if known is None else known.georeference(solved)
         attitudes = () if known is None else known.attitude_errors(solved)
+        velocities = None if known is None else known.velocity_errors(solved)
         begun = perf_counter()
         written, lost = _write(opened, solved, georeference, progress)
         save_time = perf_counter() - begun
@@ -91,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
     beside = asked.options_beside()
     report = refinement(
         *told, lost, beside, georeference, opened.edits, closed, findings, waiting,
-        attitudes, inertial, sigmas,
+        attitudes, inertial, sigmas, velocities,
     )  # fmt: skip
     publish(with_disk_use(report, asked), asked)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:

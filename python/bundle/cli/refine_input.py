@@ -39,7 +39,7 @@ class Opened:
         edits: changes of its cameras; None without any.
         options: options of the solve, images by id.
         output: path and format of OUTPUT.
-        known: priors of positions, control points and attitudes, or None.
+        known: priors of positions, control points, attitudes and velocities, or None.
         align: True to move the problem to its priors.
         place: content of the georeference.json next to INPUT, or None.
         sliced: refinement by processes that read one slice each; None: one process reads all.
@@ -82,6 +82,7 @@ def open_input(asked: Refinement, progress: Progress) -> Opened:
         ("positions", given.gps),
         ("gravity", given.gravity),
         ("orientations", given.orientations),
+        ("velocities", given.velocities),
     ):
         if path is not None:
             if given.has_positions:

@@ -38,6 +38,7 @@ CONTROL_POINTS = ("gcp", "gcp_sigma", "gcp_pixel_sigma", "check_points")
 READING = ("input_format", "image_size", "image_list", "reconstruction")
 """Destinations of the flags of :func:`add_input_format`."""
 ATTITUDES = ("gravity", "gravity_sigma", "orientations", "orientation_sigma")
+VELOCITIES = ("velocities", "velocity_sigma")
 ROBUSTNESS = ("prior_loss", "prior_loss_scale")
 
 
@@ -204,7 +205,7 @@ def add_rules(parser: argparse.ArgumentParser) -> None:
 def add_georeference(
     parser: argparse.ArgumentParser,
     meaning: str = MOVED,
-    images_are_for: str = "--gps exif, --orientations xmp and --html",
+    images_are_for: str = "--gps exif, --orientations xmp, --velocities xmp and --html",
 ) -> None:
     """Add flags for positions of images, control points and their loss.
 
@@ -220,4 +221,6 @@ def add_georeference(
     add_options(parser, kind, "ground control points", CONTROL_POINTS, adjusted)
     turned = "A model without positions is first turned to them about the middle of its cameras."
     add_options(parser, kind, "gravity, orientations and headings", ATTITUDES, turned)
-    add_options(parser, kind, "robustness of positions, control points and attitudes", ROBUSTNESS)
+    rolling = "They need rolling shutters with free or tied twists, readouts and --frame-rate."
+    add_options(parser, kind, "velocities of images", VELOCITIES, rolling)
+    add_options(parser, kind, "robustness of all of these", ROBUSTNESS)

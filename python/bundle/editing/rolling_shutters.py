@@ -46,6 +46,8 @@ def with_shutters(
     elif given.readout is not None:
         readout[shutter.is_rolling] = _share(given.readout, given.frame_rate)
     shutter = shutter.replace(readout=readout, row_time=given.row_time)
+    if given.frame_rate > 0:
+        shutter = shutter.replace(frame_rate=given.frame_rate)
     if given.frames is not None:
         from bundle.io.frame_times import read_frame_times  # only with a file of times
 

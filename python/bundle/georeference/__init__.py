@@ -15,6 +15,8 @@ from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.position_prior import PositionPrior
 from bundle.georeference.reference_system import ReferenceSystem
 from bundle.georeference.similarity import Similarity
+from bundle.georeference.velocities import Velocities, read_velocities
+from bundle.georeference.velocity_prior import VelocityPrior
 
 __all__ = [
     "Alignment",
@@ -32,6 +34,8 @@ __all__ = [
     "PositionPrior",
     "ReferenceSystem",
     "Similarity",
+    "Velocities",
+    "VelocityPrior",
     "align",
     "gcp_priors",
     "gps_priors",
@@ -39,4 +43,5 @@ __all__ = [
     "read_exif_gps",
     "read_gcp_list",
     "read_geo_file",
+    "read_velocities",
 ]

@@ -1,11 +1,8 @@
 """Text files of attitudes: directions of gravity, orientations, headings.
 
-Lines have words between blanks, tabs or commas; lines that begin with ``#`` are comments. A name
-with blanks is in quotes. An image is given by its name (the last part is sufficient if it is
-unique) or, if no image has this name, by its id.
-
-Gravity has one line for each image: down in the camera's frame (right, down, forward; any length)
-and a standard deviation in degrees, which may be missing::
+:mod:`.image_lines` has the rules for words and names. Gravity has one line for each image: down in
+the camera's frame (right, down, forward; any length) and a standard deviation in degrees, which may
+be missing::
 
     IMG_0001.jpg   0.02  0.99  0.10   0.5
     IMG_0002.jpg  -0.01  9.79  0.55
@@ -25,15 +22,13 @@ direction.
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from bundle.base.paths import numbered_lines
-from bundle.errors import InputError, brief, shown
+from bundle.errors import InputError
 from bundle.georeference.attitude_priors import (
     AttitudePrior,
     GravityPrior,
@@ -43,18 +38,18 @@ from bundle.georeference.attitude_priors import (
     quaternion_of_angles,
 )
 from bundle.georeference.image_finder import ImageFinder
-from bundle.georeference.odm_lines import parse_number, split_words
+from bundle.georeference.image_lines import content_lines, headed_rows, image_rows, row_numbers
 
 __all__ = ["gravity_text", "orientation_text", "read_gravity", "read_orientations"]
 
 SIGMAS = ("sigma_heading", "sigma_tilt")
 LAYOUTS = {
-    ("yaw", "pitch", "roll"): 2,
-    ("qx", "qy", "qz", "qw"): 2,
-    ("qw", "qx", "qy", "qz"): 2,
-    ("heading",): 1,
+    ("yaw", "pitch", "roll"): SIGMAS,
+    ("qx", "qy", "qz", "qw"): SIGMAS,
+    ("qw", "qx", "qy", "qz"): SIGMAS,
+    ("heading",): SIGMAS[:1],
 }
-"""Columns after the name, and the number of standard deviations that may follow."""
+"""Columns after the name, and the standard deviations that may follow."""
 
 
 def read_gravity(
@@ -74,14 +69,14 @@ def read_gravity(
     """
 
     def prior(place: str, image: int, words: Sequence[str]) -> GravityPrior:
-        numbers = _numbers(place, ("gx", "gy", "gz", "sigma"), words, required=3)
+        numbers = row_numbers(place, ("gx", "gy", "gz", "sigma"), words, required=3)
         if not np.any(numbers[:3]):
             raise InputError(f"{place}: expected a direction gx gy gz, found 0 0 0")
         given = numbers[3] if len(numbers) > 3 else sigma
         return GravityPrior(image, numbers[:3], _above_zero(place, "sigma", given))
 
     layout = "name gx gy gz [sigma]"
-    return [prior(*row) for row in _rows(path, images, _lines(path), layout)]
+    return [prior(*row) for row in image_rows(path, images, content_lines(path), layout)]
 
 
 def read_orientations(
@@ -98,28 +93,13 @@ def read_orientations(
         InputError: the header is unknown, or as :func:`read_gravity`.
         OSError: the file cannot be read.
     """
-    (number, header), *lines = _lines(path) or [(0, [])]
-    found = next(
-        (
-            (columns, layout)
-            for columns in LAYOUTS
-            for count in range(LAYOUTS[columns] + 1)
-            if header == (layout := ["name", *columns, *SIGMAS[:count]])
-        ),
-        None,
+    columns, names, rows = headed_rows(
+        path, images, LAYOUTS, "name yaw pitch roll [sigma_heading [sigma_tilt]]"
     )
-    if found is None:
-        raise InputError(
-            f"{shown(path)}: line {number}: expected a header such as name yaw pitch roll "
-            f"[sigma_heading [sigma_tilt]], found {brief(' '.join(header))}"
-            if number
-            else f"{shown(path)}: expected a header and a line for each image, found 0 lines"
-        )
-    columns, layout = found
     make = _maker(columns)
 
     def prior(place: str, image: int, words: Sequence[str]) -> AttitudePrior:
-        numbers = _numbers(place, layout[1:], words, required=len(columns))
+        numbers = row_numbers(place, names, words, required=len(columns))
         given = [
             _above_zero(place, name, value)
             for name, value in zip(SIGMAS, numbers[len(columns) :], strict=False)
@@ -129,7 +109,7 @@ def read_orientations(
             raise InputError(f"{place}: expected a quaternion, found 0 0 0 0")
         return make(image, numbers[: len(columns)], (heading, tilt))
 
-    return [prior(*row) for row in _rows(path, images, lines, " ".join(layout))]
+    return [prior(*row) for row in rows]
 
 
 def gravity_text(priors: Iterable[GravityPrior], name: Callable[[Any], str]) -> str:
@@ -168,55 +148,6 @@ def _maker(
     return lambda image, numbers, sigmas: OrientationPrior(
         image, [numbers[k] for k in order], sigmas
     )
-
-
-def _lines(path: str | os.PathLike[str]) -> list[tuple[int, list[str]]]:
-    """Return the words of every line with content, with its number from 1."""
-    lines = []
-    for number, line in numbered_lines(path):
-        text = line.strip()
-        if not text or text.startswith("#"):
-            continue
-        if "," in text:
-            (words,) = csv.reader([text], skipinitialspace=True)
-            lines.append((number, [word.strip() for word in words]))
-        else:
-            lines.append((number, split_words(text, 0)))
-    return lines
-
-
-def _rows(
-    path: str | os.PathLike[str],
-    images: ImageFinder,
-    lines: list[tuple[int, list[str]]],
-    layout: str,
-) -> list[tuple[str, int, list[str]]]:
-    """Return place, id of the image and numbers of each line."""
-    if not lines:
-        raise InputError(f"{shown(path)}: expected lines of {layout}, found 0")
-    seen: dict[int, int] = {}
-    rows = []
-    for number, (name, *words) in lines:
-        place = f"{shown(path)}: line {number}"
-        image = images.find(name, f"{place}: ")
-        if image in seen:
-            raise InputError(
-                f"{place}: expected one line for each image, found {brief(name)} again (first in "
-                f"line {seen[image]})"
-            )
-        seen[image] = number
-        rows.append((place, image, words))
-    return rows
-
-
-def _numbers(place: str, names: Sequence[str], words: Sequence[str], required: int) -> list[float]:
-    if not required <= len(words) <= len(names):
-        optional = "".join(f" [{name}]" for name in names[required:])
-        raise InputError(
-            f"{place}: expected name {' '.join(names[:required])}{optional}, "
-            f"found {len(words)} words after the name"
-        )
-    return [parse_number(place, name, word) for name, word in zip(names, words, strict=False)]
 
 
 def _above_zero(place: str, name: str, value: float) -> float:

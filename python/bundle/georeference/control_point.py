@@ -113,7 +113,7 @@ class GroundControlPoint:
             )
 
 
-def parse_sigma(name: str, value: Any) -> Sigma:
+def parse_sigma(name: str, value: Any, unit: str = "metres") -> Sigma:
     """Return standard deviations from a number, a pair, "0.02" or "0.02/0.05".
 
     Raises:
@@ -130,7 +130,7 @@ def parse_sigma(name: str, value: Any) -> Sigma:
         parts = [value]
     if not 1 <= len(parts) <= 2:
         raise InputError(
-            f"{name}: expected metres, such as 0.02 or 0.02/0.05 (horizontal/vertical), "
+            f"{name}: expected {unit}, such as 0.02 or 0.02/0.05 (horizontal/vertical), "
             f"found {brief(value)}"
         )
     horizontal, vertical = (

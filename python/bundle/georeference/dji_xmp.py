@@ -1,10 +1,11 @@
-"""Gimbal angles and RTK standard deviations that DJI writes into the XMP packet of a photograph.
+"""Gimbal angles, speeds and RTK sigmas that DJI writes into the XMP packet of a photograph.
 
 The packet is RDF in XML (Adobe, "XMP Specification Part 3"), in an APP1 segment of the JPEG file
 that begins with its namespace. DJI's values are in the namespace ``http://www.dji.com/
 drone-dji/1.0/``, as attributes of ``rdf:Description`` (most drones) or as its elements:
 
     GimbalYawDegree, GimbalPitchDegree, GimbalRollDegree   degrees
+    FlightXSpeed, FlightYSpeed                             metres per second, to north and east
     RtkStdLon, RtkStdLat, RtkStdHgt                        metres
 
 "NED coordinate system, the rotation order is ZYX" (DJI Mavic 3E/3T user manual, 2022, "Data
@@ -43,6 +44,8 @@ class DjiRecord(NamedTuple):
         roll: degrees.
         horizontal: standard deviation of the position in each horizontal axis in metres.
         vertical: standard deviation of the height in metres.
+        north: speed to the north in metres per second.
+        east: speed to the east in metres per second.
     """
 
     yaw: float = math.nan
@@ -50,6 +53,8 @@ class DjiRecord(NamedTuple):
     roll: float = math.nan
     horizontal: float = math.nan
     vertical: float = math.nan
+    north: float = math.nan
+    east: float = math.nan
 
     @property
     def has_angles(self) -> bool:
@@ -92,6 +97,8 @@ def read_dji(path: str | os.PathLike[str]) -> DjiRecord:
         get("GimbalRollDegree"),
         horizontal if horizontal > 0 else math.nan,
         up if up > 0 else math.nan,
+        get("FlightXSpeed"),
+        get("FlightYSpeed"),
     )
 
 

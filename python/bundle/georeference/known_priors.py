@@ -1,4 +1,4 @@
-"""All priors that a command was given: positions, control points and attitudes."""
+"""All priors that a command was given: positions, control points, attitudes and velocities."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from bundle.georeference.gcp_priors import GcpPriors
 from bundle.georeference.georeferenced import Georeference, Solved
 from bundle.georeference.gps_priors import GpsPriors
 from bundle.georeference.position_prior import PositionPrior
+from bundle.georeference.problem_velocities import VelocityErrors
+from bundle.georeference.velocities import Velocities
+from bundle.georeference.velocity_prior import VelocityPrior
 
 __all__ = ["KnownPriors"]
 
@@ -22,17 +25,22 @@ class KnownPriors:
     Attributes:
         survey: priors of positions and control points, or None.
         attitudes: priors of attitudes, or None.
+        velocities: priors of velocities, or None.
     """
 
     survey: GcpPriors | GpsPriors | None
     attitudes: Attitudes | None
+    velocities: Velocities | None = None
 
     @property
-    def priors(self) -> tuple[PositionPrior | GroundControlPoint | AttitudePrior, ...]:
+    def priors(
+        self,
+    ) -> tuple[PositionPrior | GroundControlPoint | AttitudePrior | VelocityPrior, ...]:
         """All priors."""
         return (
             *(() if self.survey is None else self.survey.priors),
             *(() if self.attitudes is None else self.attitudes.priors),
+            *(() if self.velocities is None else self.velocities.priors),
         )
 
     def georeference(self, result: Solved) -> Georeference | None:
@@ -42,3 +50,7 @@ class KnownPriors:
     def attitude_errors(self, result: Solved) -> tuple[AttitudeErrors, ...]:
         """Return the residuals of attitudes in a result, by kind."""
         return () if self.attitudes is None else self.attitudes.errors(result.problem)
+
+    def velocity_errors(self, result: Solved) -> VelocityErrors | None:
+        """Return the residuals of velocities in a result; None without any."""
+        return None if self.velocities is None else self.velocities.errors(result.problem)

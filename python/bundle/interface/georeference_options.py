@@ -1,4 +1,4 @@
-"""Options of image positions and ground control points, which georeference a model."""
+"""Options of ground control points, and of positions, attitudes and velocities of images."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ __all__ = [
     "ORIENTATION_SIGMA",
     "ROBUST_SCALE",
     "ROBUST_SCALES",
+    "VELOCITY_SIGMA",
     "GeoreferenceOptions",
 ]
 
@@ -33,6 +34,8 @@ GRAVITY_SIGMA = 1.0
 """Default standard deviation of a direction of gravity in degrees, for lines without it."""
 ORIENTATION_SIGMA = "5/1"
 """Default standard deviations of an orientation in degrees, heading and tilt."""
+VELOCITY_SIGMA = "0.1/0.2"
+"""Default standard deviations of a velocity in m/s, horizontal and vertical: GPS by Doppler."""
 
 
 @documented
@@ -51,10 +54,10 @@ class GeoreferenceOptions(Options):
     images: str | None = option(
         None,
         "--images",
-        "folder of the images, for --gps exif and --orientations xmp",
+        "folder of the images, for --gps exif, --orientations xmp and --velocities xmp",
         metavar="DIR",
         value="path",
-        needs=("gps", "orientations"),
+        needs=("gps", "orientations", "velocities"),
     )
     gps_sigma: str = option(
         GPS_SIGMA,
@@ -69,16 +72,16 @@ class GeoreferenceOptions(Options):
         "--antenna",
         "position of the antenna in the camera frame, right, down, forward, in metres",
         metavar="X,Y,Z",
-        needs=("gps",),
+        needs=("gps", "velocities"),
     )
     prior_loss: str = option(
         "trivial",
         "--prior-loss",
-        "robust loss of positions, control points and attitudes: tukey and arctan ignore gross "
-        "errors, all others only reduce their influence",
+        "robust loss of positions, control points, attitudes and velocities: tukey and arctan "
+        "ignore gross errors, all others only reduce their influence",
         choices=LOSSES,
         metavar="NAME",
-        needs=("gcp", "gps", "gravity", "orientations"),
+        needs=("gcp", "gps", "gravity", "orientations", "velocities"),
         late=True,
     )
     prior_loss_scale: float = option(
@@ -87,7 +90,7 @@ class GeoreferenceOptions(Options):
         "residual in standard deviations at which this loss begins to bend; 5 % of correct "
         "residuals exceed the default",
         metavar="X",
-        needs=("gcp", "gps", "gravity", "orientations"),
+        needs=("gcp", "gps", "gravity", "orientations", "velocities"),
         late=True,
     )
     gcp: str | None = option(
@@ -153,11 +156,28 @@ class GeoreferenceOptions(Options):
         metavar="H[/T]",
         needs=("orientations",),
     )
+    velocities: str | None = option(
+        None,
+        "--velocities",
+        "measured velocities of images with a rolling shutter, beside --gps, --gcp or the "
+        "georeference.json of INPUT; xmp: DJI's speeds in the images; FILE: a header, name vx vy "
+        "vz, and a line for each image, in metres per second to east, north, up",
+        metavar="FILE|xmp",
+        value="xmp or path",
+    )
+    velocity_sigma: str = option(
+        VELOCITY_SIGMA,
+        "--velocity-sigma",
+        "standard deviation of velocities that have no own one, horizontal and vertical, in metres "
+        "per second",
+        metavar="H[/V]",
+        needs=("velocities",),
+    )
 
     @property
     def is_given(self) -> bool:
-        """True if positions, control points or attitudes were given."""
-        return self.has_positions or self.has_attitudes
+        """True if positions, control points, attitudes or velocities were given."""
+        return self.has_positions or self.has_attitudes or self.velocities is not None
 
     @property
     def has_positions(self) -> bool:

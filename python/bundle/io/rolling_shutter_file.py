@@ -79,7 +79,7 @@ def read_rolling_shutter(path: Path, problem: Problem) -> RollingShutter:
     from bundle.io.formats.json_fields import read_json  # late: most models have no such file
 
     node = read_json(path)
-    _check_members(node, ("cameras", "images", "row_time"))
+    _check_members(node, ("cameras", "images", "row_time", "frame_rate"))
     direction = ["global"] * problem.num_cameras
     readout = np.full(problem.num_cameras, np.nan)
     for entry, camera in _entries(node.get("cameras"), "camera", _CAMERA, problem.camera_ids):
@@ -112,13 +112,16 @@ def read_rolling_shutter(path: Path, problem: Problem) -> RollingShutter:
                 f"{images.place}: expected a twist for each image with a rolling shutter, found "
                 f"none for image {problem.image_ids[missing[0]]}"
             )
-    row_time = node.find("row_time")
+    row_time, rate = node.find("row_time"), node.find("frame_rate")
+    if rate is not None and not rate.number() > 0:
+        rate.fail("frames per second above 0")
     return RollingShutter(
         direction=tuple(direction),
         readout=readout,
         twist=twist,
         frames=None if np.isnan(frames).all() else frames,
         neighbours=None if (neighbours < 0).all() else neighbours,
+        frame_rate=math.nan if rate is None else rate.number(),
         row_time=ROW_TIMES[0] if row_time is None else _choice(row_time, ROW_TIMES),
     )
 
@@ -160,6 +163,8 @@ def rolling_shutter_record(problem: Problem) -> dict[str, Any] | None:
         for camera in np.flatnonzero(shutter.is_rolling).tolist()
     ]
     record = {"cameras": cameras, "images": images}
+    if math.isfinite(shutter.frame_rate):
+        record["frame_rate"] = shutter.frame_rate
     return record if shutter.row_time == ROW_TIMES[0] else {**record, "row_time": shutter.row_time}
 
 

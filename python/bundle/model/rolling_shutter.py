@@ -14,6 +14,7 @@ readout, as a share of the time between two frames, times the motion between two
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -24,7 +25,7 @@ from bundle.base.arrays import FrozenArrays, freeze, immutable
 from bundle.base.display import Display, Displayed
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
-from bundle.interface.option_fields import choice
+from bundle.interface.option_fields import choice, number
 from bundle.model.problem_arrays import ProblemArrays
 
 __all__ = [
@@ -41,6 +42,10 @@ __all__ = [
 def _unknown() -> Any:
     """Return None, a placeholder for unknown readouts until the number of cameras is known."""
     return None
+
+
+def _is_nan(value: Any) -> bool:
+    return isinstance(value, float) and math.isnan(value)
 
 
 DIRECTIONS = ("global", "rows", "columns")
@@ -64,6 +69,7 @@ class RollingShutter(FrozenArrays, Displayed):
         neighbours: (num_images, 2) index of the image before and after in the same video, between
             which an image's twist is constant; the image's own index at an end of the video, -1
             without neighbours; None (the default) if none are known.
+        frame_rate: frames per second, NaN (the default) if unknown. Velocities need it.
         row_time: "fixed-point" (the default): a point's row is where the image sees it; "observed":
             where it was measured, which lets the noise of rows draw twists to wrong values.
         axis: (num_cameras,) index in "global", "rows", "columns" of each camera's direction.
@@ -78,6 +84,7 @@ class RollingShutter(FrozenArrays, Displayed):
     twist: NDArray[np.float64]
     frames: NDArray[np.float64] | None = None
     neighbours: NDArray[np.int32] | None = None
+    frame_rate: float = math.nan
     row_time: str = "fixed-point"
     axis: NDArray[np.int8] = field(init=False)
 
@@ -101,6 +108,9 @@ class RollingShutter(FrozenArrays, Displayed):
             self._array("frames", self.frames, (rows,), np.float64)
         if self.neighbours is not None:
             self._array("neighbours", self.neighbours, (rows, 2), np.int32)
+        if not _is_nan(self.frame_rate):
+            rate = number("rolling_shutter: frame_rate", self.frame_rate, above=0)
+            self._set("frame_rate", rate)
         self._set("row_time", choice("rolling_shutter: row_time", self.row_time, ROW_TIMES))
         self._check_values()
 

@@ -4,7 +4,9 @@ Images that share free points determine a rigid piece of the world up to a simil
 may move by d = (a, b, s), X' = X + a + b x X + s X. Its reprojections do not change if image i,
 R X + t, moves by local coordinates (R' = Exp(phi) R, t' = t + tau)
 
-    phi = -R b,    tau = s t - R a.
+    phi = -R b,    tau = s t - R a,
+
+and the translation v of its twist, if its shutter rolls, by s v.
 
 An image with its own pose can make this motion. An image of a rig, R = R_s R_f, t = R_s t_f + t_s,
 moves with its frame and its sensor:
@@ -317,6 +319,10 @@ class _Count:
             rows[:, column : column + 6] = np.eye(6)
             return self._in_frame_of(problem.sensor_from_rig[index], rows, np.zeros(3))
         motion = np.zeros((size, self._width))
+        shutter = problem.rolling_shutter
+        if kind == "twist" and shutter is not None and self._piece[index] >= 0:
+            motion[3:, 7 * self._piece[index] + 6] = shutter.twist[index, 3:]
+            return motion
         if kind == "point" and self._point_is_free[index] and self._piece_of_point[index] >= 0:
             piece = self._piece_of_point[index]
             motion[:, 7 * piece : 7 * piece + 7] = (

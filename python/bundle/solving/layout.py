@@ -96,12 +96,20 @@ def _with_twists(
         raise InputError(
             f"twists: expected free for a problem without rolling shutters, found {options.twists}"
         )
+    given = () if known is None else known.factors
+    measured = {factor.keys[1] for factor in given if factor.kind == "velocity"}
     if options.twists == "hard":
         shutter.check_tied(problem)
+        if measured:
+            raise InputError(
+                "twists: expected free or tied with velocities, which constrain twists of their "
+                "own, found hard"
+            )
     if options.twists != "tied":
         return known, options
     holds = known is not None and known.locate
-    ties = twist_ties(problem, options.twist_sigma)
+    # Beside a velocity, a tie of the translation would bias a refined readout.
+    ties = twist_ties(problem, options.twist_sigma, measured if options.refine_readout else set())
     if not holds and options.gauge == "auto":
         options = options.replace(gauge="two_cameras")
     return _problem_factors(problem, (*factors, *ties)), options

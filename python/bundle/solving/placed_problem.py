@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from bundle.georeference.problem_attitudes import ProblemAttitudes
     from bundle.georeference.similarity import Similarity
     from bundle.georeference.target_priors import TargetPriors
+    from bundle.georeference.velocity_prior import VelocityPrior
     from bundle.graphs.factors.factors import Factor
 
-    Prior = PositionPrior | GroundControlPoint | AttitudePrior
+    Prior = PositionPrior | GroundControlPoint | AttitudePrior | VelocityPrior
 
 __all__ = ["PlacedProblem", "place_at_priors", "sorted_priors"]
 
@@ -33,7 +34,8 @@ class PlacedProblem(NamedTuple):
 
     Attributes:
         problem: problem in the frame of the priors; control points are its last points.
-        factors: all factors; those of the priors come last: positions, attitudes, control points.
+        factors: all factors; those of the priors come last: positions, attitudes, control points,
+            velocities.
         similarity: similarity by which the problem was moved, if it was moved.
         targets: control and check points, if there are any.
     """
@@ -85,7 +87,7 @@ def place_at_priors(
     from bundle.georeference.similarity import moved
     from bundle.georeference.target_priors import TargetPriors
 
-    positions, attitudes, points = sorted_priors(priors)
+    positions, attitudes, points, velocities = sorted_priors(priors)
     known = ProblemPriors.make(problem, positions)
     turned = _attitudes(problem, attitudes)
     targets = TargetPriors.make(problem, points) if points else None
@@ -104,6 +106,10 @@ def place_at_priors(
     if targets is not None:
         start = targets.added_to(start, similarity)
         of_priors += targets.factors()
+    if velocities:
+        from bundle.georeference.problem_velocities import ProblemVelocities  # few solves have any
+
+        of_priors += ProblemVelocities.make(start, velocities).factors(start)
     return PlacedProblem(start, (*factors, *of_priors), similarity, targets)
 
 
@@ -162,14 +168,15 @@ def _levelled(
     return level_similarity(points, np.eye(3) if upright is None else upright.rotation)
 
 
-def sorted_priors(priors: tuple[Any, ...]) -> tuple[list[Any], list[Any], list[Any]]:
-    """Return the positions, the attitudes, and the control points."""
+def sorted_priors(priors: tuple[Any, ...]) -> tuple[list[Any], list[Any], list[Any], list[Any]]:
+    """Return the positions, the attitudes, the control points, and the velocities."""
     from bundle.georeference.attitude_priors import AttitudePrior
     from bundle.georeference.control_point import GroundControlPoint
     from bundle.georeference.position_prior import PositionPrior
+    from bundle.georeference.velocity_prior import VelocityPrior
 
-    kinds = (PositionPrior, AttitudePrior, GroundControlPoint)
-    groups: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
+    kinds = (PositionPrior, AttitudePrior, GroundControlPoint, VelocityPrior)
+    groups: tuple[list[Any], list[Any], list[Any], list[Any]] = ([], [], [], [])
     for place, prior in enumerate(priors):
         for kind, group in zip(kinds, groups, strict=True):
             if isinstance(prior, kind):
@@ -177,8 +184,8 @@ def sorted_priors(priors: tuple[Any, ...]) -> tuple[list[Any], list[Any], list[A
                 break
         else:
             raise InputError(
-                "priors: expected PositionPriors, GroundControlPoints and priors of attitudes, "
-                f"found {brief(prior)} at [{place}]"
+                "priors: expected PositionPriors, GroundControlPoints and priors of attitudes and "
+                f"velocities, found {brief(prior)} at [{place}]"
             )
     return groups
 

@@ -121,6 +121,10 @@ def solve(
     problem is first turned to them about the middle of its cameras, robustly; its position and
     scale stay.
 
+    Priors of velocities (:class:`bundle.VelocityPrior`) constrain the twists of images with rolling
+    shutters. They refer to the same world, but move nothing: without positions, the problem must
+    already have its axes and its length unit.
+
     Ground control points (:class:`bundle.GroundControlPoint`, coordinates in the same frame and in
     metres) are priors as well. Each becomes a point of the solve. Its surveyed position is a prior
     and its pixels are observations, each with its own sigma. Control points help to determine the
@@ -141,8 +145,8 @@ def solve(
             graph, or a pycolmap.Reconstruction.
         options: solve options; the defaults of :class:`SolveOptions` if not given.
         factors: factors in addition to the observations, such as :class:`bundle.PriorFactor`.
-        priors: measured positions and attitudes of images, and control points. Their costs come
-            after those of the factors: positions, attitudes, then control points.
+        priors: measured positions, attitudes and velocities of images, and control points. Their
+            costs come after those of the factors: positions, attitudes, control points, velocities.
         align: True to move the problem to its priors first. None: move it if there are no factors,
             and at least three positions and control points that do not lie on one line, two beside
             gravity or orientations, or attitudes without positions.

@@ -14,6 +14,9 @@
 #include "core/error.h"
 #include "core/factors/linear_prior.h"
 #include "core/factors/measurement_factors.h"
+#include "core/factors/twist_tie.h"
+#include "core/factors/velocity_factor.h"
+#include "core/geometry/rotation.h"
 
 namespace bundle {
 namespace {
@@ -222,6 +225,82 @@ TEST(PositionFactor, IsTheCameraCentreWithoutALeverArm) {
   for (int repeat = 0; repeat < 5; ++repeat) {
     ExpectJacobiansAreDerivatives(antenna, {RandomValue(pose, &random)});
   }
+}
+
+TEST(VelocityFactor, IsTheMotionOfTheAntennaInTheWorld) {
+  // T at the row s is Exp(s m) T: the antenna's position there, by differences.
+  const std::vector<double> pose = {0, 0, std::sqrt(0.5), std::sqrt(0.5), 4, 5, 6};
+  const std::vector<double> twist = {0.2, -0.1, 0.3, 1, -2, 0.5};
+  const double lever[3] = {0.3, -0.2, 0.5}, rho = 0.8, step = 1e-4;
+  double place[2][3];
+  for (const int side : {0, 1}) {
+    double motion[6], inverse[7], moved[3];
+    for (int i = 0; i < 6; ++i) motion[i] = (side == 0 ? step : -step) * twist[i];
+    const double identity[7] = {0, 0, 0, 1, 0, 0, 0};
+    Retraction(Manifold::kSe3, 7).Plus(identity, motion, inverse);  // Exp(-s m)
+    double rotation[9];
+    QuaternionToRotation(inverse, rotation);
+    MatrixVector3(rotation, lever, moved);
+    for (int i = 0; i < 3; ++i) moved[i] += inverse[4 + i] - pose[4 + i];
+    QuaternionToRotation(pose.data(), rotation);
+    VectorMatrix3(moved, rotation, place[side]);
+  }
+  const std::vector<double> unit = {1, 0, 0, 0, 1, 0, 0, 0, 1}, measured = {0.1, -0.7, 3};
+  const VelocityFactor factor(Head({0, 1, 2}), measured, {0.3, -0.2, 0.5}, unit);
+  const std::vector<double> r = Evaluate(factor, {pose, twist, {rho}}, nullptr);
+  for (int i = 0; i < 3; ++i) {
+    const double velocity = (place[1][i] - place[0][i]) / (2 * step) / rho;
+    EXPECT_NEAR(r[i], velocity - measured[i], 1e-7);
+  }
+}
+
+TEST(VelocityFactor, Jacobians) {
+  std::mt19937_64 random(6);
+  const Retraction pose(Manifold::kSe3, 7), twist(Manifold::kEuclidean, 6);
+  for (const std::vector<double>& lever : {std::vector<double>{0, 0, 0}, {0.3, -0.2, 0.5}}) {
+    for (int repeat = 0; repeat < 5; ++repeat) {
+      const VelocityFactor factor(Head({0, 1, 2}), {3, -2, 0.4}, lever,
+                                  RandomInformation(3, &random));
+      ExpectJacobiansAreDerivatives(
+          factor, {RandomValue(pose, &random), RandomValue(twist, &random), {0.7}});
+    }
+  }
+}
+
+TEST(VelocityFactor, RefusesWhatIsNone) {
+  const std::vector<double> unit = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  ExpectRefusal([&] { VelocityFactor(Head({0, 1, 2}), {1, nan, 0}, {0, 0, 0}, unit); }, "velocity");
+  ExpectRefusal([&] { VelocityFactor(Head({0, 1, 2}), {1, 2, 0}, {0, nan, 0}, unit); }, "lever");
+  const VelocityFactor factor(Head({0, 1, 2}), {1, 2, 3}, {0, 0, 0}, unit);
+  const double pose[] = {0, 0, 0, 1, 0, 0, 0}, twist[] = {0, 0, 0, 1, 1, 1};
+  for (const double rho : {0.0, -0.5, nan}) {
+    const double* const values[] = {pose, twist, &rho};
+    double residual[3];
+    EXPECT_FALSE(factor.Evaluate(values, residual, nullptr));
+  }
+}
+
+TEST(TwistTieFactor, MayTieTheRotationAlone) {
+  const double inf = std::numeric_limits<double>::infinity();
+  const std::vector<std::vector<double>> values = {
+      {0.1, 0.2, 0.3, 4, 5, 6}, {0.8}, {0, 0, 0, 1, 1, 2, 3}, {0.1, 0, 0, 0.995, 0, 2, 1}};
+  Values unit = values;
+  Retraction(Manifold::kSe3, 7).Normalize(unit[3].data());
+  const TwistTieFactor whole(Head({0, 1, 2, 3}), 5, 0.1, 0.2);
+  const TwistTieFactor turning(Head({0, 1, 2, 3}), 5, 0.1, inf);
+  EXPECT_EQ(whole.num_measurements(), 6);
+  EXPECT_EQ(turning.num_measurements(), 3);
+  const std::vector<double> r = Evaluate(turning, unit, nullptr);
+  const std::vector<double> expected = Evaluate(whole, unit, nullptr);
+  for (int i = 0; i < 3; ++i) {
+    EXPECT_EQ(r[i], expected[i]);
+    EXPECT_EQ(r[3 + i], 0);
+  }
+  ExpectJacobiansAreDerivatives(whole, unit);
+  ExpectJacobiansAreDerivatives(turning, unit);
+  ExpectRefusal([&] { TwistTieFactor(Head({0, 1, 2, 3}), 5, inf, 0.2); }, "sigma_w");
+  ExpectRefusal([&] { TwistTieFactor(Head({0, 1, 2, 3}), inf, 0.1, 0.2); }, "num_frames");
 }
 
 TEST(ReprojectionFactor, JacobiansForDifferentModels) {

@@ -6,6 +6,8 @@ an image, xi the motion per frame from one neighbour to the other.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,7 +32,8 @@ class TwistTieFactor(Factor):
         after: key of the later image.
         num_frames: frame times from the earlier to the later image, above 0.
         sigma_w: standard deviation of the angular part of m, radians.
-        sigma_v: standard deviation of the other part, in the length unit.
+        sigma_v: standard deviation of the other part, in the length unit; inf: only the angular
+            part is tied.
 
     Raises:
         InputError: a number is not above 0 (once the factor is added to a problem).
@@ -47,6 +50,11 @@ class TwistTieFactor(Factor):
     kind = "twist_tie"
 
     @property
+    def dependent_residuals(self) -> int:  # type: ignore[override]
+        """Number of residuals without information."""
+        return 3 if math.isinf(self.sigma_v) else 0
+
+    @property
     def keys(self) -> tuple[Key, ...]:
         """Variables in the order of the Jacobians."""
         return self.twist, self.readout, self.before, self.after
@@ -56,8 +64,15 @@ class TwistTieFactor(Factor):
         return self.num_frames, self.sigma_w, self.sigma_v
 
 
-def twist_ties(problem: Problem, sigma: tuple[float, ...]) -> tuple[TwistTieFactor, ...]:
+def twist_ties(
+    problem: Problem, sigma: tuple[float, ...], turning: Set[Key] = frozenset()
+) -> tuple[TwistTieFactor, ...]:
     """Return a tie for each image with known neighbours.
+
+    Args:
+        problem: problem with rolling shutters.
+        sigma: standard deviations of the angular part and of the other part.
+        turning: keys of the twists of which only the angular part is tied.
 
     Raises:
         InputError: no image has neighbours, or times or readouts are unknown.
@@ -81,7 +96,7 @@ def twist_ties(problem: Problem, sigma: tuple[float, ...]) -> tuple[TwistTieFact
                 ("image", int(images[b])),
                 float(frames[b] - frames[a]),
                 sigma_w,
-                sigma_v,
+                math.inf if ("twist", int(images[image])) in turning else sigma_v,
             )
         )
     return tuple(ties)

@@ -103,7 +103,7 @@ def to_priors(problem: Problem, priors: Sequence[Prior]) -> Similarity | None:
     """
     if not priors:
         return None
-    positions, attitudes, points = sorted_priors(tuple(priors))
+    positions, attitudes, points, _ = sorted_priors(tuple(priors))
     known = ProblemPriors.make(problem, positions).correspondences(problem)
     if points:
         targets = TargetPriors.make(problem, points)

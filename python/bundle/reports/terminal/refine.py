@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from bundle.editing.cameras.edit_record import CameraEdits
     from bundle.georeference.attitudes import AttitudeErrors
     from bundle.georeference.georeferenced import Georeference
+    from bundle.georeference.problem_velocities import VelocityErrors
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.interface.finding import Finding
@@ -61,6 +62,7 @@ def refinement(
     attitudes: Sequence[AttitudeErrors] = (),
     inertial: InertialAdjustment | None = None,
     readout_sigma: dict[int, float] | None = None,
+    velocities: VelocityErrors | None = None,
 ) -> Report:
     """Return the report on one solve.
 
@@ -80,6 +82,7 @@ def refinement(
         attitudes: residuals of gravity, orientations and headings.
         inertial: adjustment with an IMU, or None.
         readout_sigma: standard deviation of each refined readout, by camera id.
+        velocities: residuals of velocities, or None.
     """
     sigmas = readout_sigma or {}
     summary, changes = solved.summary, camera_changes(solved)
@@ -120,6 +123,7 @@ def refinement(
         **({} if georeference is None else {"georeference": georeference.asdict()}),
         **({} if inertial is None else {"imu": inertial.asdict()}),
         **{ATTITUDE_KEYS[errors.noun]: errors.asdict() for errors in attitudes},
+        **({} if velocities is None else {"velocities": velocities.asdict()}),
         **solved_data(solved, sigmas),
         "wall_time": wall,
         "environment": environment_data(waiting),
@@ -133,6 +137,7 @@ def refinement(
             *solved_sentences(solved, sigmas),
             *places,
             *(errors.sentence for errors in attitudes),
+            *([] if velocities is None else [velocities.sentence]),
             *([] if inertial is None else [inertial.sentence]),
         ],
         findings=findings,
