@@ -320,6 +320,18 @@ def targets():
         wrong = tuple(value for value in values if (name, value) not in LEGAL)
         yield f"inspect_graph.{name}", call(bundle.inspect_graph, graph, name), wrong
 
+    velocity = lambda: {"image": 1, "velocity": (1.0, 0, 0), "sigma": 0.1}  # noqa: E731
+    for name, values in {
+        "image": ("None", "True", "1.5", "()", "object", "unprintable"),
+        "velocity": (*OF_AN_ARRAY, "NaN rows", "no rows"),
+        "sigma": ("-1", "nan", "word", "ragged", "no rows", "None"),
+        "covariance": ("1.5", "NaN rows", "word"),
+        "lever_arm": ("nan", "NaN rows", "word", "None"),
+        "loss": OF_A_WORD,
+        "loss_scale": ("-1", "nan", "word", "None"),
+    }.items():
+        yield f"VelocityPrior.{name}", call(bundle.VelocityPrior, velocity, name), values
+
     yield "synthesize", bundle.synthesize, OF_OPTIONS
     loss = lambda: {"loss": "huber", "scale": 1.0, "squared_norms": [1.0]}  # noqa: E731
     for name, values in {

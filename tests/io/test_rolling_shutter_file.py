@@ -40,7 +40,7 @@ def mixed(scene):
     return scene.replace(
         rolling_shutter=shutter.replace(
             direction=direction, readout=readout, twist=twist, neighbours=neighbours,
-            frames=frames, row_time="observed",
+            frames=frames, row_time="observed", frame_rate=29.97,
         )
     )  # fmt: skip
 
@@ -48,7 +48,7 @@ def mixed(scene):
 def assert_same(found, expected):
     assert found.direction == expected.direction
     assert found.row_time == expected.row_time
-    for name in ("readout", "twist", "frames", "neighbours"):
+    for name in ("readout", "twist", "frames", "neighbours", "frame_rate"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
 
 
@@ -153,8 +153,10 @@ def removed(*keys):
         (set_at("images", 0, "frame", value="1"), r"images\[0\]: frame: expected a number"),
         (set_at("images", 0, "neighbours", value=[1]), r"neighbours: expected the ids of two"),
         (set_at("images", 0, "neighbours", value=[1, 9]), r"neighbours\[1\]: .* found 9"),
+        (set_at("frame_rate", value=0), r"frame_rate: expected frames per second above 0, found 0"),
+        (set_at("frame_rate", value="30"), r"frame_rate: expected a number, found '30'"),
         (set_at("row_time", value="late"), r"row_time: expected fixed-point or observed"),
-        (set_at("extra", value=1), r"expected the members cameras, images, row_time, found extra"),
+        (set_at("extra", value=1), r"expected the members .*row_time, frame_rate, found extra"),
     ],
 )  # fmt: skip
 def test_wrong_content_is_refused_in_one_line(model, edit, words):

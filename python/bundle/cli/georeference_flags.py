@@ -65,7 +65,7 @@ def georeference_given(
     ):
         raise InputError(
             "--velocities: expected --gps, --gcp or a georeference.json beside INPUT, which say "
-            "where east, north and up are, found none"
+            f"where east, north and up are, found {shown(arguments.input)} without any"
         )
     flag = main_flag(given)
     if only_images is not None and given.has_positions:

@@ -267,42 +267,6 @@ TEST(VelocityFactor, Jacobians) {
   }
 }
 
-TEST(VelocityFactor, RefusesWhatIsNone) {
-  const std::vector<double> unit = {1, 0, 0, 0, 1, 0, 0, 0, 1};
-  const double nan = std::numeric_limits<double>::quiet_NaN();
-  ExpectRefusal([&] { VelocityFactor(Head({0, 1, 2}), {1, nan, 0}, {0, 0, 0}, unit); }, "velocity");
-  ExpectRefusal([&] { VelocityFactor(Head({0, 1, 2}), {1, 2, 0}, {0, nan, 0}, unit); }, "lever");
-  const VelocityFactor factor(Head({0, 1, 2}), {1, 2, 3}, {0, 0, 0}, unit);
-  const double pose[] = {0, 0, 0, 1, 0, 0, 0}, twist[] = {0, 0, 0, 1, 1, 1};
-  for (const double rho : {0.0, -0.5, nan}) {
-    const double* const values[] = {pose, twist, &rho};
-    double residual[3];
-    EXPECT_FALSE(factor.Evaluate(values, residual, nullptr));
-  }
-}
-
-TEST(TwistTieFactor, MayTieTheRotationAlone) {
-  const double inf = std::numeric_limits<double>::infinity();
-  const std::vector<std::vector<double>> values = {
-      {0.1, 0.2, 0.3, 4, 5, 6}, {0.8}, {0, 0, 0, 1, 1, 2, 3}, {0.1, 0, 0, 0.995, 0, 2, 1}};
-  Values unit = values;
-  Retraction(Manifold::kSe3, 7).Normalize(unit[3].data());
-  const TwistTieFactor whole(Head({0, 1, 2, 3}), 5, 0.1, 0.2);
-  const TwistTieFactor turning(Head({0, 1, 2, 3}), 5, 0.1, inf);
-  EXPECT_EQ(whole.num_measurements(), 6);
-  EXPECT_EQ(turning.num_measurements(), 3);
-  const std::vector<double> r = Evaluate(turning, unit, nullptr);
-  const std::vector<double> expected = Evaluate(whole, unit, nullptr);
-  for (int i = 0; i < 3; ++i) {
-    EXPECT_EQ(r[i], expected[i]);
-    EXPECT_EQ(r[3 + i], 0);
-  }
-  ExpectJacobiansAreDerivatives(whole, unit);
-  ExpectJacobiansAreDerivatives(turning, unit);
-  ExpectRefusal([&] { TwistTieFactor(Head({0, 1, 2, 3}), 5, inf, 0.2); }, "sigma_w");
-  ExpectRefusal([&] { TwistTieFactor(Head({0, 1, 2, 3}), inf, 0.1, 0.2); }, "num_frames");
-}
-
 TEST(ReprojectionFactor, JacobiansForDifferentModels) {
   std::mt19937_64 random(4);
   const std::pair<const char*, std::vector<double>> models[] = {
@@ -426,6 +390,42 @@ TEST(LinearPrior, WhatIsNoPriorIsRefused) {
   ExpectRefusal([&] { make({1, 0, 0.1, 1}, {0, 0}); }, "symmetric");
   ExpectRefusal([&] { make({1, -1, -1, 1}, {1, 1}); }, "eta");
   ExpectRefusal([&] { make({1, 0, 0, 1}, {0}); }, "eta");
+}
+
+TEST(VelocityFactor, RefusesWhatIsNone) {
+  const std::vector<double> unit = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  ExpectRefusal([&] { VelocityFactor(Head({0, 1, 2}), {1, nan, 0}, {0, 0, 0}, unit); }, "velocity");
+  ExpectRefusal([&] { VelocityFactor(Head({0, 1, 2}), {1, 2, 0}, {0, nan, 0}, unit); }, "lever");
+  const VelocityFactor factor(Head({0, 1, 2}), {1, 2, 3}, {0, 0, 0}, unit);
+  const double pose[] = {0, 0, 0, 1, 0, 0, 0}, twist[] = {0, 0, 0, 1, 1, 1};
+  for (const double rho : {0.0, -0.5, nan}) {
+    const double* const values[] = {pose, twist, &rho};
+    double residual[3];
+    EXPECT_FALSE(factor.Evaluate(values, residual, nullptr));
+  }
+}
+
+TEST(TwistTieFactor, MayTieTheRotationAlone) {
+  const double inf = std::numeric_limits<double>::infinity();
+  const std::vector<std::vector<double>> values = {
+      {0.1, 0.2, 0.3, 4, 5, 6}, {0.8}, {0, 0, 0, 1, 1, 2, 3}, {0.1, 0, 0, 0.995, 0, 2, 1}};
+  Values unit = values;
+  Retraction(Manifold::kSe3, 7).Normalize(unit[3].data());
+  const TwistTieFactor whole(Head({0, 1, 2, 3}), 5, 0.1, 0.2);
+  const TwistTieFactor turning(Head({0, 1, 2, 3}), 5, 0.1, inf);
+  EXPECT_EQ(whole.num_measurements(), 6);
+  EXPECT_EQ(turning.num_measurements(), 3);
+  const std::vector<double> r = Evaluate(turning, unit, nullptr);
+  const std::vector<double> expected = Evaluate(whole, unit, nullptr);
+  for (int i = 0; i < 3; ++i) {
+    EXPECT_EQ(r[i], expected[i]);
+    EXPECT_EQ(r[3 + i], 0);
+  }
+  ExpectJacobiansAreDerivatives(whole, unit);
+  ExpectJacobiansAreDerivatives(turning, unit);
+  ExpectRefusal([&] { TwistTieFactor(Head({0, 1, 2, 3}), 5, inf, 0.2); }, "sigma_w");
+  ExpectRefusal([&] { TwistTieFactor(Head({0, 1, 2, 3}), inf, 0.1, 0.2); }, "num_frames");
 }
 
 }  // namespace

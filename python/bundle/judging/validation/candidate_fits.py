@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError
+from bundle.georeference.velocity_prior import VelocityPrior
 from bundle.interface.options import SolveOptions
 from bundle.judging.validation.candidates import Candidate, with_cameras
 from bundle.model.clipped_errors import errors_or_nan, summarize_clipped
@@ -157,7 +158,7 @@ class _Run:
             problem=start,
             options=self._options.replace(loss=candidate.loss, refine=candidate.refine),
             priors=given.priors,
-            align=True if given.priors else None,
+            align=True if any(not isinstance(one, VelocityPrior) for one in given.priors) else None,
             constraints=(*given.rules, *ties),
         )
         fit.prepared = prepare(request)
