@@ -6,12 +6,13 @@
 /// with the rows of the last column. That adds explicit zeros to the earlier columns, which are
 /// stored and multiplied.
 ///
-/// BLAS 3 is fast on wide panels, so that some zeros pay off. Their number is limited as in CHOLMOD
-/// (Chen, Davis, Hager, Rajamanickam: Algorithm 887, 2008), but lower, to save memory. A panel
-/// includes the column before it if its share of zeros is then less than 20 % up to 48 columns, 5 %
-/// up to 192 and 1 % beyond. Unlike in CHOLMOD, the width of a panel is limited, because it also
-/// stores the upper triangle of its diagonal blocks. At the root of a tree, where thousands of
-/// columns have the same rows, that would be half of its memory.
+/// Products of wide panels are fast, so that some zeros pay off. Their number is limited as in
+/// CHOLMOD (Chen, Davis, Hager, Rajamanickam: Algorithm 887, 2008), but lower, to save memory. A
+/// panel includes the column before it if its share of zeros is then less than 70 % up to 9
+/// columns, where visiting a panel takes longer than its arithmetic, 20 % up to 48, 5 % up to 192
+/// and 1 % beyond. Unlike in CHOLMOD, the width of a panel is limited, because it also stores the
+/// upper triangle of its diagonal blocks. At the root of a tree, where thousands of columns have
+/// the same rows, that would be half of its memory.
 
 #include <algorithm>
 #include <cstddef>
@@ -83,7 +84,10 @@ double Entries(const Panel& panel) {
 
 bool IsWorthIt(const Panel& panel) {
   if (panel.columns > kWidestPanel) return false;
-  const double share = panel.columns <= 48 ? 0.2 : panel.columns <= 192 ? 0.05 : 0.01;
+  const double share = panel.columns <= 9     ? 0.7
+                       : panel.columns <= 48  ? 0.2
+                       : panel.columns <= 192 ? 0.05
+                                              : 0.01;
   return panel.zeros <= share * Entries(panel);
 }
 
