@@ -18,8 +18,8 @@ from bundle.judging.findings.focal_lengths import (
     shared_lens,
     undetermined_intrinsics,
 )
-from bundle.judging.findings.images import image_fits, image_residuals, motion
-from bundle.judging.findings.lens_terms import lens_model
+from bundle.judging.findings.images import ImageFits, image_fits, image_residuals, motion
+from bundle.judging.findings.lens_terms import LensField, fields_of_lenses, lens_model
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.minimum import not_refined
 from bundle.judging.findings.next_command import NextCommand
@@ -108,10 +108,21 @@ def find(
 
 def _with_right_lens(measured: Measured) -> Measured:
     """Return the model with a larger lens if its own is too small, which bends it."""
-    lens = lens_model(measured, SystematicResiduals(measured))
+    found = SystematicResiduals(measured)
+    lens = lens_model(measured, fields_of_lenses(found, measured.scale))
     if lens is None or not is_affordable(measured):
         return measured
     return repaired(measured, lens.evidence["larger_model"]) or measured
+
+
+def _fields(
+    measured: Measured,
+) -> tuple[SystematicResiduals, ImageFits, list[LensField], Finding | None]:
+    """Return the systematic residuals, their fields by image and lens, and the motion found."""
+    found = SystematicResiduals(measured)
+    fits = image_fits(found, measured.scale)
+    fields = fields_of_lenses(found, measured.scale)
+    return found, fits, fields, motion(measured, found, fits, fields)
 
 
 def _findings(measured: Measured) -> Iterator[Finding | None]:
@@ -141,18 +152,15 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         measured = free
     elif far is not None or drift is not None or places is not None:
         return
-    found = SystematicResiduals(measured)
-    fits = image_fits(found, measured.scale)
-    moves = motion(measured, found, fits)
-    lens = None if moves is not None else lens_model(measured, found)
+    found, fits, fields, moves = _fields(measured)
+    lens = None if moves is not None else lens_model(measured, fields)
     yield lens
     if lens is not None:
         larger = repaired(measured, lens.evidence["larger_model"]) if can_repair else None
         if larger is None:
             return
-        measured, found = larger, SystematicResiduals(larger)
-        fits = image_fits(found, measured.scale)
-        moves = motion(measured, found, fits)
+        measured = larger
+        found, fits, _, moves = _fields(measured)
     yield moves
     yield image_residuals(measured, found, fits, is_general=moves is not None)
     groups = list(focal_lengths(measured))

@@ -32,6 +32,7 @@ standard error, 0.72 / sqrt(n), and if its errors without the linear field are 1
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,7 +42,7 @@ from bundle.base.arrays import distinct
 from bundle.base.words import noun, number
 from bundle.errors import shown
 from bundle.interface.finding import Finding
-from bundle.judging.findings.lens_terms import lens_size
+from bundle.judging.findings.lens_terms import LensField
 from bundle.judging.findings.measured import Measured, median
 from bundle.judging.findings.systematic import SystematicResiduals
 from bundle.model.problem import Problem
@@ -82,10 +83,16 @@ class ImageFits:
     medians: Floats
 
 
-def motion(measured: Measured, found: SystematicResiduals, fits: ImageFits) -> Finding | None:
+def motion(
+    measured: Measured,
+    found: SystematicResiduals,
+    fits: ImageFits,
+    fields: Sequence[LensField],
+) -> Finding | None:
     """Return the finding about motion or a rolling shutter, or None."""
     ratios, sizes = {}, {}
-    least = max(SIZE, LENS_SIZES * lens_size(found, measured.scale))
+    lens_size = max((field.size for field in fields), default=0.0)
+    least = max(SIZE, LENS_SIZES * lens_size)
     fires = False
     for name, column in (("anisotropy", 1), ("shear", 2)):
         ratio, tau, excess = between_images(fits.coefficients[:, column], fits.variances[:, column])

@@ -21,7 +21,7 @@ Model. The smallest larger model whose terms explain 85 % of the field.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +33,7 @@ from bundle.interface.finding import Finding
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.systematic import LEFT, LENS_TERMS, SystematicResiduals
 
-__all__ = ["lens_model", "lens_size"]
+__all__ = ["LensField", "fields_of_lenses", "lens_model"]
 
 SIZE = 0.13
 FEWEST_ROWS = 100
@@ -80,93 +80,107 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class _Field:
-    """Field of one lens: size and share of its terms in the explained variance."""
+class LensField:
+    """Field of residuals that is common to the images of one camera model and size.
+
+    Attributes:
+        model: camera model.
+        camera_ids: cameras of these images.
+        terms: names of the candidate fields that are left.
+        columns: (n, 2, m) these fields, without poses and intrinsics.
+        residual: (n, 2) residuals, without poses and intrinsics [px].
+        field: (n, 2) what the candidates explain [px].
+        statistic: Wald statistic by observations.
+        significant: True if both statistics are above their limits.
+        size: rms of the field per coordinate, in scales.
+    """
 
     model: str
     camera_ids: tuple[int, ...]
-    significant: bool
+    terms: tuple[str, ...]
+    columns: Floats
+    residual: Floats
+    field: Floats
     statistic: float
+    significant: bool
     size: float
-    percentile: float
-    larger: str
-    shares: dict[str, float]
+
+    def explained(self, terms: tuple[str, ...]) -> float:
+        """Return the mean square of the field that these terms alone explain."""
+        chosen = [k for k, name in enumerate(self.terms) if name in terms]
+        if not chosen:
+            return 0.0
+        flat = self.columns[:, :, chosen].reshape(-1, len(chosen))
+        fitted = flat @ np.linalg.lstsq(flat, self.residual.reshape(-1), rcond=1e-8)[0]
+        return float((fitted**2).mean())
 
 
-def lens_model(measured: Measured, found: SystematicResiduals) -> Finding | None:
+def lens_model(measured: Measured, fields: Sequence[LensField]) -> Finding | None:
     """Return the finding about the lens with the largest field, or None."""
-    fields = [
-        field for field in _fields(found, measured.scale) if field.significant and field.size > SIZE
-    ]
+    fields = [field for field in fields if field.significant and field.size > SIZE]
     if not fields:
         return None
     worst = max(fields, key=lambda field: field.size)
-    kind, share = max(worst.shares.items(), key=lambda item: item[1])
-    command = measured.command.refine("--camera-model", worst.larger) if worst.larger else ""
+    total = float((worst.field**2).mean())
+    larger = {name: worst.explained(terms) for name, terms in _larger(worst.model)}
+    enough = [name for name, value in larger.items() if value >= EXPLAINED * total]
+    name = enough[0] if enough else next(reversed(larger), "")
+    kinds = (("radial", RADIAL), ("tangential", TANGENTIAL), ("aspect", ASPECT))
+    shares = {kind: min(worst.explained(terms) / total, 1.0) for kind, terms in kinds}
+    kind, share = max(shares.items(), key=lambda item: item[1])
+    sizes = np.sort(np.hypot(*worst.field.T))
+    percentile = float(sizes[(99 * len(sizes) - 1) // 100])
     return Finding(
         kind="lens_model",
         sentence=f"The lens model {worst.model} of {named('camera', worst.camera_ids)} is too "
         f"small: a field of residuals of {worst.size:.2f} times the noise is common to the images, "
-        f"{100 * share:.0f} % of it {kind} ({worst.percentile:.2g} px at its 99th percentile).",
-        command=command,
+        f"{100 * share:.0f} % of it {kind} ({percentile:.2g} px at its 99th percentile).",
+        command=measured.command.refine("--camera-model", name) if name else "",
         evidence={
             "camera_ids": list(worst.camera_ids),
             "model": worst.model,
-            "larger_model": worst.larger,
+            "larger_model": name,
             "size": worst.size,
             "chi2": worst.statistic,
-            "percentile_99": worst.percentile,
-            "shares": worst.shares,
+            "percentile_99": percentile,
+            "shares": shares,
             "num_lenses": len(fields),
         },
     )
 
 
-def lens_size(found: SystematicResiduals, scale: float) -> float:
-    """Return the size of the largest field, significant or not; 0 without one."""
-    return max((one.size for one in _fields(found, scale)), default=0.0)
-
-
-def _fields(found: SystematicResiduals, scale: float) -> Iterator[_Field]:
+def fields_of_lenses(found: SystematicResiduals, scale: float) -> list[LensField]:
+    """Return the field of each camera model and size with enough observations."""
     before = np.sqrt((found.lens_columns**2).mean(axis=(0, 1))) if len(found.camera) else None
-    for model, rows in found.lenses:
-        if before is not None and int(rows.sum()) >= FEWEST_ROWS:
-            field = _field(scale, found, model, rows, before)
-            if field is not None:
-                yield field
+    if before is None:
+        return []
+    lenses = [(model, rows) for model, rows in found.lenses if int(rows.sum()) >= FEWEST_ROWS]
+    fields = [_field(scale, found, model, rows, before) for model, rows in lenses]
+    return [field for field in fields if field is not None]
 
 
 def _field(
     scale: float, found: SystematicResiduals, model: str, rows: NDArray[np.bool_], before: Floats
-) -> _Field | None:
+) -> LensField | None:
     problem = found.problem
     columns, residual = found.lens_fields[rows], found.residuals[rows]
     left = np.sqrt((columns**2).mean(axis=(0, 1))) > LEFT * before
     if not left.any():
         return None
     columns = columns[:, :, left]
-    names = [name for name, is_left in zip(LENS_TERMS, left, strict=True) if is_left]
     image = problem.observation_image[found.observations[rows]]
     theta, statistic, significant = _wald(columns, residual, image)
     field = columns @ theta
-    total = float((field**2).mean())
-    explained = {
-        name: _explained(columns, residual, names, terms) for name, terms in _larger(model)
-    }
-    enough = [name for name, value in explained.items() if value >= EXPLAINED * total]
-    shares = {
-        kind: min(_explained(columns, residual, names, terms) / total, 1.0) if total > 0 else 0.0
-        for kind, terms in (("radial", RADIAL), ("tangential", TANGENTIAL), ("aspect", ASPECT))
-    }
-    return _Field(
+    return LensField(
         model=model,
         camera_ids=tuple(np.sort(problem.camera_ids[distinct(found.camera[rows])]).tolist()),
-        significant=significant,
+        terms=tuple(name for name, is_left in zip(LENS_TERMS, left, strict=True) if is_left),
+        columns=columns,
+        residual=residual,
+        field=field,
         statistic=statistic,
-        size=float(np.sqrt(total)) / scale,
-        percentile=float(np.sort(np.hypot(*field.T))[(99 * len(field) - 1) // 100]),
-        larger=enough[0] if enough else next(reversed(explained), ""),
-        shares=shares,
+        significant=significant,
+        size=float(np.sqrt((field**2).mean())) / scale,
     )
 
 
@@ -199,15 +213,3 @@ def _wald(
 def _statistic(theta: Floats, inverse: Floats, scores: Floats) -> float:
     covariance = inverse @ (scores.T @ scores) @ inverse
     return float(theta @ np.linalg.pinv(covariance, hermitian=True) @ theta)
-
-
-def _explained(
-    columns: Floats, residual: Floats, names: list[str], terms: tuple[str, ...]
-) -> float:
-    """Return the mean square of the field that these terms alone explain."""
-    chosen = [k for k, name in enumerate(names) if name in terms]
-    if not chosen:
-        return 0.0
-    flat = columns[:, :, chosen].reshape(-1, len(chosen))
-    fitted = flat @ np.linalg.lstsq(flat, residual.reshape(-1), rcond=1e-8)[0]
-    return float((fitted**2).mean())
