@@ -92,13 +92,13 @@ double PanelValues(const Ints& sizes, const Int64s& column_begin, const Ints& ro
 }
 
 py::dict CountPanelWork(const Ints& sizes, const Int64s& column_begin, const Ints& rows,
-                        const Ints& order, double near_cache, double far_cache) {
+                        const Ints& order, double near_cache, double far_cache, int num_threads) {
   const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);
   const std::vector<int> blocks(order.data(), order.data() + order.size());
   bundle::PanelWork work;
   {
     const ReleaseGil release;
-    work = bundle::CountPanelWork(pattern, blocks, {near_cache, far_cache});
+    work = bundle::CountPanelWork(pattern, blocks, {near_cache, far_cache}, num_threads);
   }
   py::dict result;
 #define BUNDLE_FIELD(name) result[#name] = work.name
@@ -112,6 +112,7 @@ py::dict CountPanelWork(const Ints& sizes, const Int64s& column_begin, const Int
   BUNDLE_FIELD(update_flops);
   BUNDLE_FIELD(factor_flops);
   BUNDLE_FIELD(row_blocks);
+  BUNDLE_FIELD(busiest_share);
 #undef BUNDLE_FIELD
   return result;
 }
@@ -150,7 +151,7 @@ void BindInspection(py::module_& m) {
   m.def("panel_values", &PanelValues, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
         py::arg("order"));
   m.def("panel_work", &CountPanelWork, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
-        py::arg("order"), py::arg("near_cache"), py::arg("far_cache"));
+        py::arg("order"), py::arg("near_cache"), py::arg("far_cache"), py::arg("num_threads"));
   m.def("auto_choice", &AutoChoice, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
         py::arg("num_threads"), py::arg("num_observations"), py::arg("num_pairs"));
   m.def("elimination_plan", &EliminationPlan, py::arg("problem"), py::arg("options"));

@@ -471,6 +471,7 @@ def panel_work(
     order: NDArray[np.int32],
     near_cache: float,
     far_cache: float,
+    num_threads: int,
 ) -> dict[str, float]: ...
 
 # bind_graph.cpp

@@ -11,12 +11,19 @@
 /// of reuse: Mattson, Gecsei, Slutz, Traiger: Evaluation techniques for storage hierarchies, IBM
 /// Systems Journal, 1970). T counts a value again each time it is moved, so that the distance is an
 /// upper bound. Between C and 2 C the share of misses grows from 0 to 1.
+///
+/// Threads take subtrees of panels, those with most flops first, and then share each panel of the
+/// top: its updates by slices of columns, its rows below in slices of rows. The busiest thread has
+/// the largest sum of subtrees, and of each panel of the top one share in as many as it has slices.
+/// Here, an update counts as the flops that take its time.
 
 #include <algorithm>
 #include <cstdint>
+#include <numeric>
 #include <vector>
 
 #include "core/linear/block_structure.h"
+#include "core/linear/panel_subtrees.h"
 #include "core/linear/supernodes.h"
 #include "core/symbolic/factor_counts.h"
 
@@ -87,10 +94,40 @@ double ShareBeyond(double values, double cache_bytes) {
   return std::clamp((bytes - cache_bytes) / cache_bytes, 0.0, 1.0);
 }
 
+/// Flops that take as long as an update without any, on machines of the last ten years.
+constexpr double kFlopsOfUpdate = 5000;
+
+double BusiestShare(const BlockStructure& structure, const Supernodes& nodes, const Slices& slices,
+                    const std::vector<double>& work, int num_threads) {
+  const int num_panels = nodes.num_panels();
+  std::vector<int> panel_of(structure.num_blocks()), parent(num_panels, -1), width(num_panels);
+  for (int s = 0; s < num_panels; ++s) {
+    const int first = nodes.first_block[s], last = nodes.first_block[s + 1];
+    std::fill(panel_of.begin() + first, panel_of.begin() + last, s);
+    width[s] = structure.offset[last] - structure.offset[first];
+  }
+  for (int s = 0; s < num_panels; ++s) {
+    const int64_t row = nodes.rows_begin[s];
+    if (row < nodes.rows_begin[s + 1]) parent[s] = panel_of[nodes.row_block[row]];
+  }
+  const PanelSubtrees trees = FindSubtrees(nodes, parent, width);
+  std::vector<double> busy(num_threads, 0.0);
+  for (const int k : trees.order) {
+    const auto [first, last] = trees.subtrees[k];
+    *std::min_element(busy.begin(), busy.end()) +=
+        std::accumulate(work.begin() + first, work.begin() + last, 0.0);
+  }
+  double busiest = *std::max_element(busy.begin(), busy.end());
+  for (const int s : trees.top) {
+    busiest += work[s] / std::min(num_threads, slices.begin[s + 1] - slices.begin[s]);
+  }
+  return busiest / std::accumulate(work.begin(), work.end(), 0.0);
+}
+
 }  // namespace
 
 PanelWork CountPanelWork(const BlockPatternView& pattern, const std::vector<int>& order,
-                         const CacheSizes& caches) {
+                         const CacheSizes& caches, int num_threads) {
   PanelWork work;
   if (pattern.num_blocks == 0) return work;
   const BlockStructure structure = StructureInOrder(pattern, order);
@@ -111,9 +148,17 @@ PanelWork CountPanelWork(const BlockPatternView& pattern, const std::vector<int>
   }
   for (size_t i = 0; i < slices.values.size(); ++i) moved_before[i + 1] += moved_before[i];
 
+  std::vector<double> of_panel(nodes.num_panels(), 0.0);  // in flops
+  std::vector<int> panel_of_slice(slices.values.size());
+  for (int s = 0; s < nodes.num_panels(); ++s) {
+    std::fill(panel_of_slice.begin() + slices.begin[s],
+              panel_of_slice.begin() + slices.begin[s + 1], s);
+  }
   for (int s = 0; s < nodes.num_panels(); ++s) {
     const double width = width_of(s);
-    work.factor_flops += width * width * (width / 3 + nodes.height[s] - width);
+    const double factor_flops = width * width * (width / 3 + nodes.height[s] - width);
+    work.factor_flops += factor_flops;
+    of_panel[s] += factor_flops + kFlopsOfUpdate;
     double last_use = moved_before[slices.begin[s + 1]];
     ForUpdates(structure, nodes, slices, s, [&](const SliceUpdate& update) {
       const double product = update.columns * update.rows, reads = update.rows * width;
@@ -126,8 +171,10 @@ PanelWork CountPanelWork(const BlockPatternView& pattern, const std::vector<int>
       work.far_misses += reads * ShareBeyond(distance, caches.far);
       work.update_flops += 2 * product * width;
       work.row_blocks += update.row_blocks;
+      of_panel[panel_of_slice[update.slice]] += 2 * product * width + kFlopsOfUpdate;
     });
   }
+  work.busiest_share = BusiestShare(structure, nodes, slices, of_panel, num_threads);
   return work;
 }
 

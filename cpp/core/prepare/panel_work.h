@@ -22,18 +22,19 @@ struct CacheSizes {
 struct PanelWork {
   double panels = 0;
   double updates = 0;
-  double stored = 0;        ///< values of all panels
-  double products = 0;      ///< sum of q p: values that updates add
-  double reads = 0;         ///< sum of p w
-  double near_misses = 0;   ///< reads from beyond the near cache
-  double far_misses = 0;    ///< reads from beyond both caches
-  double update_flops = 0;  ///< sum of 2 q p w
-  double factor_flops = 0;  ///< sum of w^3 / 3 + w^2 r, of the panels' own columns
-  double row_blocks = 0;    ///< block rows below the panels' own columns, once per update
+  double stored = 0;         ///< values of all panels
+  double products = 0;       ///< sum of q p: values that updates add
+  double reads = 0;          ///< sum of p w
+  double near_misses = 0;    ///< reads from beyond the near cache
+  double far_misses = 0;     ///< reads from beyond both caches
+  double update_flops = 0;   ///< sum of 2 q p w
+  double factor_flops = 0;   ///< sum of w^3 / 3 + w^2 r, of the panels' own columns
+  double row_blocks = 0;     ///< block rows below the panels' own columns, once per update
+  double busiest_share = 1;  ///< share of the factorisation that its busiest thread does
 };
 
 /// Counts the work for an order of elimination, which is a permutation of the blocks.
 PanelWork CountPanelWork(const BlockPatternView& pattern, const std::vector<int>& order,
-                         const CacheSizes& caches);
+                         const CacheSizes& caches, int num_threads);
 
 }  // namespace bundle

@@ -219,7 +219,7 @@ def test_rates_are_cached_apart_from_those_of_pose_graphs(tmp_path, monkeypatch)
     assert machine_rates.factor_graph_rates() == machine_rates.factor_graph_rates() == seconds
     assert calls == [1]
     (path,) = (tmp_path / "bundle").glob("factor-graph-rates-*.json")
-    path.write_text(json.dumps({"seconds": {"step": 1.0}, "speedup": 1.0}))
+    path.write_text(json.dumps({"seconds": {"step": 1.0}, "efficiency": 1.0}))
     assert machine_rates.factor_graph_rates() == seconds
     machine_rates.factor_graph_rates(recalibrate=True)
     assert calls == [1] * 3

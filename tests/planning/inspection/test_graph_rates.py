@@ -12,9 +12,9 @@ from bundle.planning.inspection import graph_rates, machine_rates
 from bundle.planning.inspection.graph_inspection import pattern_of_edges
 
 
-def panels(count, edges, size=3, near=1e6, far=16e6):
+def panels(count, edges, size=3, near=1e6, far=16e6, threads=1):
     pattern = pattern_of_edges(np.full(count, size, np.int32), np.array(edges))
-    return _core.panel_work(*pattern, np.arange(count, dtype=np.int32), near, far)
+    return _core.panel_work(*pattern, np.arange(count, dtype=np.int32), near, far, threads)
 
 
 def beyond(numbers, cache):
@@ -80,23 +80,103 @@ def test_a_band_reads_what_it_has_just_written():
     assert work["reads"] > 0 and work["near_misses"] == work["far_misses"] == 0
 
 
+def cliques(number, size):
+    """Edges of separate complete graphs."""
+    return [
+        (first + a, first + b)
+        for first in range(0, number * size, size)
+        for a in range(size)
+        for b in range(a + 1, size)
+    ]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3, 4, 8])
+def test_threads_divide_subtrees_by_the_busiest(threads):
+    equal = panels(24 * 40, cliques(24, 40), threads=threads)
+    assert equal["busiest_share"] == pytest.approx(np.ceil(24 / threads) / 24)
+    others = [(60 + a, 60 + b) for a, b in cliques(30, 25)]
+    uneven = panels(60 + 30 * 25, cliques(1, 60) + others, threads=threads)
+    assert 1 / threads <= uneven["busiest_share"] <= 1 / threads + 1 / 10
+
+
+def test_threads_do_not_divide_what_is_small_or_one_path():
+    small = panels(4 * 10, cliques(4, 10), threads=2)
+    path = panels(3000, [(k, k + 1) for k in range(2999)], threads=2)
+    assert small["busiest_share"] == path["busiest_share"] == 1.0
+
+
+def test_threads_divide_a_wide_panel_by_slices_of_48_columns():
+    # One panel of 90 columns has two slices, one of 45 columns has one.
+    for blocks, slices in ((15, 1), (30, 2), (80, 5)):
+        graph = cliques(1, blocks)
+        work = panels(blocks, graph, size=3, threads=4)
+        is_one_subtree = work["factor_flops"] < 1e6
+        assert work["panels"] == 1
+        expected = 1.0 if is_one_subtree else 1 / min(4, slices)
+        assert work["busiest_share"] == pytest.approx(expected)
+
+
 def test_terms_add_up_and_threads_divide_large_graphs_only():
     seconds = dict.fromkeys(graph_rates.FEATURES, 1e-09)
     small = graph_rates.made_graph("near", 200, 3, seed=0)
     large = graph_rates.made_graph("near", 9000, 6, seed=0)
-    for graph, gain in ((small, 1.0), (large, 1.6)):
-        work = graph_rates._work(graph, "amd")
-        one, two = (
+    for graph, is_divided in ((small, False), (large, True)):
+        one, two, half = (
             graph_rates.step_terms(
-                graph_rates.GraphRates(num_threads=n, seconds=seconds, speedup=1.6), graph, work
+                graph_rates.GraphRates(num_threads=n, seconds=seconds, efficiency=efficiency),
+                graph,
+                graph_rates._work(graph, "amd", n),
             )
-            for n in (1, 2)
+            for n, efficiency in ((1, 1.0), (2, 1.0), (2, 0.5))
         )
-        np.testing.assert_allclose(one["flops"] / two["flops"], gain)
-        assert one["other"] == two["other"] == 1e-9
+        work = graph_rates._work(graph, "amd", 2)
         np.testing.assert_allclose(
             sum(one.values()), 1e-9 * graph_rates._features(graph, work).sum(), rtol=1e-12
         )
+        assert one["other"] == two["other"] == 1e-9
+        left = {name: two[name] / one[name] for name in one}
+        if not is_divided:
+            assert set(left.values()) == {1.0}
+            continue
+        busiest = work["busiest_share"]
+        assert 0.5 <= busiest < 0.7
+        assert left == pytest.approx(
+            {
+                "edges": 0.5,
+                "poses": 0.9,
+                "updates of panels": busiest,
+                "flops": busiest,
+                "values of the factor": 1 - 0.4 * (1 - busiest),
+                "other": 1.0,
+            }
+        )
+        for name in one:
+            np.testing.assert_allclose(half[name], (one[name] + two[name]) / 2)
+
+
+def test_the_efficiency_is_the_measured_part_of_the_ideal_saving(monkeypatch):
+    seconds = dict.fromkeys(graph_rates.FEATURES, 1e-09)
+    rates = graph_rates.GraphRates(num_threads=2, seconds=seconds)
+
+    def found(share):
+        def measured(graph, ordering, threads):
+            one, ideal = (
+                sum(
+                    graph_rates.step_terms(
+                        graph_rates.GraphRates(num_threads=n, seconds=seconds),
+                        graph,
+                        graph_rates._work(graph, ordering, n),
+                    ).values()
+                )
+                for n in (1, 2)
+            )
+            return one if threads == 1 else one - share * (one - ideal)
+
+        monkeypatch.setattr(graph_rates, "step_time", measured)
+        return graph_rates._with_efficiency(rates).efficiency
+
+    assert found(0.7) == pytest.approx(0.7)
+    assert (found(1.5), found(-0.3), found(np.nan)) == (1.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("kind", ["chain", "grid", "near", "loops", "hubs"])
@@ -118,7 +198,7 @@ def test_rates_are_cached_and_broken_files_are_measured_again(tmp_path, monkeypa
     assert machine_rates.graph_rates(1) == machine_rates.graph_rates(1) == rates
     assert calls == [1]
     (path,) = (tmp_path / "bundle").glob("graph-rates-*.json")
-    for broken in ("{", "{}", json.dumps({"seconds": {"step": 1.0}, "speedup": 1.0})):
+    for broken in ("{", "{}", json.dumps({"seconds": {"step": 1.0}, "efficiency": 1.0})):
         path.write_text(broken)
         assert machine_rates.graph_rates(1) == rates
     machine_rates.graph_rates(1, recalibrate=True)

@@ -15,12 +15,16 @@ A Gauss-Newton step linearises the edges, factorises the normal equations panel 
 A narrow panel has many updates of few flops, so that its effective rate is low without a table of
 rates by size. The times follow from solves of graphs whose counts differ, the largest beyond the
 third-level cache.
+
+Threads divide the edges equally. They divide the factorisation by its subtrees and by slices of the
+panels above them: the busiest thread counts (``panel_work.cpp``). How much of that they really save
+is measured on two graphs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter, process_time
 from typing import Any
 
@@ -75,6 +79,16 @@ SHOWN = {
 }
 """Terms of a time, with the features that they add up."""
 
+PARALLEL = {
+    "edges": (1.0, False),
+    "poses": (0.2, False),
+    "updates of panels": (1.0, True),
+    "flops": (1.0, True),
+    "values of the factor": (0.4, True),
+}
+"""Share of a term that threads divide, and True if they divide it as they divide the factorisation,
+not equally. All threads move poses, one damps them; one thread clears the factor and solves."""
+
 ENOUGH_SECONDS, LONG_ENOUGH, LEAST_REPEATS = 0.04, 0.3, 3
 """Seconds of solves after which no other follows, in general and before the least repeats."""
 LONG, LARGE = 1e-3, 3000
@@ -117,12 +131,12 @@ class GraphRates:
     Attributes:
         num_threads: threads of the timed solves.
         seconds: seconds per unit, by the names of ``FEATURES``.
-        speedup: quotient of the times of one thread and of all threads on a large graph.
+        efficiency: share of the time saved by ideal threads that those of the machine save.
     """
 
     num_threads: int
     seconds: Mapping[str, float]
-    speedup: float = 1.0
+    efficiency: float = 1.0
 
 
 def free_pairs(graph: PoseGraph) -> tuple[NDArray[np.int64], int]:
@@ -139,16 +153,19 @@ def step_terms(rates: GraphRates, graph: PoseGraph, work: Mapping[str, float]) -
     Args:
         rates: rates of the machine.
         graph: the graph.
-        work: :func:`panel_work` of its free poses in the order of the elimination.
+        work: :func:`panel_work` of its free poses in the order of the elimination, for the threads
+            of the rates.
     """
+    counts = dict(zip(FEATURES, _features(graph, work).tolist(), strict=True))
     size = graph.num_edges * graph.tangent_size**2
     threads = min(rates.num_threads, max(1, size // EDGES_OF_A_THREAD))
-    share = (threads - 1) / max(rates.num_threads - 1, 1)
-    speedup = 1 + (rates.speedup - 1) * share
-    counts = dict(zip(FEATURES, _features(graph, work).tolist(), strict=True))
+    saved = {
+        name: parallel * (1 - (work["busiest_share"] if of_factor else 1 / threads))
+        for name, (parallel, of_factor) in PARALLEL.items()
+    }
     return {
         name: sum(rates.seconds[feature] * counts[feature] for feature in features)
-        / (speedup if name != "other" else 1.0)
+        * (1 - (rates.efficiency * saved.get(name, 0.0) if threads > 1 else 0.0))
         for name, features in SHOWN.items()
     }
 
@@ -163,13 +180,25 @@ def calibrate_graphs(num_threads: int) -> GraphRates:
             rows.append(_features(graph, _work(graph, ordering)))
             times.append(time)
     seconds = dict(zip(FEATURES, fit_rates(np.array(rows), np.array(times)).tolist(), strict=True))
-    speedup = 1.0
-    if num_threads > 1:
-        graph = made_graph("near", 5000 * num_threads, 6, seed=99)
-        one, all_threads = (step_time(graph, "amd", threads) for threads in (1, num_threads))
-        if np.isfinite(one) and np.isfinite(all_threads):
-            speedup = float(np.clip(one / all_threads, 1.0, num_threads))
-    return GraphRates(num_threads=num_threads, seconds=seconds, speedup=speedup)
+    rates = GraphRates(num_threads=num_threads, seconds=seconds)
+    return rates if num_threads == 1 else _with_efficiency(rates)
+
+
+def _with_efficiency(rates: GraphRates) -> GraphRates:
+    """Measure how much of the time saved by ideal threads those of the machine save."""
+    found = []
+    for kind, poses, ordering in (("near", 5000, "amd"), ("loops", 3000, "metis")):
+        graph = made_graph(kind, poses * rates.num_threads, 6, seed=99)
+        work = _work(graph, ordering, rates.num_threads)
+        one, ideal = (
+            sum(step_terms(replace(rates, num_threads=threads), graph, work).values())
+            for threads in (1, rates.num_threads)
+        )
+        # Other load can only lengthen a step.
+        times = [[step_time(graph, ordering, t) for t in (1, rates.num_threads)] for _ in range(3)]
+        first, all_threads = np.min(times, axis=0)
+        found.append((1 - all_threads / first) / (1 - ideal / one))
+    return replace(rates, efficiency=float(np.clip(np.nan_to_num(np.mean(found)), 0.0, 1.0)))
 
 
 def made_graph(kind: str, num_poses: int, tangent_size: int, *, seed: int) -> PoseGraph:
@@ -225,15 +254,17 @@ def made_graph(kind: str, num_poses: int, tangent_size: int, *, seed: int) -> Po
     )
 
 
-def panel_work(pattern: Pattern, order: NDArray[np.int32]) -> dict[str, float]:
+def panel_work(
+    pattern: Pattern, order: NDArray[np.int32], num_threads: int = 1
+) -> dict[str, float]:
     """Return the counts of ``cpp/core/prepare/panel_work.h``, with the caches assumed here."""
-    return _core.panel_work(*pattern, order, NEAR_CACHE, FAR_CACHE)
+    return _core.panel_work(*pattern, order, NEAR_CACHE, FAR_CACHE, num_threads)
 
 
-def _work(graph: PoseGraph, ordering: str) -> dict[str, float]:
+def _work(graph: PoseGraph, ordering: str, num_threads: int = 1) -> dict[str, float]:
     pairs, free = free_pairs(graph)
     pattern = pattern_of_edges(np.full(free, graph.tangent_size, np.int32), pairs)
-    return panel_work(pattern, _core.order_blocks(*pattern, ordering))
+    return panel_work(pattern, _core.order_blocks(*pattern, ordering), num_threads)
 
 
 def _features(graph: PoseGraph, work: Mapping[str, float]) -> Floats:

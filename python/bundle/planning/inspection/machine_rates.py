@@ -32,7 +32,7 @@ __all__ = ["cache_path", "factor_graph_rates", "graph_rates", "machine_rates"]
 
 RATE_NAMES = tuple(field.name for field in dataclasses.fields(Rates))
 
-KERNELS = 3
+KERNELS = 4
 """Number of the generation of kernels; rates of earlier ones are measured anew."""
 
 ATTEMPTS = 3
@@ -57,7 +57,7 @@ def graph_rates(num_threads: int, *, recalibrate: bool = False) -> GraphRates:
 
     def measure() -> dict[str, Any]:
         found = calibrate_graphs(num_threads)
-        return {"seconds": dict(found.seconds), "speedup": found.speedup}
+        return {"seconds": dict(found.seconds), "efficiency": found.efficiency}
 
     path = cache_path(num_threads, "graph-rates", FEATURES)
     return GraphRates(num_threads=num_threads, **_fitted(path, FEATURES, measure, recalibrate))
@@ -68,7 +68,7 @@ def factor_graph_rates(*, recalibrate: bool = False) -> dict[str, float]:
     path = cache_path(1, "factor-graph-rates", FACTOR_GRAPH_FEATURES)
 
     def measure() -> dict[str, Any]:
-        return {"seconds": calibrate_factor_graphs(), "speedup": 1.0}
+        return {"seconds": calibrate_factor_graphs(), "efficiency": 1.0}
 
     return dict(_fitted(path, FACTOR_GRAPH_FEATURES, measure, recalibrate)["seconds"])
 
@@ -76,11 +76,11 @@ def factor_graph_rates(*, recalibrate: bool = False) -> dict[str, float]:
 def _fitted(
     path: Path, names: Sequence[str], measure: Callable[[], dict[str, Any]], recalibrate: bool
 ) -> dict[str, Any]:
-    """Return seconds per unit of these names and the speedup by threads, cached in a file."""
+    """Return seconds per unit of these names and the efficiency of threads, cached in a file."""
     try:
         given = {} if recalibrate else json.loads(path.read_text(encoding="ascii"))
-        numbers = [given["speedup"], *given["seconds"].values()]
-        is_complete = set(given) == {"seconds", "speedup"} and set(given["seconds"]) == {*names}
+        numbers = [given["efficiency"], *given["seconds"].values()]
+        is_complete = set(given) == {"seconds", "efficiency"} and set(given["seconds"]) == {*names}
         if is_complete and all(map(math.isfinite, numbers)):
             return given
     except (OSError, ValueError, TypeError, KeyError):

@@ -112,7 +112,7 @@ def inspect_pose_graph(
         np.full(num_free, d, np.int32),
         kept,
         ORDERINGS,
-        lambda pattern, order, _: step_terms(rates, graph, panel_work(pattern, order)),
+        lambda pattern, order, _: step_terms(rates, graph, panel_work(pattern, order, threads)),
     )
     nnz = d * d * (graph.num_poses + 2 * len(pairs))
     return PoseGraphInspection(
