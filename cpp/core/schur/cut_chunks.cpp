@@ -21,9 +21,9 @@ namespace {
 // Limits in units of work (PointSizes::Work). Larger chunks sum up a block
 // longer before it is added to S; more chunks balance the load of threads better. A large problem
 // is cut into enough chunks for 64 threads. A chunk whose blocks have few pairs grows, because
-// adding a block to S takes as long as four pairs, but not beyond a twelfth of the problem.
+// adding a block to S takes as long as four pairs, but not beyond an eighth of the problem.
 constexpr int64_t kSmallestChunk = 2048, kLargestChunk = 65536;
-constexpr int64_t kChunksOfProblem = 64, kLeastChunks = 12;
+constexpr int64_t kChunksOfProblem = 64, kLeastChunks = 8;
 constexpr int64_t kWorkPerBlock = 20;
 constexpr int64_t kLeastOfFullChunk = 512;
 // Where blocks hardly repeat, as in photo collections, buffers larger than the cache still pay:

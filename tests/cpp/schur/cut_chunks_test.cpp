@@ -49,7 +49,7 @@ struct PointsWithPriors {
 };
 
 // They are a range of their own: with 3 seen points the last section, with all images the first
-// twelfth of the points.
+// eighth of the points.
 TEST(CutChunks, HaveThePointsThatOnlyFactorsDependOn) {
   for (const int num_seen : {3, 20, 39}) {
     const PointsWithPriors all(num_seen);
