@@ -136,8 +136,8 @@ int SupernodalCholesky::FactorizePanel(int panel, double* values, ThreadPool* po
                                        Scratch* scratch) {
   const int first_column = FirstColumn(panel), width = Width(panel);
   const int height = supernodes_.height[panel];
-  LocateRows(panel, &scratch->position);
   if (first_update_[panel] >= 0) {
+    LocateRows(panel, &scratch->position);
     const auto first_block = offset_.begin() + supernodes_.first_block[panel];
     const auto end_block = offset_.begin() + supernodes_.first_block[panel + 1];
     const auto block_at = [&](int column) {

@@ -157,9 +157,8 @@ class Chordal {
 
   std::vector<double> Poses() {
     if (!pattern_.pose_of.empty()) {
-      UpdateRecords();
       FindRotations();
-      UpdateRecords();
+      records_ = PoseRecords<Group>(poses_);
       FindTranslations();
     }
     return std::move(poses_);
@@ -174,8 +173,6 @@ class Chordal {
     edge.information = information_ + e * kTangent * kTangent;
     return edge;
   }
-
-  void UpdateRecords() { records_ = PoseRecords<Group>(poses_); }
 
   /// The mean of the diagonal entries of the rotation. These are the first three in space (SE(3)),
   /// and the last one in the plane (SE(2)).
@@ -214,8 +211,9 @@ class Chordal {
   /// x_j = Z^T x_i if one of the two is constant.
   void AddKnownRotation(const ChordalEdge& edge, double weight) {
     const int i = stage_.BlockOf(edge.i), j = stage_.BlockOf(edge.j);
-    double known[9];
-    RotationOf(kSize, records_.data() + int64_t{i >= 0 ? edge.j : edge.i} * kRecord, known);
+    double record[kRecord], known[9];
+    Group::Record(poses_.data() + int64_t{i >= 0 ? edge.j : edge.i} * kAmbient, record);
+    RotationOf(kSize, record, known);
     for (int row = 0; row < kRows; ++row) {
       for (int k = 0; k < kSize; ++k) {
         double sum = 0;
