@@ -6,8 +6,8 @@ Each scene (phone walk, drone grid, car, in turn) has measured positions, and ve
 m/s. It is solved from its start with free twists and a known readout, without and with velocities;
 then with tied twists and an estimated readout that starts at 0.5. For each kind of scene: root mean
 square errors of the speed that twists give [m/s] and of positions [m], both over their predictions
-by the covariance at the truth; 2 cost / dof of the solves with velocities; mean and root mean square
-of (readout - truth) / sigma, and the mean sigma over the truth.
+by the covariance at the truth; 2 cost / dof; mean and root mean square of (readout - truth) /
+sigma, and the mean sigma over the truth.
 """
 
 from __future__ import annotations

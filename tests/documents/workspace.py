@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle.georeference.local_frame import LocalFrame
@@ -85,6 +86,13 @@ def video(folder: Path) -> None:
         for name, (lat, lon, h) in zip(truth.image_names, places, strict=True)
     ]
     (folder / "positions.txt").write_text("\n".join(["EPSG:4326", *lines, ""]))
+    along = scene.ground_truth.rolling_shutter.twist[:, 3:]
+    turns = Rotation.from_quat(truth.cam_from_world[:, :4]).inv()
+    speeds = (-METRES * 30 / 0.6 * turns.apply(along)).tolist()
+    rows = [
+        f"{n} {x!r} {y!r} {z!r}" for n, (x, y, z) in zip(truth.image_names, speeds, strict=True)
+    ]
+    (folder / "velocities.csv").write_text("\n".join(["name vx vy vz", *rows, ""]))
 
 
 def degrees(value: float) -> tuple[float, float, float]:

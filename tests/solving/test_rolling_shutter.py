@@ -293,6 +293,31 @@ def test_ties_need_neighbours_times_and_readouts():
         bundle.solve(problem.replace(rolling_shutter=None), **options)
 
 
+@pytest.mark.parametrize("places", [0, 1])
+def test_attitudes_and_one_position_do_not_hold_the_scale(places):
+    problem = start_of(small(ties=True, num_points=60))
+    down = -rolling.matrices(problem)[:, :3, 2]
+    priors = [
+        bundle.GravityPrior(int(image), one, 1.0)
+        for image, one in zip(problem.image_ids, down, strict=True)
+    ]
+    priors += [
+        bundle.PositionPrior(int(image), centre, 0.05)
+        for image, centre in zip(
+            problem.image_ids[:places], problem.projection_centers[:places], strict=True
+        )
+    ]
+    options = {"priors": priors, "twists": "tied", "twist_sigma": (0.002, 0.01), "align": False}
+    with pytest.raises(bundle.InputError, match="smaller world"):
+        bundle.solve(problem, gauge="none", **options)
+    found = bundle.solve(problem, **options)
+    assert found.options.gauge == "two_cameras"
+    a, b = found.problem.projection_centers, problem.projection_centers
+    assert np.linalg.norm(np.ptp(a, axis=0)) == pytest.approx(
+        np.linalg.norm(np.ptp(b, axis=0)), rel=0.1
+    )
+
+
 def test_priors_hold_the_scale_of_tied_twists():
     problem = start_of(small(ties=True, num_points=60))
     priors = [

@@ -38,7 +38,7 @@ def repeated_flags(arguments: argparse.Namespace) -> tuple[str, ...]:
             inputs.remove(word)
         else:
             kept.append(word)
-    reads_images = {"--gps", "--orientations"} & set(kept)
+    reads_images = {"--gps", "--orientations", "--velocities"} & set(kept)
     return tuple(kept if reads_images else _without_images(kept))
 
 

@@ -107,7 +107,7 @@ def _with_twists(
             )
     if options.twists != "tied":
         return known, options
-    holds = known is not None and known.locate
+    holds = known is not None and known.holds_scale
     # Beside a velocity, a tie of the translation would bias a refined readout.
     ties = twist_ties(problem, options.twist_sigma, measured if options.refine_readout else set())
     if not holds and options.gauge == "auto":
@@ -124,10 +124,10 @@ def refuse_shrinking(layout: Layout) -> None:
     options, known, _ = layout
     if options.twists != "tied" or options.gauge != "none" or options.fixed_image_ids:
         return
-    if known is None or not known.locate:
+    if known is None or not known.holds_scale:
         raise InputError(
-            "gauge: expected two-cameras or positions with tied twists, which always fit a smaller "
-            "world better, found gauge none without positions"
+            "gauge: expected two-cameras, positions or velocities with tied twists, which always "
+            "fit a smaller world better, found gauge none without these"
         )
 
 

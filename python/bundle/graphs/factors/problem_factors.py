@@ -38,6 +38,9 @@ __all__ = ["ProblemFactors", "check_factors", "wrong_factor"]
 _POSES = {"image": "cam_from_world", "frame": "rig_from_world", "sensor": "sensor_from_rig"}
 
 
+_WITHOUT_SCALE = ("twist_tie", "direction", "rotation", "heading")
+"""Kinds of factors that a change of the scale does not change, or that lower their cost by it."""
+
 ADVICE = "bundle.check_factors(problem, factors)"
 
 
@@ -136,16 +139,25 @@ class ProblemFactors:
 
     @property
     def locate(self) -> bool:
-        """True if some factors determine positions of images or points."""
+        """True if some factors determine positions of images or points, or their rotations."""
+        return any(kind != "twist_tie" for kind in self._kinds_on_scene())
+
+    @property
+    def holds_scale(self) -> bool:
+        """True if some factors may hold the scale: more than attitudes, ties and one position."""
+        kinds = [kind for kind in self._kinds_on_scene() if kind not in _WITHOUT_SCALE]
+        return len(kinds) > 1 or (len(kinds) == 1 and kinds != ["position"])
+
+    def _kinds_on_scene(self) -> list[str]:
+        """Return the kinds of the factors that depend on more than cameras."""
         kinds: dict[Key, str] = {
             key: kind for key, (kind, _) in zip(self._graph.keys, self._places, strict=True)
         }
-        return any(
-            kinds[key] != "camera"
+        return [
+            factor.kind
             for factor in self.factors
-            if factor.kind != "twist_tie"  # holds neither position nor scale
-            for key in factor.keys
-        )
+            if any(kinds[key] != "camera" for key in factor.keys)
+        ]
 
     def information(self) -> tuple[list[tuple[str, int, int]], Array]:
         """Return kind, index and tangent size of the variables, and the factors' information.
