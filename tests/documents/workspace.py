@@ -86,8 +86,8 @@ def video(folder: Path) -> None:
         for name, (lat, lon, h) in zip(truth.image_names, places, strict=True)
     ]
     (folder / "positions.txt").write_text("\n".join(["EPSG:4326", *lines, ""]))
-    along = scene.ground_truth.rolling_shutter.twist[:, 3:]
-    turns = Rotation.from_quat(truth.cam_from_world[:, :4]).inv()
+    along = truth.rolling_shutter.twist[:, 3:].copy()
+    turns = Rotation.from_quat(truth.cam_from_world[:, :4].copy()).inv()
     speeds = (-METRES * 30 / 0.6 * turns.apply(along)).tolist()
     rows = [
         f"{n} {x!r} {y!r} {z!r}" for n, (x, y, z) in zip(truth.image_names, speeds, strict=True)
