@@ -1,6 +1,7 @@
 """Right Jacobians under stress, in the layouts of Ceres, GTSAM, manif and g2o.
 
-Units of millimetres, coordinates of a map, tiny and unequal sigmas, robust losses at their kink,
+Units of millimetres, coordinates of a map, tiny and unequal sigmas, rows in other units than the
+others or with digits that cancel, robust losses at their kink,
 angles close to pi, points close to the camera, variables at zero, and single precision.
 """
 
@@ -58,6 +59,32 @@ def with_loss(residual, loss, share):
     return wrapped(residual, change)
 
 
+def with_small_rows(residual, rng):
+    """Rows in units of their own, down to 1e-12 of the others."""
+    size = len(residual.function(residual.values)[0])
+    units = 10.0 ** rng.uniform(-12, 0, size)
+    return wrapped(residual, lambda r, js: (units * r, [units[:, None] * j for j in js]))
+
+
+def with_constants(residual, rng):
+    """Small rows with large constants, whose last digits are lost."""
+    small = with_small_rows(residual, rng)
+    size = len(residual.function(residual.values)[0])
+    constants = 10.0 ** rng.uniform(-6, 6, size)
+    return wrapped(small, lambda r, js: ((r + constants) - constants, js))
+
+
+def with_cancelling_rows(residual, rng):
+    """Rows that are small because large numbers cancel in them."""
+    size = len(residual.function(residual.values)[0])
+    turn = np.linalg.qr(rng.standard_normal((size, size)))[0]
+    small = turn * 10.0 ** rng.uniform(-9, 0, size)
+    there = small @ np.linalg.qr(rng.standard_normal((size, size)))[0]
+    return wrapped(
+        residual, lambda r, js: (turn.T @ (there @ r), [turn.T @ (there @ j) for j in js])
+    )
+
+
 def minus_measured(residual, rng, size):
     """The difference to a measurement close to it: digits cancel."""
     measured = residual.function(residual.values)[0] + size * rng.standard_normal(
@@ -96,6 +123,9 @@ STRESSES = {
     "small sigmas": lambda make, rng: with_weights(make(rng), rng, 3, 6),
     "unequal sigmas": lambda make, rng: with_weights(make(rng), rng, -4, 4),
     "large sigmas": lambda make, rng: with_weights(make(rng), rng, -8, -6),
+    "small rows": lambda make, rng: with_small_rows(make(rng), rng),
+    "small rows with constants": lambda make, rng: with_constants(make(rng), rng),
+    "cancelling rows": lambda make, rng: with_cancelling_rows(make(rng), rng),
     "measured": lambda make, rng: minus_measured(make(rng), rng, 1e-6),
     "huber at the kink": lambda make, rng: with_loss(make(rng), "huber", 1.0),
     "huber near the kink": lambda make, rng: with_loss(make(rng), "huber", 1.001),

@@ -38,8 +38,15 @@ struct Spoiled final : ceres::DynamicCostFunction {
     r[0] = a * b + std::sin(c);
     r[1] = std::exp(0.1 * a) * c;
     if (Is("kink")) r[1] = std::abs(c - 0.5);
+    const bool is_small = std::strncmp(how_, "small", 5) == 0;
+    const double unit = is_small ? 1e-12 : 1;
+    r[1] *= unit;
     if (j == nullptr) return true;
-    double first[4] = {b, a, 0.1 * r[1], 0}, second[2] = {std::cos(c), std::exp(0.1 * a)};
+    double first[4] = {b, a, 0.1 * r[1], 0};
+    double second[2] = {std::cos(c), unit * std::exp(0.1 * a)};
+    if (Is("small sign")) first[2] *= -1;
+    if (Is("small factor")) second[1] *= 2;
+    if (Is("small zero")) first[2] = 0;
     if (Is("kink")) first[2] = 0, second[1] = c > 0.5 ? 1 : -1;
     if (Is("sign")) first[1] *= -1, first[3] *= -1;
     if (Is("factor")) second[0] *= 2, second[1] *= 2;
@@ -149,6 +156,12 @@ def test_verdicts_and_words_are_those_of_python(program: Path, how: str) -> None
     assert dict(entry.split("=", 1) for entry in found) == kinds
 
 
+@pytest.mark.parametrize("how", ["right", "sign", "factor", "zero"])
+def test_a_row_of_small_numbers_hides_nothing(program: Path, how: str) -> None:
+    verdict = run(program, f"small {how}").split("|")[0]
+    assert verdict == ("correct" if how == "right" else "wrong")
+
+
 def test_undecided_and_skipped_points(program: Path) -> None:
     assert run(program, "kink", "1").startswith("undecided|1|")
     assert run(program, "behind").startswith("undecided|0|")
@@ -166,7 +179,8 @@ def test_bad_arguments_are_one_line(program: Path, how: str, line: str) -> None:
     assert run(program, how) == f"refused|{line}"
 
 
-HEADERS = ["check.h", "jet_cost.h", "numeric_jacobian.h", "richardson.h"]
+HEADERS = ["check.h", "entry_scales.h", "jet_cost.h", "numeric_jacobian.h"]
+HEADERS += ["resolution.h", "richardson.h"]
 
 
 @pytest.mark.parametrize("compiler", ["g++", "clang++"])

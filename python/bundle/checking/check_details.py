@@ -94,7 +94,7 @@ def curve_of(
     tolerance: float,
 ) -> StepCurve:
     """Return the curve of an entry: point, row and column."""
-    k, row, j = entry
+    row = entry[1]
     return StepCurve(
         parameter=name,
         place=place,
@@ -102,7 +102,7 @@ def curve_of(
         analytic=float(deviations.analytic[entry]),
         reference=float(deviations.reference[entry]),
         uncertainty=float(deviations.uncertainty[entry]),
-        scale=float(deviations.scale[k, 0, j]),
+        scale=float(deviations.scale[entry]),
         is_wrong=bool(deviations.error[entry] > tolerance),
         steps=line.steps,
         differences=line.central[:, row],

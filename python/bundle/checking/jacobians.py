@@ -123,7 +123,9 @@ class _Check:
                 matrix[rows][..., model.source] for matrix in answer[:3]
             )
             uncertainty = uncertainty + _rounding_errors(reference, rounding[rows])
-            deviations = JacobianDeviation(analytic, reference, uncertainty)
+            deviations = JacobianDeviation(
+                analytic, reference, uncertainty, self.settings.tolerance
+            )
             decided = self._decide(deviations)
             for reason, group in (
                 ("camera_center", np.append(hopeless, rows[~decided & close[rows]])),
@@ -198,7 +200,7 @@ class _Check:
                 make_details(
                     [column.name for column in model.tally.columns],
                     [column.group for column in model.tally.columns],
-                    JacobianDeviation(analytic, reference, uncertainty),
+                    JacobianDeviation(analytic, reference, uncertainty, self.settings.tolerance),
                     self.settings.tolerance,
                     lines.line,
                     lambda k, points=points: self._place(int(points[k])),  # type: ignore[misc]

@@ -37,8 +37,8 @@ def rows(evidence: Evidence) -> None:
         moved = np.flatnonzero(source != np.arange(num_residuals))
         if not len(moved) or len(set(source.tolist())) < num_residuals:
             continue
-        guess = factor[:, None] * evidence.reference[:, source][..., wrong]
-        if evidence.explains(guess, wrong):
+        raw = factor[:, None] * evidence.deviations.reference[:, source][..., wrong]
+        if evidence.explains(raw / evidence.deviations.scale[..., wrong], wrong):
             places = ", ".join(f"{row} holds that of {source[row]}" for row in moved)
             what = "swapped" if len(moved) == 2 else "in a wrong order"
             before = "" if np.allclose(factor, 1, atol=1e-3) else ", before the weights"

@@ -90,8 +90,8 @@ class _Check:
             doubts = doubts + rounding
             if self.layout.is_curved:
                 tangent_doubts = tangent_doubts + rounding.max(axis=2, keepdims=True)
-        space = JacobianDeviation(np.array(self.jacobians), values, doubts)
-        repeated = JacobianDeviation(np.array(again), values, doubts)
+        space = JacobianDeviation(np.array(self.jacobians), values, doubts, self.tolerance)
+        repeated = JacobianDeviation(np.array(again), values, doubts, self.tolerance)
         tangent, projected = space, list(range(len(space)))
         if self.layout.is_curved:
             projected = [k for k, probe in enumerate(checker) if probe[1] is not None]
@@ -101,10 +101,13 @@ class _Check:
                 np.array(local) if local else np.zeros(shape),
                 tangents[projected],
                 tangent_doubts[projected],
+                self.tolerance,
             )
         lines = SampleLines(self.samples, self.residuals, self.layout)
         space = lines.appealed(space, range(len(space)), self.tolerance, along_manifold=False)
-        repeated = JacobianDeviation(repeated.analytic, space.reference, space.uncertainty)
+        repeated = JacobianDeviation(
+            repeated.analytic, space.reference, space.uncertainty, self.tolerance
+        )
         tangent = (
             lines.appealed(tangent, projected, self.tolerance, along_manifold=True)
             if self.layout.is_curved

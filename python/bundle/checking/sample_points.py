@@ -85,11 +85,13 @@ class SampleLines:
             if not np.isfinite(deviations.analytic[k, :, j]).all():
                 continue
             line = self.line(samples[k], int(j), along_manifold=along_manifold)
-            scale = float(deviations.scale[k, 0, j])
+            scale = deviations.scale[k, :, j]
             found = acquitted(line, deviations.analytic[k, :, j], off[k, :, j], scale)
             found &= wrong[k, :, j]
             uncertainty[k, found, j] += off[k, found, j]
-        return JacobianDeviation(deviations.analytic, deviations.reference, uncertainty)
+        return JacobianDeviation(
+            deviations.analytic, deviations.reference, uncertainty, deviations.tolerance
+        )
 
     def line(self, sample: int, column: int, *, along_manifold: bool) -> Line:
         """Return the residuals at steps along a column of the Jacobian."""

@@ -130,15 +130,15 @@ def walk(values: Values, center: Array, size: float) -> Line:
     return Line(steps, center, sides[0], sides[1])
 
 
-def acquitted(line: Line, analytic: Array, deviation: Array, scale: float) -> NDArray[np.bool_]:
+def acquitted(line: Line, analytic: Array, deviation: Array, scale: Array) -> NDArray[np.bool_]:
     """Return the mask (R,) of entries that are a derivative at some scale or on one side.
 
     Args:
         line: residuals along the parameter.
         analytic: (R,) column of the Jacobian.
         deviation: (R,) its absolute deviation from the reference.
-        scale: divisor of relative errors, which may be far too small if the reference is that of
-            another scale.
+        scale: (R,) divisors of relative errors, which may be far too small if the reference is that
+            of another scale.
     """
     close = np.minimum(CLOSE * np.maximum(scale, np.abs(analytic)), SHARE * deviation)
     # At smaller steps rounding alone decides: a residual that does not change has slope 0.

@@ -116,5 +116,43 @@ TEST(RunGradientChecker, TellsRightFromWrong) {
   EXPECT_FALSE(RunGradientChecker(Product(1.001), {nullptr}, {x}, 1e-7).agrees);
 }
 
+/// Large values beside small ones, with different errors of truncation.
+class UnequalRows final : public ceres::SizedCostFunction<2, 1> {
+ public:
+  bool Evaluate(double const* const* parameters, double* residuals,
+                double** /*jacobians*/) const override {
+    residuals[0] = parameters[0][0];
+    residuals[1] = 1e-12 * std::exp(20 * parameters[0][0]);
+    return true;
+  }
+};
+
+TEST(DifferentiateByRichardson, IsAsExactForSmallValuesAsForLargeOnes) {
+  const double x = 1e-3;
+  const ReferenceJacobians found = DifferentiateByRichardson(UnequalRows(), {nullptr}, {&x});
+  const double exact = 20e-12 * std::exp(20 * x);
+  EXPECT_NEAR(found.ambient.values[1], exact, 1e-9 * exact);
+  EXPECT_LT(found.ambient.uncertainty[1], 1e-8 * exact);
+}
+
+/// Along x in jumps, and along y too little for one.
+class Jumps final : public ceres::SizedCostFunction<1, 2> {
+ public:
+  bool Evaluate(double const* const* parameters, double* residuals,
+                double** /*jacobians*/) const override {
+    const double exact = parameters[0][0] + 1e-3 * parameters[0][1];
+    residuals[0] = 1e-3 * std::round(1e3 * exact);
+    return true;
+  }
+};
+
+TEST(DifferentiateByRichardson, AValueThatStandsStillMayHaveASlopeBelowItsJumps) {
+  const double xy[2] = {1, 1};
+  const ReferenceJacobians found = DifferentiateByRichardson(Jumps(), {nullptr}, {xy});
+  EXPECT_EQ(found.ambient.values[1], 0);
+  EXPECT_GT(found.ambient.uncertainty[1], 1e-3);
+  EXPECT_LT(found.ambient.uncertainty[1], 1);
+}
+
 }  // namespace
 }  // namespace bundle

@@ -118,5 +118,20 @@ TEST(Richardson, RoundingAtSmallStepsIsNoDoubt) {
   EXPECT_LT(found.uncertainty, 1e-8);
 }
 
+/// The value stands still at all steps but the largest, where it jumps.
+TEST(Richardson, JumpsAtTheLargestStepAreNoise) {
+  const auto f = [](double x) { return std::floor(3 * x + 0.3); };
+  const Found found = Differentiate(f, 0.5, 1e-16);
+  EXPECT_GE(found.uncertainty, 1);
+}
+
+/// As a robust loss that ends at a border within the largest step.
+TEST(Richardson, AFeatureAtTheLargestStepIsNoNoise) {
+  const auto f = [](double x) { return x > 0.3 ? std::pow(x - 0.3, 2) : 0.0; };
+  const Found found = Differentiate(f, 0.5, 1e-16);
+  EXPECT_EQ(found.derivative, 0);
+  EXPECT_LT(found.uncertainty, 1e-12);
+}
+
 }  // namespace
 }  // namespace bundle

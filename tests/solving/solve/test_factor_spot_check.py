@@ -61,6 +61,24 @@ def test_a_wrong_rotation_is_said_and_named(mode, words, kind):
     assert said(solver.solve(check_solution=False)) == []
 
 
+@pytest.mark.parametrize("mode", ["right", "sign"])
+def test_a_row_of_tiny_weight_hides_nothing(mode):
+    problem = make_problem(num_images=5, num_points=30, seed=3)
+
+    def weighted(pose, target):
+        error, (jacobian,) = center(pose, target)
+        weights = np.array([1, 1, 1e-12])
+        jacobian[2, 1] *= -1 if mode == "sign" else 1
+        return weights * error, [weights[:, None] * jacobian]
+
+    factors = [
+        bundle.FunctionFactor([("image", int(i))], lambda v, c=c + 0.01: weighted(v[0], c))
+        for i, c in zip(problem.image_ids, problem.projection_centers, strict=True)
+    ]
+    found = said(bundle.solve(problem, factors=factors, max_num_iterations=20))
+    assert bool(found) == (mode == "sign")
+
+
 def test_the_watch_names_the_call_that_sees_factors():
     made = bundle.synthesize(scene="orbit", num_images=8, num_points=200, seed=1)
     factors = [

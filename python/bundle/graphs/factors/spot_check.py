@@ -7,8 +7,8 @@ variable X with natural size s (a radian, the length of a translation, the numbe
 
 R = J e + O(h^4), and u = |D(h/2) - D(h)| + n / h s is far above the error of R wherever r is smooth
 at the scale of h. n = eps (|r| + sum |J| size) is the rounding error. Rows of a whitened residual
-have different sizes. Each row is tested alone. A step is *conclusive* if u is below a hundredth
-of |R|. An entry of J agrees with it if
+have different sizes. Each row is tested alone; entries below 1e-9 of its size are not. A step is
+*conclusive* if u is below a hundredth of |R|. An entry of J agrees with it if
 
     |J - R| < 1e-3 max(|J|, |R|) + 4 u + |r(+h/2) - 2 r(0) + r(-h/2)| / h s,
 
@@ -176,11 +176,11 @@ class _Line:
             _sizes(manifold, value)
             for (_, manifold, _), value in zip(candidate.variables, values, strict=True)
         ]
-        moved = sum(
+        self.moved = sum(
             (np.abs(matrix) @ size for matrix, size in zip(jacobians, self.sizes, strict=True)),
             np.abs(residual),
         )
-        self.noise = np.finfo(float).eps * moved
+        self.noise = np.finfo(float).eps * self.moved
 
     def compare(self, column: tuple[int, int]) -> tuple[bool, bool, float | None]:
         """Return flags for a correct and for a wrong column, and the ratio to the right value."""
@@ -211,7 +211,7 @@ class _Line:
             convicted |= against & again
             found[against] = right[against]
             suspicious[against] = right[against]
-            small = larger + doubt < NEGLIGIBLE * larger.max()
+            small = larger < NEGLIGIBLE * self.moved
             if (acquitted | small).all():
                 break
         convicted &= ~acquitted

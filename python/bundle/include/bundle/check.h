@@ -15,8 +15,8 @@
 /// Jacobians are compared at the given point and at points around it, along the tangent space of
 /// the manifolds, with Richardson extrapolation (bundle/numeric_jacobian.h). An entry is wrong if
 /// it differs by more than the tolerance and the uncertainty of the reference, relative to the norm
-/// of its column; that norm is at least a thousandth of the column's usual norm. A residual in
-/// single precision is judged to 1e-3. These are the rules, verdicts and words of
+/// of its column in the units of its row (bundle/entry_scales.h). A residual in single precision is
+/// judged to 1e-3. These are the rules, verdicts and words of
 /// bundle.check_gradients in Python, which names more mistakes (bundle/checkable.h).
 ///
 /// Cost functions may have any sizes at run time. bundle/jet_cost.h makes one from a functor, by

@@ -4,6 +4,7 @@
 /// that does not need Ceres.
 
 #include <bundle/check_types.h>
+#include <bundle/entry_scales.h>
 
 #include <algorithm>
 #include <cmath>
@@ -27,7 +28,7 @@ class GradientCheck {
         tolerance_(tolerance),
         num_skipped_(num_skipped) {
     for (const CheckedBlock& block : blocks_) columns_ += block.size;
-    Scale();
+    scale_ = EntryScales(points_, rows_, columns_, tolerance_).values();
     Judge();
   }
 
@@ -86,39 +87,8 @@ class GradientCheck {
   }
 
   size_t At(int row, int column) const { return static_cast<size_t>(row) * columns_ + column; }
-  double& scale(size_t k, int column) { return scale_[k * columns_ + column]; }
-  double scale(size_t k, int column) const { return scale_[k * columns_ + column]; }
-
-  /// Divisors of errors: see jacobian_deviation.py.
-  void Scale() {
-    constexpr double kFloor = 1e-3;
-    scale_.assign(points_.size() * columns_, 0);
-    std::vector<double> usual(columns_, 0), others;
-    for (int j = 0; j < columns_; ++j) {
-      std::vector<double> norms;
-      for (size_t k = 0; k < points_.size(); ++k) {
-        double square = 0;
-        for (int i = 0; i < rows_; ++i) {
-          const double value = points_[k].reference[At(i, j)];
-          if (std::isfinite(value)) square += value * value;
-        }
-        scale(k, j) = std::sqrt(square);
-        if (square > 0) norms.push_back(scale(k, j));
-      }
-      usual[j] = Median(norms);
-      if (usual[j] > 0) others.push_back(usual[j]);
-    }
-    for (int j = 0; j < columns_; ++j) {
-      const double least = usual[j] > 0 ? kFloor * usual[j] : (others.empty() ? 1 : Median(others));
-      for (size_t k = 0; k < points_.size(); ++k) scale(k, j) = std::max(scale(k, j), least);
-    }
-  }
-
-  static double Median(std::vector<double> values) {
-    if (values.empty()) return 0;
-    std::sort(values.begin(), values.end());
-    const size_t half = values.size() / 2;
-    return values.size() % 2 == 1 ? values[half] : (values[half - 1] + values[half]) / 2;
+  double scale(size_t k, int row, int column) const {
+    return scale_[k * rows_ * columns_ + At(row, column)];
   }
 
   double Error(size_t k, int row, int column) const {
@@ -128,7 +98,7 @@ class GradientCheck {
     const double doubt = point.uncertainty[At(row, column)];
     if (!std::isfinite(doubt)) return 0;
     const double off = std::abs(analytic - point.reference[At(row, column)]);
-    return std::max(off - doubt, 0.0) / scale(k, column);
+    return std::max(off - doubt, 0.0) / scale(k, row, column);
   }
 
   void Judge() {
@@ -164,7 +134,7 @@ class GradientCheck {
     for (int j = 0; j < columns_; ++j) {
       bool is_rough = false;
       for (int i = 0; i < rows_; ++i) {
-        double size = scale(0, j);
+        double size = scale(0, i, j);
         for (int c = 0; c < columns_; ++c) {
           size = std::max(size, std::abs(points_[0].reference[At(i, c)]));
         }
@@ -205,7 +175,7 @@ class GradientCheck {
       for (int i = 0; i < rows_; ++i) {
         const double doubt = points_[k].uncertainty[At(i, column)];
         const bool is_unknown =
-            !(doubt <= tolerance_ * scale(k, column)) && Error(k, i, column) <= tolerance_;
+            !(doubt <= tolerance_ * scale(k, i, column)) && Error(k, i, column) <= tolerance_;
         unknown += is_unknown ? 1 : 0;
         telling += is_unknown || std::abs(points_[k].reference[At(i, column)]) > doubt ? 1 : 0;
       }
@@ -237,8 +207,8 @@ class GradientCheck {
     for (size_t k = 0; k < points_.size(); ++k) {
       for (int i = 0; i < rows_; ++i) {
         if (!std::isfinite(points_[k].uncertainty[At(i, column)])) continue;
-        f(points_[k].analytic[At(i, column)] / scale(k, column),
-          points_[k].reference[At(i, column)] / scale(k, column));
+        f(points_[k].analytic[At(i, column)] / scale(k, i, column),
+          points_[k].reference[At(i, column)] / scale(k, i, column));
       }
     }
   }
@@ -321,7 +291,7 @@ class GradientCheck {
   int rows_, columns_ = 0;
   double tolerance_;
   int num_skipped_;
-  std::vector<double> scale_;  ///< points x columns
+  std::vector<double> scale_;  ///< points x rows x columns
   std::string verdict_;
   std::vector<GradientFinding> findings_;
   std::vector<GradientEntry> worst_;

@@ -134,32 +134,54 @@ class MovablePoint {
 };
 
 /// Writes columns into a Jacobian as they are computed.
+///
+/// A value that stands still along one column, and changes in jumps of q along others, may have a
+/// slope in this column, too. Over a step of h it is at most q / h.
 class ColumnWriter {
  public:
   ColumnWriter(const std::vector<double>& noise, int num_columns, NumericJacobian* jacobian)
       : noise_(noise),
         rows_(static_cast<int>(noise.size())),
         columns_(num_columns),
-        jacobian_(jacobian) {
+        jacobian_(jacobian),
+        jumps_(noise.size(), std::numeric_limits<double>::infinity()) {
     jacobian->values.resize(static_cast<size_t>(rows_) * columns_);
     jacobian->uncertainty.resize(static_cast<size_t>(rows_) * columns_);
   }
 
   void Add(const LineFunction& f, double first_step) {
     std::vector<double> derivative(rows_), uncertainty(rows_);
-    RichardsonDerivative(f, rows_, first_step, noise_.data(), derivative.data(),
-                         uncertainty.data());
+    const Resolution resolution = RichardsonDerivative(f, rows_, first_step, noise_.data(),
+                                                       derivative.data(), uncertainty.data());
     for (int row = 0; row < rows_; ++row) {
+      if (resolution.jump[row] > 0) jumps_[row] = std::min(jumps_[row], resolution.jump[row]);
+      if (resolution.stood_still[row]) still_.push_back({row, next_, first_step});
       jacobian_->values[row * columns_ + next_] = derivative[row];
       jacobian_->uncertainty[row * columns_ + next_] = uncertainty[row];
     }
     ++next_;
   }
 
+  /// Raises the uncertainty of values that stood still. To be called after the last column.
+  void Finish() {
+    for (const Still& still : still_) {
+      if (!std::isfinite(jumps_[still.row])) continue;
+      double& uncertainty = jacobian_->uncertainty[still.row * columns_ + still.column];
+      uncertainty = std::max(uncertainty, jumps_[still.row] / still.step);
+    }
+  }
+
  private:
+  struct Still {
+    int row, column;
+    double step;
+  };
+
   const std::vector<double>& noise_;
   const int rows_, columns_;
   NumericJacobian* jacobian_;
+  std::vector<double> jumps_;  ///< smallest jump of each row
+  std::vector<Still> still_;
   int next_ = 0;
 };
 
@@ -223,6 +245,8 @@ inline ReferenceJacobians DifferentiateByRichardson(const ceres::CostFunction& c
       entry = 0;
     }
   }
+  ambient.Finish();
+  tangent.Finish();
   if (!curved) jacobians.tangent = jacobians.ambient;
   return jacobians;
 }

@@ -11,8 +11,9 @@
 /// The entry with the least estimate is used (Ridders, "Accurate computation of F'(x) and
 /// F'(x)F''(x)", 1982). Ceres stops its tableau by an absolute threshold and drops the estimate.
 /// Here the step shrinks further, by orders of magnitude if necessary (a point close to the camera,
-/// a parameter near a singularity), until the estimate is small relative to the derivative. The
-/// estimate is returned, so that a comparison can subtract the uncertainty of the reference.
+/// a parameter near a singularity), until the estimate of each value is small relative to its own
+/// slopes, whatever the other values are. The estimate is returned, so that a comparison can
+/// subtract the uncertainty of the reference.
 ///
 /// A bound from one range of steps is valid only if f is smooth on that range. Close to a pole, for
 /// instance 1 / (x + d) with steps h far above d, D(h) = 1 / (h^2 - d^2) seems to converge to zero.
@@ -29,23 +30,21 @@
 ///
 /// The core of the package and its users' C++ tests (bundle/check.h) share this file.
 
+#include <bundle/resolution.h>
+
 #include <algorithm>
 #include <cmath>
-#include <functional>
 #include <limits>
 #include <vector>
 
 namespace bundle {
-
-/// f(step, values): num_values values at `step` along a line; returns false if there is no value.
-using LineFunction = std::function<bool(double step, double* values)>;
 
 namespace richardson_internal {
 
 inline constexpr int kRows = 8;            ///< rows of a tableau
 inline constexpr int kTableaux = 5;        ///< maximum number of tableaux
 inline constexpr double kRestart = 64;     ///< ratio of first steps of consecutive tableaux
-inline constexpr double kEnough = 1e-10;   ///< relative error that needs no further step
+inline constexpr double kEnough = 1e-10;   ///< part of the slope that needs no further step
 inline constexpr double kErrorSafety = 4;  ///< on the estimated error
 inline constexpr int kProbes = 4;          ///< number of smaller steps that verify a settled result
 inline constexpr double kNoise =
@@ -63,12 +62,14 @@ struct Estimate {
         uncertainty(num_values, kInfinity),
         spread(num_values, kInfinity),
         curvature(num_values),
+        slope(num_values),
         row(num_values, -1),
         order(num_values) {}
 
   std::vector<double> derivative, uncertainty;
   std::vector<double> spread;     ///< max - min of D(h) over the smaller half of the steps
   std::vector<double> curvature;  ///< |D(h) - derivative| / h^2 of the first step
+  std::vector<double> slope;      ///< largest difference to a side, over its step
   std::vector<int> row, order;    ///< k and m of the derivative T(k, m) in its tableau
 };
 
@@ -114,24 +115,6 @@ class Search {
 
   const Estimate& best() const { return best_; }
 
-  /// Raises the noise to the resolution of values that stay constant for another reason than
-  /// rounding. For instance, values computed in single precision change in jumps.
-  void FindResolution(double largest_step) {
-    std::vector<char> stood_still(n_, 0), moves(n_, 0);
-    double h = largest_step * std::pow(kRestart, -kTableaux);
-    for (; h < largest_step && has_center_; h *= kRestart) {
-      if (!f_(h, plus_.data())) return;
-      for (int i = 0; i < n_; ++i) {
-        const double change = std::abs(plus_[i] - center_[i]);
-        // Change expected from the previous step.
-        const bool unexplained = stood_still[i] && change / kRestart > kNoise * noise_[i];
-        if (!moves[i] && unexplained) noise_[i] = change;
-        (change > 0 ? moves : stood_still)[i] = 1;
-      }
-      if (std::find(moves.begin(), moves.end(), 0) == moves.end()) return;
-    }
-  }
-
   /// Fills a tableau from step h on. Replaces current entries by more certain ones, and by entries
   /// that contradict them: then larger steps crossed a discontinuity.
   void Run(double h) {
@@ -141,12 +124,13 @@ class Search {
         best_.derivative[i] = found.derivative[i];
         best_.uncertainty[i] = found.uncertainty[i];
         best_.curvature[i] = found.curvature[i];
+        best_.slope[i] = found.slope[i];
       }
     }
   }
 
   /// True if steps smaller than h would not help, unless Confirm contradicts: errors are small
-  /// relative to the largest derivative, or equal to the rounding of the values.
+  /// relative to the value's slope, or equal to the rounding of the values.
   bool Enough(double h) const { return Enough(best_, h); }
 
   /// Compares the settled values at steps of h with smaller steps, and adds the disagreement to the
@@ -196,7 +180,10 @@ class Search {
         first_step = h;
         LookForKinks(h);
       }
-      for (int i = 0; i < n_; ++i) differences_[row * n_ + i] = IsPlateau(i) ? kNone : next_[i];
+      for (int i = 0; i < n_; ++i) {
+        differences_[row * n_ + i] = IsPlateau(i) ? kNone : next_[i];
+        found.slope[i] = std::max(found.slope[i], Slope(i, h));
+      }
       Extrapolate(row, h, &found);
       std::swap(table_, next_);
       ++row;
@@ -225,12 +212,8 @@ class Search {
   }
 
   bool Enough(const Estimate& estimate, double h) const {
-    double largest = 0;
-    for (const double derivative : estimate.derivative) {
-      largest = std::max(largest, std::abs(derivative));
-    }
     for (int i = 0; i < n_; ++i) {
-      if (estimate.uncertainty[i] > kEnough * largest + 2 * noise_[i] / h) return false;
+      if (estimate.uncertainty[i] > kEnough * estimate.slope[i] + 2 * noise_[i] / h) return false;
     }
     return true;
   }
@@ -256,6 +239,12 @@ class Search {
   /// constant.
   bool IsPlateau(int i) const {
     return plus_[i] == minus_[i] && (!has_center_ || plus_[i] == center_[i]);
+  }
+
+  /// Largest slope to a side of the last central difference.
+  double Slope(int i, double h) const {
+    if (!has_center_) return std::abs(next_[i]);
+    return std::max(std::abs(plus_[i] - center_[i]), std::abs(minus_[i] - center_[i])) / h;
   }
 
   /// Writes D(h) to the first entries of `next_`.
@@ -320,10 +309,12 @@ class Search {
 /// The derivative of each value at step 0 and a bound on its error, which is infinite if no
 /// derivative was found. The search begins at `first_step` > 0. `noise` is the size of the rounding
 /// errors of each value.
-inline void RichardsonDerivative(const LineFunction& f, int num_values, double first_step,
-                                 const double* noise, double* derivative, double* uncertainty) {
-  richardson_internal::Search search(f, num_values, noise);
-  search.FindResolution(first_step);
+inline Resolution RichardsonDerivative(const LineFunction& f, int num_values, double first_step,
+                                       const double* noise, double* derivative,
+                                       double* uncertainty) {
+  std::vector<double> raised(noise, noise + num_values);
+  Resolution resolution = FindResolution(f, num_values, first_step, &raised);
+  richardson_internal::Search search(f, num_values, raised.data());
   double h = first_step;
   for (int tableau = 0; tableau < richardson_internal::kTableaux;
        ++tableau, h /= richardson_internal::kRestart) {
@@ -335,6 +326,7 @@ inline void RichardsonDerivative(const LineFunction& f, int num_values, double f
   search.AddKinks();
   std::copy_n(search.best().derivative.begin(), num_values, derivative);
   std::copy_n(search.best().uncertainty.begin(), num_values, uncertainty);
+  return resolution;
 }
 
 }  // namespace bundle
