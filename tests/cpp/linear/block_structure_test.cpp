@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <stdexcept>
+#include <utility>
 #include <vector>
 
 #include "core/linear/supernodes.h"
@@ -87,6 +88,30 @@ TEST(BlockStructure, BlocksThatTheOtherLacksAreNotDropped) {
   EXPECT_THROW(AddBlocks(full, values.data(), diagonal, sums.data()), std::logic_error);
   const BlockStructure other_sizes = SparseStructure({3, 2}, {{0, 1}, {1}});
   EXPECT_THROW(AddBlocks(full, values.data(), other_sizes, sums.data()), std::logic_error);
+}
+
+/// Columns of each panel of a path of blocks, in its natural order.
+std::vector<int> PanelsOfPath(int num_blocks, int block_size) {
+  std::vector<std::pair<int, int>> pairs;
+  for (int k = 1; k < num_blocks; ++k) pairs.emplace_back(k - 1, k);
+  const BlockStructure path = StructureOfPairs(num_blocks, block_size, pairs);
+  const Supernodes nodes = FindSupernodes(path);
+  std::vector<int> columns;
+  for (int s = 0; s < nodes.num_panels(); ++s) {
+    columns.push_back(path.offset[nodes.first_block[s + 1]] - path.offset[nodes.first_block[s]]);
+  }
+  return columns;
+}
+
+// A panel of k blocks of a path has the rows of the block after it: in the unit of a block, k - 1
+// columns have one block of zeros more than the next one has.
+TEST(Supernodes, JoinNarrowColumnsInSpiteOfZeros) {
+  EXPECT_EQ(PanelsOfPath(30, 3), std::vector<int>(10, 9));
+  EXPECT_EQ(PanelsOfPath(9, 2), (std::vector<int>{2, 8, 8}));
+}
+
+TEST(Supernodes, DoNotJoinWideColumnsWithManyZeros) {
+  EXPECT_EQ(PanelsOfPath(5, 6), (std::vector<int>{6, 6, 6, 12}));
 }
 
 }  // namespace
