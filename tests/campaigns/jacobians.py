@@ -18,6 +18,8 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import _core
+from bundle.graphs.factors.twist_ties import TwistTieFactor
+from bundle.graphs.factors.velocity_factor import VelocityFactor
 from bundle.model.cameras import camera_models
 from tests.checking.reprojection import left_jacobian, skew
 from tests.scenes import PARAMS
@@ -138,6 +140,19 @@ def on_pose(rng, kind):
         arm = rng.normal(0, 0.1, 3) * (rng.random() < 0.5)
         weights = information(rng, 3)
         graph.add_factor(bundle.PositionFactor("pose", rng.normal(size=3), weights, lever_arm=arm))
+    elif kind == "velocity":
+        arm = rng.normal(0, 0.1, 3) * (rng.random() < 0.5)
+        graph.add_variable("twist", rng.normal(0, 0.1, 6) * (rng.random() < 0.75))
+        graph.add_variable("readout", rng.uniform(0.1, 1, 1))
+        names, weights = ("pose", "twist", "readout"), information(rng, 3)
+        graph.add_factor(VelocityFactor(*names, rng.normal(size=3), weights, lever_arm=arm))
+    elif kind == "tie":
+        graph.add_variable("other", moved("se3", pose, rng), "se3")
+        graph.add_variable("twist", rng.normal(0, 0.1, 6) * (rng.random() < 0.75))
+        graph.add_variable("readout", rng.uniform(0.1, 1, 1))
+        sigmas = 0.01, np.inf if rng.random() < 0.25 else 0.02
+        names = "twist", "readout", "pose", "other"
+        graph.add_factor(TwistTieFactor(*names, float(rng.uniform(1, 10)), *sigmas))
     elif kind == "relative":
         graph.add_variable("other", moved("se3", pose, rng), "se3")
         measured = np.append(quaternion(rng, 0.3), rng.normal(size=3))
@@ -161,7 +176,7 @@ def right(rng) -> Case:
     draws: dict[str, Callable] = {"imu": imu}
     for kind in ("prior", "between", "linear", "square_root"):
         draws[kind] = lambda r, kind=kind: on_manifold(r, kind)
-    for kind in ("position", "relative", "reprojection"):
+    for kind in ("position", "velocity", "tie", "relative", "reprojection"):
         draws[kind] = lambda r, kind=kind: on_pose(r, kind)
     for name in RESIDUALS:
         draws[name] = lambda r, name=name: make_graph(r, name, None)

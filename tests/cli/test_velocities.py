@@ -1,11 +1,13 @@
 """`bundle refine --velocities` from the outside, and the commands that look at its result."""
 
+import argparse
 import json
 
 import numpy as np
 import pytest
 
 import bundle
+from bundle.cli.next_run import repeated_flags
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.similarity import Similarity, moved
 from bundle.georeference.velocities import velocity_text
@@ -73,6 +75,27 @@ def test_twists_follow_the_velocities(run, flight, tmp_path, backend):
     before = np.sqrt(((worse - flight[1].rolling_shutter.twist)[:, 3:] ** 2).mean())
     assert before > 0.03
     assert "velocities" not in json.loads((tmp_path / "r.json").read_text())
+
+
+def test_the_antenna_moves_with_the_camera(run, flight, tmp_path):
+    """An arm of 3 m, given wrongly, is a wrong speed w x arm of the camera."""
+    twists = []
+    for antenna in ("0,0,0", "3,0,0"):
+        words = (*SHUTTER, "--velocities", "velocities.csv", "--antenna", antenna, *GPS)
+        assert refine(run, flight, tmp_path, *given(flight, *words)).code == 0
+        twists.append(bundle.load(tmp_path / "out").rolling_shutter.twist)
+    without, found = twists
+    arm = np.cross(found[:, :3], [3.0, 0, 0])
+    assert np.abs(arm).max() > 1e-3
+    np.testing.assert_allclose(found[:, 3:] + arm, without[:, 3:], atol=0.5 * np.abs(arm).max())
+
+
+def test_the_folder_of_photographs_is_repeated_for_speeds():
+    words = ["refine", "in", "-o", "out", "--velocities", "xmp", "--images", "photos"]
+    arguments = argparse.Namespace(words=words, input="in", output="out")
+    assert repeated_flags(arguments)[-2:] == ("--images", "photos")
+    arguments.words = [word if word != "xmp" else "xmp.csv" for word in words]
+    assert "--velocities" in repeated_flags(arguments)
 
 
 def test_later_commands_know_the_frame_and_the_rate(run, flight, tmp_path):

@@ -159,6 +159,20 @@ def test_errors_are_those_of_the_sigmas():
     assert np.mean(ratios) == pytest.approx(1, abs=4 * math.sqrt(2 / (8 * dof)))
 
 
+def test_a_robust_loss_ignores_a_gross_error(backend):
+    truth = filmed()
+    positions, options = positions_of(truth, 0.02), {"refine": REFINE, "backend": backend, **EXACT}
+    start = bundle.solve(start_of(truth), priors=positions, **options).problem
+    ends = []
+    for loss in ("trivial", "tukey"):
+        first, *others = priors_of(truth, loss=loss)
+        wrong = VelocityPrior(first.image, first.velocity + np.array([9.0, -5, 3]), 0.1, loss=loss)
+        found = bundle.solve(start, priors=[*positions, wrong, *others], **options)
+        twists = found.problem.rolling_shutter.twist - truth.rolling_shutter.twist
+        ends.append(np.linalg.norm(twists[0, 3:]))
+    assert ends[1] < 0.5 * ends[0]
+
+
 def test_velocities_of_few_images_make_twists_certain():
     truth = filmed()
     options = {"refine": REFINE, "of": "poses"}
