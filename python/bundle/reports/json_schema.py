@@ -163,7 +163,9 @@ def _entries() -> dict[str, dict[str, Schema]]:
             **{"held_cost": _NUMBER, "edits": _LIST, "rounds": _LIST, "cameras": _LIST},
             **{"worst_images": _LIST, "movement": _MAYBE, "held_out": _MAYBE, "part": _MAYBE},
             "deleted": {"type": "object", "additionalProperties": _COUNT},
-            **dict.fromkeys(("georeference", "gravity", "certificate", "structure"), _MAYBE),
+            **dict.fromkeys(
+                ("georeference", "gravity", "velocities", "certificate", "structure"), _MAYBE
+            ),
             **dict.fromkeys(("chi2_by_kind", "left_out_edges", "rejected_edges"), _LIST),
             "camera_edits": _MAYBE,
             "output": _OUTPUT,
