@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include "core/error.h"
@@ -73,10 +74,11 @@ TwistTieFactor::TwistTieFactor(FactorHead head, double num_frames, double sigma_
              kTwistSize),
       num_frames_(num_frames),
       weights_{1 / sigma_w, 1 / sigma_v} {
+  const bool is_of_rotation = sigma_v == std::numeric_limits<double>::infinity();
   const std::pair<const char*, double> given[] = {
-      {"num_frames", num_frames}, {"sigma_w", sigma_w}, {"sigma_v", sigma_v}};
+      {"num_frames", num_frames}, {"sigma_w", sigma_w}, {"sigma_v", is_of_rotation ? 1 : sigma_v}};
   for (const auto& [what, value] : given) {
-    if (value > 0 && (std::isfinite(value) || what == given[2].first)) continue;
+    if (value > 0 && std::isfinite(value)) continue;
     throw InputError(name() + ": " + what + ": expected a finite number above 0, found " +
                      ShortNumber(value));
   }
