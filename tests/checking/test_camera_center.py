@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import Problem, _core
+from bundle.checking.jacobians import TURN
+from tests import scenes
 
 EPSILON = np.finfo(float).eps
 FOCAL, K = 400.0, -0.02
@@ -157,3 +159,18 @@ def test_a_real_model_with_points_at_camera_centres(bundle_data, seed):
     assert report, report
     assert {entry.reason for entry in report.undecided} <= {"camera_center"}
     assert report.num_undecided < 0.001 * report.num_checked
+
+
+def test_every_other_observation_is_checked_away_from_the_origin_of_its_chart(monkeypatch):
+    turns = []
+
+    def spy(problem, observations, offsets, *others):
+        turns.append(offsets)
+        return answer(problem, observations, offsets, *others)
+
+    answer = _core.check_reprojections
+    monkeypatch.setattr(_core, "check_reprojections", spy)
+    assert bundle.check_jacobians(scenes.make_problem(), seed=3)
+    (offsets,) = turns
+    assert not offsets[::2].any()
+    assert np.std(offsets[1::2]) == pytest.approx(TURN, rel=0.2)

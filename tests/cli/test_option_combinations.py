@@ -142,4 +142,7 @@ def test_no_combination_aborts(name, backend):
             assert answer["final"] <= answer["initial"] * (1 + 1e-9), flags
     # Refusing everything would be no answer either. The fused backend takes half of the solvers in
     # one of three orders, and needs points and cameras to refine.
-    assert solved > len(sets) / (4 if backend == "ceres" else 15)
+    share = 4 if backend == "ceres" else 15
+    if name == "one image":
+        share *= 2  # its points are no reconstruction unless some are held
+    assert solved > len(sets) / share

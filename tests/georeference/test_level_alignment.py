@@ -9,6 +9,7 @@ from bundle import GroundControlPoint, InputError, PositionPrior
 from bundle.georeference.control_point import Measurement
 from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.level_alignment import level_similarity
+from bundle.georeference.similarity_fit import WIDEST_ANGLE
 from bundle.solving.placed_problem import place_at_priors
 from tests.georeference.test_attitude_priors import gravity_of, tilt, upright_and_turned
 
@@ -93,6 +94,30 @@ def test_the_closed_form_is_the_minimum():
     assert (residual**2).sum() == pytest.approx(best)
     for change in ((1e-4, 0), (-1e-4, 0), (0, 1e-4), (0, -1e-4)):
         assert cost(found.scale + change[0], angle[2] + change[1]) > best
+
+
+def level(source, target, sigma=1e-3):
+    source, target = np.array(source, float), np.array(target, float)
+    covariance = np.tile(np.diag([sigma**2, sigma**2, 1.0]), (len(source), 1, 1))
+    return level_similarity(Correspondences(source, target, covariance), np.eye(3))
+
+
+def test_the_heading_is_known_to_ten_degrees():
+    """Two positions, 1 to both sides: the sigma of the heading is s / sqrt(2)."""
+    ends = [[-1, 0, 0], [1, 0, 0]]
+    limit = np.sqrt(2) * WIDEST_ANGLE
+    assert level(ends, ends, 0.99 * limit).scale == pytest.approx(1)
+    with pytest.raises(InputError):
+        level(ends, ends, 1.01 * limit)
+
+
+def test_what_determines_no_heading_or_no_scale_is_refused():
+    shaft, street = [[0, 0, -1], [0, 0, 1]], [[-5, 0, -1], [5, 0, 1]]
+    with pytest.raises(InputError):
+        level(shaft, street)
+    upside_down = [[-5, 0, 100], [5, 0, -100]]
+    with pytest.raises(InputError):
+        level([[-5, 0, -100], [5, 0, 100]], upside_down)
 
 
 def test_control_points_on_a_line_count_too():

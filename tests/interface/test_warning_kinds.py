@@ -19,6 +19,7 @@ IN_PYTHON = [
     "readout_outside",
     *("weak_baseline", "several_components", "local_minimum", "better_start"),
     *("unproven_set", "one_process", "wrong_factor", "free_directions", "prior_spectrum"),
+    "no_tracks",
     "ordering",
     "most_left_out",
 ]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bundle import InputError
+from bundle import InputError, SolveOptions
 from bundle.model.unobserved import require_observations, require_tracks, unobserved
 from tests.scenes import make_problem
 
@@ -28,6 +28,10 @@ def test_one_point_that_two_images_see_is_enough():
     assert (alone.num_observations, alone.num_points) == (12, 12)
     require_observations(alone, "model")
     with pytest.raises(InputError, match=r"^model: .*12 points"):
-        require_tracks(alone, "model")
+        require_tracks(alone, "model", SolveOptions())
     second = np.flatnonzero(whole.observation_point == 0)[:2]
-    require_tracks(whole.select(observations=np.union1d(first, second)).problem, "model")
+    enough = whole.select(observations=np.union1d(first, second)).problem
+    require_tracks(enough, "model", SolveOptions())
+    require_tracks(alone, "model", SolveOptions(refine="poses"))
+    require_tracks(alone, "model", SolveOptions(fixed_point_ids=[int(alone.point_ids[0])]))
+    require_tracks(whole.select(observations=[]).problem, "model", SolveOptions())

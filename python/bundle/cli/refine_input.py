@@ -91,9 +91,8 @@ def open_input(asked: Refinement, progress: Progress) -> Opened:
     place = georeference_at(source)
     kept = _kept_world(asked, place)
     known = priors_of(given, problem, kept=kept)
-    has_free_points = "points" in options.refine and not options.fixed_point_ids
-    if sliced is None and known is None and has_free_points and not asked.rules.changed():
-        require_tracks(problem, shown(source))
+    if sliced is None and known is None and not asked.rules.changed():
+        require_tracks(problem, shown(source), options)
     if place is not None:
         check_georeference(**output)
     return Opened(

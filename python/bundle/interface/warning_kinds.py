@@ -42,6 +42,7 @@ WARNING_KINDS = {
     "wrong_factor": "the Jacobian of a factor in Python differs from finite differences",
     "free_directions": "no factor determines some directions: only the damping limits them",
     "prior_spectrum": "the prior's information is asymmetric, indefinite or ill-conditioned",
+    "no_tracks": "no point is seen twice, so that nothing relates the images: not usable",
     "ordering": "another elimination order needs less than half of the flops",
     "most_left_out": "half of the closures or more contradict the largest consistent set",
 }

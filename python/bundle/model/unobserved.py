@@ -7,13 +7,16 @@ depth, its residual is zero wherever the camera is, and nothing relates the imag
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from typing import Protocol
+
 import numpy as np
 
 from bundle.base.words import Counts, contents, plural
 from bundle.errors import InputError
 from bundle.model.problem_arrays import ProblemArrays
 
-__all__ = ["require_observations", "require_tracks", "unobserved"]
+__all__ = ["are_images_unrelated", "require_observations", "require_tracks", "unobserved"]
 
 _ADVICE = "; triangulate points first, for example with `colmap point_triangulator`"
 
@@ -39,17 +42,40 @@ def require_observations(problem: Counts, name: str) -> None:
         raise InputError(f"{name}: expected observations to refine, found {found}")
 
 
-def require_tracks(problem: ProblemArrays, name: str) -> None:
-    """Refuse a problem whose points relate no images.
+class PointOptions(Protocol):
+    """Options of a solve that decide which points are refined."""
+
+    @property
+    def refine(self) -> Collection[str]:
+        """Groups of refined parameters."""
+
+    @property
+    def fixed_point_ids(self) -> Collection[int]:
+        """Ids of the points that are held."""
+
+
+def are_images_unrelated(problem: ProblemArrays, options: PointOptions) -> bool:
+    """Return True if all points are refined, none is held, and none is observed twice.
+
+    Priors, factors and rules, which relate images too, are not looked at.
+    """
+    if "points" not in options.refine or options.fixed_point_ids:
+        return False
+    return bool(np.bincount(problem.observation_point).max(initial=0) == 1)
+
+
+def require_tracks(problem: ProblemArrays, name: str, options: PointOptions) -> None:
+    """Refuse a problem whose refined points relate no images.
 
     Args:
-        problem: a problem with observations, whose points are refined.
+        problem: a problem with observations.
         name: path or name, for the message.
+        options: options of the solve.
 
     Raises:
-        InputError: no point is observed twice.
+        InputError: all points are refined, and none is observed twice.
     """
-    if np.bincount(problem.observation_point).max(initial=0) == 1:
+    if are_images_unrelated(problem, options):
         raise InputError(
             f"{name}: expected points that several images see, found "
             f"{plural(problem.num_observations, 'point')} with one observation each; export the "

@@ -19,6 +19,7 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.solve_record import Progress, record_fields, with_warnings
 from bundle.model.problem import Problem
 from bundle.model.rolling_shutter import refuse
+from bundle.model.unobserved import are_images_unrelated
 from bundle.solving.kept_errors import Edit
 from bundle.solving.layout import Layout, lay_out
 from bundle.solving.placed_problem import PlacedProblem, place_at_priors
@@ -106,7 +107,10 @@ class Prepared:
 
             warnings["wrong_factor"] = wrong_factor(self.start, known.factors, output)
         warnings["weak_baseline"] = weak_baseline(options, before, refined, output["summary"])
+        if known is None and limits is None and self.applied is None and self.part is None:
+            warnings["no_tracks"] = _without_tracks(before, options)
         fields = with_warnings(output["summary"], warnings)
+        fields["is_solution_usable"] &= not warnings.get("no_tracks")
         if options.check_solution:
             fields = with_model_alarm(fields, before, options)
         output = {**output, "summary": fields}
@@ -280,6 +284,16 @@ def _within(part: LocalPart, whole: Prepared) -> Prepared:
         applied=None if applied is None else applied.restricted(part.problem),
         part=part,
         rest=rest,
+    )
+
+
+def _without_tracks(problem: Problem, options: SolveOptions) -> str:
+    """Return a warning about a problem whose points relate no images; "" otherwise."""
+    if not are_images_unrelated(problem, options):
+        return ""
+    return (
+        "No point is observed twice, so nothing relates the images: residuals vanish wherever the "
+        "cameras are, and the result is no reconstruction."
     )
 
 

@@ -45,6 +45,22 @@ def test_blocks_are_those_of_the_dense_inverse(dimension, error):
     assert np.trace(inner.pose_covariance.sum(axis=0)) < np.trace(cov.pose_covariance.sum(axis=0))
 
 
+@pytest.mark.parametrize("num_poses", [2, 5])
+def test_without_edges_no_sigma_is_known(num_poses):
+    none = {
+        "edges": np.zeros((0, 2), int),
+        "measurements": np.zeros((0, 3)),
+        "information": np.zeros((0, 3, 3)),
+    }
+    poses = np.zeros((num_poses, 3))
+    with pytest.raises(bundle.InputError, match=r"^graph: .*no edge"):
+        bundle.covariance(bundle.PoseGraph(poses=poses, **none))
+    with pytest.raises(bundle.InputError, match=r"^graph: .*no edge"):
+        bundle.inspect(bundle.PoseGraph(poses=poses, **none))
+    fixed = bundle.PoseGraph(poses=poses, fixed=np.ones(num_poses, bool), **none)
+    assert not bundle.covariance(fixed).pose_covariance.any()
+
+
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_blocks_are_those_of_gtsam(dimension):
     gtsam = pytest.importorskip("gtsam")

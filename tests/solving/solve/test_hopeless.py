@@ -117,6 +117,29 @@ def test_points_seen_once_are_counted(solve):
     assert "points_seen_once" not in bundle.solve(problem, refine="poses").summary.warning_kinds
 
 
+def test_points_of_one_image_each_are_no_reconstruction(solve):
+    problem = seen_once()
+    summary = (result := solve(problem)).summary
+    assert "no_tracks" in summary.warning_kinds
+    assert not summary.is_solution_usable
+    assert "Converged" not in str(result)
+    two = restricted(problem, np.r_[0, np.arange(problem.num_observations)])  # one seen twice
+    others = (
+        bundle.solve(two, max_num_iterations=2),
+        *(
+            bundle.solve(problem, max_num_iterations=2, **held)
+            for held in (
+                {"refine": "poses"},
+                {"fixed_point_ids": problem.point_ids[:1].tolist()},
+                {"constraints": ["cameras *: f prior 2 %"]},
+                {"factors": [bundle.PriorFactor(("point", 1), problem.points[0], 0.1)]},
+            )
+        ),
+    )
+    for other in others:
+        assert "no_tracks" not in other.summary.warning_kinds
+
+
 def test_a_solution_that_is_no_reconstruction_is_dropped(solve):
     problem = turned_away()
     result = solve(problem, cheirality="algebraic", max_num_iterations=30)

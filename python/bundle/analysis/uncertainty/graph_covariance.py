@@ -16,7 +16,11 @@ from bundle.base.arrays import FrozenArrays, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.words import not_converged, number, plural
 from bundle.errors import InputError, brief
-from bundle.graphs.pose_graphs.edge_weights import WeightedGraph, weighted_graph
+from bundle.graphs.pose_graphs.edge_weights import (
+    WeightedGraph,
+    check_edges_exist,
+    weighted_graph,
+)
 from bundle.graphs.pose_graphs.joints import find_joints
 from bundle.interface.covariance_options import SCALES, one_of
 from bundle.interface.pose_graph_options import PoseGraphOptions
@@ -149,6 +153,8 @@ def graph_covariance(
     gauge, scale = one_of("gauge", gauge, GRAPH_GAUGES), one_of("scale", scale, SCALES)
     weighted = weighted_graph(graph, options, changes, "covariance")
     used = weighted.graph
+    if used.num_poses > 1:
+        check_edges_exist(used)
     pairs = list(relative)
     rows = _rows_of(used, pairs)
     held, _, for_gauge = _core.hold_poses(used)

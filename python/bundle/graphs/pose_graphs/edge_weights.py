@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.arguments import check_type
 from bundle.base.paths import as_path, is_path
+from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
 from bundle.graphs.pose_graphs.information import checked_information
@@ -20,7 +21,14 @@ from bundle.io.g2o_files import load_g2o
 from bundle.io.recognition import is_pose_graph_file
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["WeightedGraph", "check_free_pose", "is_graph", "refuse_for_graphs", "weighted_graph"]
+__all__ = [
+    "WeightedGraph",
+    "check_edges_exist",
+    "check_free_pose",
+    "is_graph",
+    "refuse_for_graphs",
+    "weighted_graph",
+]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,12 +66,26 @@ def refuse_for_graphs(**given: Any) -> None:
             raise InputError(f"{name}: expected only with a reconstruction, found a graph")
 
 
+def check_edges_exist(graph: PoseGraph) -> None:
+    """Refuse a graph without edges, unless its poses are fixed.
+
+    Raises:
+        InputError: nothing relates the poses.
+    """
+    if not graph.num_edges and not graph.fixed.all():
+        raise InputError(
+            f"graph: expected edges, which relate poses, found {plural(graph.num_poses, 'pose')} "
+            "and no edge"
+        )
+
+
 def check_free_pose(graph: PoseGraph) -> None:
     """Refuse a graph whose poses a solve holds constant, all of them.
 
     Raises:
         InputError: there is no free pose.
     """
+    check_edges_exist(graph)
     held, _, _ = _core.hold_poses(graph)
     if held.all():
         raise InputError(

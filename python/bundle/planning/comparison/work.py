@@ -79,8 +79,7 @@ class Work:
             self.report(Progress(stage=f"reading {shown(name)}"))
         source = as_problem(source, name="problems")
         require_observations(source, shown(name))
-        if "points" in self.options.refine and not self.options.fixed_point_ids:
-            require_tracks(source, shown(name))
+        require_tracks(source, shown(name), self.options)
         if self.perturb:
             source = perturbed(source, self.options, self.perturb, self.seed)
         hand_over.store(source, self.folder / str(index))
