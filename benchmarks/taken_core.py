@@ -38,7 +38,7 @@ def two_cores_of_which_one_is_taken() -> Iterator[None]:
     allowed = os.sched_getaffinity(0)
     cores = sorted(allowed)[:2]
     if len(cores) < 2:
-        raise SystemExit("error: expected two cores, found one")
+        raise SystemExit(f"error: expected two cores, found {len(cores)}")
     busy = subprocess.Popen([sys.executable, "-c", BUSY, str(cores[1])])
     os.sched_setaffinity(0, cores)
     try:
