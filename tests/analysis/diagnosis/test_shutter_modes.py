@@ -91,6 +91,12 @@ def test_planted_degeneracies_are_named(name):
     assert kinds(scene_of(name, 1)) == [PLANTED[name]]
 
 
+@pytest.mark.parametrize("seed", [7061, 7078])
+def test_long_roads_are_named(seed):
+    """Their weak eigenvalues reach 3e-5."""
+    assert kinds(scene_of("road", seed)) == [PLANTED["road"]]
+
+
 def test_pure_translation_has_a_null_direction_per_image():
     problem = film(
         options("drone_grid", camera_model="PINHOLE", num_points=300),

@@ -9,8 +9,9 @@ Spectrum at the fixed point (shutter_spectrum.py). Eigenvalues of the scaled sys
 as weak: seeded flights over flat ground have one to two of them per image; over a relief of 5 % of
 the height at most 0.4, walks and drives none. An image is named if the weak directions contain 0.7
 of a direction of its unknowns, and its points are flat: their relief about a plane is below 2 % of
-their distance. Eigenvalues below 1e-11 are zero; if they contain 0.7 of a direction of an image,
-it is named for any scene.
+their distance. Where all images are flat, the weak directions of a long road reach 3e-5, and those
+below 5e-5 count; the next are above 2e-4. Eigenvalues below 1e-11 are zero; if they contain 0.7 of
+a direction of an image, it is named for any scene.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ __all__ = ["shutter_modes"]
 Floats = NDArray[np.float64]
 
 WEAK = 1e-5
+WEAK_IF_ALL_FLAT = 5e-5
 ZERO = 1e-11
 ENERGY = 0.7
 FLAT = 0.02
@@ -54,7 +56,8 @@ def shutter_modes(problem: Problem) -> list[WeakMode]:
     if found is None:
         return []
     is_flat = _flat_images(problem, found)
-    weak = (_energy(found, WEAK) > ENERGY) & is_flat
+    limit = WEAK_IF_ALL_FLAT if is_flat.all() else WEAK
+    weak = (_energy(found, limit) > ENERGY) & is_flat
     null = _energy(found, ZERO) > ENERGY
     chosen = weak | null
     if chosen.sum() < FEWEST:
@@ -64,7 +67,7 @@ def shutter_modes(problem: Problem) -> list[WeakMode]:
     tested = ""
     if len(found.images) < rolls.sum():
         tested = f" {len(found.images)} of {int(rolls.sum())} images were tested."
-    dimension = int((found.eigenvalues < (ZERO if null[chosen].all() else WEAK)).sum())
+    dimension = int((found.eigenvalues < (ZERO if null[chosen].all() else limit)).sum())
     return [
         WeakMode(
             kind=kind,
