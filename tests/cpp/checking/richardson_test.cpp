@@ -1,6 +1,7 @@
 #include <bundle/richardson.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <random>
 
@@ -20,6 +21,7 @@ Found Differentiate(const Function& f, double first_step, double noise) {
     *value = f(step);
     return std::isfinite(*value);
   };
+  noise = std::max(noise, FindResolution(line, 1, first_step, &noise).jump[0]);
   RichardsonDerivative(line, 1, first_step, &noise, &found.derivative, &found.uncertainty);
   return found;
 }

@@ -16,6 +16,7 @@
 #include <cstddef>
 #include <limits>
 #include <random>
+#include <utility>
 #include <vector>
 
 namespace bundle {
@@ -133,57 +134,98 @@ class MovablePoint {
   const std::vector<const double*>& parameters_;
 };
 
+/// Noise of the values along each line. A value that changes in jumps of q along one line has the
+/// resolution q along all lines on which it stands still at some step.
+class LineNoise {
+ public:
+  explicit LineNoise(std::vector<double> noise)
+      : noise_(std::move(noise)), jumps_(noise_.size(), std::numeric_limits<double>::infinity()) {}
+
+  void Add(const LineFunction& f, double first_step) {
+    const int n = static_cast<int>(noise_.size());
+    lines_.push_back(FindResolution(f, n, first_step, noise_.data()));
+    for (int i = 0; i < n; ++i) {
+      const double jump = lines_.back().jump[i];
+      if (jump > 0) jumps_[i] = std::min(jumps_[i], jump);
+    }
+  }
+
+  std::vector<double> Of(size_t line) const {
+    std::vector<double> noise = noise_;
+    for (size_t i = 0; i < noise.size(); ++i) {
+      noise[i] = std::max(noise[i], lines_[line].jump[i]);
+      if (!lines_[line].stood_still[i] || !std::isfinite(jumps_[i])) continue;
+      noise[i] = std::max(noise[i], jumps_[i]);
+    }
+    return noise;
+  }
+
+ private:
+  const std::vector<double> noise_;
+  std::vector<double> jumps_;  ///< smallest jump of each value
+  std::vector<Resolution> lines_;
+};
+
 /// Writes columns into a Jacobian as they are computed.
-///
-/// A value that stands still along one column, and changes in jumps of q along others, may have a
-/// slope in this column, too. Over a step of h it is at most q / h.
 class ColumnWriter {
  public:
-  ColumnWriter(const std::vector<double>& noise, int num_columns, NumericJacobian* jacobian)
-      : noise_(noise),
-        rows_(static_cast<int>(noise.size())),
-        columns_(num_columns),
-        jacobian_(jacobian),
-        jumps_(noise.size(), std::numeric_limits<double>::infinity()) {
+  ColumnWriter(int num_rows, int num_columns, NumericJacobian* jacobian)
+      : rows_(num_rows), columns_(num_columns), jacobian_(jacobian) {
     jacobian->values.resize(static_cast<size_t>(rows_) * columns_);
     jacobian->uncertainty.resize(static_cast<size_t>(rows_) * columns_);
   }
 
-  void Add(const LineFunction& f, double first_step) {
-    std::vector<double> derivative(rows_), uncertainty(rows_);
-    const Resolution resolution = RichardsonDerivative(f, rows_, first_step, noise_.data(),
-                                                       derivative.data(), uncertainty.data());
+  void Add(const std::vector<double>& derivative, const std::vector<double>& uncertainty) {
     for (int row = 0; row < rows_; ++row) {
-      if (resolution.jump[row] > 0) jumps_[row] = std::min(jumps_[row], resolution.jump[row]);
-      if (resolution.stood_still[row]) still_.push_back({row, next_, first_step});
       jacobian_->values[row * columns_ + next_] = derivative[row];
       jacobian_->uncertainty[row * columns_ + next_] = uncertainty[row];
     }
     ++next_;
   }
 
-  /// Raises the uncertainty of values that stood still. To be called after the last column.
-  void Finish() {
-    for (const Still& still : still_) {
-      if (!std::isfinite(jumps_[still.row])) continue;
-      double& uncertainty = jacobian_->uncertainty[still.row * columns_ + still.column];
-      uncertainty = std::max(uncertainty, jumps_[still.row] / still.step);
-    }
-  }
-
  private:
-  struct Still {
-    int row, column;
-    double step;
-  };
-
-  const std::vector<double>& noise_;
   const int rows_, columns_;
   NumericJacobian* jacobian_;
-  std::vector<double> jumps_;  ///< smallest jump of each row
-  std::vector<Still> still_;
   int next_ = 0;
 };
+
+/// Calls visit(line, first step, is ambient, is tangent) for the line along each number of the
+/// blocks and, if manifolds are curved, along each tangent coordinate.
+template <typename Visit>
+void ForEachLine(const ceres::CostFunction& cost, const Manifolds& manifolds,
+                 const std::vector<const double*>& parameters, const KnownScales& known,
+                 const Visit& visit) {
+  MovablePoint point(cost, parameters);
+  size_t column = 0;
+  for (size_t b = 0; b < parameters.size(); ++b) {
+    const int size = cost.parameter_block_sizes()[b];
+    std::vector<double> moved(parameters[b], parameters[b] + size);
+    for (int j = 0; j < size; ++j) {
+      const LineFunction along_axis = [&](double step, double* residuals) {
+        moved[j] = parameters[b][j] + step;
+        return point.Evaluate(b, moved.data(), residuals);
+      };
+      double first_step = FirstStep(parameters[b][j]);
+      if (!known.largest_steps.empty()) {
+        first_step = std::min(first_step, known.largest_steps[column]);
+      }
+      ++column;
+      visit(along_axis, first_step, true, manifolds[b] == nullptr);
+      moved[j] = parameters[b][j];
+    }
+    if (manifolds[b] == nullptr) continue;
+    std::vector<double> delta(manifolds[b]->TangentSize());
+    for (double& entry : delta) {
+      const LineFunction along_manifold = [&](double step, double* residuals) {
+        entry = step;
+        return manifolds[b]->Plus(parameters[b], delta.data(), moved.data()) &&
+               point.Evaluate(b, moved.data(), residuals);
+      };
+      visit(along_manifold, kLeastFirstStep, false, true);
+      entry = 0;
+    }
+  }
+}
 
 }  // namespace numeric_internal
 
@@ -211,42 +253,24 @@ inline ReferenceJacobians DifferentiateByRichardson(const ceres::CostFunction& c
   std::vector<double> noise = numeric_internal::RoundingNoise(cost, parameters, known);
   constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
   for (double& value : noise) value += kEpsilon * known.minuend;
-  numeric_internal::ColumnWriter ambient(noise, AmbientSize(cost), &jacobians.ambient);
-  numeric_internal::ColumnWriter tangent(noise, curved ? TangentSize(cost, manifolds) : 0,
+  const int n = cost.num_residuals();
+  numeric_internal::LineNoise line_noise(noise);
+  numeric_internal::ForEachLine(
+      cost, manifolds, parameters, known,
+      [&](const LineFunction& f, double first_step, bool, bool) { line_noise.Add(f, first_step); });
+  numeric_internal::ColumnWriter ambient(n, AmbientSize(cost), &jacobians.ambient);
+  numeric_internal::ColumnWriter tangent(n, curved ? TangentSize(cost, manifolds) : 0,
                                          &jacobians.tangent);
-  numeric_internal::MovablePoint point(cost, parameters);
-  size_t column = 0;
-  for (size_t b = 0; b < parameters.size(); ++b) {
-    const int size = cost.parameter_block_sizes()[b];
-    std::vector<double> moved(parameters[b], parameters[b] + size);
-    for (int j = 0; j < size; ++j) {
-      const LineFunction along_axis = [&](double step, double* residuals) {
-        moved[j] = parameters[b][j] + step;
-        return point.Evaluate(b, moved.data(), residuals);
-      };
-      double first_step = numeric_internal::FirstStep(parameters[b][j]);
-      if (!known.largest_steps.empty()) {
-        first_step = std::min(first_step, known.largest_steps[column]);
-      }
-      ++column;
-      ambient.Add(along_axis, first_step);
-      if (curved && manifolds[b] == nullptr) tangent.Add(along_axis, first_step);
-      moved[j] = parameters[b][j];
-    }
-    if (manifolds[b] == nullptr) continue;
-    std::vector<double> delta(manifolds[b]->TangentSize());
-    for (double& entry : delta) {
-      const LineFunction along_manifold = [&](double step, double* residuals) {
-        entry = step;
-        return manifolds[b]->Plus(parameters[b], delta.data(), moved.data()) &&
-               point.Evaluate(b, moved.data(), residuals);
-      };
-      tangent.Add(along_manifold, numeric_internal::kLeastFirstStep);
-      entry = 0;
-    }
-  }
-  ambient.Finish();
-  tangent.Finish();
+  std::vector<double> derivative(n), uncertainty(n);
+  size_t line = 0;
+  const auto differentiate = [&](const LineFunction& f, double first_step, bool is_ambient,
+                                 bool is_tangent) {
+    RichardsonDerivative(f, n, first_step, line_noise.Of(line++).data(), derivative.data(),
+                         uncertainty.data());
+    if (is_ambient) ambient.Add(derivative, uncertainty);
+    if (curved && is_tangent) tangent.Add(derivative, uncertainty);
+  };
+  numeric_internal::ForEachLine(cost, manifolds, parameters, known, differentiate);
   if (!curved) jacobians.tangent = jacobians.ambient;
   return jacobians;
 }

@@ -20,7 +20,7 @@ using LineFunction = std::function<bool(double step, double* values)>;
 
 struct Resolution {
   std::vector<double> jump;       ///< change after standing still; 0: none
-  std::vector<char> stood_still;  ///< 1 if the value is the same at all steps
+  std::vector<char> stood_still;  ///< 1 if the value is the same at some step
 };
 
 namespace resolution_internal {
@@ -61,12 +61,12 @@ inline std::vector<char> AreStairs(const LineFunction& f, const std::vector<doub
 
 }  // namespace resolution_internal
 
-/// Raises the noise of values to their resolution.
+/// `noise`: rounding errors of the values.
 inline Resolution FindResolution(const LineFunction& f, int num_values, double largest_step,
-                                 std::vector<double>* noise) {
+                                 const double* noise) {
   using namespace resolution_internal;
   Resolution found{std::vector<double>(num_values, 0), std::vector<char>(num_values, 0)};
-  std::vector<char> stood_still(num_values, 0), moves(num_values, 0);
+  std::vector<char> moves(num_values, 0);
   std::vector<double> center(num_values), values(num_values);
   if (!f(0, center.data())) return found;
   for (int finer = kFiner; finer >= 0; --finer) {
@@ -76,9 +76,9 @@ inline Resolution FindResolution(const LineFunction& f, int num_values, double l
     for (int i = 0; i < num_values; ++i) {
       const double change = std::abs(values[i] - center[i]);
       // Change expected from the previous step.
-      const bool unexplained = change / kRatio > kExplained * (*noise)[i];
-      jumps[i] = stood_still[i] && !moves[i] && unexplained;
-      (change > 0 ? moves : stood_still)[i] = 1;
+      const bool unexplained = change / kRatio > kExplained * noise[i];
+      jumps[i] = found.stood_still[i] && !moves[i] && unexplained;
+      (change > 0 ? moves : found.stood_still)[i] = 1;
     }
     const bool any_jumps = std::find(jumps.begin(), jumps.end(), 1) != jumps.end();
     if (finer == 0 && any_jumps) {
@@ -86,11 +86,10 @@ inline Resolution FindResolution(const LineFunction& f, int num_values, double l
       for (int i = 0; i < num_values; ++i) jumps[i] &= are_stairs[i];
     }
     for (int i = 0; i < num_values; ++i) {
-      if (jumps[i]) found.jump[i] = (*noise)[i] = std::abs(values[i] - center[i]);
+      if (jumps[i]) found.jump[i] = std::abs(values[i] - center[i]);
     }
     if (std::find(moves.begin(), moves.end(), 0) == moves.end()) return found;
   }
-  for (int i = 0; i < num_values; ++i) found.stood_still[i] = !moves[i];
   return found;
 }
 

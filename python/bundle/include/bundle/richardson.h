@@ -308,13 +308,10 @@ class Search {
 
 /// The derivative of each value at step 0 and a bound on its error, which is infinite if no
 /// derivative was found. The search begins at `first_step` > 0. `noise` is the size of the rounding
-/// errors of each value.
-inline Resolution RichardsonDerivative(const LineFunction& f, int num_values, double first_step,
-                                       const double* noise, double* derivative,
-                                       double* uncertainty) {
-  std::vector<double> raised(noise, noise + num_values);
-  Resolution resolution = FindResolution(f, num_values, first_step, &raised);
-  richardson_internal::Search search(f, num_values, raised.data());
+/// errors of each value, and its resolution (bundle/resolution.h).
+inline void RichardsonDerivative(const LineFunction& f, int num_values, double first_step,
+                                 const double* noise, double* derivative, double* uncertainty) {
+  richardson_internal::Search search(f, num_values, noise);
   double h = first_step;
   for (int tableau = 0; tableau < richardson_internal::kTableaux;
        ++tableau, h /= richardson_internal::kRestart) {
@@ -326,7 +323,6 @@ inline Resolution RichardsonDerivative(const LineFunction& f, int num_values, do
   search.AddKinks();
   std::copy_n(search.best().derivative.begin(), num_values, derivative);
   std::copy_n(search.best().uncertainty.begin(), num_values, uncertainty);
-  return resolution;
 }
 
 }  // namespace bundle
