@@ -10,6 +10,7 @@
 /// are the same for any number of threads.
 
 #include <algorithm>
+#include <cstdint>
 #include <numeric>
 
 namespace bundle {
@@ -70,6 +71,18 @@ PanelSubtrees FindSubtrees(const Supernodes& supernodes, const std::vector<int>&
   std::stable_sort(result.order.begin(), result.order.end(),
                    [&](int a, int b) { return flops_of_range[a] > flops_of_range[b]; });
   return result;
+}
+
+PanelSubtrees FindSubtrees(const Supernodes& supernodes, const std::vector<int>& offset) {
+  const std::vector<int> panel_of = PanelOfBlocks(supernodes);
+  const int num_panels = supernodes.num_panels();
+  std::vector<int> parent(num_panels, -1), width(num_panels);
+  for (int s = 0; s < num_panels; ++s) {
+    width[s] = offset[supernodes.first_block[s + 1]] - offset[supernodes.first_block[s]];
+    const int64_t row = supernodes.rows_begin[s];
+    if (row < supernodes.rows_begin[s + 1]) parent[s] = panel_of[supernodes.row_block[row]];
+  }
+  return FindSubtrees(supernodes, parent, width);
 }
 
 }  // namespace bundle

@@ -24,4 +24,7 @@ struct PanelSubtrees {
 PanelSubtrees FindSubtrees(const Supernodes& supernodes, const std::vector<int>& parent,
                            const std::vector<int>& width);
 
+/// The same from `offset`: the first column of each block column, then the end.
+PanelSubtrees FindSubtrees(const Supernodes& supernodes, const std::vector<int>& offset);
+
 }  // namespace bundle

@@ -35,24 +35,12 @@ int64_t Slices(int size, int of_slice) { return (size + of_slice - 1) / of_slice
 SupernodalCholesky::SupernodalCholesky(std::vector<int> offset, Supernodes supernodes)
     : offset_(std::move(offset)),
       supernodes_(std::move(supernodes)),
-      panel_of_(offset_.size() - 1),
+      panel_of_(PanelOfBlocks(supernodes_)),
+      subtrees_(FindSubtrees(supernodes_, offset_)),
       next_update_(supernodes_.num_panels()),
       next_row_(supernodes_.num_panels()),
-      scratch_(1) {
-  const int num_panels = supernodes_.num_panels();
-  std::vector<int> parent(num_panels, -1), width(num_panels);
-  for (int s = 0; s < num_panels; ++s) {
-    std::fill(panel_of_.begin() + supernodes_.first_block[s],
-              panel_of_.begin() + supernodes_.first_block[s + 1], s);
-    width[s] = Width(s);
-  }
-  for (int s = 0; s < num_panels; ++s) {
-    const int64_t row = supernodes_.rows_begin[s];
-    if (row < supernodes_.rows_begin[s + 1]) parent[s] = panel_of_[supernodes_.row_block[row]];
-  }
-  subtrees_ = FindSubtrees(supernodes_, parent, width);
-  leaving_.resize(subtrees_.subtrees.size());
-}
+      leaving_(subtrees_.subtrees.size()),
+      scratch_(1) {}
 
 int SupernodalCholesky::BlockSize(int64_t row) const {
   const int block = supernodes_.row_block[row];

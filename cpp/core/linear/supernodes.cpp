@@ -141,6 +141,15 @@ Supernodes FindSupernodes(const BlockStructure& structure) {
   return result;
 }
 
+std::vector<int> PanelOfBlocks(const Supernodes& supernodes) {
+  std::vector<int> panel_of(supernodes.first_block.back());
+  for (int s = 0; s < supernodes.num_panels(); ++s) {
+    std::fill(panel_of.begin() + supernodes.first_block[s],
+              panel_of.begin() + supernodes.first_block[s + 1], s);
+  }
+  return panel_of;
+}
+
 BlockStructure PlaceInFactor(const BlockStructure& structure, const Supernodes& supernodes) {
   BlockStructure result = structure;
   result.num_values = supernodes.values_begin.back();

@@ -33,6 +33,9 @@ struct Supernodes {
 /// panel, so the order should be an elimination tree's postorder.
 Supernodes FindSupernodes(const BlockStructure& structure);
 
+/// The panel of each block column.
+std::vector<int> PanelOfBlocks(const Supernodes& supernodes);
+
 /// The blocks of S, with the places of their values in the panels of the factor.
 BlockStructure PlaceInFactor(const BlockStructure& structure, const Supernodes& supernodes);
 

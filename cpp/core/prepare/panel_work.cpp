@@ -99,18 +99,7 @@ constexpr double kFlopsOfUpdate = 5000;
 
 double BusiestShare(const BlockStructure& structure, const Supernodes& nodes, const Slices& slices,
                     const std::vector<double>& work, int num_threads) {
-  const int num_panels = nodes.num_panels();
-  std::vector<int> panel_of(structure.num_blocks()), parent(num_panels, -1), width(num_panels);
-  for (int s = 0; s < num_panels; ++s) {
-    const int first = nodes.first_block[s], last = nodes.first_block[s + 1];
-    std::fill(panel_of.begin() + first, panel_of.begin() + last, s);
-    width[s] = structure.offset[last] - structure.offset[first];
-  }
-  for (int s = 0; s < num_panels; ++s) {
-    const int64_t row = nodes.rows_begin[s];
-    if (row < nodes.rows_begin[s + 1]) parent[s] = panel_of[nodes.row_block[row]];
-  }
-  const PanelSubtrees trees = FindSubtrees(nodes, parent, width);
+  const PanelSubtrees trees = FindSubtrees(nodes, structure.offset);
   std::vector<double> busy(num_threads, 0.0);
   for (const int k : trees.order) {
     const auto [first, last] = trees.subtrees[k];
