@@ -154,11 +154,29 @@ def test_terms_add_up_and_threads_divide_large_graphs_only():
             np.testing.assert_allclose(half[name], (one[name] + two[name]) / 2)
 
 
+def test_edges_are_divided_by_the_threads_that_they_are_worth():
+    seconds = dict.fromkeys(graph_rates.FEATURES, 1e-09)
+    graph = graph_rates.made_graph("near", 4000, 6, seed=0)
+    worth = graph.num_edges * 36 // graph_rates.EDGES_OF_A_THREAD
+    assert worth == 2
+    one, eight = (
+        graph_rates.step_terms(
+            graph_rates.GraphRates(num_threads=n, seconds=seconds),
+            graph,
+            graph_rates._work(graph, "amd", n),
+        )
+        for n in (1, 8)
+    )
+    assert eight["edges"] == pytest.approx(one["edges"] / worth)
+
+
 def test_the_efficiency_is_the_measured_part_of_the_ideal_saving(monkeypatch):
     seconds = dict.fromkeys(graph_rates.FEATURES, 1e-09)
     rates = graph_rates.GraphRates(num_threads=2, seconds=seconds)
 
     def found(share):
+        calls = []
+
         def measured(graph, ordering, threads):
             one, ideal = (
                 sum(
@@ -170,7 +188,9 @@ def test_the_efficiency_is_the_measured_part_of_the_ideal_saving(monkeypatch):
                 )
                 for n in (1, 2)
             )
-            return one if threads == 1 else one - share * (one - ideal)
+            calls.append(threads)
+            disturbed = 1.5 if len(calls) % 6 == 3 else 1.0  # other load lengthens some steps
+            return disturbed * (one if threads == 1 else one - share * (one - ideal))
 
         monkeypatch.setattr(graph_rates, "step_time", measured)
         return graph_rates._with_efficiency(rates).efficiency

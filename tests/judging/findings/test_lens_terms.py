@@ -1,0 +1,53 @@
+"""The lens of a finding: which field counts, and the smallest larger model that explains it."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bundle.judging.findings.lens_terms import LensField, lens_model
+from bundle.judging.findings.next_command import NextCommand
+
+MEASURED = SimpleNamespace(command=NextCommand("IN", "OUT", ()))
+
+
+def field(radial, tangential, *, size=1.0, significant=True):
+    """A field of orthonormal columns r2 and t1."""
+    columns = np.eye(2).reshape(1, 2, 2)
+    explained = np.array([[radial, tangential]])
+    return LensField(
+        model="SIMPLE_PINHOLE",
+        camera_ids=(1,),
+        terms=("r2", "t1"),
+        columns=columns,
+        residual=explained,
+        field=explained,
+        statistic=100.0,
+        significant=significant,
+        size=size,
+    )
+
+
+@pytest.mark.parametrize(
+    ("radial", "tangential", "larger", "kind"),
+    [
+        (1.0, 0.0, "SIMPLE_RADIAL", "radial"),
+        (1.0, 0.3, "SIMPLE_RADIAL", "radial"),  # 92 % of the field
+        (1.0, 0.5, "OPENCV", "radial"),  # 80 %
+        (0.1, 1.0, "OPENCV", "tangential"),
+    ],
+)
+def test_the_smallest_model_that_explains_the_field_is_proposed(radial, tangential, larger, kind):
+    found = lens_model(MEASURED, [field(radial, tangential)])
+    shares = found.evidence["shares"]
+    assert found.evidence["larger_model"] == larger and larger in found.command
+    assert max(shares, key=shares.get) == kind
+    assert shares["radial"] == pytest.approx(radial**2 / (radial**2 + tangential**2))
+
+
+def test_the_largest_significant_field_counts():
+    small, large = field(1.0, 0.0, size=0.2), replace(field(0.0, 1.0), size=0.5)
+    noise = field(1.0, 0.0, size=9.0, significant=False)
+    assert lens_model(MEASURED, [small, noise, large]).evidence["size"] == 0.5
+    assert lens_model(MEASURED, [noise, field(1.0, 0.0, size=0.1)]) is None
