@@ -107,9 +107,9 @@ void Crew::Run(const std::function<void(int thread)>& work) {
   if (!workers_.empty()) {
     work_ = &work;
     unfinished_.store(static_cast<int>(workers_.size()), std::memory_order_relaxed);
-    const std::lock_guard<std::mutex> lock(mutex_);
-    generation_.fetch_add(1, std::memory_order_release);
-    if (num_asleep_ > 0) {
+    if (StartRun()) {
+      // Without the mutex: a woken thread that had to wait for it would be woken, and placed by the
+      // system, a second time.
       wake_.notify_all();
       for (std::thread& worker : workers_) MoveElsewhere(&worker);
     }
@@ -123,6 +123,12 @@ void Crew::Run(const std::function<void(int thread)>& work) {
   }
   for (SpinWait wait; unfinished_.load(std::memory_order_acquire) > 0;) wait.Once();
   first_exception_.Rethrow();
+}
+
+bool Crew::StartRun() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  generation_.fetch_add(1, std::memory_order_release);
+  return num_asleep_ > 0;
 }
 
 bool Crew::Claim(int thread, int64_t generation) {

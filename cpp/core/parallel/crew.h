@@ -47,6 +47,8 @@ class Crew {
 
  private:
   void WorkerLoop(int thread);
+  /// Lets the threads that are awake begin; true if some are asleep.
+  bool StartRun();
   /// True for the first caller in a run: only that one may do the work of the thread.
   bool Claim(int thread, int64_t generation);
   void Work(const std::function<void(int thread)>& work, int thread);
