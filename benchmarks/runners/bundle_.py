@@ -17,6 +17,10 @@ import bundle
 from benchmarks import bal
 from benchmarks.runners import protocol
 
+# Imported on first use. The imports of other packages are not timed either.
+bundle.load, bundle.solve  # noqa: B018
+importlib.import_module("bundle.solving.executors")
+
 
 def _rotation_matrices(quaternions: Any) -> Any:
     """Return (n, 3, 3) of (n, 4) quaternions, x y z w, not necessarily of unit length."""
@@ -69,9 +73,6 @@ def _size(problem: bundle.Problem) -> dict[str, int]:
 
 def run(request: protocol.Request) -> protocol.Outcome:
     """Load and solve, timing each."""
-    # Imported on first use. The imports of other packages are not timed either.
-    bundle.load, bundle.solve  # noqa: B018
-    importlib.import_module("bundle.solving.executors")
     start = time.perf_counter()
     problem = bundle.load(request.path)
     loaded = time.perf_counter()

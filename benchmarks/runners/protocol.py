@@ -7,9 +7,14 @@ import json
 import os
 import resource
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+
+SETTLE = 0.2
+"""Seconds between the imports and the run: threads of OpenBLAS, which NumPy and others start when
+they are imported, spin for up to 0.1 s and take a core from every solver."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,6 +129,7 @@ def main(run: Callable[[Request], Outcome]) -> None:
     request = Request(**{**fields, "path": Path(fields["path"])})
     pin(request.threads)
     limit_memory(request.memory_limit)
+    time.sleep(SETTLE)
     try:
         answer = dataclasses.asdict(run(request))
     except NotApplicableError as reason:
