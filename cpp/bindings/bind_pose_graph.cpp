@@ -26,6 +26,7 @@
 #include "core/pose_graph/block_pattern_of_edges.h"
 #include "core/pose_graph/chordal.h"
 #include "core/pose_graph/edge_kernel.h"
+#include "core/pose_graph/closures.h"
 #include "core/pose_graph/initialise.h"
 #include "core/pose_graph/pose_graph.h"
 #include "core/solver/pose_graph_solver.h"
@@ -224,6 +225,17 @@ double StartCost(const py::object& graph, const Array<bool>& held, const std::st
   return CostUpTo(made, chain.Poses(), limit);
 }
 
+/// A flag per edge: true for a closure.
+Array<bool> FindClosures(const Array<int64_t>& ids, const Array<int32_t>& edges) {
+  const IdOrder order = OrderOfIds(ids.size(), ids.data());
+  Array<bool> closures(edges.shape(0));
+  const int32_t* const end = edges.data();
+  for (py::ssize_t e = 0; e < edges.shape(0); ++e) {
+    closures.mutable_data()[e] = IsClosure(order, ids.data(), end[2 * e], end[2 * e + 1]);
+  }
+  return closures;
+}
+
 std::pair<int32_t, int32_t> OdometryGap(const py::object& graph) {
   const GraphArrays arrays(graph);
   const PoseGraphView view = ViewGraph(arrays, arrays.fixed);
@@ -320,6 +332,7 @@ void BindPoseGraph(py::module_& m) {
         py::arg("num_threads"), py::arg("order") = nullptr);
   m.def("start_cost", &bundle::StartCost, py::arg("graph"), py::arg("held"), py::arg("init"),
         py::arg("error"), py::arg("limit"));
+  m.def("find_closures", &bundle::FindClosures, py::arg("ids"), py::arg("edges"));
   m.def("odometry_gap", &bundle::OdometryGap, py::arg("graph"));
   m.def("solve_edge_system", &bundle::SolveEdgeSystemFromPython, py::arg("edges"),
         py::arg("diagonal"), py::arg("between"), py::arg("rhs"));

@@ -7,6 +7,8 @@
 #include <numeric>
 #include <utility>
 
+#include "core/pose_graph/closures.h"
+
 namespace bundle {
 namespace {
 
@@ -131,20 +133,15 @@ std::vector<double> SpanningTreePoses(const PoseGraph& graph) {
 }
 
 Odometry::Odometry(const PoseGraph& graph, const int64_t* ids) : graph_(graph) {
-  std::vector<int32_t> order(graph.num_poses());
-  std::iota(order.begin(), order.end(), 0);
-  const auto is_before = [&](int32_t a, int32_t b) { return ids[a] < ids[b]; };
-  if (!std::is_sorted(order.begin(), order.end(), is_before)) {
-    std::stable_sort(order.begin(), order.end(), is_before);
+  const IdOrder order = OrderOfIds(graph.num_poses(), ids);
+  chain_.reserve(order.pose.size());
+  for (size_t k = 1; k < order.pose.size(); ++k) {
+    chain_.push_back({order.pose[k - 1], order.pose[k], -1});
   }
-  std::vector<int32_t> rank(order.size());
-  for (size_t k = 0; k < order.size(); ++k) rank[order[k]] = static_cast<int32_t>(k);
-  chain_.reserve(order.size());
-  for (size_t k = 1; k < order.size(); ++k) chain_.push_back({order[k - 1], order[k], -1});
   for (int64_t e = 0; e < graph.num_edges(); ++e) {
-    const int32_t a = rank[graph.edges()[2 * e]], b = rank[graph.edges()[2 * e + 1]];
-    if (a - b != 1 && b - a != 1) continue;
-    int64_t& edge = chain_[std::min(a, b)].edge;
+    const int32_t a = graph.edges()[2 * e], b = graph.edges()[2 * e + 1];
+    if (IsClosure(order, ids, a, b)) continue;
+    int64_t& edge = chain_[std::min(order.rank[a], order.rank[b])].edge;
     if (edge < 0) edge = e;
   }
 }

@@ -2,8 +2,8 @@
 
 /// Initial poses of a pose graph, from its edges alone.
 ///
-/// Odometry and spanning tree compose measurements along a path from a held pose: the chain of
-/// consecutive ids, or a tree with the shortest paths (in edges) from the root.
+/// Odometry and spanning tree compose measurements along a path from a held pose: the chain in the
+/// order of ids (closures.h), or a tree with the shortest paths (in edges) from the root.
 ///
 /// Chordal (chordal.cpp) uses all edges, in two linear least-squares problems.
 
@@ -28,7 +28,7 @@ HeldPoses HoldPoses(int64_t num_poses, int64_t num_edges, const int32_t* edges,
 /// Poses computed from the held ones, breadth first along the edges.
 std::vector<double> SpanningTreePoses(const PoseGraph& graph);
 
-/// The edges between poses with consecutive ids, in the order of ids. If several edges join two
+/// The edges that are no closures (closures.h), in the order of ids. If several edges join two
 /// poses, the first is used. Keeps a reference to the graph.
 class Odometry {
  public:

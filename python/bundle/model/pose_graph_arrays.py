@@ -187,12 +187,14 @@ class PoseGraph(FrozenArrays, Displayed, Tabular):
         """Number of edges."""
         return len(self.edges)
 
-    @property
+    @cached_property
     def is_closure(self) -> NDArray[np.bool_]:
-        """(m,) True for loop closures: edges between ids that are not consecutive."""
-        first, second = self.ids[self.edges[:, 0]], self.ids[self.edges[:, 1]]
-        found: NDArray[np.bool_] = np.abs(first - second) != 1
-        return found
+        """(m,) True for loop closures: edges of poses that are not neighbors in the order of ids.
+
+        Gaps between ids have no influence. An edge between keys of GTSAM with different letters is
+        a closure.
+        """
+        return freeze(_core.find_closures(self.ids, self.edges))
 
     @property
     def num_components(self) -> int:

@@ -81,7 +81,7 @@ def started(graph: PoseGraph, held: NDArray[np.bool_], init: str, num_threads: i
     """Return the start of the kind ``init``.
 
     Raises:
-        InputError: odometry was requested, but consecutive ids have no edge.
+        InputError: odometry was requested, but poses that follow each other by id have no edge.
     """
     if init == "file":
         return Start(poses=graph.poses, init=init)
@@ -89,7 +89,7 @@ def started(graph: PoseGraph, held: NDArray[np.bool_], init: str, num_threads: i
         first, second = _core.odometry_gap(graph)
         if first >= 0:
             raise InputError(
-                "init: expected an edge between all consecutive ids for odometry, found a gap "
+                "init: expected an edge from each id to the next for odometry, found a gap "
                 f"between {graph.ids[first]} and {graph.ids[second]}; use spanning_tree"
             )
     return Start(poses=_core.initial_poses(graph, held, init, num_threads), init=init)

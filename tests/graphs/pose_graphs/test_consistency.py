@@ -228,7 +228,6 @@ def singular(graph, edge):
     ("change", "message"),
     [
         (gap, "found no edge between 4 and 5"),
-        (lambda g: g.replace(ids=[*range(6), *range(7, 13)]), "found id 5 followed by 7"),
         (lambda g: singular(g, 3), "edge 3 4: expected invertible information"),
         (lambda g: singular(g, 12), r"edge \d+ \d+: expected invertible information"),
     ],

@@ -37,7 +37,7 @@ def test_the_plane(tmp_path):
     assert graph.poses.tolist() == [[1, -2, 6.5], [0.5, 0.25, 0]]
     assert graph.edges.tolist() == [[0, 1]] and graph.measurements.tolist() == [[1, 2, 3]]
     assert graph.information.tolist() == [[[11, 12, 13], [12, 22, 23], [13, 23, 33]]]
-    assert graph.edge_lines.tolist() == [6] and graph.is_closure.tolist() == [True]
+    assert graph.edge_lines.tolist() == [6] and graph.is_closure.tolist() == [False]
     assert not graph.poses.flags.writeable
 
 

@@ -8,7 +8,7 @@ import pytest
 import bundle
 from bundle.cli.main import main
 from bundle.reports.page.graph_facts import facts_of_factor_graph, facts_of_pose_graph
-from bundle.reports.page.graph_report import error_kinds
+from bundle.reports.page.graph_report import _drawn, error_kinds
 from tests.analysis.uncertainty.test_factor_graph_covariance import landmarks
 from tests.graphs.factors import both_ways
 from tests.graphs.pose_graphs import graphs
@@ -192,3 +192,16 @@ def test_the_page_of_a_structure_is_not_clipped(browser, tmp_path):
     for width in (400, 1200):
         check_nothing_is_clipped(browser, tmp_path / "x.html", width)
     assert browser.complaints() == []
+
+
+def test_the_trajectory_is_the_odometry_in_any_order_of_poses():
+    graph = graphs.loop(2, num_closures=0)
+    shuffled = np.random.default_rng(2).permutation(graph.num_poses)
+    moved = graph.replace(
+        poses=graph.poses[np.argsort(shuffled)],
+        ids=10 * np.argsort(shuffled),
+        edges=shuffled[graph.edges],
+    )
+    for one in (graph, moved):
+        drawn = _drawn(facts_of_pose_graph(one))
+        assert len(drawn.path) == graph.num_edges and len(drawn.others) == 0

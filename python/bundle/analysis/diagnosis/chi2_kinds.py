@@ -83,7 +83,7 @@ class Chi2Kind(Displayed):
 def chi2_kinds(source: Any, options: Any = None, **changes: Any) -> tuple[Chi2Kind, ...]:
     """Compare chi2 with its expectation, by kind of edge of a pose graph or of factor.
 
-    The kinds of edges are odometry (between consecutive ids) and closure; those of factors their
+    The kinds of edges are odometry (from an id to the next) and closure; those of factors their
     classes. The last entry has all of them, if there are several kinds.
 
     Args:

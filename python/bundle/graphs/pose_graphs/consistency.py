@@ -96,8 +96,8 @@ def closure_consistency(graph: PoseGraph, num_threads: int = 1) -> ClosureConsis
     """Find the largest set of pairwise consistent closures.
 
     Args:
-        graph: graph whose odometry (edges between consecutive ids) has no gaps; all other edges are
-            closures.
+        graph: graph whose odometry (edges from each id to the next) has no gaps; all other edges
+            are closures.
         num_threads: threads that compose the odometry.
 
     Raises:

@@ -24,7 +24,7 @@ from bundle.planning.inspection.factor_graph_inspection import FactorGraphInspec
 from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
 from bundle.reports.page.certificate_section import certificate_sections
 from bundle.reports.page.graph_facts import (
-    CLOSURE,
+    ODOMETRY,
     GraphFacts,
     facts_of_factor_graph,
     facts_of_pose_graph,
@@ -130,14 +130,15 @@ def error_kinds(facts: GraphFacts) -> list[dict[str, Any]]:
 
 
 def _drawn(facts: GraphFacts) -> DrawnGraph:
-    """Return the positions to draw; the trajectory consists of the edges of consecutive poses."""
+    """Return the positions to draw; the trajectory is odometry, or factors of successive poses."""
     there = facts.is_placed
     row = np.cumsum(there) - 1
     kept = there[facts.ends].all(axis=1) & (facts.ends[:, 0] != facts.ends[:, 1])
     ends = row[facts.ends[kept]]
-    along = np.abs(ends[:, 0] - ends[:, 1]) == 1
-    if CLOSURE in facts.kinds:
-        along = facts.kinds[kept] != CLOSURE
+    if facts.noun == "edge":
+        along = facts.kinds[kept] == ODOMETRY
+    else:
+        along = np.abs(ends[:, 0] - ends[:, 1]) == 1
     order = np.argsort(-np.where(np.isfinite(facts.chi2), facts.chi2, 0.0), kind="stable")
     worst = [k for k in order[:MOST_DRAWN] if kept[k]]
     return DrawnGraph(
