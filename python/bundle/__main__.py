@@ -25,7 +25,8 @@ def run() -> int:
     from bundle.solving.ranks.launch import size_by_launcher
 
     if size_by_launcher() == 1:
-        return main()
+        startup.exit_code = main()
+        return startup.exit_code
     from bundle.cli.many_processes import run_command
 
     return run_command(main)

@@ -51,6 +51,26 @@ def test_a_process_searches_for_no_garbage_where_there_is_none():
     assert frozen > 1000  # what the interpreter still has at its end
 
 
+@pytest.mark.parametrize("earlier", [False, True], ids=["alone", "under a profiler"])
+def test_a_process_ends_after_its_last_exit_function(earlier):
+    program = (
+        "import atexit, os, sys\n"
+        f"if {earlier}: atexit.register(print, 'earlier')\n"
+        "from bundle import __main__\n"
+        "os._exit = print\n"
+        "code = __main__.run()\n"
+        "atexit.register(print, 'later')\n"
+        "sys.exit(code)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, "info", "/nowhere"],
+        env=environment(), capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "error: /nowhere" in done.stderr
+    assert done.stdout.split() == ["later", "earlier" if earlier else "2"]
+
+
 def test_help_shows_every_option_with_its_default(spawn):
     out = " ".join(spawn("refine", "--help").out.split())
     assert "default: points-first)" in out

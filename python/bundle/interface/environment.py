@@ -54,7 +54,7 @@ class Environment:
                 "blas": _blas_version(),
                 "python": platform.python_version(),
                 "numpy": np.__version__,
-                "os": platform.platform(),
+                "os": _system(),
             },
         )
 
@@ -94,13 +94,20 @@ def cpu_model() -> str:
     return names[0] if names else platform.processor() or platform.machine()
 
 
+def _system() -> str:
+    """Return system, release, machine and C library; platform.platform() would start a process."""
+    parts = [platform.system(), platform.release(), platform.machine()]
+    library = "".join(platform.libc_ver())
+    return "-".join([*parts, *(["with", library] if library else [])])
+
+
 def _blas_version() -> str:
     """Return the build of the OpenBLAS that the core uses, such as "OpenBLAS 0.3.21 ..."."""
     try:
         maps = Path("/proc/self/maps").read_text(errors="replace").splitlines()
     except OSError:
         return ""
-    paths = {line.split(maxsplit=5)[5] for line in maps if len(line.split(maxsplit=5)) == 6}
+    paths = {line.split(maxsplit=5)[5] for line in maps if "openblas" in line.lower()}
     for path in sorted(path for path in paths if "openblas" in Path(path).name.lower()):
         try:
             describe = ctypes.CDLL(path).openblas_get_config

@@ -75,7 +75,9 @@ def test_conditions_are_complete(monkeypatch):
     assert abs(datetime.datetime.fromisoformat(here.date) - begun).total_seconds() < 2
     assert here.cpu_model and here.num_cores == _core.hardware_threads()
     assert here.versions["python"] == platform.python_version()
-    assert here.versions["bundle"] == bundle.__version__ and here.versions["os"]
+    assert here.versions["bundle"] == bundle.__version__
+    assert here.versions["os"].startswith(f"{platform.system()}-{platform.release()}")
+    assert platform.libc_ver()[1] in here.versions["os"]
     assert any(character.isdigit() for character in here.versions["blas"])
     assert here.load_before == 1.25 and math.isnan(here.load_after)
     assert here.finished().load_after == 1.25
