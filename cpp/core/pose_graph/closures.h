@@ -5,8 +5,8 @@
 /// Odometry joins poses that follow each other in the order of ids. Ids may have gaps: those of
 /// keyframes, time stamps, or files without some of their poses. All other edges are closures. Keys
 /// of GTSAM (a letter in the upper 8 bits, a number in the others) are ids of several trajectories:
-/// an edge between two letters is a closure. Other ids of several trajectories have no mark: an edge
-/// from the last pose of one to the first pose of the next counts as odometry.
+/// an edge between two letters is a closure. Other ids of several trajectories have no mark: an
+/// edge from the last pose of one to the first pose of the next counts as odometry.
 
 #include <cstdint>
 #include <vector>

@@ -75,8 +75,8 @@ class PoseGraphOptions(Options):
     loss_on: str = option(
         "closures",
         "--loss-on",
-        "edges to which the loss applies; odometry joins each id with the next one, all other edges "
-        "are closures",
+        "edges to which the loss applies; odometry joins each id with the next one, all other "
+        "edges are closures",
         choices=("closures", "all"),
         only_with=("loss", GRAPH_LOSSES[1:]),
     )
