@@ -118,7 +118,9 @@ def _entries() -> dict[str, dict[str, Schema]]:
             **{"max_null_eigenvalue": _NUMBER, "digits": _OBJECT, "eigenvalues": _LIST},
             **dict.fromkeys((f"points_{name}" for name in _POINTS), _LIST),
             **{"collapsed": _LIST, "unobserved_points": _LIST},
-            **dict.fromkeys(("suspicious_edges", "edge_redundancy", "edge_test"), _LIST),
+            **dict.fromkeys(
+                ("suspicious_edges", "edge_redundancy", "edge_test", "held_pose_ids"), _LIST
+            ),
             "noise_scale": _NUMBER,
             **dict.fromkeys(
                 ("images_with_few_observations", "images_with_few_shared_points"), _LIST

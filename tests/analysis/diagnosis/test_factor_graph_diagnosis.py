@@ -149,3 +149,15 @@ def test_nothing_to_diagnose_is_one_line():
         bundle.diagnose(bundle.FactorGraph())
     with pytest.raises(bundle.InputError, match=r"^loss: expected only with a reconstruction"):
         bundle.diagnose(landmarks(), loss="huber")
+
+
+def test_held_keys_are_those_of_the_pose_graph():
+    graph = solved(2)
+    free = bundle.FactorGraph()
+    for k, pose in enumerate(graph.poses):
+        free.add_variable(f"x{k}", pose, "se2")
+    for (a, b), z, omega in zip(graph.edges, graph.measurements, graph.information, strict=True):
+        free.add_factor(bundle.BetweenFactor(f"x{a}", f"x{b}", z, omega))
+    stated, by_jacobian = bundle.diagnose(free), diagnose_factor_graph(free)
+    assert stated.held_pose_ids == by_jacobian.held_pose_ids == ("x0",)
+    assert "'x0' held" in repr(stated)

@@ -275,3 +275,25 @@ def test_the_command(tmp_path, capsys):
     assert {"condition_number", "components", "digits", "suspicious_edges"} <= set(found)
     assert main(["diagnose", str(tmp_path / "x.g2o"), "--gauge", "none"]) == 2
     assert capsys.readouterr().err.splitlines()[-1].startswith("error: --gauge: ")
+
+
+def test_the_held_poses_of_the_condition_number_are_told():
+    graph = graphs.loop(2, noise=0.0, start_noise=0.0)
+    found = bundle.diagnose(graph)
+    assert found.held_pose_ids == (0,)
+    flags = np.zeros(graph.num_poses, bool)
+    for k in (0, 6):
+        fixed = bundle.diagnose(graph.replace(fixed=flags | (np.arange(graph.num_poses) == k)))
+        assert fixed.held_pose_ids == ()
+        same = np.isclose(fixed.condition_number, found.condition_number, rtol=1e-6)
+        assert same == (k == 0)
+
+
+def test_a_report_names_the_held_pose(tmp_path, capsys):
+    from bundle.cli.main import main
+
+    graph = graphs.loop(2)
+    bundle.save(graph.replace(ids=np.arange(70, 70 + graph.num_poses)), tmp_path / "x.g2o")
+    assert main(["diagnose", str(tmp_path / "x.g2o"), "--json", str(tmp_path / "x.json")]) == 0
+    assert "70 held" in capsys.readouterr().out
+    assert json.loads((tmp_path / "x.json").read_text())["held_pose_ids"] == [70]

@@ -235,3 +235,10 @@ def test_progress_is_told_and_may_stop():
 def test_options_that_do_not_exist_are_refused(given, message):
     with pytest.raises(bundle.InputError, match=message):
         bundle.solve(graphs.loop(2), **given)
+
+
+def test_information_of_zero_on_all_edges_is_a_warning():
+    graph = graphs.loop(2)
+    for information, is_free in ((0 * graph.information, True), (graph.information, False)):
+        summary = bundle.solve(graph.replace(information=information)).summary
+        assert ("free_directions" in summary.warning_kinds) == is_free

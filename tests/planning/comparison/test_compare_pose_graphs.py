@@ -114,3 +114,18 @@ def test_the_command(tmp_path, capsys):
         assert capsys.readouterr().err.startswith(f"error: {flags[0]}: ")
     assert main([*words[:2], str(source), *words[2:]]) == 2
     assert "one INPUT" in capsys.readouterr().err
+
+
+def test_information_of_zero_has_nothing_to_compare(tmp_path, capsys):
+    from bundle.cli.main import main
+
+    graph = graphs.loop(2)
+    bundle.save(graph.replace(information=0 * graph.information), tmp_path / "x.g2o")
+    assert main(["compare", str(tmp_path / "x.g2o"), "--quiet"]) == 2
+    said = capsys.readouterr()
+    assert not said.out and "information" in said.err and said.err.count("\n") == 1
+    with pytest.raises(bundle.InputError, match=r"^graph: expected information"):
+        bundle.compare(graph.replace(information=0 * graph.information))
+    one = graph.information.copy()
+    one[1:] = 0
+    assert bundle.compare(graph.replace(information=one), repeat=1).recommended is not None

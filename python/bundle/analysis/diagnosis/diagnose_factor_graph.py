@@ -122,6 +122,7 @@ def diagnose_factor_graph(graph: FactorGraph, num_threads: int = 0) -> GraphDiag
         nullity_is_exact=space.is_exact,
         components=components,
         weak_modes=tuple(modes),
+        held_pose_ids=_held_keys(graph, space, held),
         condition_number=condition,
         condition_number_unscaled=float(spectrum["condition_number_unscaled"])
         if spectrum
@@ -145,12 +146,19 @@ def with_keys(found: GraphDiagnosis, poses: AsPoseGraph) -> GraphDiagnosis:
     return replace(
         found,
         components=tuple(replace(part, pose_ids=edge(part.pose_ids)) for part in found.components),
+        held_pose_ids=edge(found.held_pose_ids),
         weak_modes=tuple(
             replace(mode, pose_ids=edge(mode.pose_ids), edges=tuple(map(edge, mode.edges)))
             for mode in found.weak_modes
         ),
         suspicious_edges=tuple(replace(one, edge=edge(one.edge)) for one in found.suspicious_edges),
     )
+
+
+def _held_keys(graph: FactorGraph, space: NullSpace, held: NDArray[np.bool_]) -> tuple[Any, ...]:
+    """Return the variables with coordinates that are held for the gauge."""
+    for_gauge = np.logical_or.reduceat(held & ~space.constant, space.begin[:-1])
+    return tuple(key for key, flag in zip(graph.keys, for_gauge, strict=True) if flag)
 
 
 def _components(graph: FactorGraph, space: NullSpace) -> tuple[GraphComponent, ...]:

@@ -84,6 +84,7 @@ def diagnose_graph(
         nullity_is_exact=joints.is_exact,
         components=components,
         weak_modes=tuple(modes),
+        held_pose_ids=tuple(int(graph.ids[pose]) for pose in for_gauge),
         condition_number=float(spectrum["condition_number"]),
         condition_number_unscaled=float(spectrum["condition_number_unscaled"]),
         eigenvalues=freeze(np.array(spectrum["eigenvalues"])),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bundle.analysis.diagnosis.conditioning import Conditioned
 from bundle.base.display import Display, Displayed
 from bundle.base.words import number
+from bundle.errors import brief
 from bundle.interface.finding import Finding
 from bundle.interface.tabular import Tabular
 
@@ -91,9 +92,12 @@ class GraphDiagnosis(Conditioned, Displayed, Tabular):
         nullity_is_exact: False if more clusters of poses are loose than can be analysed together.
         components: connected components, the largest first.
         weak_modes: components first, then undetermined directions, then weak ones.
+        held_pose_ids: poses that a solve holds constant, besides the fixed ones: the first one of
+            each component without a fixed pose.
         condition_number: condition number of the determined part of the normal equations of a
-            solve (without fixed poses and the first pose of each other component), scaled to a
-            unit diagonal.
+            solve, without fixed and held poses, scaled to a unit diagonal. With another held pose,
+            such as one in the middle of a chain, it is another number; covariances of relative
+            poses are the same.
         condition_number_unscaled: the same without scaling.
         eigenvalues: smallest eigenvalues of the scaled normal equations, ascending.
         suspicious_edges: edges that others contradict, the worst first.
@@ -111,6 +115,7 @@ class GraphDiagnosis(Conditioned, Displayed, Tabular):
     nullity_is_exact: bool
     components: tuple[GraphComponent, ...]
     weak_modes: tuple[GraphWeakMode, ...]
+    held_pose_ids: tuple[Any, ...]
     condition_number: float
     condition_number_unscaled: float
     eigenvalues: NDArray[np.float64]
@@ -120,9 +125,18 @@ class GraphDiagnosis(Conditioned, Displayed, Tabular):
     noise_scale: float
     findings: tuple[Finding, ...]
 
+    @property
+    def held_words(self) -> str:
+        """Held poses in words, such as ", 0 held"; "" if there are none."""
+        if not self.held_pose_ids:
+            return ""
+        one = len(self.held_pose_ids) == 1
+        what = brief(self.held_pose_ids[0]) if one else f"{len(self.held_pose_ids):,}"
+        return f", {what} held"
+
     def _display(self) -> Display:
         facts = [
-            ("condition", number(self.condition_number)),
+            ("condition", f"{number(self.condition_number)}{self.held_words}"),
             ("components", str(len(self.components))),
         ]
         for name, wanted in (("problem", True), ("note", False)):

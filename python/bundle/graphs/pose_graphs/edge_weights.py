@@ -25,6 +25,7 @@ __all__ = [
     "WeightedGraph",
     "check_edges_exist",
     "check_free_pose",
+    "check_information_exists",
     "is_graph",
     "refuse_for_graphs",
     "weighted_graph",
@@ -90,6 +91,19 @@ def check_free_pose(graph: PoseGraph) -> None:
     if held.all():
         raise InputError(
             f"graph: expected a free pose, found only constant poses ({graph.num_poses})"
+        )
+
+
+def check_information_exists(graph: PoseGraph) -> None:
+    """Refuse a graph whose information is 0 on all edges: any poses are a minimum.
+
+    Raises:
+        InputError: no edge has information.
+    """
+    if not graph.information.any():
+        raise InputError(
+            "graph: expected information that is not 0, found 0 on all "
+            f"{plural(graph.num_edges, 'edge')}"
         )
 
 

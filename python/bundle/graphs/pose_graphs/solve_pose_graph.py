@@ -116,6 +116,7 @@ def _warnings(found: ClosureConsistency) -> dict[str, str]:
 
 SUSPICIOUS_STEPS = "suspicious_steps"
 SEVERAL_COMPONENTS = "several_components"
+FREE_DIRECTIONS = "free_directions"
 LOCAL_MINIMUM = "local_minimum"
 BETTER_START = "better_start"
 MOST_CHECKED = 2500
@@ -239,6 +240,7 @@ def _refined(
     warnings = {
         SUSPICIOUS_STEPS: _core.watch_convergence(output["iterations"], advice),
         SEVERAL_COMPONENTS: _about_components(num_components),
+        FREE_DIRECTIONS: _about_information(weighed),
     }
     if not output["summary"]["interrupted"] and used.max_num_iterations > 0:
         lower = lower_start(weighed, held, doubted, start, used, output, cost)
@@ -361,6 +363,12 @@ def _robust_edges(graph: PoseGraph, options: PoseGraphOptions) -> NDArray[np.boo
     if options.loss_on == "all":
         return np.ones(graph.num_edges, bool)
     return graph.is_closure
+
+
+def _about_information(graph: PoseGraph) -> str:
+    if not graph.num_edges or graph.information.any():
+        return ""
+    return "No edge has information other than 0: any poses have cost 0."
 
 
 def _about_components(num_components: int) -> str:

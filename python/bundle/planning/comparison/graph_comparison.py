@@ -14,7 +14,7 @@ from bundle.base.paths import as_path, is_path
 from bundle.base.words import plural, seconds
 from bundle.errors import InputError
 from bundle.graphs.factors.factor_graph import FactorGraph
-from bundle.graphs.pose_graphs.edge_weights import check_free_pose
+from bundle.graphs.pose_graphs.edge_weights import check_free_pose, check_information_exists
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
 from bundle.interface.compare_options import BACKENDS, REPEAT, TIMEOUT
@@ -171,7 +171,8 @@ def compare_graph(
     With ``orders_only`` the methods differ in the elimination order alone.
 
     Raises:
-        InputError: an argument is invalid, an option is compared, or all poses are constant.
+        InputError: an argument is invalid, an option is compared, all poses are constant, or all
+            information is 0.
         OSError: the path cannot be read.
     """
     if isinstance(source, PoseGraphResult):
@@ -180,6 +181,7 @@ def compare_graph(
         source = load_g2o(as_path(source))
     check_type("graph", source, PoseGraph)
     check_free_pose(source)
+    check_information_exists(source)
     if options is not None and not isinstance(options, PoseGraphOptions):
         raise InputError(f"options: expected PoseGraphOptions, found {type(options).__name__}")
     options = PoseGraphOptions.of(options, changes, "compare")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from bundle.analysis.diagnosis.diagnosis_result import Diagnosis
 from bundle.analysis.diagnosis.graph_diagnosis import GraphDiagnosis
 from bundle.base.words import number, plural
@@ -153,7 +155,10 @@ def _condition(title: str, unscaled: str, diagnosis: Diagnosis | GraphDiagnosis)
 def _headline(diagnosis: Diagnosis | GraphDiagnosis, sizes: Sequence[int], noun: str) -> list[str]:
     """Return the rank, then the condition number and the connected components."""
     verdict = diagnosis.verdict.rstrip(".")
-    condition = f"Condition number {number(diagnosis.condition_number)} (scaled)"
+    held = ""
+    if isinstance(diagnosis, GraphDiagnosis) and np.isfinite(diagnosis.condition_number):
+        held = diagnosis.held_words
+    condition = f"Condition number {number(diagnosis.condition_number)} (scaled{held})"
     return [
         f"{verdict[0].upper()}{verdict[1:]}.",
         f"{condition}; {_pieces(sizes, noun)}{'; no problem found' if diagnosis.ok else ''}.",
