@@ -7,8 +7,9 @@ it, but their involuntary context switches are in the process's: each costs abou
 from __future__ import annotations
 
 import resource
-from dataclasses import dataclass
 from pathlib import Path
+
+from bundle.base.records import dataclass
 
 __all__ = ["Waiting", "waiting_since"]
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.step_curve import Line, StepCurve
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from bundle.base.records import dataclass
 from bundle.checking.jacobian_deviation import Array
 
 __all__ = ["Block", "Column"]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from html import escape
 from typing import Any
 
 from bundle.base.display import Display
+from bundle.base.records import dataclass
 from bundle.base.tables import Bar, Block, Columns, columns, facts, notes, render
 from bundle.base.words import plural
 from bundle.checking.check_details import CheckDetails

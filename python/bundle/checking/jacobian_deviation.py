@@ -23,12 +23,12 @@ noise has the unit 1 (nothing in it is known), and its doubt is as small as by c
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.interface.check_options import TOLERANCE
 
 __all__ = ["JacobianDeviation"]

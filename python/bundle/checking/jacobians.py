@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.arguments import check_function
+from bundle.base.records import dataclass
 from bundle.checking.assemble import CHECKER_PRECISION, make_report, undecided_points
 from bundle.checking.check_details import CheckDetails, make_details
 from bundle.checking.classify import classify, float_precision

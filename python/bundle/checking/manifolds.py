@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.checking.columns import Block
 from bundle.checking.jacobian_deviation import Array
 from bundle.errors import InputError, brief

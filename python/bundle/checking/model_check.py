@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.checking.columns import Block, Column
 from bundle.checking.evidence import Finding
 from bundle.checking.jacobian_deviation import Array

@@ -6,12 +6,11 @@ Exp(w) Exp(-w0) R, the translation, the camera's parameters, the twist if shutte
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.checking.jacobian_deviation import Array
 from bundle.checking.step_curve import Line, walk
 from bundle.model.cameras import camera_models, project

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.checking.assemble import CHECKER_PRECISION
 from bundle.checking.function import UserFunction
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation

@@ -20,11 +20,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.checking.jacobian_deviation import Array
 
 __all__ = ["Line", "StepCurve", "acquitted", "single_rounding", "walk"]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.checking.columns import Column
 from bundle.checking.gradient_report import Verdict
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bundle.base.records import dataclass
 from bundle.cli.option_flags import naming_flags
 from bundle.cli.path_checks import a_path
 from bundle.errors import InputError

@@ -12,10 +12,10 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.atomic.model_files import MODEL_FILES

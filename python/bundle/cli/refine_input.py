@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+from bundle.base.records import dataclass
 from bundle.cli.carried_georeference import check_georeference, georeference_at
 from bundle.cli.georeference_flags import priors_of
 from bundle.cli.on_disk import input_on_disk

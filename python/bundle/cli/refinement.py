@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Set
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bundle.base.records import dataclass
 from bundle.cli.colmap_flag import take_colmap_options
 from bundle.cli.georeference_flags import georeference_given
 from bundle.cli.inertial_flags import InertialFiles, inertial_given

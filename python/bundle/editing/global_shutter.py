@@ -29,12 +29,11 @@ moved model holds the twists for known, and is too small by what their estimatio
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import pixels, plural
 from bundle.errors import InputError
 from bundle.io.files import Source, as_problem

@@ -23,7 +23,6 @@ import math
 import os
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.arguments import check_type
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, first_line, shown
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem

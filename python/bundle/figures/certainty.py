@@ -7,12 +7,12 @@ covariance is J C J^T with J = [-R^T [t]x, -R^T].
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.figures.drawing import Figure
 from bundle.figures.marks import Matrix
 from bundle.model.cameras import camera_models

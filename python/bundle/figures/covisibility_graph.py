@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.statistics.covisibility import shared_points
 from bundle.base.arguments import check_type
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.figures.axes import SHAPE, Axis, square
 from bundle.figures.drawing import Figure

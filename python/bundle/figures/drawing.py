@@ -8,12 +8,13 @@ a :class:`Figure`.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.figures.axes import SHAPE, Axis, linear, logarithmic, square
 from bundle.figures.marks import GREY, Line, Mark, Steps
 

@@ -13,11 +13,11 @@ where g is the derivative of the curve by p, from central differences.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.figures.residual_field import (
     MOST_CAMERAS,
     by_observations,

@@ -33,11 +33,10 @@ the gauge, because camera parameters are the same in all gauges.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.figures.residual_field import image_box, principal_point
 from bundle.model.cameras import camera_models, project
 from bundle.model.lenses.pixel_rays import pixel_rays

@@ -13,11 +13,11 @@ Rayleigh distribution: 1 % of the cells exceed 3.03.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.figures.axes import round_down
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem

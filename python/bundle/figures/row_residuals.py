@@ -16,11 +16,11 @@ Residuals beyond 5 sigma are left out. Without motion, size and noise agree in a
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.figures.axes import linear
 from bundle.figures.drawing import Figure
 from bundle.figures.marks import GREY, Line

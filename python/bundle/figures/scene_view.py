@@ -8,11 +8,12 @@ k-th is drawn, with the smallest k that leaves at most 60,000.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals

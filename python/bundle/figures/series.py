@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.planning.comparison.comparison_result import Comparison
 from bundle.planning.comparison.method import Method
 from bundle.planning.comparison.profiles import PerformanceProfile

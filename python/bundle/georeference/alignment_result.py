@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import number, pixels, plural
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.similarity import Similarity

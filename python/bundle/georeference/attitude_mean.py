@@ -17,11 +17,11 @@ and three numbers (Holland and Welsch 1977 for the constant 4.685).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.rotations import (
     quaternion_from_matrix,
     quaternion_from_vector,

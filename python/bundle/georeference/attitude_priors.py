@@ -25,7 +25,7 @@ right:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ from numpy.typing import ArrayLike, NDArray
 from bundle.base.arguments import as_array
 from bundle.base.arrays import FrozenArrays, freeze
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.attitude_factors import (
     DOWN,

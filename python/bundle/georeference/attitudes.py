@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.attitude_files import read_gravity, read_orientations

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.interface.option_fields import choice, number

@@ -23,12 +23,13 @@ measurement. The label is the first of the other words; words after it are ignor
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 import numpy as np
 
 from bundle.base.paths import as_path
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, nearest, shown
 from bundle.georeference.control_point import (

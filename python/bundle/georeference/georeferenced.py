@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.georeference.alignment_result import ControlPointError, metres, root_mean_square
 from bundle.georeference.local_frame import LocalFrame

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from bundle.base.records import dataclass
 from bundle.georeference.attitude_priors import AttitudePrior
 from bundle.georeference.attitudes import AttitudeErrors, Attitudes
 from bundle.georeference.control_point import GroundControlPoint

@@ -23,11 +23,11 @@ points look bad.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.similarity_fit import SimilarityFit, fit_similarity

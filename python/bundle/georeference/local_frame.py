@@ -14,13 +14,14 @@ on the ellipsoid is d^2 / 2R below zero, 8 cm at one kilometre.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.option_fields import number
 

@@ -12,10 +12,9 @@ contribution to cost, gradient and Hessian is zero in double precision.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from numpy.typing import ArrayLike
 
+from bundle.base.records import dataclass
 from bundle.georeference.vector_prior import VectorPrior
 from bundle.graphs.factors.factors import PositionFactor
 

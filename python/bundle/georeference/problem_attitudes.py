@@ -15,13 +15,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.georeference.attitude_mean import Agreement, agree, exp, log
 from bundle.georeference.attitude_priors import (

@@ -26,13 +26,13 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, first_line
 

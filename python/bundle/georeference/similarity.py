@@ -20,12 +20,12 @@ s t_s for a sensor_from_rig. The translation of a rolling shutter's twist scales
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.georeference.moved_source import without_origin
 from bundle.model.problem import Problem
 from bundle.model.rig_arrays import placed

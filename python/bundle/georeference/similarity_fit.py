@@ -23,11 +23,11 @@ in a few iterations.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.similarity import Similarity, umeyama

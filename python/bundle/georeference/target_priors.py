@@ -14,11 +14,11 @@ afterwards as well, because the survey keeps their adjusted positions close to t
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.georeference.alignment_result import ControlPointError
 from bundle.georeference.control_point import GCP_PIXEL_SIGMA, GCP_SIGMA, GroundControlPoint

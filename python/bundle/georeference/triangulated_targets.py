@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.georeference.control_point import GroundControlPoint, Measurement
 from bundle.georeference.image_index import ImageIndex
 from bundle.model.cameras import camera_models, project

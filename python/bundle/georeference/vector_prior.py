@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from bundle.base.arguments import as_array
 from bundle.base.arrays import FrozenArrays, freeze
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.interface.option_fields import choice, number

@@ -21,12 +21,12 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, shown
 from bundle.georeference.control_point import parse_sigma

@@ -11,10 +11,9 @@ and the prior costs 1/2 rho(r^T r), r = L^-1 (V - measured), Sigma = L L^T, as f
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from numpy.typing import ArrayLike
 
+from bundle.base.records import dataclass
 from bundle.georeference.vector_prior import VectorPrior
 from bundle.graphs.factors.velocity_factor import VelocityFactor
 

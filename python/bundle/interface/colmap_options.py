@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.interface.options import SolveOptions
 

@@ -6,10 +6,10 @@ The compared methods are all combinations of the values of six solve options (``
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 from typing import Any
 
 from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY, parse_size
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import checked, option

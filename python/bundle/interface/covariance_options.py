@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option

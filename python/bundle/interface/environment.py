@@ -8,12 +8,13 @@ import math
 import os
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 
 __all__ = ["Environment", "cpu_model", "load_average"]

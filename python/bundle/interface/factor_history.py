@@ -14,11 +14,11 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 from bundle._core import __version__
 from bundle.base.cache_folder import cache_folder, write_cached
+from bundle.base.records import dataclass
 
 __all__ = ["MOST_ENTRIES", "PastFactor", "history_path", "recall"]
 

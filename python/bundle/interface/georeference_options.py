@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any, Self
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface import trust_region_fields as trust_region
 from bundle.interface.option_class import Options, documented

@@ -9,9 +9,9 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option

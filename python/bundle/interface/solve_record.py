@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.display import Displayed
+from bundle.base.records import dataclass
 from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary
 from bundle.interface.tabular import Tabular

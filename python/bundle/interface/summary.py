@@ -6,10 +6,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import change, number, plural, seconds
 
 if TYPE_CHECKING:

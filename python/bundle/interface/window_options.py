@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from bundle.base.records import dataclass
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 

@@ -9,11 +9,11 @@ clipped RMSE limits both: sqrt(mean min(e, clip)^2), with e = clip if there is n
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 from bundle.model.reprojection import counted_errors, reprojection_errors, resolve_cheirality
 

@@ -12,11 +12,10 @@ quaternion (v, w) is accurate to rounding near 0 and near 180 degrees.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.rigid_motions import inverse_poses, multiply_poses
 from bundle.model.rotations import quaternion_inverse, quaternion_multiply
 

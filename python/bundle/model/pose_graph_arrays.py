@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.arrays import FrozenArrays, freeze, immutable
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
 from bundle.interface.tabular import Tabular

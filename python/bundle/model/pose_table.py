@@ -7,13 +7,12 @@ centre.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.arrays import immutable
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.model.problem import Problem

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -19,6 +19,7 @@ import bundle._core as _core
 from bundle.base.arrays import distinct, immutable
 from bundle.base.display import Display, Displayed
 from bundle.base.optional_packages import require_pycolmap
+from bundle.base.records import dataclass
 from bundle.base.words import FORMATS, contents, format_name, plural
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice

@@ -18,11 +18,10 @@ undecided:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 
 __all__ = ["enclose_angle"]

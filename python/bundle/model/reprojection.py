@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import CHEIRALITIES

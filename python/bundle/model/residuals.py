@@ -5,12 +5,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 from bundle.model.reprojection import resolve_cheirality
 

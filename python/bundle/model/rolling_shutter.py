@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Self
 
 import numpy as np
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from bundle.base.arrays import FrozenArrays, freeze, immutable
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
 from bundle.interface.option_fields import choice, number

@@ -11,13 +11,14 @@ left out, a selection has no source and its observations have no keypoint indice
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle.base.arrays import distinct, filled, freeze
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.rolling_shutter import RollingShutter, selected

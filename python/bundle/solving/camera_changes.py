@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.solving.result import Result
 

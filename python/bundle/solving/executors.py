@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import bundle._core as _core
 from bundle.base.arguments import check_function
 from bundle.base.log_messages import log, logged_iterations
+from bundle.base.records import dataclass
 from bundle.interface.solve_record import Progress
 from bundle.solving.layout import refuse_shrinking
 from bundle.solving.prepare import Executor, Prepared

@@ -35,7 +35,6 @@ This file has more than 350 lines: the rows above and the code that builds them 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -44,6 +43,7 @@ from numpy.typing import NDArray
 from bundle.base.arrays import distinct
 from bundle.base.components import component_roots
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.interface.option_class import takes_options
 from bundle.interface.options import SolveOptions

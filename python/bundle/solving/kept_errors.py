@@ -14,12 +14,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.model.reprojection import (

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.interface.solve_record import SolveRecord
 from bundle.model.problem import Problem
 from bundle.model.reprojection import ReprojectionError, reprojection_error

@@ -8,12 +8,12 @@ A few far points do not change it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
 from bundle.model.reprojection import quantiles

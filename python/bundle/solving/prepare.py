@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Set
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.interface.solve_record import Progress, record_fields, with_warnings

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from numpy.typing import ArrayLike
 
 from bundle.base.paths import as_path
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import SolveOptions

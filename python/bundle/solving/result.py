@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from bundle.base.display import Display
+from bundle.base.records import dataclass
 from bundle.base.words import change, contents, plural, seconds
 from bundle.interface.summary import held_facts
 from bundle.solving.headline import edit_facts, headline

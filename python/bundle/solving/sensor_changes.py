@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bundle.base.arrays import distinct
+from bundle.base.records import dataclass
 from bundle.interface.options import SolveOptions
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem

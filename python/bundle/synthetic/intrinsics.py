@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 from bundle.synthetic.scene import Images

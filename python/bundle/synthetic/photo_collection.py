@@ -10,11 +10,10 @@ Length unit: metre; z is up; the square is at z = 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.interface.scene_options import SceneOptions
 from bundle.model.rotations import dot, look_along
 from bundle.synthetic.body import Body

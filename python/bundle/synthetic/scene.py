@@ -9,10 +9,11 @@ normals around an object. Then visibility is tested exactly, see :mod:`.visibili
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bundle.base.records import dataclass
 
 __all__ = ["Images", "Pairs", "Points", "Scene"]
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import contents, plural
 from bundle.georeference.attitude_priors import AttitudePrior
 from bundle.interface.option_class import takes_options

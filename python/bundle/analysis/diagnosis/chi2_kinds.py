@@ -15,7 +15,6 @@ is too large scales the median as it scales the mean, wrong edges raise the mean
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.analysis.diagnosis.graph_findings import is_at_minimum
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import number
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.factor_graph import FactorGraph

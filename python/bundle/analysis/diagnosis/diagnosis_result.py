@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.diagnosis.conditioning import Conditioned
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import number
 from bundle.interface.finding import Finding
 from bundle.interface.tabular import Tabular

@@ -8,13 +8,12 @@ images that merely happen to have the same position are then not a panorama.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from bundle.analysis.diagnosis.diagnosis_result import WeakMode
 from bundle.analysis.diagnosis.track_table import TrackTable
 from bundle.analysis.diagnosis.unknowns import Unknowns
+from bundle.base.records import dataclass
 from bundle.base.words import named, plural, sorted_ids
 
 __all__ = ["EquationCounts"]

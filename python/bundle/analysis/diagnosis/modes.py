@@ -10,7 +10,7 @@ geometry of its images (viewing.py), and the points that connect them (track_tab
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from bundle.analysis.diagnosis.track_table import TrackTable
 from bundle.analysis.diagnosis.unknowns import CameraPart, Unknowns
 from bundle.analysis.diagnosis.viewing import Viewing, viewing
 from bundle.base.components import component_roots
+from bundle.base.records import dataclass
 from bundle.base.words import named, plural, sorted_ids
 from bundle.model.problem import Problem
 

@@ -11,14 +11,13 @@ them, so a connected component is one cluster of collapsed points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.diagnosis.diagnosis_result import CollapsedCluster
 from bundle.analysis.diagnosis.track_table import TrackTable
 from bundle.analysis.statistics.depths import collapsed_observations, depths_of_observations
+from bundle.base.records import dataclass
 from bundle.base.words import sorted_ids
 from bundle.model.problem import Problem
 

@@ -10,10 +10,10 @@ lose digits.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
+from bundle.base.records import dataclass
 from bundle.interface.finding import Finding
 from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_inverse, quaternion_rotate

@@ -26,11 +26,10 @@ intrinsics, free twists: with more free parameters, eigenvalues are smaller or e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models, project
 from bundle.model.observation_part import part_of_observations
 from bundle.model.point_elimination import eliminate_points

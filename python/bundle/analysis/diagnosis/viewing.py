@@ -10,11 +10,10 @@ for radial distortion self-calibration; Sturm 1997: critical motion sequences).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_inverse, quaternion_rotate
 

@@ -7,12 +7,12 @@ images share a refined camera). The density of this graph is therefore the fill 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.components import component_roots
+from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 
 __all__ = ["Covisibility", "components", "covisibility", "shared_points"]

@@ -7,11 +7,10 @@ magnitude smaller than others, and their derivatives as many larger.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 
 __all__ = ["COLLAPSED", "Depths", "collapsed_observations", "depths_of_observations", "summarize"]

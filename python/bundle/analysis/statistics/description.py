@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +10,7 @@ from bundle.analysis.statistics.depths import Depths, depths_of_observations, su
 from bundle.analysis.statistics.rig_summary import RigSummary, rig_summaries
 from bundle.analysis.statistics.suspicions import count_repeated, suspicions
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import number, pixels, plural
 from bundle.errors import InputError
 from bundle.interface.finding import Finding

@@ -8,11 +8,10 @@ distorted radius reached there. Folds of other models are not computed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 from bundle.model.rig_arrays import reference_cameras, rig_of_image
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from bundle.analysis.uncertainty.value_checks import (
     rows_of,
 )
 from bundle.base.arrays import freeze
+from bundle.base.records import dataclass
 from bundle.base.words import not_converged
 from bundle.errors import InputError
 from bundle.interface.covariance_options import GAUGES, ROBUST, SCALES, one_of, parts_of

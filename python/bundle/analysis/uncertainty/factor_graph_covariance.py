@@ -12,7 +12,6 @@ a motion of the world does not change. It moves by B Exp(Ad(X_a) (d_b - d_a)).
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.arrays import FrozenArrays, freeze
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import not_converged, number, plural
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.factor_graph import FactorGraph

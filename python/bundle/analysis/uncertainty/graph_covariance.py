@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.arrays import FrozenArrays, freeze
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import not_converged, number, plural
 from bundle.errors import InputError, brief
 from bundle.graphs.pose_graphs.edge_weights import (

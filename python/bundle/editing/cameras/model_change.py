@@ -7,13 +7,13 @@ new parameters are fitted (``lens_fit``) in the image region with observations (
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.arguments import as_integers
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import pixels, plural
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice

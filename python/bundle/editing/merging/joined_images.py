@@ -8,11 +8,11 @@ with the smallest id of which it is the only camera, or a new rig.
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.colmap.model_records import ModelRecords
 from bundle.model.colmap.source_records import CAMERA, Sensor, frame_of_image, is_trivial
 

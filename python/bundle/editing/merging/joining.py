@@ -16,11 +16,11 @@ free if A has no point at its keypoint.
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.editing.merging.joined_images import AddedImages
 from bundle.editing.merging.shared_keypoints import Meetings, SharedKeypoints
 from bundle.model.colmap.model_records import NO_POINT, ModelRecords

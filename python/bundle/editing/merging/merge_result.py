@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 from typing import Any
 
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import number, pixels, plural
 from bundle.editing.merging.joining import Joined
 from bundle.georeference.similarity import Similarity

@@ -7,11 +7,10 @@ are ambiguous and ignored.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.colmap.model_records import NO_POINT, ModelRecords
 
 __all__ = ["SAME_KEYPOINT", "Meetings", "SharedKeypoints", "shared_keypoints"]

@@ -10,12 +10,12 @@ from one that is 10 % full.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bundle.base.records import dataclass
 from bundle.figures.matplotlib.matrix_pattern import MatrixPattern, factor_columns
 
 __all__ = ["FILL_COLOUR", "Density", "factor_density", "matrix_density"]

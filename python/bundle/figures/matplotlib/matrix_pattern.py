@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Self
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle.base.arguments import as_integers
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.interface.option_fields import number
 

@@ -6,12 +6,13 @@ Jacobians; ``cpp/core/factors/attitude_factors.h`` has the derivations. Angles a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.factors import Factor, as_information
 from bundle.graphs.factors.variables import Key

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.anchored import AnchoredFactor

@@ -15,13 +15,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 import bundle._core as _core
 from bundle.base.arguments import as_flag
+from bundle.base.records import dataclass
 from bundle.checking.columns import Block
 from bundle.checking.function import UserFunction
 from bundle.checking.gradient_report import GradientReport

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Unpack
 
 import bundle._core as _core
 from bundle.base.arguments import as_flag, check_function
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import change, plural, seconds
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.check_solve import Conditioning, SolvedGraph, checked

@@ -7,11 +7,12 @@ kind in the same coordinates of factors of one kind are therefore combined.
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.tables import Block, columns, facts, notes, render
 from bundle.base.words import plural
 from bundle.checking.evidence import Finding

@@ -7,7 +7,7 @@ computes residuals and Jacobians; ``cpp/core/factors`` has the derivations.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from bundle.base.arguments import as_array, as_flag
 from bundle.base.arrays import FrozenArrays, freeze
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.variables import Array, Key, as_row, check_key
 from bundle.interface.option_fields import choice, number

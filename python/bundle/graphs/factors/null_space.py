@@ -19,7 +19,6 @@ with independent rows is held, then the coordinate with the largest remaining ro
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -27,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.graphs.factors.contents import GraphContents
 from bundle.graphs.factors.variables import Variable
 from bundle.graphs.pose_graphs.lie_groups import adjoint_between

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.graphs.factors.variables import Array
 
 __all__ = ["PriorSpectrum"]

@@ -28,13 +28,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.graphs.factors.variables import Array
 

@@ -32,10 +32,11 @@ one times M_e^-1 M_w.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from bundle.base.records import dataclass
 from bundle.graphs.factors.variables import Array
 from bundle.model.rotations import rotation_matrices
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Set
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.variables import Key

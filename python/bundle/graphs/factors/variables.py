@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Set
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 import bundle._core as _core
 from bundle.base.arguments import as_array, as_integers
 from bundle.base.arrays import FrozenArrays, freeze
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
 from bundle.interface.option_fields import choice

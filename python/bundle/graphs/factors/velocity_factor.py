@@ -5,12 +5,13 @@ The core computes residual and Jacobians; ``cpp/core/factors/velocity_factor.h``
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bundle.base.records import dataclass
 from bundle.graphs.factors.factors import Factor, as_information
 from bundle.graphs.factors.variables import Key
 

@@ -31,12 +31,12 @@ the shared points are usable.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.lens import pixel_directions

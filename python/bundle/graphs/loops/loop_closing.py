@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from bundle.base.arguments import check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path
+from bundle.base.records import dataclass
 from bundle.base.words import change, plural
 from bundle.errors import InputError
 from bundle.graphs.factors.factors import RelativePoseFactor

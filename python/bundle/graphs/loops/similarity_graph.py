@@ -34,12 +34,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.model.rigid_motions import multiply_poses
 from bundle.model.rotations import (
     cross_matrices,

@@ -30,11 +30,10 @@ of chi2. "mean" uses the means of the diagonals; for isotropic information it is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.model.pose_graph_arrays import PoseGraph
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.arguments import check_type
 from bundle.base.paths import as_path, is_path
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class WeightedGraph:
     """Graph with the weights of the loss multiplied into the information.
 

@@ -23,12 +23,11 @@ tree. In the remaining graph, each cluster is compared with all others held cons
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.graphs.pose_graphs.lie_groups import adjoint_between
 from bundle.model.pose_graph_arrays import PoseGraph
 

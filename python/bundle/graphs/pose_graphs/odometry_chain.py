@@ -17,12 +17,11 @@ direction of the chain measures the inverse: Z^-1 Exp(e) with e of covariance Ad
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.lie_groups import adjoints
 from bundle.model.pose_graph_arrays import PoseGraph

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.display import Display
+from bundle.base.records import dataclass
 from bundle.base.words import change, plural, seconds
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.solve_record import SolveRecord

@@ -22,12 +22,12 @@ largest gain first, settles each resulting set, and keeps the set if its truncat
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.base.words import number, plural
 from bundle.graphs.pose_graphs.chi2_quantiles import chi2_quantile
 from bundle.model.pose_graph_arrays import PoseGraph

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import number as rounded
 from bundle.georeference.similarity import Similarity
 from bundle.inertial.offline.clock_offset import ClockOffset

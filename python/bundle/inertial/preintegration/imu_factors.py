@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from bundle.base.arguments import check_type
 from bundle.base.arrays import freeze
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.variables import Key

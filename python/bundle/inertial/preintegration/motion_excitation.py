@@ -7,13 +7,12 @@ Scale and accelerometer bias are then not separable.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bundle.base.arguments import as_array
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 
 __all__ = ["HEALTHY", "UNOBSERVABLE", "Excitation", "excitation"]

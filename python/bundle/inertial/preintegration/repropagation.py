@@ -15,9 +15,9 @@ more than pi, or back and forth, the worst angle is assumed, Theta = pi.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 
 __all__ = ["Repropagation", "first_order_error"]
 

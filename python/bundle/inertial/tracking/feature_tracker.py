@@ -14,11 +14,12 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from bundle.base.records import dataclass
 from bundle.inertial.tracking.relative_rotation import refined_rotation
 from bundle.inertial.tracking.usable_pixels import usable_pixels
 from bundle.interface.tracking_options import TrackingOptions

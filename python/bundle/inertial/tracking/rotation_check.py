@@ -21,12 +21,12 @@ imply. Its standard deviation follows from the curvature.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import permutations, product
 from typing import Any
 
 import numpy as np
 
+from bundle.base.records import dataclass
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.tracking.feature_tracker import Turn
 from bundle.inertial.vio.sequence_images import ImuSlices

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.tracking.feature_tracker import FeatureTracker

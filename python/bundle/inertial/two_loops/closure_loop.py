@@ -10,13 +10,13 @@ stamp of that keyframe.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle.base.arguments import as_array, check_function, check_type
 from bundle.base.display import Display
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.inertial.preintegration.preintegration import as_vector
 from bundle.inertial.two_loops.loop_thread import SolveLoop

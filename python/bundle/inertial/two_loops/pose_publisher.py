@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 import bundle._core as _core
 from bundle.base.arguments import check_type
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.inertial.preintegration.preintegration import as_vector
 from bundle.inertial.two_loops.ring import Ring

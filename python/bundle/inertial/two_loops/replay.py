@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any, Unpack
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from bundle.base.arguments import check_type
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.inertial.two_loops.closure_loop import Closure, ClosureLoop
 from bundle.inertial.two_loops.deadline_priority import deadline_priority

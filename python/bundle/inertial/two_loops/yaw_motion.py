@@ -8,13 +8,13 @@ w) of the quaternion (x, y, z, w).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle.base.arguments import as_array
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.option_fields import number
 from bundle.model.rotations import quaternion_multiply

@@ -17,13 +17,13 @@ rotation that levels the IMU.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bundle.base.arguments import check_type
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.inertial.vio.linear_start import LinearStart, Observations, solve_linear_start
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.inertial.vio.static_start import find_static_start, level_quaternion

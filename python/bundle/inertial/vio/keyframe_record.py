@@ -9,11 +9,12 @@ keyframe is added.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, field
 from typing import Any
 
 import numpy as np
 
+from bundle.base.records import dataclass
 from bundle.inertial.vio.landmark_table import FrameTracks
 from bundle.interface.window_options import WindowOptions
 

@@ -22,13 +22,14 @@ The assumption is wrong for a platform that brakes gently and evenly: 0.3 m/s^2 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.inertial.vio.window_frame import WindowFrame
 from bundle.model.rotations import rotation_matrices
 

@@ -29,7 +29,6 @@ moves y by [y]x d, so that
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -37,6 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bundle.base.arguments import as_array, as_integers, check_type
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.option_fields import number
 from bundle.model.rotations import cross_matrices, rotation_matrices

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Unpack
 
 import numpy as np
 
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.inertial.vio.keyframe_record import KeyframeRecord
 from bundle.inertial.vio.window_run import WindowRun
 from bundle.interface.option_class import takes_options

@@ -6,11 +6,10 @@ Differences of consecutive samples, divided by sqrt(2), measure it without slow 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.inertial.preintegration.motion_excitation import excitation
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.inertial.vio.static_start import rest_at_start

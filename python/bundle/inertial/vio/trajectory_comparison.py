@@ -12,12 +12,11 @@ shortest arc. Errors (``model.pose_errors``) are computed after two alignments
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.model.pose_errors import ErrorStatistics, absolute_errors

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from bundle.base.records import dataclass
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.vio.landmark_table import FrameTracks
 from bundle.model.sequence.imu_noise import ImuNoise

@@ -13,7 +13,7 @@ is refused by the side on which its points are: most of them must be in front of
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.arrays import freeze
+from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.imported_source import ImportedSource

@@ -17,11 +17,10 @@ Source: openMVG/cameras/Camera_Pinhole*.hpp, Camera_Spherical.hpp.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.io.formats.json_fields import Node
 
 __all__ = ["KINDS", "MvgCamera", "as_model", "project", "read_camera"]

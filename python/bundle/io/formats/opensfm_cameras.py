@@ -26,12 +26,12 @@ Source: opensfm/src/geometry/camera_projections_functions.h, camera_distortions_
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.io.formats.fitted_lens import NUM_DIRECTIONS, NUM_RADII, fitted_lens, fitted_to_rays
 from bundle.io.formats.json_fields import Node

@@ -16,12 +16,12 @@ a pose of its own.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.io.formats.json_fields import Node
 from bundle.model.rig_arrays import placed, pose_differences

@@ -6,11 +6,11 @@ import dataclasses
 import os
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from bundle.base.paths import as_path
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.io.database_images import is_database
 

@@ -17,10 +17,10 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 
 __all__ = ["FOLDERS", "Format", "file_at", "find_format", "format_at", "format_for_name"]

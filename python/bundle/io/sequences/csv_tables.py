@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.paths import numbered_lines
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, shown
 
 __all__ = ["CsvTable", "csv_lines", "read_csv"]

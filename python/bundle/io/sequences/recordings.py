@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 
 from bundle.base.paths import as_path
+from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 from bundle.io.recognition import RECORDINGS, sequence_at
 from bundle.io.sequences.bag_recording import read_bag

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle.base.arrays import immutable
 from bundle.base.paths import as_path, numbered_lines
+from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.sequences.csv_tables import csv_lines, read_csv

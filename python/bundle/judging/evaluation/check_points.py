@@ -11,7 +11,7 @@ than the errors of the model; they count only if too few points are known to lea
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import is_path
+from bundle.base.records import dataclass
 from bundle.base.words import noun, number, plural
 from bundle.georeference.alignment import align
 from bundle.georeference.alignment_result import Alignment, ControlPointError

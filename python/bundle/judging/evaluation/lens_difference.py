@@ -18,11 +18,10 @@ images of A and B have different sizes, pixels of B are scaled to those of A.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models, project
 from bundle.model.lenses.pixel_rays import pixel_rays
 from bundle.model.pose_errors import ErrorStatistics

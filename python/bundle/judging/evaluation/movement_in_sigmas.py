@@ -23,12 +23,12 @@ Images of one frame of a rig have a constant relative pose, with C = 0; such pai
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.uncertainty.covariance_by_input import covariance
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.georeference.pose_alignment import align_centers
 from bundle.model.problem import Problem

@@ -38,11 +38,10 @@ the angle of g_j^-1 g_i, which is 4 asin(|g_i - g_j| / 2) after a choice of sign
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.model.rotations import quaternion_inverse, quaternion_multiply, rotation_matrices
 
 __all__ = ["MOST_IMAGES", "THRESHOLDS", "PairErrors", "pair_errors"]

@@ -9,11 +9,10 @@ other.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.georeference.similarity import Similarity
 from bundle.model.pose_errors import ErrorStatistics
 from bundle.model.problem import Problem

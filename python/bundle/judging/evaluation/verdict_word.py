@@ -28,11 +28,11 @@ If no cause is found, centres near a line are a finding: noise determines the ro
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.base.words import noun, number, plural
 from bundle.errors import InputError
 from bundle.georeference.consensus import agreeing

@@ -26,12 +26,12 @@ times as high.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.arrays import distinct
+from bundle.base.records import dataclass
 from bundle.base.words import named, number, plural
 from bundle.interface.finding import Finding
 from bundle.judging.findings.measured import Measured, median

@@ -33,12 +33,12 @@ standard error, 0.72 / sqrt(n), and if its errors without the linear field are 1
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.arrays import distinct
+from bundle.base.records import dataclass
 from bundle.base.words import noun, number
 from bundle.errors import shown
 from bundle.interface.finding import Finding

@@ -22,12 +22,12 @@ Model. The smallest larger model whose terms explain 85 % of the field.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.arrays import distinct
+from bundle.base.records import dataclass
 from bundle.base.words import named
 from bundle.interface.finding import Finding
 from bundle.judging.findings.measured import Measured

@@ -11,13 +11,14 @@ power: each test asks for size as well as significance.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.interface.options import SolveOptions
 from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem

@@ -32,13 +32,13 @@ At most 100 images with at most 400 observations each take part, spread evenly.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.arrays import distinct
+from bundle.base.records import dataclass
 from bundle.judging.findings.measured import Measured
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
+from bundle.base.records import dataclass
 from bundle.base.words import change, duration, number
 from bundle.judging.triage.difference import Difference
 

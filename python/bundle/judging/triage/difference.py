@@ -11,10 +11,10 @@ and the larger the load was.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from bundle.base.records import dataclass
 from bundle.interface.triage_options import TriageOptions
 from bundle.judging.triage.solve_facts import SolveFacts
 

@@ -10,8 +10,10 @@ import math
 import statistics
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
+
+from bundle.base.records import dataclass
 
 __all__ = ["SolveFacts", "flight_facts", "solve_facts"]
 

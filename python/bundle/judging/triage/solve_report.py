@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from bundle._core import __version__
 from bundle.base.paths import as_path
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, shown
 from bundle.judging.triage.solve_facts import SolveFacts, flight_facts, solve_facts
 

@@ -15,11 +15,11 @@ all, input. Sensors of a rig are cameras, so that an input with rigs keeps its o
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.editing.cameras.camera_sharing import (
     cameras_by_size,
     share_cameras,

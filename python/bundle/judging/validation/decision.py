@@ -27,11 +27,11 @@ Vetoed candidates take no part. Their scores and differences are still computed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 
 __all__ = ["Decision", "DecisionRule", "decide", "jackknife"]

@@ -46,11 +46,11 @@ and a scale of the image, which the pose absorbs.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.judging.validation.shear_score import ShearScore, shear_score
 from bundle.model.folds import measurement_numbers
 from bundle.model.problem import Problem

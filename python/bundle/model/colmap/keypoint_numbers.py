@@ -7,11 +7,10 @@ new keypoint after them. Images that the source does not have contain only obser
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.model.problem_arrays import ProblemArrays
 

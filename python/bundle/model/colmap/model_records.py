@@ -8,12 +8,12 @@ black, COLMAP's "no colour".
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.model.colmap.keypoint_numbers import KeypointNumbers, number_keypoints
 from bundle.model.colmap.rig_records import MAX_ID, check_rigs, edited_rigs

@@ -7,13 +7,14 @@ sensor is the reference sensor. The data of a frame list its images (for cameras
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 
 __all__ = [
     "CAMERA",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import pycolmap
@@ -15,6 +14,7 @@ from pycolmap import (
 )
 
 from bundle.base.arguments import check_type
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 
 __all__ = [

@@ -8,13 +8,13 @@ cameras with a known sensor_from_rig, even without images. All other records sta
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 
 __all__ = ["RigFields", "as_row", "cameras_of", "is_trivial", "rigs_of"]

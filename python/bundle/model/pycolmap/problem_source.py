@@ -10,7 +10,6 @@ import dataclasses
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.optional_packages import require_pycolmap
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.model import rig_arrays
 from bundle.model.colmap.source_records import (

@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
@@ -16,6 +15,7 @@ import pycolmap
 from numpy.typing import NDArray
 
 from bundle.base.arguments import check_type
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.model import rig_arrays
 from bundle.model.cameras import camera_models

@@ -21,13 +21,14 @@ YAML reads ``1e-4``, without a decimal point, as a string, which is converted to
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, nearest, shown
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.rotations import quaternion_from_matrix

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.interface.option_fields import number
 
 __all__ = ["ImuNoise"]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from bundle.base.display import Display, Displayed
 from bundle.base.memory_sizes import format_size
+from bundle.base.records import dataclass
 from bundle.base.words import contents, plural, seconds
 from bundle.errors import shown
 from bundle.interface.environment import Environment

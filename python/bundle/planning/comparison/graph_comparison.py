@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import bundle._core as _core
 from bundle.base.arguments import check_function, check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path, is_path
+from bundle.base.records import dataclass
 from bundle.base.words import plural, seconds
 from bundle.errors import InputError
 from bundle.graphs.factors.factor_graph import FactorGraph

@@ -6,9 +6,9 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
+from bundle.base.records import dataclass
 from bundle.base.words import number, plural, seconds
 from bundle.errors import InputError
 from bundle.interface.compare_options import SECONDS_NOT_REPEATED

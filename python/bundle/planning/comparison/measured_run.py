@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import statistics
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
 from bundle.base.memory_sizes import format_size
+from bundle.base.records import dataclass
 from bundle.base.words import change, number, seconds
 from bundle.interface.summary import Summary
 from bundle.planning.comparison.method import Method

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
 from bundle.interface.compare_options import (

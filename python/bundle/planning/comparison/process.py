@@ -13,12 +13,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import IO, Any
 
 from bundle.base.interrupts import interrupts_deferred
 from bundle.base.memory_sizes import format_size
+from bundle.base.records import dataclass
 from bundle.planning.comparison import process_memory
 
 __all__ = ["WorkerEnd", "run_worker", "worker_command"]

@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
+from bundle.base.records import dataclass
 from bundle.planning.comparison.method import Method
 
 __all__ = ["PerformanceProfile", "performance_profiles"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from bundle.base.memory_sizes import format_size
 from bundle.base.paths import is_path
+from bundle.base.records import dataclass
 from bundle.errors import shown
 from bundle.interface.compare_options import SECONDS_NOT_REPEATED
 from bundle.interface.options import SolveOptions

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from itertools import combinations
+
+from bundle.base.records import dataclass
 
 __all__ = ["EliminationStep", "eliminate", "minimum_degree_order"]
 

@@ -11,13 +11,14 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.base.words import number
 from bundle.planning.inspection.graph_inspection import pattern_of_edges
 from bundle.planning.inspection.peak_memory import Terms, total

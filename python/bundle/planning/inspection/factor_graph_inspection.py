@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import number, plural, span
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.interface.tabular import Tabular

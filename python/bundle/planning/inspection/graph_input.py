@@ -9,7 +9,6 @@ import operator
 import os
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.arguments import as_integers
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, shown
 
 __all__ = [

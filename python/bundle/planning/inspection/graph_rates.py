@@ -24,7 +24,7 @@ is measured on two graphs.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter, process_time
 from typing import Any
 
@@ -32,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.graphs.pose_graphs.lie_groups import compose, inverse
 from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
 from bundle.model.pose_graph_arrays import PoseGraph

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.interface.options import PRECONDITIONER_TYPES
 
 __all__ = ["ORDERINGS", "Method", "all_methods"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ import bundle._core as _core
 from bundle.base.arguments import check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path, is_path
+from bundle.base.records import dataclass
 from bundle.base.words import number, plural, span
 from bundle.graphs.pose_graphs.edge_weights import check_free_pose
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult

@@ -17,9 +17,9 @@ exactly (`refine --only-images --rest marginal`). So the memory bounds the image
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY
+from bundle.base.records import dataclass
 from bundle.solving.slices.scratch_size import RESIDENT_BYTES, scratch_bytes
 
 __all__ = ["MOST_OBSERVATIONS", "ProblemNeeds", "needs_of"]

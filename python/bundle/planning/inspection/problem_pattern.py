@@ -14,13 +14,14 @@ nonzeros of L includes its lower triangle and its diagonal. Blocks count as dens
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 

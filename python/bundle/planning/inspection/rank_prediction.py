@@ -39,10 +39,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from bundle.base.records import dataclass
 from bundle.base.words import duration
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions

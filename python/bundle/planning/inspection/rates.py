@@ -7,7 +7,7 @@ this.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from bundle.base.records import dataclass
 
 __all__ = ["FactorRate", "Rates", "implausible"]
 

@@ -16,7 +16,7 @@ counts m k n, the inverse of a 3 x 3 block 3^3, a Cholesky factorisation of n co
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from bundle.base.records import dataclass
 
 __all__ = ["SchurCounts", "count_schur"]
 

@@ -8,7 +8,6 @@ without a known redundancy count with no expectation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.analysis.diagnosis.diagnose_problem import diagnose
 from bundle.analysis.diagnosis.graph_diagnosis import GraphDiagnosis
+from bundle.base.records import dataclass
 from bundle.base.words import change, number, plural
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult

@@ -8,13 +8,13 @@ import os
 import struct
 import warnings
 import zlib
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.optional_packages import allow_heic
+from bundle.base.records import dataclass
 
 __all__ = ["Photograph", "data_uri", "photograph", "png"]
 

@@ -20,12 +20,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
 from bundle.analysis.statistics.description import Description
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import shown
 from bundle.figures.axes import short

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
+from bundle.base.records import dataclass
 from bundle.base.waiting_time import Waiting
 from bundle.base.words import seconds
 from bundle.interface.environment import Environment

@@ -11,12 +11,12 @@ The rules are COLMAP's (bundle_adjustment_ceres.cc):
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.interface.colmap_options import ColmapAdjustment
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bundle.base.log_messages import log
 from bundle.base.optional_packages import require_pycolmap
+from bundle.base.records import dataclass
 from bundle.interface.colmap_options import colmap_adjustment
 from bundle.interface.solve_record import Progress
 from bundle.interface.summary import Summary

@@ -7,9 +7,10 @@ the start of the entire run, not to the start of a round.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import TYPE_CHECKING
 
+from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 from bundle.solving.constraints.rules import Rule
 

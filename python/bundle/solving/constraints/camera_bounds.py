@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from bundle.base.arguments import as_array
 from bundle.base.arrays import freeze
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem

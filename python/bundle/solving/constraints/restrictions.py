@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.arrays import freeze
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.model.problem import Problem
 from bundle.model.problem_keys import parameter_names

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import numbered_lines
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, shown
 from bundle.solving.constraints.rule_text import parse_rule, without_comment
 from bundle.solving.constraints.rules import Rule

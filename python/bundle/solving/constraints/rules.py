@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, ClassVar
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.model.image_selection import MOST_IDS, id_range
 

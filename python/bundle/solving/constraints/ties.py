@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 
 __all__ = ["MOST_SHARED", "Group", "Groups", "check_components", "divided_bounds"]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.interface.process_record import ProcessPart
 from bundle.solving.constraints.restrictions import Restrictions
 from bundle.solving.ranks.partition import ProblemPart

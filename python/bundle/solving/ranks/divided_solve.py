@@ -5,13 +5,13 @@ from __future__ import annotations
 import resource
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import bundle._core as _core
 from bundle.base.arrays import freeze
+from bundle.base.records import dataclass
 from bundle.interface.process_record import ProcessPart, ProcessRecord, Traffic
 from bundle.model.problem import Problem
 from bundle.solving.constraints.restrictions import Restrictions

@@ -15,13 +15,13 @@ bit for bit to those of one process.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.model.problem import Problem
 

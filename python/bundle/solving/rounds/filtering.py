@@ -13,13 +13,13 @@ so that an outlier cannot make a point look well triangulated:
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.arguments import as_integers
 from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
 from bundle.base.words import contents, plural
 from bundle.errors import InputError
 from bundle.interface.round_options import RoundOptions

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.model.problem_keys import parameter_names

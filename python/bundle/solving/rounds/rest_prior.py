@@ -27,7 +27,6 @@ at the minimum and all gauge-independent results stay the same.
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,6 +35,7 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.arrays import freeze
 from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY, format_size
+from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions

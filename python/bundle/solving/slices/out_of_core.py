@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 from bundle.interface.solve_record import Progress
 from bundle.io import colmap

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.arrays import freeze
+from bundle.base.records import dataclass
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.solving.prepare import STATE

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.arrays import freeze
+from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CHECKPOINT_INTERVAL

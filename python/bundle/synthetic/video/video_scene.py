@@ -10,11 +10,10 @@ it, from whose poses the twist per frame follows as Log(T_b T_a^-1) / (frame_b -
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.scene_options import MIN_TRACK_LENGTH, SceneOptions
 from bundle.model.problem import Problem
