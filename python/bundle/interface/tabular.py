@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Tabular", "columns_of", "frame_of", "has_records"]
 
-_RECORDS = re.compile(r"tuple\[(?!Key\b)[A-Z]\w+, \.\.\.\]")
-"""Type of a field with one record per row; a key is no record."""
+_RECORDS = re.compile(r"tuple\[(?!(?:Key|Any)\b)[A-Z]\w+, \.\.\.\]")
+"""Type of a field with one record per row; keys and ids are no records."""
 
 
 def frame_of(columns: Mapping[str, Any]) -> pandas.DataFrame:
