@@ -12,7 +12,6 @@ namespace bundle {
 
 void CovarianceComputation::FindPoints() {
   constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
-  ReserveHugePages(9 * size_t(view().num_points), &output_.points);
   output_.points.assign(9 * size_t(view().num_points), 0.0);
   const auto set = [&](int p, const Matrix3& covariance) {
     Eigen::Map<Matrix3>(&output_.points[9 * size_t(p)]) =

@@ -31,6 +31,7 @@
 #include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -52,7 +53,7 @@ struct CovarianceOutput {
   std::vector<double> cameras;   ///< num_cameras x stride x stride; NaN for constant parameters
   std::vector<double> twists;    ///< num_images x 6 x 6; empty without rolling shutters
   std::vector<double> readouts;  ///< num_cameras: variances; NaN for constant readouts; or empty
-  std::vector<double> points;    ///< num_points x 3 x 3; NaN for undetermined points
+  LargeVector<double> points;    ///< num_points x 3 x 3; NaN for undetermined points
   std::vector<double> relative;  ///< pairs x 6 x 6
   std::vector<int> null_points;  ///< points without parallax, ascending
   double weighted_squares =

@@ -41,7 +41,7 @@ void CovarianceComputation::FindScatter() {
     return;
   }
   if (constraints_ != nullptr) scatter_gauge_ = std::make_unique<ScatterGauge>(*gauge_);
-  const std::vector<double> meat = SumMeat(system_, scatter_gauge_.get());
+  const BlockValues meat = SumMeat(system_, scatter_gauge_.get());
   Check(SolveForScatter(&system_, meat, scatter_gauge_.get(), &scatter_));
   if (scatter_gauge_ != nullptr) Check(scatter_gauge_->Finish(&system_, meat));
 }

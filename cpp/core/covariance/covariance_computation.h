@@ -316,7 +316,7 @@ class CovarianceComputation {
       scatter_gauge_;  ///< also for this case, in the sandwich of a large system
   LongMatrix lower_;   ///< L of S, of a small system
   std::unique_ptr<LongScatter> long_scatter_;  ///< scatter of a small system
-  std::vector<double> scatter_;                ///< D, and finally D'; for the sandwich
+  BlockValues scatter_;                        ///< D, and finally D'; for the sandwich
   CovarianceOutput output_;
 };
 

@@ -134,7 +134,7 @@ void EliminatedPart::Solve(const std::vector<double>& b, int num_columns, std::v
   }
 }
 
-void EliminatedPart::Fill(const std::vector<double>& added, std::vector<double>* values) const {
+void EliminatedPart::Fill(const std::vector<double>& added, BlockValues* values) const {
   values->assign(structure_.num_values, 0.0);
   const BlockStructure& s = whole_.structure();
   for (int column = 0; column < s.num_blocks(); ++column) {

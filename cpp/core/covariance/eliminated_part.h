@@ -36,7 +36,7 @@ class EliminatedPart {
 
  private:
   /// S_aa plus a diagonal.
-  void Fill(const std::vector<double>& added, std::vector<double>* values) const;
+  void Fill(const std::vector<double>& added, BlockValues* values) const;
   double SmallestPivot() const;
   void SolveOnce(const std::vector<double>& b, int num_columns, std::vector<double>* x);
   /// Computes B - S_aa X. Returns the largest ratio of a column's norm to that of B, scaled.
@@ -55,7 +55,7 @@ class EliminatedPart {
   std::unique_ptr<LinearSolver> solver_;
   std::unique_ptr<SymmetricProduct> product_;
   BlockSystem system_;
-  std::vector<double> values_;  ///< S_aa, if the factor is that of a damped matrix
+  BlockValues values_;  ///< S_aa, if the factor is that of a damped matrix
 };
 
 }  // namespace bundle

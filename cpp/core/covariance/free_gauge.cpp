@@ -219,7 +219,7 @@ void InnerConstraints::Transform(int rows, const double* n_rows, const double* y
 }
 
 void TransformBlocks(const Eigen::MatrixXd& n, const Eigen::MatrixXd& y, const Eigen::MatrixXd& k,
-                     const BlockStructure& s, std::vector<double>* values) {
+                     const BlockStructure& s, BlockValues* values) {
   using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   const Eigen::Index d = n.cols();
   // The change is left right^T, with left = [N | -Y] of the rows and right = [N k - Y | N] of the

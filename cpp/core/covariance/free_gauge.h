@@ -97,7 +97,7 @@ class FreeGauge {
 
 /// Adds N_i (k N_j^T - Y_j^T) - Y_i N_j^T to all blocks (i, j).
 void TransformBlocks(const Eigen::MatrixXd& n, const Eigen::MatrixXd& y, const Eigen::MatrixXd& k,
-                     const BlockStructure& structure, std::vector<double>* values);
+                     const BlockStructure& structure, BlockValues* values);
 
 /// The S-transformation of blocks of G.
 class InnerConstraints {
@@ -113,7 +113,7 @@ class InnerConstraints {
   void Transform(int rows, const double* n_rows, const double* y_rows, int columns,
                  const double* n_columns, const double* y_columns, double* block) const;
   /// Transforms all blocks of C to those of H^+.
-  void TransformBlocks(const BlockStructure& structure, std::vector<double>* values) const {
+  void TransformBlocks(const BlockStructure& structure, BlockValues* values) const {
     bundle::TransformBlocks(gauge_.cameras(), y_, k_, structure, values);
   }
 

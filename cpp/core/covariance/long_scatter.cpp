@@ -124,7 +124,7 @@ void LongScatter::SumPoints() {
   });
 }
 
-std::vector<double> LongScatter::OfUnknowns() const {
+BlockValues LongScatter::OfUnknowns() const {
   const LongMatrix half = cameras_.lazyProduct(of_rest_.transpose()) - of_unknowns_;
   const Eigen::MatrixXd whole = (scatter_ + half.lazyProduct(cameras_.transpose()) -
                                  cameras_.lazyProduct(of_unknowns_.transpose()))

@@ -33,7 +33,7 @@ class LongScatter {
               const FreeGauge* gauge);
 
   /// cov delta_c', n x n.
-  std::vector<double> OfUnknowns() const;
+  BlockValues OfUnknowns() const;
   /// cov delta_p' of the point assembled last, 3 x 3.
   void OfPoint(int point, const PointBlocks& blocks, const PointAssembler& rows,
                double covariance[9]) const;

@@ -96,7 +96,7 @@ void Finish(const ReducedSystem& system, long double own, LongMatrix* sum) {
 
 }  // namespace
 
-LongMatrix Whole(const std::vector<double>& values, Eigen::Index n) {
+LongMatrix Whole(const BlockValues& values, Eigen::Index n) {
   LongMatrix whole = Eigen::Map<const MatrixXd>(values.data(), n, n).cast<long double>();
   for (Eigen::Index j = 0; j < n; ++j) {
     for (Eigen::Index i = 0; i < j; ++i) whole(i, j) = whole(j, i);

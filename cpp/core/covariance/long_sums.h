@@ -20,7 +20,7 @@ namespace bundle {
 using LongMatrix = Eigen::Matrix<long double, Eigen::Dynamic, Eigen::Dynamic>;
 
 /// Fills both triangles of a dense symmetric matrix from the stored lower triangle.
-LongMatrix Whole(const std::vector<double>& values, Eigen::Index n);
+LongMatrix Whole(const BlockValues& values, Eigen::Index n);
 
 /// S, with both triangles.
 LongMatrix SumSystemOfRows(const ReducedSystem& system);

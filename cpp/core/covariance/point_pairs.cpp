@@ -15,9 +15,8 @@ namespace bundle {
 #endif
 
 BUNDLE_FOR_TWO_PROCESSORS
-void AddPairs(const ReducedSystem& system, const std::vector<double>& values,
-              const PointBlocks& blocks, const PaddedRows& x, const PaddedRows& z, bool is_same,
-              double sum[9]) {
+void AddPairs(const ReducedSystem& system, const BlockValues& values, const PointBlocks& blocks,
+              const PaddedRows& x, const PaddedRows& z, bool is_same, double sum[9]) {
   const BlockStructure& s = system.structure();
   Four total[3] = {};
   for (size_t b = 0; b < blocks.blocks.size(); ++b) {

@@ -28,8 +28,7 @@ struct PaddedRows {
 };
 
 /// sum += X^T A Z, 3 x 3 row-major, for a symmetric A. `is_same`: X is Z.
-void AddPairs(const ReducedSystem& system, const std::vector<double>& values,
-              const PointBlocks& blocks, const PaddedRows& x, const PaddedRows& z, bool is_same,
-              double sum[9]);
+void AddPairs(const ReducedSystem& system, const BlockValues& values, const PointBlocks& blocks,
+              const PaddedRows& x, const PaddedRows& z, bool is_same, double sum[9]);
 
 }  // namespace bundle

@@ -206,7 +206,7 @@ void PointPasses::AddEliminated(const std::vector<double>& of_images, GaugeSums*
   }
 }
 
-void PointPasses::AddPlain(const BlockStructure& structure, const std::vector<double>& values,
+void PointPasses::AddPlain(const BlockStructure& structure, const BlockValues& values,
                            const ColumnBlock& rows, const ColumnBlock& columns, int width,
                            double* to) {
   if (rows.block >= columns.block || columns.first < 0) {
@@ -227,8 +227,8 @@ void PointPasses::AddPlain(const BlockStructure& structure, const std::vector<do
   }
 }
 
-void PointPasses::FillPair(const BlockStructure& structure, const std::vector<double>& values,
-                           int a, int b, double* to) const {
+void PointPasses::FillPair(const BlockStructure& structure, const BlockValues& values, int a, int b,
+                           double* to) const {
   constexpr int kMax = BlockSystem::kMaxBlockSize;
   const int width = Width(b);
   for (const ColumnBlock& rows : blocks_[a]) {
@@ -265,9 +265,8 @@ void PointPasses::FillPair(const BlockStructure& structure, const std::vector<do
   }
 }
 
-void PointPasses::FindCovariances(const BlockStructure& structure,
-                                  const std::vector<double>& values, const FreeGauge* gauge,
-                                  double* to) const {
+void PointPasses::FindCovariances(const BlockStructure& structure, const BlockValues& values,
+                                  const FreeGauge* gauge, double* to) const {
   const SchurSetup& setup = schur_.setup();
   const EliminationInput& input = schur_.input();
   const auto num_chunks = static_cast<int>(setup.plan.chunks.size());

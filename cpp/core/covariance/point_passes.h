@@ -34,7 +34,7 @@ class PointPasses {
   /// of the problem, on all threads. Leaves out points with very many observations. `values` are
   /// the covariances of the camera parameters, blocks of `structure`, under the constraints of
   /// `gauge`; nullptr: without constraints.
-  void FindCovariances(const BlockStructure& structure, const std::vector<double>& values,
+  void FindCovariances(const BlockStructure& structure, const BlockValues& values,
                        const FreeGauge* gauge, double* to) const;
 
  private:
@@ -55,10 +55,10 @@ class PointPasses {
   void FillMoves(const GaugeSums& gauge, std::vector<double>* images,
                  std::vector<uint8_t>* moves_along) const;
   void AddEliminated(const std::vector<double>& of_images, GaugeSums* gauge, int thread) const;
-  static void AddPlain(const BlockStructure& structure, const std::vector<double>& values,
+  static void AddPlain(const BlockStructure& structure, const BlockValues& values,
                        const ColumnBlock& rows, const ColumnBlock& columns, int width, double* to);
   /// Adds the covariance of two parts' columns, NumColumns(a) rows of Width(b).
-  void FillPair(const BlockStructure& structure, const std::vector<double>& values, int a, int b,
+  void FillPair(const BlockStructure& structure, const BlockValues& values, int a, int b,
                 double* to) const;
 
   const SchurProblem& schur_;

@@ -137,29 +137,29 @@ void ReducedSystem::FinishLinearization() {
 /// Also replaces rows of constant unknowns by those of the identity.
 void ReducedSystem::ReadDiagonal() {
   diagonal_.clear();
-  std::vector<double>& s = values();
+  BlockValues& s = values();
   structure_.ForDiagonal([&](int column, int64_t at) {
     if (!held_.empty() && held_[column] != 0) s[at] = 1;
     diagonal_.push_back(s[at]);
   });
 }
 
-void ReducedSystem::SetSystem(std::vector<double> values) {
+void ReducedSystem::SetSystem(BlockValues values) {
   if (schur_ == nullptr) return;
   schur_->system().values = std::move(values);
   ReadDiagonal();
 }
 
-std::vector<double>& ReducedSystem::values() {
+BlockValues& ReducedSystem::values() {
   return schur_ == nullptr ? no_values_ : schur_->system().values;
 }
 
-const std::vector<double>& ReducedSystem::values() const {
+const BlockValues& ReducedSystem::values() const {
   return schur_ == nullptr ? no_values_ : schur_->system().values;
 }
 
 const std::vector<double>& ReducedSystem::rhs() const {
-  return schur_ == nullptr ? no_values_ : schur_->system().rhs;
+  return schur_ == nullptr ? no_rhs_ : schur_->system().rhs;
 }
 
 LinearSolution ReducedSystem::Factorize() {
@@ -235,7 +235,7 @@ LinearSolution ReducedSystem::Solve(const FullVectors& rhs, FullVectors* x) {
 double ReducedSystem::SmallestPivot(int* unknown) const {
   double smallest = std::numeric_limits<double>::infinity();
   if (schur_ == nullptr) return smallest;
-  const std::vector<double>& l = schur_->system().values;
+  const auto& l = schur_->system().values;
   structure_.ForDiagonal([&](int column, int64_t at) {
     const double share = l[at] * l[at] / diagonal_[column];
     if (!(share < smallest)) return;
@@ -248,7 +248,7 @@ double ReducedSystem::SmallestPivot(int* unknown) const {
 double ReducedSystem::LargestInflation(int* unknown) const {
   double largest = 0;
   if (schur_ == nullptr) return largest;
-  const std::vector<double>& inverse = schur_->system().values;
+  const auto& inverse = schur_->system().values;
   structure_.ForDiagonal([&](int column, int64_t at) {
     if (!held_.empty() && held_[column] != 0) return;
     double inflation = inverse[at] * diagonal_[column];

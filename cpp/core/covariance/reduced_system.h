@@ -98,8 +98,8 @@ class ReducedSystem {
   /// Structure of the S in values(), with its blocks in the order of the layout.
   const BlockStructure& structure() const { return structure_; }
   /// Values of the blocks of S. Factorize may overwrite them; after Invert they are those of S^-1.
-  std::vector<double>& values();
-  const std::vector<double>& values() const;
+  BlockValues& values();
+  const BlockValues& values() const;
   /// The right-hand side of a step: minus the gradient, points eliminated.
   const std::vector<double>& rhs() const;
   /// Entry (j, j) of S before the factorisation, for each unknown.
@@ -108,7 +108,7 @@ class ReducedSystem {
   /// Adds the second derivatives of the loss to V and W (sandwich.h); S is given.
   void UseSecondOrder() { second_order_ = true; }
   bool is_second_order() const { return second_order_; }
-  void SetSystem(std::vector<double> values);
+  void SetSystem(BlockValues values);
 
   LinearSolution Factorize();
   /// Uses L, n x n and column-major, as the factor of a dense S.
@@ -171,7 +171,7 @@ class ReducedSystem {
 
   /// Block (row, column) of a matrix with the structure of S, rows of block `row` x columns of
   /// block `column`, row-major. The block must be in the structure.
-  void CopyBlock(const std::vector<double>& values, int row, int column, double* out) const {
+  void CopyBlock(const BlockValues& values, int row, int column, double* out) const {
     bundle::CopyBlock(structure_, values, row, column, out);
   }
   /// True if block (row, column) is in the structure.
@@ -212,7 +212,8 @@ class ReducedSystem {
   std::map<int, std::vector<double>> prior_rows_;  ///< per point; computed by EliminateByRows
   std::vector<uint8_t> held_;
   std::vector<double> diagonal_;
-  std::vector<double> no_values_;  ///< values of a system without unknowns
+  BlockValues no_values_;       ///< values of a system without unknowns
+  std::vector<double> no_rhs_;  ///< its right-hand side
 };
 
 }  // namespace bundle

@@ -89,7 +89,7 @@ std::vector<TangentRow> FindTangentRows(const ReducedSystem& system, const Scene
 void CopyEntries(const ReducedSystem& system, const std::vector<int>& row_of,
                  const std::vector<int>& column_of, size_t num_rows, double* out) {
   const BlockStructure& s = system.structure();
-  const std::vector<double>& values = system.values();
+  const BlockValues& values = system.values();
   const auto put = [&](int i, int j, double value) {
     if (row_of[i] >= 0 && column_of[j] >= 0) out[column_of[j] * num_rows + row_of[i]] = value;
   };

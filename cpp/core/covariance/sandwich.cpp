@@ -19,7 +19,7 @@ constexpr int kColumnsAtOnce = 256;
 /// the two symmetric blocks, uses the stored one.
 class SymmetricSum {
  public:
-  SymmetricSum(const BlockStructure& structure, std::vector<double>* values)
+  SymmetricSum(const BlockStructure& structure, BlockValues* values)
       : structure_(structure), values_(*values) {}
 
   /// block(r, c) += value(r, c), for the block on or below the diagonal.
@@ -35,7 +35,7 @@ class SymmetricSum {
 
  private:
   const BlockStructure& structure_;
-  std::vector<double>& values_;
+  BlockValues& values_;
 };
 
 double Dot3(const double* a, const double* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
@@ -73,7 +73,7 @@ void AddEliminated(const PointBlocks& blocks, const PointScores& scores, Symmetr
 
 /// Adds j^T j of one row of a factor; parameters held on bounds are ignored.
 void AddFactorRow(const BlockStructure& s, const std::vector<uint8_t>& held,
-                  const std::vector<int>& unknowns, const double* j, std::vector<double>* values) {
+                  const std::vector<int>& unknowns, const double* j, BlockValues* values) {
   const auto is_held = [&](int unknown) { return !held.empty() && held[unknown] != 0; };
   for (size_t a = 0; a < unknowns.size(); ++a) {
     for (size_t b = 0; b < unknowns.size(); ++b) {
@@ -87,7 +87,7 @@ void AddFactorRow(const BlockStructure& s, const std::vector<uint8_t>& held,
 }
 
 /// J^T J of the factors of camera parameters.
-void AddFactors(const ReducedSystem& system, std::vector<double>* values) {
+void AddFactors(const ReducedSystem& system, BlockValues* values) {
   system.ForFactors([&](const ReducedSystem::FactorRows& rows) {
     if (!rows.points.empty()) return;  // included in V or P of the point
     for (int row = 0; row < rows.num_rows; ++row) {
@@ -120,9 +120,9 @@ void SumScores(const PointBlocks& blocks, const PointAssembler& assembler, const
   }
 }
 
-std::vector<double> SumBread(const ReducedSystem& system) {
+BlockValues SumBread(const ReducedSystem& system) {
   const BlockStructure& s = system.structure();
-  std::vector<double> bread(static_cast<size_t>(s.num_values), 0.0);
+  BlockValues bread(static_cast<size_t>(s.num_values), 0.0);
   SymmetricSum sum(s, &bread);
   system.ForPoints(1, [&](int, const PointBlocks& blocks, const PointAssembler& rows, int) {
     for (int i = 0; i < rows.num_rows(); ++i) AddOwn(rows.row(i), 1, rows.row(i).bend, &sum);
@@ -151,9 +151,9 @@ std::vector<double> ScoresBesidePoint(const PointBlocks& blocks, const PointScor
   return e;
 }
 
-std::vector<double> SumMeat(const ReducedSystem& system, ScatterGauge* gauge) {
+BlockValues SumMeat(const ReducedSystem& system, ScatterGauge* gauge) {
   const BlockStructure& s = system.structure();
-  std::vector<double> meat(static_cast<size_t>(s.num_values), 0.0);
+  BlockValues meat(static_cast<size_t>(s.num_values), 0.0);
   SymmetricSum sum(s, &meat);
   const std::vector<double>& prior = system.tracks().prior;
   // Uses one thread: points share blocks, and no bit may depend on the order of threads.
@@ -172,8 +172,8 @@ std::vector<double> SumMeat(const ReducedSystem& system, ScatterGauge* gauge) {
   return meat;
 }
 
-LinearSolution SolveForScatter(ReducedSystem* system, const std::vector<double>& meat,
-                               const ScatterGauge* gauge, std::vector<double>* scatter) {
+LinearSolution SolveForScatter(ReducedSystem* system, const BlockValues& meat,
+                               const ScatterGauge* gauge, BlockValues* scatter) {
   const BlockStructure& s = system->structure();
   const Eigen::Index n = s.num_columns();
   scatter->assign(meat.size(), 0.0);

@@ -47,18 +47,18 @@ void SumScores(const PointBlocks& blocks, const PointAssembler& assembler, const
 
 /// Returns S of H with the second derivatives of the loss. It may be indefinite if the state is not
 /// a minimum. The system includes these second derivatives.
-std::vector<double> SumBread(const ReducedSystem& system);
+BlockValues SumBread(const ReducedSystem& system);
 
 /// E_p = F - Y P, rows as in PointBlocks::w.
 std::vector<double> ScoresBesidePoint(const PointBlocks& blocks, const PointScores& scores);
 
 /// Returns B, with the structure of S, and adds the sums for `gauge`, unless it is nullptr.
-std::vector<double> SumMeat(const ReducedSystem& system, ScatterGauge* gauge);
+BlockValues SumMeat(const ReducedSystem& system, ScatterGauge* gauge);
 
 /// Returns D at the blocks of S, for a factorised system; the D' of scatter_gauge.h, unless `gauge`
 /// is nullptr.
-LinearSolution SolveForScatter(ReducedSystem* system, const std::vector<double>& meat,
-                               const ScatterGauge* gauge, std::vector<double>* scatter);
+LinearSolution SolveForScatter(ReducedSystem* system, const BlockValues& meat,
+                               const ScatterGauge* gauge, BlockValues* scatter);
 
 /// M x, for vectors of all unknowns.
 FullVectors MeatTimes(const ReducedSystem& system, const FullVectors& x);

@@ -45,7 +45,7 @@ void ScatterGauge::RemoveGauge(Eigen::Ref<Eigen::MatrixXd> x) const {
   x -= Multiply(basis_, MultiplyTransposed(basis_, x));
 }
 
-LinearSolution ScatterGauge::Finish(ReducedSystem* system, const std::vector<double>& meat) {
+LinearSolution ScatterGauge::Finish(ReducedSystem* system, const BlockValues& meat) {
   const int d = gauge_.degrees();
   LinearSolution solution;
   // to = S^+ from, or C from.
@@ -68,14 +68,12 @@ LinearSolution ScatterGauge::Finish(ReducedSystem* system, const std::vector<dou
   return solution;
 }
 
-void ScatterGauge::TransformInverse(const BlockStructure& structure,
-                                    std::vector<double>* values) const {
+void ScatterGauge::TransformInverse(const BlockStructure& structure, BlockValues* values) const {
   TransformBlocks(basis_, solved_basis_, MultiplyTransposed(basis_, solved_basis_), structure,
                   values);
 }
 
-void ScatterGauge::TransformScatter(const BlockStructure& structure,
-                                    std::vector<double>* values) const {
+void ScatterGauge::TransformScatter(const BlockStructure& structure, BlockValues* values) const {
   TransformBlocks(gauge_.cameras(), of_unknowns_, of_rest_, structure, values);
 }
 

@@ -60,12 +60,12 @@ class ScatterGauge {
   void RemoveGauge(Eigen::Ref<Eigen::MatrixXd> x) const;
 
   /// Computes X, R and T from the factorised system and B.
-  LinearSolution Finish(ReducedSystem* system, const std::vector<double>& meat);
+  LinearSolution Finish(ReducedSystem* system, const BlockValues& meat);
 
   /// Transforms blocks of C to those of S^+. Call after Finish.
-  void TransformInverse(const BlockStructure& structure, std::vector<double>* values) const;
+  void TransformInverse(const BlockStructure& structure, BlockValues* values) const;
   /// Transforms blocks of D to those of cov delta_c'.
-  void TransformScatter(const BlockStructure& structure, std::vector<double>* values) const;
+  void TransformScatter(const BlockStructure& structure, BlockValues* values) const;
   /// Transforms cov delta_p (3 x 3, row-major) to cov delta_p'; arguments as for AddPoint.
   void TransformPoint(int point, const PointBlocks& blocks, const ParameterLayout& layout,
                       const double* e, const double p[9], double* covariance) const;

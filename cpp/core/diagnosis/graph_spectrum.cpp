@@ -126,7 +126,7 @@ class GraphSpectrumSearch {
 
   const std::unique_ptr<PoseGraphProblem> problem_;
   BlockStructure compact_;
-  std::vector<double> values_;
+  BlockValues values_;
   std::unique_ptr<SymmetricProduct> product_;
   Eigen::VectorXd d_;
 };

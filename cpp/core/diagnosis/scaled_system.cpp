@@ -103,7 +103,7 @@ Eigen::MatrixXd ScaledSystem::Multiply(const Eigen::MatrixXd& x) {
 }
 
 int ScaledSystem::Factorize(double shift) {
-  std::vector<double>& values = reduced_->values();
+  BlockValues& values = reduced_->values();
   const BlockStructure& structure = reduced_->structure();
   std::fill(values.begin(), values.end(), 0.0);
   AddBlocks(compact_, values_.data(), structure, values.data());

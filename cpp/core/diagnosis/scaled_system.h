@@ -43,7 +43,7 @@ class ScaledSystem {
   const BlockStructure compact_;  ///< structure of values_, without fill-in
   std::vector<double> scale_;
   Eigen::VectorXd rounding_;
-  std::vector<double> values_;
+  BlockValues values_;
   SymmetricProduct product_;
 };
 

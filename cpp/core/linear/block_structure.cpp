@@ -1,9 +1,5 @@
 #include "core/linear/block_structure.h"
 
-#if defined(__linux__)
-#include <sys/mman.h>
-#endif
-
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
@@ -185,21 +181,8 @@ void AddBlocks(const BlockStructure& from, const double* values, const BlockStru
   }
 }
 
-#if defined(__linux__)
-void AdviseHugePages(void* begin, size_t num_bytes) {
-  constexpr uintptr_t kHugePage = uintptr_t{1} << 21;
-  const auto address = reinterpret_cast<uintptr_t>(begin);
-  const uintptr_t first = (address + kHugePage - 1) / kHugePage * kHugePage;
-  const uintptr_t last = (address + num_bytes) / kHugePage * kHugePage;
-  // If the system refuses, only the time changes.
-  if (last > first) madvise(reinterpret_cast<void*>(first), last - first, MADV_HUGEPAGE);
-}
-#else
-void AdviseHugePages(void*, size_t) {}
-#endif
-
-void CopyBlock(const BlockStructure& structure, const std::vector<double>& values, int row,
-               int column, double* out) {
+void CopyBlock(const BlockStructure& structure, const BlockValues& values, int row, int column,
+               double* out) {
   const int rows = structure.block_size(row), columns = structure.block_size(column);
   const bool is_stored = row >= column;
   const int j = is_stored ? column : row;

@@ -17,6 +17,8 @@
 #include <utility>
 #include <vector>
 
+#include "core/scratch/page_arena.h"
+
 namespace bundle {
 
 /// Blocks of S that may be nonzero, and their places in memory.
@@ -93,14 +95,17 @@ BlockStructure CompactStructure(const BlockStructure& structure);
 void AddBlocks(const BlockStructure& from, const double* values, const BlockStructure& to,
                double* sums);
 
+/// Values in the layout of a BlockStructure.
+using BlockValues = ArenaVector<double>;
+
 /// Block (row, column) of a symmetric matrix whose lower triangle is stored; row-major. The block
 /// must be in the structure.
-void CopyBlock(const BlockStructure& structure, const std::vector<double>& values, int row,
-               int column, double* out);
+void CopyBlock(const BlockStructure& structure, const BlockValues& values, int row, int column,
+               double* out);
 
 struct BlockSystem {
-  std::vector<double> values;  ///< S in the layout of the structure; zero outside of its blocks
-  std::vector<double> rhs;     ///< b
+  BlockValues values;       ///< S in the layout of the structure; zero outside of its blocks
+  std::vector<double> rhs;  ///< b
   /// Block diagonal of the camera parameters' part of the normal equations before the elimination,
   /// J_c^T J_c plus damping. Each block is square and column-major, one after the other. Empty
   /// unless a preconditioner needs it.
@@ -113,18 +118,5 @@ struct BlockSystem {
   static constexpr int kNumGaugeDirections = 7;
   static constexpr int kMaxBlockSize = 28;
 };
-
-/// Asks the operating system for large pages in memory that is not touched yet. Only a hint.
-void AdviseHugePages(void* begin, size_t num_bytes);
-
-/// Reserves `size` values and asks the operating system for large pages before they are touched.
-/// Sums into a large S access all of it. With pages of 4 kB nearly each access to a column also
-/// misses the address translation cache. Without large pages, this is only a reserve.
-template <typename Vector>
-void ReserveHugePages(size_t size, Vector* values) {
-  if (size <= values->capacity()) return;
-  values->reserve(size);
-  AdviseHugePages(values->data(), size * sizeof(typename Vector::value_type));
-}
 
 }  // namespace bundle

@@ -23,15 +23,14 @@ struct Coupling {
   int first, second;
 };
 
-std::vector<double> InverseDiagonal(const BlockStructure& structure,
-                                    const std::vector<double>& values) {
+std::vector<double> InverseDiagonal(const BlockStructure& structure, const BlockValues& values) {
   std::vector<double> inverse;
   inverse.reserve(structure.num_columns());
   structure.ForDiagonal([&](int, int64_t at) { inverse.push_back(1 / values[at]); });
   return inverse;
 }
 
-double Strength(const BlockStructure& structure, const std::vector<double>& values,
+double Strength(const BlockStructure& structure, const BlockValues& values,
                 const std::vector<double>& inverse_diagonal, int j, int64_t e) {
   const int i = structure.row_block[e];
   double sum = 0;
@@ -47,8 +46,7 @@ double Strength(const BlockStructure& structure, const std::vector<double>& valu
 }
 
 /// Strongest first.
-std::vector<Coupling> FindCouplings(const BlockStructure& structure,
-                                    const std::vector<double>& values) {
+std::vector<Coupling> FindCouplings(const BlockStructure& structure, const BlockValues& values) {
   const std::vector<double> inverse_diagonal = InverseDiagonal(structure, values);
   std::vector<Coupling> couplings;
   couplings.reserve(structure.row_block.size() - structure.num_blocks());
@@ -96,7 +94,7 @@ class Sets {
 
 }  // namespace
 
-std::vector<int> ClusterBlocks(const BlockStructure& structure, const std::vector<double>& values,
+std::vector<int> ClusterBlocks(const BlockStructure& structure, const BlockValues& values,
                                const std::vector<char>& alone, int max_size) {
   Sets sets(structure.num_blocks());
   for (const Coupling& coupling : FindCouplings(structure, values)) {

@@ -12,7 +12,7 @@ namespace bundle {
 /// Groups strongly coupled blocks into clusters of at most `max_size` blocks. Returns the cluster
 /// of every block, from 0 on. Blocks marked in `alone` are clusters of their own. `values` are the
 /// values of S.
-std::vector<int> ClusterBlocks(const BlockStructure& structure, const std::vector<double>& values,
+std::vector<int> ClusterBlocks(const BlockStructure& structure, const BlockValues& values,
                                const std::vector<char>& alone, int max_size);
 
 /// Columns of Q (coarse_space.cpp) on the rows of a cluster's blocks, one block after the other.

@@ -201,7 +201,7 @@ void CoarseSpace::MakeDirections(const BlockSystem& system, int cluster) {
   }
 }
 
-void CoarseSpace::ProjectEntry(const std::vector<double>& values, int column, int64_t entry) {
+void CoarseSpace::ProjectEntry(const BlockValues& values, int column, int64_t entry) {
   Eigen::Map<Eigen::MatrixXd, 0, Eigen::OuterStride<>> sum(
       &values_[coarse_.ValueIndex(column, entry, 0, 0)],
       coarse_.block_size(coarse_.row_block[entry]), coarse_.block_size(column),

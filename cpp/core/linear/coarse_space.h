@@ -45,7 +45,7 @@ class CoarseSpace {
   void NumberClusters(const std::vector<int>& cluster);
   void CollectTerms();
   void MakeDirections(const BlockSystem& system, int cluster);
-  void ProjectEntry(const std::vector<double>& values, int column, int64_t entry);
+  void ProjectEntry(const BlockValues& values, int column, int64_t entry);
   int num_directions(int block) const { return coarse_.block_size(cluster_[block]); }
 
   const BlockStructure& fine_;

@@ -166,7 +166,7 @@ bool BlockDiagonalInverse::Invert(int block, const double* values, int stride) {
   return inverse.allFinite();
 }
 
-bool BlockDiagonalInverse::InvertDiagonal(const std::vector<double>& values) {
+bool BlockDiagonalInverse::InvertDiagonal(const BlockValues& values) {
   for (int j = 0; j < structure_.num_blocks(); ++j) {
     if (!Invert(j, &values[structure_.panel_begin[j]], structure_.panel_stride[j])) return false;
   }

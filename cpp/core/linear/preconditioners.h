@@ -47,7 +47,7 @@ class BlockDiagonalInverse {
   bool Invert(int block, const double* values, int stride);
 
   /// Inverts the diagonal blocks of S. False if one of them is not positive definite.
-  bool InvertDiagonal(const std::vector<double>& values);
+  bool InvertDiagonal(const BlockValues& values);
 
   /// y = inverse x
   void Multiply(const double* x, double* y) const;

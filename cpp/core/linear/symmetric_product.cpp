@@ -122,7 +122,7 @@ void SymmetricProduct::MakeRanges() {
   }
 }
 
-void SymmetricProduct::Multiply(const std::vector<double>& values, const double* x, double* y) {
+void SymmetricProduct::Multiply(const BlockValues& values, const double* x, double* y) {
   const auto num_ranges = static_cast<int>(ranges_.size());
   pool_.Run([&](int thread) {
     const int end = num_ranges * (thread + 1) / pool_.num_threads();

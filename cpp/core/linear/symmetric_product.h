@@ -16,7 +16,7 @@ class SymmetricProduct {
   SymmetricProduct(const BlockStructure& structure, int num_threads);
 
   /// y = S x; the bits do not depend on the number of threads.
-  void Multiply(const std::vector<double>& values, const double* x, double* y);
+  void Multiply(const BlockValues& values, const double* x, double* y);
 
  private:
   /// Consecutive block columns and the rows that they reach.

@@ -58,7 +58,6 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
     pose_of_ = std::move(pattern.pose_of);
     PlaceEdges(pattern.block_of);
     const size_t columns = structure_.num_columns();
-    ReserveHugePages(structure_.num_values, &system_.values);
     system_.values.resize(structure_.num_values);
     for (std::vector<double>* v :
          {&system_.rhs, &gradient_, &scale_, &d_squared_, &newton_, &direction_, &step_}) {
@@ -316,7 +315,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   BlockSystem system_;
   std::vector<double> gradient_, scale_, d_squared_, newton_, direction_, step_;
   int64_t edges_at_a_time_ = 0;
-  std::vector<double> terms_;
+  ArenaVector<double> terms_;
   std::vector<double> costs_;
   DoglegProducts products_;
   double damping_ = 0;

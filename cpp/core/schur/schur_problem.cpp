@@ -44,7 +44,7 @@ SchurProblem::SchurProblem(const AdjustmentProblem& problem, const ParameterLayo
       solver_(solver),
       factors_(problem, layout, structure_, plan_),
       input_(WithPriors(setup_.input)),
-      memory_(pool_.num_threads(), std::vector<double>(kernels_.memory_doubles(input_) + 8)),
+      memory_(pool_.num_threads(), ArenaVector<double>(kernels_.memory_doubles(input_) + 8)),
       states_{State(problem, layout, plan_), State(problem, layout, plan_)},
       step_(problem, layout),
       other_step_(problem, layout),
@@ -82,7 +82,7 @@ void SchurProblem::Reset(const SolveOptions& options) {
 
 void SchurProblem::FreeSteps() {
   sums_.FreeSystem();
-  std::vector<double>().swap(mapped_sums_.system.values);
+  BlockValues().swap(mapped_sums_.system.values);
   for (LargeVector<double>* values : {&candidate_->points, &squared_scale_, &points_p_, &points_q_,
                                       &points_d_squared_, &points_line_})
     LargeVector<double>().swap(*values);

@@ -164,7 +164,7 @@ class SchurProblem final : public LeastSquares {
   LinearSolver* const solver_;
   CameraFactors factors_;
   EliminationInput input_;
-  std::vector<std::vector<double>> memory_;  ///< per thread
+  std::vector<ArenaVector<double>> memory_;  ///< per thread
   State states_[2];
   State* x_ = &states_[0];
   State* candidate_ = &states_[1];

@@ -209,8 +209,6 @@ class PointSorter {
   }
 
   void MakeRoom() {
-    ReserveHugePages(by_point_.size(), &plan_.image);
-    ReserveHugePages(2 * by_point_.size(), &plan_.xy);
     plan_.image.resize(by_point_.size());
     plan_.xy.resize(2 * by_point_.size());
     if (problem_.observation_sigma != nullptr) plan_.inverse_sigma.resize(by_point_.size());

@@ -3,17 +3,17 @@
 /// Vectors that grow with the observations or points of a problem.
 
 #include <cstddef>
-#include <memory>
 #include <new>
 #include <type_traits>
 #include <utility>
 #include <vector>
 
+#include "core/scratch/page_arena.h"
 #include "core/scratch/scratch_files.h"
 
 namespace bundle {
 
-/// Memory from the scratch folder, if one is open, or else from the heap.
+/// Memory from the scratch folder, if one is open, or else from the arena or the heap.
 ///
 /// Numbers without a value are not initialised: `resize(n)` does not write to new elements, and
 /// `resize(n, 0)` does. Zeros that are overwritten would be written to the disk for nothing.
@@ -27,10 +27,10 @@ struct LargeAllocator {
 
   T* allocate(size_t count) {
     if (void* const memory = AllocateScratch(count * sizeof(T))) return static_cast<T*>(memory);
-    return std::allocator<T>().allocate(count);
+    return ArenaAllocator<T>().allocate(count);
   }
   void deallocate(T* memory, size_t count) {
-    if (!FreeScratch(memory, count * sizeof(T))) std::allocator<T>().deallocate(memory, count);
+    if (!FreeScratch(memory, count * sizeof(T))) ArenaAllocator<T>().deallocate(memory, count);
   }
 
   template <typename U>

@@ -61,7 +61,7 @@ TEST(BlockStructure, SystemsAddUpThroughTheCompactOne) {
     const BlockStructure structure = SparseStructure(system.sizes, system.columns);
     const BlockStructure in_factor = PlaceInFactor(structure, FindSupernodes(structure));
     const BlockStructure compact = CompactStructure(in_factor);
-    const std::vector<double> values = Store(system, in_factor).values;
+    const BlockValues values = Store(system, in_factor).values;
     std::vector<double> sum(compact.num_values, 0.0);
     AddBlocks(in_factor, values.data(), compact, sum.data());
     AddBlocks(in_factor, values.data(), compact, sum.data());

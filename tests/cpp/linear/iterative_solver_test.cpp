@@ -298,7 +298,7 @@ TEST(SymmetricProduct, AgreesWithTheWholeMatrix) {
 TEST(SymmetricProduct, IsTheSameForAnyNumberOfThreads) {
   const RandomSystem system = MakeLargeSystem();
   const BlockStructure structure = SparseStructure(system.sizes, system.columns);
-  const std::vector<double> values = Store(system, structure).values;
+  const BlockValues values = Store(system, structure).values;
   VectorXd one(system.num_columns()), many(system.num_columns());
   SymmetricProduct(structure, 1).Multiply(values, system.b.data(), one.data());
   for (const int num_threads : {2, 3, 5}) {

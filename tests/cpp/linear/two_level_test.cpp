@@ -172,7 +172,7 @@ TEST(Clusters, KeepWhatIsCoupledMostTogether) {
     }
   }
   const BlockStructure structure = SparseStructure(system.sizes, system.columns);
-  const std::vector<double> values = Store(system, structure).values;
+  const BlockValues values = Store(system, structure).values;
   const std::vector<char> none(6, 0);
   EXPECT_EQ(ClusterBlocks(structure, values, none, 3), (std::vector<int>{0, 1, 0, 1, 0, 1}));
 }

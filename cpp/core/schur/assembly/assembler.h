@@ -39,12 +39,14 @@ struct CameraSums {
   /// Error terms of the sums while chunks are added (double_double.h). Those of S are stored block
   /// by block, each column-major, because in S itself the columns of a block are far apart.
   struct ErrorTerms {
-    std::vector<double> values, rhs, camera_diagonal, gradient, squared_norms;
+    BlockValues values;
+    std::vector<double> rhs, camera_diagonal, gradient, squared_norms;
   };
   bool has_error_terms = false;
   ErrorTerms error_terms;
 
-  double* ErrorTermsOf(std::vector<double>* of) const {
+  template <typename Vector>
+  double* ErrorTermsOf(Vector* of) const {
     return has_error_terms ? of->data() : nullptr;
   }
 };

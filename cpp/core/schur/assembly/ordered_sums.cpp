@@ -63,12 +63,9 @@ OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& st
 }
 
 void OrderedSums::MakeSystem() {
-  ReserveHugePages(structure_.num_values, &sums_.system.values);
   sums_.system.values.resize(structure_.num_values);
   if (sums_.has_error_terms) {
-    const auto size = static_cast<size_t>(assembler_.num_error_terms());
-    ReserveHugePages(size, &sums_.error_terms.values);
-    sums_.error_terms.values.resize(size);
+    sums_.error_terms.values.resize(static_cast<size_t>(assembler_.num_error_terms()));
   }
   is_new_ = true;
 }
@@ -77,7 +74,7 @@ void OrderedSums::Clear(ThreadPool* pool) {
   if (sums_.system.values.empty()) MakeSystem();
   if (!std::exchange(is_new_, false)) {
     pool->Run([&](int thread) {
-      for (std::vector<double>* const values : {&sums_.system.values, &sums_.error_terms.values}) {
+      for (BlockValues* const values : {&sums_.system.values, &sums_.error_terms.values}) {
         const auto size = static_cast<int64_t>(values->size());
         const int64_t threads = pool->num_threads();
         std::fill(values->data() + size * thread / threads,
@@ -105,8 +102,8 @@ void OrderedSums::Clear(ThreadPool* pool) {
 }
 
 void OrderedSums::FreeSystem() {
-  std::vector<double>().swap(sums_.system.values);
-  std::vector<double>().swap(sums_.error_terms.values);
+  BlockValues().swap(sums_.system.values);
+  BlockValues().swap(sums_.error_terms.values);
 }
 
 ChunkSum& OrderedSums::Begin(int chunk, int thread) {

@@ -63,7 +63,7 @@ class OrderedSums {
 
  private:
   struct Buffer {
-    std::vector<double> blocks, vectors, camera_diagonal;
+    ArenaVector<double> blocks, vectors, camera_diagonal;
     std::vector<int64_t> block_begin;  ///< ChunkSum::block_begin
     ChunkSum sum;
     int chunk = -1;

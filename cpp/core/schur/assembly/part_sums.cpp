@@ -67,7 +67,6 @@ void PartSums::ForTerms(const Visit& visit) const {
 void PartSums::Map(const CameraSums& from, bool wants_camera_diagonal, ThreadPool* pool,
                    CameraSums* to) const {
   const auto n = static_cast<size_t>(of_layout_.num_columns());
-  if (to->system.values.empty()) ReserveHugePages(of_layout_.num_values, &to->system.values);
   to->system.values.resize(of_layout_.num_values);
   to->system.rhs.assign(n, 0.0);
   to->gradient.assign(n, 0.0);
@@ -92,7 +91,7 @@ void PartSums::Map(const CameraSums& from, bool wants_camera_diagonal, ThreadPoo
 }
 
 /// Column c of the block of (second, first) is row c of that of (first, second).
-void PartSums::MapTerm(const std::vector<double>& values, const Term& term, CameraSums* to) const {
+void PartSums::MapTerm(const BlockValues& values, const Term& term, CameraSums* to) const {
   const int stride = structure_.panel_stride[term.first];
   const double* const block = &values[structure_.ValueIndex(term.first, term.entry, 0, 0)];
   if (term.first != term.second) {

@@ -49,7 +49,7 @@ class PartSums {
   };
   template <typename Visit>
   void ForTerms(const Visit& visit) const;
-  void MapTerm(const std::vector<double>& values, const Term& term, CameraSums* to) const;
+  void MapTerm(const BlockValues& values, const Term& term, CameraSums* to) const;
   void MapVectors(const CameraSums& from, CameraSums* to) const;
 
   const ImageParts& parts_;
