@@ -59,13 +59,16 @@
 
 namespace bundle {
 
-inline void ExpPlanarMotion(const double d[3], double x[3]) {
+/// The motion and the cosine and sine of its angle.
+inline void ExpPlanarMotion(const double d[3], double x[5]) {
   const RotationCoefficients k = ExpCoefficients(d[2] * d[2]);
   const double ab = d[2] * k.b;
   const double moved[2] = {k.a * d[0] - ab * d[1], ab * d[0] + k.a * d[1]};
   x[0] = moved[0];
   x[1] = moved[1];
   x[2] = d[2];
+  x[3] = 1 - d[2] * ab;
+  x[4] = d[2] * k.a;
 }
 
 /// Logarithm with an angle in [-pi, pi], also if the angle of the motion is larger.

@@ -268,9 +268,9 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
       const auto [first, last] = Share(0, structure_.num_blocks(), thread);
       for (int64_t b = first; b < last; ++b) {
         const int64_t pose = pose_of_[b];
-        double* const moved = candidate_.data() + pose * kAmbient;
-        Group::Move(x_records_.data() + pose * Group::kRecord, d.data() + b * kSize, moved);
-        Group::Record(moved, candidate_records_.data() + pose * Group::kRecord);
+        Group::Move(x_records_.data() + pose * Group::kRecord, d.data() + b * kSize,
+                    candidate_.data() + pose * kAmbient,
+                    candidate_records_.data() + pose * Group::kRecord);
       }
     });
     ThrowIfInterrupted();

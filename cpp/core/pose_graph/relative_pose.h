@@ -63,13 +63,16 @@ struct Se2 {
     const double angle = pose[2], c = std::cos(angle), s = std::sin(angle);  // in one call
     record[0] = pose[0], record[1] = pose[1], record[2] = angle, record[3] = c, record[4] = s;
   }
-  /// X Exp(d) of a record
-  static void Move(const double* x, const double* d, double* moved) {
-    double step[3];
+  /// X Exp(d) of a record, and its record, without another cosine and sine: each step adds an error
+  /// of one rounding to them.
+  static void Move(const double* x, const double* d, double* moved, double* record) {
+    double step[5];
     ExpPlanarMotion(d, step);
-    moved[0] = x[0] + x[3] * step[0] - x[4] * step[1];
-    moved[1] = x[1] + x[4] * step[0] + x[3] * step[1];
-    moved[2] = x[2] + step[2];
+    record[0] = moved[0] = x[0] + x[3] * step[0] - x[4] * step[1];
+    record[1] = moved[1] = x[1] + x[4] * step[0] + x[3] * step[1];
+    record[2] = moved[2] = x[2] + step[2];
+    record[3] = x[3] * step[3] - x[4] * step[4];
+    record[4] = x[4] * step[3] + x[3] * step[4];
   }
 };
 
@@ -81,8 +84,9 @@ struct Se3 {
   static void Record(const double* pose, double* record) {
     for (int k = 0; k < 7; ++k) record[k] = pose[k];
   }
-  static void Move(const double* x, const double* d, double* moved) {
+  static void Move(const double* x, const double* d, double* moved, double* record) {
     Retraction(kManifold, kAmbient).Plus(x, d, moved);
+    Record(moved, record);
   }
 };
 
