@@ -63,6 +63,19 @@ TEST_F(PageArena, ReusesTheMemoryOfTheLastArray) {
   FreeInArena(first, kQuarter);
 }
 
+TEST_F(PageArena, ArraysBeginAtCacheLinesOnEachPage) {
+  const size_t odd = kQuarter + 1;
+  std::vector<void*> arrays;
+  for (void* a = AllocateInArena(odd); a != nullptr; a = AllocateInArena(odd)) {
+    EXPECT_EQ(reinterpret_cast<uintptr_t>(a) % 64, 0u);
+    FreeInArena(a, odd);
+    ASSERT_EQ(AllocateInArena(odd), a);  // the last array of its page
+    arrays.push_back(a);
+  }
+  EXPECT_EQ(arrays.size(), 4u * 3);
+  for (void* const array : arrays) FreeInArena(array, odd);
+}
+
 TEST_F(PageArena, IsFullAndEmptyAgain) {
   for (int round = 0; round < 3; ++round) {
     std::vector<void*> arrays;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -68,3 +69,23 @@ def test_bytes_an_observation(street: Path, solver: str, bound: float) -> None:
         timeout=300,
     )
     assert float(done.stdout) < bound
+
+
+def _on_large_pages(address: int) -> bool:
+    begin = end = 0
+    for line in Path("/proc/self/smaps").read_text().splitlines():
+        if found := re.match(r"([0-9a-f]+)-([0-9a-f]+) ", line):
+            begin, end = (int(part, 16) for part in found.groups())
+        elif line.startswith("VmFlags:") and begin <= address < end:
+            return "hg" in line.split()
+    raise AssertionError("an address without a mapping")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the flags of pages are read from /proc")
+def test_results_do_not_hold_the_pages_of_solves() -> None:
+    problem = bundle.synthesize(num_images=12, num_points=2000, seed=1).problem
+    for _ in range(3):
+        refined = bundle.solve(problem, backend="fused", num_threads=2, max_num_iterations=2)
+        points = refined.problem.points
+        assert points.nbytes > 1 << 14  # an array of a solve, of this size, is there
+        assert not _on_large_pages(points.__array_interface__["data"][0])
