@@ -15,6 +15,7 @@
 /// computed only when the space has grown by a sixteenth.
 
 #include <algorithm>
+#include <cmath>
 #include <random>
 
 #include "core/dense/decompositions.h"
@@ -36,6 +37,13 @@ Eigen::MatrixXd RandomBlock(int rows, int columns) {
   Eigen::MatrixXd block(rows, columns);
   for (double& entry : block.reshaped()) entry = normal(random);
   return block;
+}
+
+/// The largest entry, rounded to a power of 2: a unit in which squares neither underflow nor
+/// overflow. 1 if it is 0 or not finite.
+double PowerOfTwoNear(const Eigen::MatrixXd& entries) {
+  const double largest = entries.size() == 0 ? 0 : entries.cwiseAbs().maxCoeff();
+  return largest > 0 && std::isfinite(largest) ? std::exp2(std::floor(std::log2(largest))) : 1;
 }
 
 }  // namespace
@@ -71,11 +79,13 @@ EigenPairs FindLargest(int size, int wanted, int block, int max_dimension, doubl
   max_dimension = std::min(max_dimension, size);
   Eigen::MatrixXd basis(size, 0), image(size, 0), projected(0, 0);
   // A first product projects the start onto the range of A, if A is singular.
-  Eigen::MatrixXd next = Orthonormalize(basis, apply(RandomBlock(size, std::min(block, size))));
+  const Eigen::MatrixXd start = apply(RandomBlock(size, std::min(block, size)));
+  const double unit = PowerOfTwoNear(start);
+  Eigen::MatrixXd next = Orthonormalize(basis, start / unit);
   EigenPairs pairs;
   double next_pairs = 0;
   while (next.cols() > 0) {
-    const Eigen::MatrixXd product = apply(next);
+    const Eigen::MatrixXd product = apply(next) / unit;
     const Eigen::Index before = basis.cols(), added = next.cols();
     basis.conservativeResize(Eigen::NoChange, before + added);
     image.conservativeResize(Eigen::NoChange, before + added);
@@ -101,7 +111,7 @@ EigenPairs FindLargest(int size, int wanted, int block, int max_dimension, doubl
     const bool is_done =
         count == wanted && (residuals.array() <= tolerance * values.array().abs()).all();
     if (!is_done && next.cols() > 0) continue;
-    pairs.values.assign(values.begin(), values.end());
+    for (const double value : values) pairs.values.push_back(value * unit);
     pairs.vectors = vectors;
     break;
   }

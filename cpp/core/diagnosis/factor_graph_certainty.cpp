@@ -27,11 +27,11 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <stdexcept>
 
 #include "core/dense/decompositions.h"
 #include "core/dense/krylov.h"
 #include "core/diagnosis/graph_normal_equations.h"
+#include "core/error.h"
 
 namespace bundle {
 namespace {
@@ -254,7 +254,9 @@ FactorGraphSpectrum FindFactorGraphSpectrum(const FactorGraph& graph, const Line
     shift = attempt;
     if (system.Factorize(shift) < 0) break;
     if (attempt == 1e-8) {
-      throw std::runtime_error("The normal equations of the graph cannot be factorised.");
+      throw InputError(
+          "graph: expected normal equations that can be factorised, found numbers that are too "
+          "large or too small");
     }
   }
   const VectorXd& d = system.scale();
@@ -310,22 +312,23 @@ FactorGraphSpectrum FindFactorGraphSpectrum(const FactorGraph& graph, const Line
   result.condition_number = result.condition_number_unscaled =
       std::numeric_limits<double>::quiet_NaN();
   if (result.eigenvalues.empty()) return result;
-  result.condition_number =
-      largest(1, 2, kEnoughDigits, scaled).values.front() / result.eigenvalues.front();
+  // NaN for an operator without a finite product
+  const auto most_of = [&](const BlockOperator& apply) {
+    const std::vector<double> found = largest(1, 2, kEnoughDigits, apply).values;
+    return found.empty() ? std::numeric_limits<double>::quiet_NaN() : found.front();
+  };
+  result.condition_number = most_of(scaled) / result.eigenvalues.front();
   const MatrixXd basis =
       null > 0 ? OrthonormalColumns(d.asDiagonal() * z) : MatrixXd(MatrixXd::Zero(size, 0));
   const auto without = [&](MatrixXd x) {
     for (int twice = 0; twice < 2 && null > 0; ++twice) x -= basis * (basis.transpose() * x);
     return x;
   };
-  const double highest = largest(1, 2, kEnoughDigits, [&](const MatrixXd& x) {
-                           return system.Product(x);
-                         }).values.front();
+  const double highest = most_of([&](const MatrixXd& x) { return system.Product(x); });
   // H^-1 = D S^-1 D
-  const double inverse_of_lowest =
-      largest(1, 2, kEnoughDigits, [&](const MatrixXd& x) {
-        return without(d.asDiagonal() * system.Solve(d.asDiagonal() * without(x)));
-      }).values.front();
+  const double inverse_of_lowest = most_of([&](const MatrixXd& x) {
+    return without(d.asDiagonal() * system.Solve(d.asDiagonal() * without(x)));
+  });
   result.condition_number_unscaled = highest * inverse_of_lowest;
   return result;
 }

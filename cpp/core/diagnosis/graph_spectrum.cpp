@@ -15,10 +15,10 @@
 #include <cmath>
 #include <limits>
 #include <memory>
-#include <stdexcept>
 
 #include "core/dense/decompositions.h"
 #include "core/dense/krylov.h"
+#include "core/error.h"
 #include "core/linear/symmetric_product.h"
 #include "core/pose_graph/pose_graph_problem.h"
 
@@ -101,7 +101,9 @@ class GraphSpectrumSearch {
         return;
       }
     }
-    throw std::runtime_error("The normal equations of the pose graph cannot be factorised.");
+    throw InputError(
+        "graph: expected normal equations that can be factorised, found numbers that are too "
+        "large or too small");
   }
 
   Eigen::MatrixXd Product(const Eigen::MatrixXd& x) {
@@ -118,10 +120,14 @@ class GraphSpectrumSearch {
     return y;
   }
 
+  /// NaN for an operator that is 0 or has no finite product.
   std::vector<double> Largest(int wanted, const BlockOperator& apply) const {
     const auto size = static_cast<int>(d_.size());
     const auto most = static_cast<int>(std::clamp<int64_t>(kBasisNumbers / size, 24, 160));
-    return FindLargest(size, wanted, std::max(2, wanted), most, kEnough, apply).values;
+    std::vector<double> found =
+        FindLargest(size, wanted, std::max(2, wanted), most, kEnough, apply).values;
+    if (found.empty()) found.push_back(std::numeric_limits<double>::quiet_NaN());
+    return found;
   }
 
   const std::unique_ptr<PoseGraphProblem> problem_;

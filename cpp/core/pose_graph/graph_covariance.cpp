@@ -48,7 +48,7 @@ namespace bundle {
 namespace {
 
 /// Eigenvalue of K below which an error counts as unchecked, and rounding limit relative to the
-/// size of G.
+/// terms of K that cancel.
 constexpr double kUnchecked = 1e-6, kCancelled = 1e-13;
 /// Rounding error of K above which an edge is not judged.
 constexpr double kLost = 1e-2;
@@ -169,11 +169,17 @@ class GraphCovariance {
 
   const double* Pose(int i) const { return graph_.poses.data() + int64_t{i} * kAmbient; }
 
-  Matrix Relative(int i, int j, const Matrix& across) const {
+  /// Ad(X_j^-1 X_i).
+  Matrix AdjointBetween(int j, int i) const {
     double back[kAmbient];
     Matrix adjoint;
     retraction_.Between(Pose(j), Pose(i), back);
     retraction_.Adjoint(back, adjoint.data());
+    return adjoint;
+  }
+
+  Matrix Relative(int i, int j, const Matrix& across) const {
+    const Matrix adjoint = AdjointBetween(j, i);
     const Matrix moved = adjoint * across;
     return InverseBlock(j, j) - moved - moved.transpose() +
            adjoint * InverseBlock(i, i) * adjoint.transpose();
@@ -246,9 +252,11 @@ class GraphCovariance {
     double residual[kSize], unused[kSize * kSize];
     Matrix a;
     EvaluateWhitened<Group>(graph_, e, records_.data(), residual, a.data(), unused);
-    double largest = 0;
-    for (const int pose : {i, j}) largest = std::max(largest, InverseBlock(pose, pose).trace());
-    const double rounding = kCancelled * largest * a.squaredNorm();
+    // The terms of A C_ij A^T that cancel, with variances alone: independent of the unit of length.
+    const Matrix by_i = a * AdjointBetween(j, i);
+    const double rounding =
+        kCancelled * std::max(by_i.colwise().squaredNorm().dot(InverseBlock(i, i).diagonal()),
+                              a.colwise().squaredNorm().dot(InverseBlock(j, j).diagonal()));
     if (!(rounding < kLost)) {
       output->edge_redundancy.push_back(std::numeric_limits<double>::quiet_NaN());
       output->edge_test.push_back(std::numeric_limits<double>::quiet_NaN());

@@ -161,3 +161,19 @@ def test_held_keys_are_those_of_the_pose_graph():
     stated, by_jacobian = bundle.diagnose(free), diagnose_factor_graph(free)
     assert stated.held_pose_ids == by_jacobian.held_pose_ids == ("x0",)
     assert "'x0' held" in repr(stated)
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e290])
+def test_condition_numbers_of_factors_do_not_depend_on_their_scale(scale):
+    def chain(information):
+        graph = bundle.FactorGraph()
+        for k in range(4):
+            graph.add_variable(k, [float(k), 0.0])
+        graph.add_factor(bundle.PriorFactor(0, [0, 0], information))
+        for k in range(3):
+            graph.add_factor(bundle.BetweenFactor(k, k + 1, [1, 0], information))
+        return bundle.diagnose(graph)
+
+    found, scaled = chain(1.0), chain(scale)
+    for name in ("condition_number", "condition_number_unscaled", "eigenvalues"):
+        np.testing.assert_allclose(getattr(scaled, name), getattr(found, name), rtol=1e-6)

@@ -297,3 +297,20 @@ def test_a_report_names_the_held_pose(tmp_path, capsys):
     assert main(["diagnose", str(tmp_path / "x.g2o"), "--json", str(tmp_path / "x.json")]) == 0
     assert "70 held" in capsys.readouterr().out
     assert json.loads((tmp_path / "x.json").read_text())["held_pose_ids"] == [70]
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("scale", [1e-300, 1e-150, 1e150, 1e290])
+def test_condition_numbers_do_not_depend_on_the_scale_of_information(dimension, scale):
+    graph = healthy(dimension)
+    found = bundle.diagnose(graph)
+    scaled = bundle.diagnose(graph.replace(information=scale * graph.information))
+    for name in ("condition_number", "condition_number_unscaled", "eigenvalues"):
+        np.testing.assert_allclose(getattr(scaled, name), getattr(found, name), rtol=1e-6)
+
+
+def test_normal_equations_that_overflow_are_refused():
+    graph = graphs.loop(2)
+    far = np.array([1e300, 1e300, 1])
+    with pytest.raises(bundle.InputError, match=r"^graph: expected normal equations"):
+        bundle.diagnose(graph.replace(poses=graph.poses * far))

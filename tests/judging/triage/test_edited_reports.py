@@ -18,6 +18,7 @@ def reports(tmp_path_factory):
         "model": workshop.run("refine", workshop.model()),
         "flight": workshop.run("vio", workshop.flight(duration=6.0)),
         "graphs": workshop.run("compare", workshop.graph(), "--repeat", 1, "--backends", "fused"),
+        "models": workshop.run("compare", workshop.model(), "--repeat", 1),
     }
     for path in made.values():
         content = json.loads(path.read_text())
@@ -240,5 +241,87 @@ def test_reports_of_different_inputs(reports):
         bundle.triage(reports["graph"], edited(reports["graph"], ("input.format", "other")))
     renamed = edited(reports["graph"], ("input.path", "a/other.g2o"))
     assert causes(reports["graph"], renamed) == []
-    with pytest.raises(InputError, match="found other contents"):
-        bundle.triage(reports["graph"], edited(reports["graph"], ("iterations", 3)))
+
+
+WRONG = [None, -1, 7, 1e308, True, "x", [], {}, [1, [2]], {"a": 1}]
+
+
+def leaves(value, names=()):
+    """The names that lead to each entry of a report; of a list its first item."""
+    items = value.items() if isinstance(value, dict) else enumerate(value[:1])
+    for key, part in items:
+        yield (*names, key)
+        if isinstance(part, dict | list):
+            yield from leaves(part, (*names, key))
+
+
+def replaced(base, names, value):
+    """Return a copy of a report with one entry replaced."""
+    copy = json.loads(json.dumps(base))
+    place = copy
+    for name in names[:-1]:
+        place = place[name]
+    place[names[-1]] = value
+    return copy
+
+
+@pytest.mark.parametrize("kind", ["graph", "model", "flight", "graphs", "models"])
+def test_any_wrong_entry_is_refused_in_one_line_or_harmless(reports, kind):
+    base = json.loads(reports[kind].read_text())
+    new = reports[kind].with_name(f"{kind}-wrong.json")
+    refused = 0
+    for k, names in enumerate(leaves(base)):
+        for value in (WRONG[k % len(WRONG)], WRONG[(7 * k + 3) % len(WRONG)]):
+            new.write_text(json.dumps(replaced(base, names, value)))
+            try:
+                for pair in ((reports[kind], new), (new, reports[kind]), (new, new)):
+                    json.dumps(bundle.triage(*pair).asdict(), allow_nan=False)
+            except InputError as error:
+                refused += 1
+                assert "\n" not in str(error)
+    assert refused > 20
+
+
+@pytest.mark.parametrize(("name", "value", "words"), [
+    ("iterations", 3, "iterations: expected a list, found 3"),
+    ("summary.final_cost", "x", "summary.final_cost: expected a number, found 'x'"),
+    ("summary.num_threads_used", True, "summary.num_threads_used: expected a number"),
+    ("summary.warning_kinds", ["a", 1], r"summary.warning_kinds\[1\]: expected a string"),
+    ("input.digests.start", 1, "input.digests.start: expected a string"),
+    ("environment.num_cores", [2], "environment.num_cores: expected a number"),
+    ("options", None, "options: expected a table"),
+])  # fmt: skip
+def test_a_wrong_entry_is_named(reports, name, value, words):
+    with pytest.raises(InputError, match=words):
+        bundle.triage(reports["graph"], edited(reports["graph"], (name, value)))
+
+
+@pytest.mark.parametrize("literal", ["NaN", "Infinity", "-Infinity", "1e999", "9" * 400])
+def test_numbers_that_are_not_finite_are_refused(reports, literal):
+    text = reports["graph"].read_text().replace('"final_cost": ', f'"final_cost": {literal}, "x": ')
+    path = reports["graph"].with_name("huge.json")
+    path.write_text(text)
+    with pytest.raises(InputError, match="finite"):
+        bundle.triage(reports["graph"], path)
+
+
+def test_an_entry_that_is_missing_is_named(reports):
+    content = json.loads(reports["graph"].read_text())
+    del content["summary"]["final_cost"]
+    path = reports["graph"].with_name("short.json")
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"expected an entry 'summary\.final_cost'"):
+        bundle.triage(reports["graph"], path)
+
+
+def test_a_cost_that_is_no_longer_known_is_a_change(reports):
+    unknown = edited(reports["graph"], ("summary.final_cost", None))
+    for pair in ((reports["graph"], unknown), (unknown, reports["graph"])):
+        assert causes(*pair) == ["convergence"]
+    assert causes(unknown, unknown) == []
+
+
+@pytest.mark.parametrize("number", [-1, 0.5, 2])
+def test_a_run_of_an_unknown_input_is_refused(reports, number):
+    with pytest.raises(InputError, match=r"runs\[0\]\.input: expected the index of one of 1"):
+        bundle.triage(reports["models"], edited(reports["models"], ("runs.0.input", number)))

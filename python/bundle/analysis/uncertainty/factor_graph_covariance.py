@@ -171,6 +171,7 @@ def factor_graph_covariance(
     pairs = [_pair(graph, pair, k) for k, pair in enumerate(as_list("relative", "pairs", relative))]
     space = find_null_space(graph)
     _check_determined(graph, space, gauge)
+    _check_connected(graph, space, pairs)
     held = space.held()
     place = {key: k for k, key in enumerate(graph.keys)}
     rows = [(place[a], place[b]) for a, b in pairs]
@@ -249,6 +250,17 @@ def _check_determined(graph: FactorGraph, space: NullSpace, gauge: str) -> None:
             f"gauge: none expects factors or constant variables that fix the gauge, found "
             f"{plural(space.nullity, 'free direction')}; first holds a variable"
         )
+
+
+def _check_connected(graph: FactorGraph, space: NullSpace, pairs: Iterable[Any]) -> None:
+    """Refuse relative variables whose components move against each other."""
+    label = dict(zip(graph.keys, space.labels.tolist(), strict=True))
+    for a, b in pairs:
+        if label[a] != label[b] and any(space.nullities.get(label[key]) for key in (a, b)):
+            raise InputError(
+                "relative: expected variables that factors or constant variables connect, found "
+                f"{brief(a)} and {brief(b)}"
+            )
 
 
 def _undetermined(graph: FactorGraph, positions: list[int]) -> InputError:

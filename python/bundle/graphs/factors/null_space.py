@@ -47,6 +47,10 @@ INDEPENDENT = 1e-6
 """Share of the norm of a row of N that must remain for the row to count as independent."""
 
 
+STILL = 1e-12
+"""Share of the largest entry of N below which a row is 0."""
+
+
 @dataclass(frozen=True, eq=False)
 class NullSpace:
     """Directions of all tangent coordinates that change no residual.
@@ -112,8 +116,12 @@ class NullSpace:
         span = range(*self.begin[variable : variable + 2].tolist())
         if len(span) > basis.shape[1] or self.constant[list(span)].any():
             return False
-        values = np.linalg.svd(basis[[position[c] for c in span]], compute_uv=False)
-        return bool(len(values)) and bool(values[-1] > INDEPENDENT * np.abs(basis).max())
+        rows = basis[[position[c] for c in span]]
+        lengths = np.linalg.norm(rows, axis=1, keepdims=True)
+        if not len(rows) or (lengths <= STILL * np.abs(basis).max()).any():
+            return False
+        values = np.linalg.svd(rows / lengths, compute_uv=False)
+        return bool(values[-1] > INDEPENDENT)
 
 
 def components_of(graph: GraphContents) -> NDArray[np.int64]:
@@ -222,7 +230,9 @@ def _gauge_of(variables: list[Variable], basis: Floats) -> Floats:
     for rows, motions in _motions(variables):
         left, values, right = np.linalg.svd(basis[rows], full_matrices=False)
         kept = values > INDEPENDENT * max(values[0], 1e-300)
-        along, cosines, _ = np.linalg.svd(left[:, kept].T @ _orthonormal(motions))
+        lengths = np.linalg.norm(motions, axis=0)  # translations and rotations differ in unit
+        units = motions / np.where(lengths > 0, lengths, 1)
+        along, cosines, _ = np.linalg.svd(left[:, kept].T @ _orthonormal(units))
         inside = along[:, : int((cosines > SAME).sum())]
         if inside.shape[1] > best.shape[1]:
             best = _orthonormal(right[kept].T @ (inside / values[kept, None]))

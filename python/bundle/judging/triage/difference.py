@@ -10,6 +10,7 @@ and the larger the load was.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
@@ -18,7 +19,7 @@ from bundle.base.records import dataclass
 from bundle.interface.triage_options import TriageOptions
 from bundle.judging.triage.solve_facts import SolveFacts
 
-__all__ = ["Difference", "is_busy"]
+__all__ = ["Difference", "is_busy", "quotient"]
 
 Entry = Mapping[str, Any]
 
@@ -61,7 +62,7 @@ class Difference:
     def ratio(self, name: str) -> float | None:
         """Return the new value divided by the old one; None if one is unknown or 0."""
         old, new = self.pair(name)
-        return new / old if old and new else None
+        return quotient(new, old)
 
     def is_same(self, name: str) -> bool:
         """Return True if both solves have the same known value."""
@@ -116,6 +117,8 @@ class Difference:
             noise *= FLIGHT_COST_NOISE
             if any(solve.warnings.get("out of time") for solve in (self.old, self.new)):
                 noise *= LATE_COST_NOISE
+        if (old is None) != (new is None):
+            return True
         # a cost that is 0 up to rounding has no relative noise
         floor = 1e-12 * (self.old.initial_cost or 0.0)
         if old is not None and new is not None and abs(new - old) > noise * abs(old) + floor:
@@ -173,11 +176,11 @@ class Difference:
         noise = self.limits.time_noise + SECONDS_NOISE / min(old, new)
         noise *= self._machine_noise()
         slowed = [_slowed(environment) for environment in self.environments]
-        ratio: float = new / old
+        ratio = quotient(new, old)
         if new - self.new.waiting > old * most * noise * slowed[1]:
-            return ratio / most
+            return quotient(ratio, most)
         is_less = new * noise * slowed[0] < (old - self.old.waiting) * least
-        return ratio / least if is_less else None
+        return quotient(ratio, least) if is_less else None
 
     def _machine_noise(self) -> float:
         noise = 1.0
@@ -199,6 +202,13 @@ class Difference:
             for kind in kinds
             if self.new.warnings.get(kind) and not self.old.warnings.get(kind)
         ]
+
+
+def quotient(new: float | None, old: float | None) -> float | None:
+    """Return new divided by old, a finite number; None if one is unknown or 0."""
+    if not old or not new:
+        return None
+    return max(-sys.float_info.max, min(new / old, sys.float_info.max))
 
 
 def _slowed(environment: Entry) -> float:

@@ -143,7 +143,7 @@ def flight_facts(report: Entry) -> SolveFacts:
 
     def median(name: str) -> float | None:
         values = [record[name] for record in records if record.get(name) is not None]
-        return float(statistics.median(values)) if values else None
+        return _known(statistics.median(values)) if values else None
 
     rows = sum(record["num_rows"] for record in records)
     cost = sum(cost for record in records for cost in record["costs"].values())
@@ -162,9 +162,9 @@ def flight_facts(report: Entry) -> SolveFacts:
         prior_columns=median("num_prior_columns"),
         reduced_nonzeros=median("num_reduced_nonzeros"),
         factor_nonzeros=median("num_factor_nonzeros"),
-        final_cost=cost / rows if rows else None,
-        steps=float(sum(record["num_iterations"] for record in records)),
-        rejected=float(sum(record["num_rejected"] for record in records)),
+        final_cost=_known(cost / rows) if rows else None,
+        steps=_known(sum(record["num_iterations"] for record in records)),
+        rejected=_known(sum(record["num_rejected"] for record in records)),
         least_radius=min(
             (r for record in records if (r := record.get("least_radius")) is not None), default=None
         ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,11 +13,13 @@ from bundle._core import __version__
 from bundle.base.paths import as_path
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, shown
+from bundle.judging.triage.report_shape import check_shape, shape_of
 from bundle.judging.triage.solve_facts import SolveFacts, flight_facts, solve_facts
 
 __all__ = ["SolveReport", "read_report", "same_input"]
 
 SCHEMA = 1
+MOST_DIGITS = 18
 COMMANDS = ("refine", "vio", "compare")
 SIZES = {"num_poses": "poses", "num_images": "images", "duration": "seconds"}
 """Counts that tell two inputs apart, with their nouns."""
@@ -53,7 +56,8 @@ def read_report(path: str | os.PathLike[str]) -> SolveReport:
     place = shown(os.fspath(path))
     expected = f"{place}: expected a report of bundle refine, vio or compare (--json FILE)"
     try:
-        report = json.loads(Path(as_path(path)).read_text(encoding="utf-8", errors="replace"))
+        text = Path(as_path(path)).read_text(encoding="utf-8", errors="replace")
+        report = json.loads(text, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{expected}, found no JSON: {error}") from None
     if not isinstance(report, dict) or not isinstance(report.get("command"), str):
@@ -66,12 +70,31 @@ def read_report(path: str | os.PathLike[str]) -> SolveReport:
                 f"{place}: expected a report of {name} {known}, found {name} "
                 f"{brief(report.get(name))}; solve the input again with this version"
             )
-    try:
-        return _report(str(path), report)
-    except KeyError as error:
-        raise InputError(f"{place}: expected an entry {error}, it is missing") from None
-    except (TypeError, ValueError, AttributeError, IndexError) as error:
-        raise InputError(f"{expected}, found other contents: {error}") from None
+    check_shape(report, shape_of(report), place)
+    _check_places(report, place)
+    return _report(str(path), report)
+
+
+def _check_places(report: Entry, place: str) -> None:
+    """Refuse a comparison with a run of an input that it does not list."""
+    for k, run in enumerate(report["runs"] if "inputs" in report else ()):
+        if run["input"] not in range(len(report["inputs"])):
+            raise InputError(
+                f"{place}: runs[{k}].input: expected the index of one of "
+                f"{len(report['inputs'])} inputs, found {brief(run['input'])}"
+            )
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"expected finite numbers, found {brief(text)[1:-1]}")
+    return number
+
+
+def _whole(text: str) -> float:
+    """Return a whole number; as a float if it is larger than any count."""
+    return int(text) if len(text) < MOST_DIGITS else _finite(text)
 
 
 def same_input(old: SolveReport, new: SolveReport) -> None:
@@ -143,7 +166,7 @@ def _compared_graph(report: Entry) -> dict[tuple[int, str], SolveFacts]:
     structure = report.get("structure") or {}
     solves = {}
     for run in report["runs"]:
-        if run["summary"] is None:  # the run failed
+        if run["summary"] is None or run["iterations"] is None:  # the run failed
             continue
         options = {**report["options"], **{name: run[name] for name in varied}}
         name = f"{run['name']}, {run['num_threads']} threads"

@@ -10,6 +10,7 @@ from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.interface.tabular import Tabular
 from bundle.judging.triage.cause_words import TriageCause
+from bundle.judging.triage.difference import quotient
 
 __all__ = ["Quantity", "Triage"]
 
@@ -32,7 +33,7 @@ class Quantity:
         """New value divided by the old one; None if it is not defined."""
         if isinstance(self.old, str) or isinstance(self.new, str):
             return None
-        return self.new / self.old if self.old and self.new is not None else None
+        return 0.0 if self.old and self.new == 0 else quotient(self.new, self.old)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
