@@ -24,7 +24,7 @@ NOT_FOR_REFINE = (
         *{"bundle.analysis.statistics", "bundle.editing", "bundle.planning", "bundle.inertial"},
         *{"bundle.graphs", "bundle.solving.constraints", "bundle.solving.ranks.mpi_crew"},
         *{"bundle.solving.rounds.checkpoint", "bundle.solving.held_out", "bundle.io.g2o_files"},
-        *{"rich", "numpy.ma", "hashlib", "zipfile", "gzip", "subprocess"},
+        *{"rich", "numpy.ma", "hashlib", "zipfile", "gzip", "subprocess", "shutil"},
     }
 )
 RUN = """

@@ -18,7 +18,7 @@ import bundle._core as _core
 from bundle.errors import InputError
 from bundle.solving import kept_errors
 from bundle.solving.kept_errors import PixelErrors
-from bundle.solving.slices import block_errors, out_of_core, scratch_size, slice_reading
+from bundle.solving.slices import block_errors, out_of_core, slice_reading
 from bundle.solving.slices.out_of_core import scratch_folder
 from bundle.solving.slices.scratch_size import scratch_bytes
 from tests.cli.conftest import command, environment, run  # noqa: F401
@@ -238,7 +238,7 @@ def test_folders_and_inputs_that_do_not_do(run, inputs, tmp_path, monkeypatch): 
     assert "binary COLMAP model" in refused(text, tmp_path / "model", tmp_path)
     assert "format of INPUT" in refused(bal, tmp_path / "out.txt.gz", tmp_path)
     usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(scratch_size.shutil, "disk_usage", lambda _: usage._replace(free=1000))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1000))
     assert "of free disk" in refused(bal, out, tmp_path)
 
 

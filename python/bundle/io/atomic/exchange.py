@@ -17,7 +17,6 @@ import ctypes
 import errno
 import functools
 import os
-import shutil
 import stat
 import sys
 from collections.abc import Callable
@@ -55,6 +54,8 @@ def can_exchange(target: Path) -> bool:
 
 def take_over_folder(old: Path, new: Path) -> bool:
     """Copy owner, permissions and attributes to a new folder; return False on failure."""
+    import shutil  # late: it loads three compressors
+
     status, mine = old.stat(), new.stat()
     try:
         if (status.st_uid, status.st_gid) != (mine.st_uid, mine.st_gid):
@@ -132,6 +133,8 @@ def _unlink(new: Path) -> None:
     """Remove the links from a new folder."""
     for entry in os.scandir(new):
         if entry.is_dir(follow_symlinks=False):
+            import shutil  # late, as above
+
             shutil.rmtree(entry.path, ignore_errors=True)
         elif entry.name not in MODEL_FILES:
             Path(entry.path).unlink()

@@ -13,7 +13,6 @@ import errno
 import fcntl
 import os
 import re
-import shutil
 import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -183,5 +182,10 @@ def _remove(path: Path) -> None:
         if not stat.S_ISDIR(path.lstat().st_mode):
             path.unlink()
             return
+        with contextlib.suppress(OSError):
+            path.rmdir()  # all has been renamed
+            return
+        import shutil  # late: it loads three compressors
+
         shutil.rmtree(path / OLD, ignore_errors=True)  # first: alone it would look like data
         shutil.rmtree(path, ignore_errors=True)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-
 from bundle.base.memory_sizes import format_size
 from bundle.errors import InputError, shown
 
@@ -27,6 +25,8 @@ def scratch_bytes(num_observations: int, num_points: int) -> float:
 
 def refuse_small_disk(folder: str, num_observations: int, num_points: int) -> None:
     """Raise an InputError if the files cannot fit."""
+    import shutil  # late: it loads three compressors
+
     needed = scratch_bytes(num_observations, num_points)
     free = shutil.disk_usage(folder).free
     if needed > free:
