@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.checking.step_curve import acquitted, walk
+from bundle.checking.step_curve import (
+    LARGEST_STEP,
+    LEAST_FIRST_STEP,
+    Line,
+    acquitted,
+    single_rounding,
+    walk,
+)
 
 
 def line(function, center=0.0):
@@ -42,6 +49,42 @@ def test_a_wrong_slope_of_a_smooth_function_is_not(claimed, bend):
         return np.sin(x) + bend * x**2 + bend * x**3
 
     assert not is_acquitted(smooth, claimed, 1.0)
+
+
+def test_a_residual_too_coarse_for_its_slope_does_not_prove_a_slope_of_zero():
+    assert not is_acquitted(lambda x: 1e3 + 1e-8 * (x - 1), 0, 1e-8)
+
+
+def test_a_small_mistake_is_not_excused_by_a_slope_nearer_to_it():
+    """The slope beyond the bend is 1: the mistake is 3e-7 below it, the derivative 5e-7 above."""
+
+    def bent(x):
+        return x + 5e-7 * 1e-6 * np.tanh(x / 1e-6)
+
+    assert is_acquitted(bent, 1, 1 + 5e-7)
+    assert not is_acquitted(bent, 1 - 3e-7, 1 + 5e-7)
+
+
+def test_a_few_quiet_steps_do_not_make_a_noisy_residual_quiet():
+    steps = 0.5 ** np.arange(7, 51)
+    center, claimed = np.zeros(1), np.array([1.001])
+    noise = np.where(np.arange(44) % 2, 1e-9, -1e-9)
+    noise[-7:] = 0.0
+    noise[16:20] = 1e-3 * steps[16:20]  # by chance the slope that is claimed
+    sides = [(sign * (steps + noise))[:, None] for sign in (1, -1)]
+    assert 1e-3 * steps[16] < 1e-9 < 1e-3 * steps[0]
+    assert not acquitted(Line(steps, center, *sides), claimed, np.array([1e-3]), 1.0)[0]
+
+
+def test_errors_of_single_precision_bound_those_of_differences():
+    rng = np.random.default_rng(0)
+    places = rng.uniform(0.5, 2, (200, 1))
+    step = np.maximum(LARGEST_STEP * np.abs(places), LEAST_FIRST_STEP)
+    values = [np.float32(np.sin(3 * (places + sign * step))) for sign in (1, -1)]
+    exact = (np.sin(3 * (places + step)) - np.sin(3 * (places - step))) / (2 * step)
+    errors = np.abs((values[0].astype(float) - values[1]) / (2 * step) - exact)
+    bound = single_rounding(np.ones((200, 1)), places)[:, :, 0]
+    assert (errors <= bound).all() and (errors > bound / 100).any()
 
 
 def test_steps_without_a_value_prove_nothing():
