@@ -43,7 +43,8 @@ if TYPE_CHECKING:
         RotationFactor,
     )
     from bundle.graphs.factors.checks import check_gradients, check_jacobians
-    from bundle.graphs.factors.factor_graph import DigitsLeft, FactorGraph, GraphResult
+    from bundle.graphs.factors.digits_left import DigitsLeft
+    from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
     from bundle.graphs.factors.factors import (
         BetweenFactor,
         PositionFactor,
@@ -61,8 +62,8 @@ if TYPE_CHECKING:
     from bundle.graphs.loops.loop_graph import close_loops
     from bundle.graphs.pose_graphs.certificate import Certificate, Staircase
     from bundle.graphs.pose_graphs.certify import certify
+    from bundle.graphs.pose_graphs.edge_values import initial_poses, pose_graph_chi2
     from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult, PoseGraphSummary
-    from bundle.graphs.pose_graphs.solve_pose_graph import initial_poses, pose_graph_chi2
     from bundle.inertial import two_loops
     from bundle.inertial.preintegration.imu_factors import BiasWalkFactor, ImuFactor
     from bundle.inertial.preintegration.motion_excitation import Excitation, excitation
@@ -340,7 +341,8 @@ _DEFERRED = {
     "georeference.velocity_prior": ("VelocityPrior",),
     "graphs.factors.attitude_factors": ("DirectionFactor", "HeadingFactor", "RotationFactor"),
     "graphs.factors.checks": ("check_gradients", "check_jacobians"),
-    "graphs.factors.factor_graph": ("DigitsLeft", "FactorGraph", "GraphResult"),
+    "graphs.factors.digits_left": ("DigitsLeft",),
+    "graphs.factors.factor_graph": ("FactorGraph", "GraphResult"),
     "graphs.factors.factors": (
         "BetweenFactor",
         "PositionFactor",
@@ -358,8 +360,8 @@ _DEFERRED = {
     "graphs.loops.loop_graph": ("close_loops",),
     "graphs.pose_graphs.certificate": ("Certificate", "Staircase"),
     "graphs.pose_graphs.certify": ("certify",),
+    "graphs.pose_graphs.edge_values": ("initial_poses", "pose_graph_chi2"),
     "graphs.pose_graphs.pose_graph_result": ("PoseGraphResult", "PoseGraphSummary"),
-    "graphs.pose_graphs.solve_pose_graph": ("initial_poses", "pose_graph_chi2"),
     "inertial.preintegration.imu_factors": ("BiasWalkFactor", "ImuFactor"),
     "inertial.preintegration.motion_excitation": ("Excitation", "excitation"),
     "inertial.preintegration.preintegration": ("Preintegration", "propagate"),

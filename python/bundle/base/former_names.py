@@ -37,7 +37,7 @@ FORMER = {
     "filters.msckf": "inertial.vio.msckf",
     "filters.track_linearization": "inertial.vio.msckf",
     "free_degrees": "solving.gauge_freedom",
-    "graph.digits": "graphs.factors.factor_graph",
+    "graph.digits": "graphs.factors.digits_left",
     "graph.factor_check": "graphs.factors.factor_check",
     "graph.factor_graph": "graphs.factors.factor_graph",
     "graph.factors": "graphs.factors.factors",

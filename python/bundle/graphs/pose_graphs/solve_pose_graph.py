@@ -18,9 +18,8 @@ from bundle.errors import InputError
 from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000, ONE_IN_A_MILLION
 from bundle.graphs.pose_graphs.information import checked_information
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult, PoseGraphSummary
-from bundle.interface.option_fields import choice
 from bundle.interface.ordering_alarm import BestOrder, with_ordering_alarm
-from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
+from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.solve_record import Progress, record_fields, with_warnings
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.starts import choose_lower, choose_start, lower_start, started
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
 # Functions import the modules of robust, consistent and certified solves: together with those of a
 # plain one they would take longer than its first call.
 
-__all__ = ["initial_poses", "pose_graph_chi2", "solve_consistent", "solve_pose_graph"]
+__all__ = ["solve_consistent", "solve_pose_graph"]
 
 
 UNPROVEN_SET = "unproven_set"
@@ -290,37 +289,6 @@ def _with_ordering_alarm(
     return with_ordering_alarm(
         fields, lambda: (graph.edges, held), look if is_asked else None, advice
     )
-
-
-def initial_poses(graph: PoseGraph, init: str = "chordal") -> NDArray[np.float64]:
-    """Return poses from edges alone, relative to the fixed or first pose of each component.
-
-    Args:
-        graph: pose graph; not modified.
-        init: "odometry", "spanning_tree" or "chordal".
-
-    Raises:
-        InputError: for the reasons of :func:`solve_pose_graph`.
-    """
-    check_type("graph", graph, PoseGraph)
-    init = choice("init", init, ("odometry", "spanning_tree", "chordal"))
-    held, _, _ = _core.hold_poses(graph)
-    return started(checked_information(graph, "file"), held, init, 1).poses
-
-
-def pose_graph_chi2(graph: PoseGraph, error: str = "log") -> NDArray[np.float64]:
-    """Return r^T Omega r of each edge at the graph's poses: (m,).
-
-    Args:
-        graph: pose graph; not modified.
-        error: "log", "g2o" or "ceres", as in :class:`PoseGraphOptions`.
-
-    Raises:
-        InputError: an information matrix is asymmetric or indefinite.
-    """
-    check_type("graph", graph, PoseGraph)
-    error = choice("error", error, POSE_ERRORS)
-    return _core.edge_chi2(checked_information(graph, "file"), error)
 
 
 def _consistent_set(graph: PoseGraph, num_threads: int) -> NDArray[np.bool_] | None:

@@ -7,9 +7,9 @@ name. A name with a final "?" is optional, "*" is any other name, and ``Maybe`` 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 
 __all__ = ["check_shape", "shape_of"]

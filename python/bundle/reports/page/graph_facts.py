@@ -21,8 +21,8 @@ from bundle.base.words import change, number, plural
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
 from bundle.graphs.factors.factors import PositionFactor, RelativePoseFactor, ReprojectionFactor
+from bundle.graphs.pose_graphs.edge_values import pose_graph_chi2
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
-from bundle.graphs.pose_graphs.solve_pose_graph import pose_graph_chi2
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.rotations import rotation_matrices
 from bundle.planning.inspection.factor_graph_inspection import FactorGraphInspection

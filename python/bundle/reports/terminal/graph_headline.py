@@ -12,8 +12,8 @@ import numpy as np
 from bundle.base.words import number, plural, rounded
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.certified_solve import STAIRCASE
+from bundle.graphs.pose_graphs.edge_values import pose_graph_chi2
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
-from bundle.graphs.pose_graphs.solve_pose_graph import pose_graph_chi2
 from bundle.interface.termination import short_outcome
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.reports.terminal.certificate_facts import certificate_sentences

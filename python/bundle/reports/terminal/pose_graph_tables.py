@@ -12,9 +12,9 @@ from bundle.base.waiting_time import Waiting
 from bundle.base.words import number, plural
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.densest_set import densest_set
+from bundle.graphs.pose_graphs.edge_values import pose_graph_chi2
 from bundle.graphs.pose_graphs.information import bad_information, describe_information
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
-from bundle.graphs.pose_graphs.solve_pose_graph import pose_graph_chi2
 from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
 from bundle.model.content_digests import content_digests
 from bundle.model.pose_graph_arrays import PoseGraph
