@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import Problem, _core
-from bundle.checking.jacobians import TURN
+from bundle.checking.jacobians import ROUNDING_UNITS, TURN, _rounding_errors
 from tests import scenes
 
 EPSILON = np.finfo(float).eps
@@ -94,11 +94,12 @@ def test_analytic_and_reference_hold_to_what_rounding_leaves():
         known = EPSILON * np.abs(problem.points[k]).sum() / depth
         assert 0.1 * known < rounding[k] < 10 * known or depth < 1e-13
         left = np.abs(analytic[k][:, columns] - should_be).max() / size
-        assert left < 16 * rounding[k] + 1e-14
+        assert left < ROUNDING_UNITS * rounding[k] + 1e-14
         if rounding[k] < 1e-4:
             bounded += 1
             off = np.abs(reference[k][:, columns] - should_be)
-            assert (off <= uncertainty[k][:, columns] + 16 * rounding[k] * size).all()
+            by_rounding = _rounding_errors(reference[[k]], rounding[[k]])[0][:, columns]
+            assert (off <= uncertainty[k][:, columns] + 1.01 * by_rounding).all()
             assert (uncertainty[k][:, columns] <= (1e4 * rounding[k] + 1e-9) * size).all()
     assert bounded >= 10
 
@@ -174,3 +175,17 @@ def test_every_other_observation_is_checked_away_from_the_origin_of_its_chart(mo
     (offsets,) = turns
     assert not offsets[::2].any()
     assert np.std(offsets[1::2]) == pytest.approx(TURN, rel=0.2)
+
+
+def test_a_rough_residual_is_not_blamed_on_the_center(monkeypatch):
+    problem = scene([1e-3, 1e-3, 1e-9], normal=20)
+    original = _core.check_reprojections
+
+    def rough(*arguments):
+        analytic, reference, uncertainty, *others = original(*arguments)
+        uncertainty[:2] = 1e-3 * np.abs(reference[:2]).max()
+        return (analytic, reference, uncertainty, *others)
+
+    monkeypatch.setattr(_core, "check_reprojections", rough)
+    report = bundle.check_jacobians(problem, samples_per_image=None)
+    assert {one.reason: one.count for one in report.undecided} == {"camera_center": 1, "rough": 2}
