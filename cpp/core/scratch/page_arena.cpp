@@ -17,7 +17,7 @@ constexpr size_t kMost = kLargePage / 2;
 constexpr size_t kCacheLine = 64;
 
 /// Arrays of a large page, one behind the other from its begin on.
-struct Stack {
+struct alignas(sizeof(uint64_t)) Stack {  // as aligned as one number, for atomic access
   uint32_t bytes;
   uint32_t num_arrays;
 };
