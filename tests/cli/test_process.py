@@ -31,6 +31,14 @@ def test_help_and_version(spawn):
         assert "default: " in out
 
 
+def run_with_nothing(program):
+    """Return the ended process of a program that gives the command line no file to read."""
+    return subprocess.run(
+        [sys.executable, "-c", program, "info", "/nowhere"],
+        env=environment(), capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
 def test_a_process_searches_for_no_garbage_where_there_is_none():
     program = (
         "import atexit, gc, sys\n"
@@ -41,10 +49,7 @@ def test_a_process_searches_for_no_garbage_where_there_is_none():
         "atexit.register(counts)\n"
         "sys.exit(run())\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program, "info", "/nowhere"],
-        env=environment(), capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    done = run_with_nothing(program)
     assert done.returncode == 2
     collections, frozen = map(int, done.stdout.split())
     assert collections == 0
@@ -62,10 +67,7 @@ def test_a_process_ends_after_its_last_exit_function(earlier):
         "atexit.register(print, 'later')\n"
         "sys.exit(code)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program, "info", "/nowhere"],
-        env=environment(), capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    done = run_with_nothing(program)
     assert done.returncode == 2
     assert "error: /nowhere" in done.stderr
     assert done.stdout.split() == ["later", "earlier" if earlier else "2"]
