@@ -107,9 +107,10 @@ def _counts(value):
     return [_counts(one) for one in value] if isinstance(value, list) else []
 
 
-def test_letters_of_gtsam_part_trajectories():
+@pytest.mark.parametrize("letters", ["ab", "\0A", "AB"])  # \0: plain numbers
+def test_letters_of_gtsam_part_trajectories(letters):
     graph = graphs.loop(2, num_poses=10)
-    keys = keys_of_gtsam("a" * 5 + "b" * 5, [*range(5), *range(0, 50, 10)])
+    keys = keys_of_gtsam(letters[0] * 5 + letters[1] * 5, [*range(5), *range(0, 50, 10)])
     graph = graph.replace(ids=keys)
     expected = by_ranks(graph)
     join = graph.edges.tolist().index([4, 5])
