@@ -18,8 +18,11 @@
 ///
 ///   D - L_D L_D^T = M M^T,      then for tiles of the rows below    (B - L_B L_D^T) M^-T,
 ///
-/// with the triangular solve in registers. All of it is in columns of lanes: column c of the result
-/// is v_c / M_cc, after which later columns subtract its multiples.
+/// with the triangular solve in registers. All of it is in columns of lanes. With v_c the column c
+/// of D after the earlier columns, a later column k subtracts v_c (v_kc / v_cc), and column c of M
+/// is v_c / sqrt(v_cc). So no column waits for a square root.
+///
+/// Loops over the registers of a tile are unrolled: GCC would otherwise keep a tile in memory.
 
 #include "core/linear/kernels/panel_vectors.h"
 
@@ -48,12 +51,16 @@ struct Tile {
                                          : Load(from + i * kLanes);
   }
   void Read(const double* from, int64_t stride) {
+#pragma GCC unroll 8
     for (int c = 0; c < kColumns; ++c) {
+#pragma GCC unroll 3
       for (int i = 0; i < kVectors; ++i) v[c][i] = LoadRows(from + c * stride, i, last);
     }
   }
   void Write(double* to, int64_t stride) const {
+#pragma GCC unroll 8
     for (int c = 0; c < kColumns; ++c) {
+#pragma GCC unroll 3
       for (int i = 0; i < kVectors; ++i) {
         double* const at = to + c * stride + i * kLanes;
         if (kPartial && i == kVectors - 1) {
@@ -69,9 +76,12 @@ struct Tile {
   void Accumulate(const double* a, const double* b, int64_t stride, int width) {
     for (int k = 0; k < width; ++k, a += stride, b += stride) {
       Vector rows[kVectors];
+#pragma GCC unroll 3
       for (int i = 0; i < kVectors; ++i) rows[i] = LoadRows(a, i, last);
+#pragma GCC unroll 8
       for (int c = 0; c < kColumns; ++c) {
         const Vector factor = Broadcast(b[c]);
+#pragma GCC unroll 3
         for (int i = 0; i < kVectors; ++i) {
           if (kSubtract) {
             v[c][i] -= rows[i] * factor;
@@ -199,10 +209,14 @@ inline void SolveColumns(const Triangle<kColumns>& l, const double* panel, int64
     double* const to = b + row + first * stride;
     tile.Read(to, stride);
     tile.template Accumulate<true>(b + row, panel + first, stride, first);
+#pragma GCC unroll 8
     for (int c = 0; c < kColumns; ++c) {
+#pragma GCC unroll 3
       for (int i = 0; i < kVectors; ++i) tile.v[c][i] *= Broadcast(l.reciprocal[c]);
+#pragma GCC unroll 8
       for (int k = c + 1; k < kColumns; ++k) {
         const Vector factor = Broadcast(l.factor[c][k]);
+#pragma GCC unroll 3
         for (int i = 0; i < kVectors; ++i) tile.v[k][i] -= tile.v[c][i] * factor;
       }
     }
@@ -219,17 +233,27 @@ inline int FactorizeColumns(double* panel, int64_t stride, int height, int first
   double* const at = panel + first + first * stride;
   diagonal.Read(at, stride);
   diagonal.template Accumulate<true>(panel + first, panel + first, stride, first);
+  Vector pivots = diagonal.v[0][0];
+#pragma GCC unroll 8
+  for (int c = 0; c < kColumns; ++c) {
+    const Vector& column = diagonal.v[c][0];
+    pivots[c] = column[c];
+    if (!(pivots[c] > 0)) return c + 1;
+    const Vector multiples = column / Broadcast(column[c]);
+#pragma GCC unroll 8
+    for (int k = c + 1; k < kColumns; ++k) {
+      diagonal.v[k][0] -= column * Broadcast(multiples[k]);
+    }
+  }
+#pragma GCC unroll 8
   for (int c = 0; c < kColumns; ++c) {
     Vector& column = diagonal.v[c][0];
-    if (!(column[c] > 0)) return c + 1;
-    const double root = __builtin_sqrt(column[c]);
+    const double root = __builtin_sqrt(pivots[c]);
     l.reciprocal[c] = 1 / root;
     column *= Broadcast(l.reciprocal[c]);
     column[c] = root;
-    for (int k = c + 1; k < kColumns; ++k) {
-      l.factor[c][k] = column[k];
-      diagonal.v[k][0] -= column * Broadcast(l.factor[c][k]);
-    }
+#pragma GCC unroll 8
+    for (int k = c + 1; k < kColumns; ++k) l.factor[c][k] = column[k];
   }
   diagonal.Write(at, stride);
   const int below = first + kColumns;
@@ -256,6 +280,7 @@ void SolveRows(const double* panel, int64_t stride, int width, double* b, int ro
       const double* column = panel + first + first * stride;
       for (int c = 0; c < kColumns; ++c, column += stride) {
         l.reciprocal[c] = 1 / column[c];
+#pragma GCC unroll 8
         for (int k = c + 1; k < kColumns; ++k) l.factor[c][k] = column[k];
       }
       SolveColumns(l, panel, stride, first, b, rows);
@@ -263,50 +288,94 @@ void SolveRows(const double* panel, int64_t stride, int width, double* b, int ro
   }
 }
 
-void Forward(const double* panel, int64_t stride, int height, int width, double* y, double* below) {
-  for (int j = 0; j < width; ++j) {
-    const double* const column = panel + j * stride;
-    y[j] *= 1 / column[j];  // the quotient does not wait for y
-    for (int i = j + 1; i < width; ++i) y[i] -= column[i] * y[j];
-  }
-  ForTiles<1>(height - width, [&](auto tile, int row) {
-    const double* column = panel + width + row;
+/// A times y, for `rows` rows.
+inline void Multiply(const double* a, int64_t stride, int rows, int width, const double* y,
+                     double* product) {
+  ForTiles<1>(rows, [&](auto tile, int row) {
+    const double* column = a + row;
     constexpr int kVectors = sizeof tile.v[0] / sizeof(Vector);
     for (int j = 0; j < width; ++j, column += stride) {
       const Vector factor = Broadcast(y[j]);
+#pragma GCC unroll 3
       for (int i = 0; i < kVectors; ++i) {
         tile.v[0][i] += tile.LoadRows(column, i, tile.last) * factor;
       }
     }
-    tile.Write(below + row, 0);
+    tile.Write(product + row, 0);
   });
+}
+
+/// Subtracts the transpose of `rows` rows, times x, from y.
+inline void SubtractTransposed(const double* a, int64_t stride, int rows, int width,
+                               const double* x, double* y) {
+  constexpr int kAtATime = 4;
+  const int whole = rows / kLanes * kLanes, rest = rows - whole;
+  for (int first = 0; first < width; first += kAtATime) {
+    WithColumns(Least(kAtATime, width - first), [&](auto count) {
+      Vector sum[count.kCount] = {};
+      const double* const b = a + first * stride;
+      for (int i = 0; i < whole; i += kLanes) {
+        const Vector factor = Load(x + i);
+#pragma GCC unroll 4
+        for (int c = 0; c < count.kCount; ++c) sum[c] += Load(b + c * stride + i) * factor;
+      }
+      if (rest > 0) {
+        const Vector factor = LoadFirst(x + whole, rest);
+#pragma GCC unroll 4
+        for (int c = 0; c < count.kCount; ++c) {
+          sum[c] += LoadFirst(b + c * stride + whole, rest) * factor;
+        }
+      }
+#pragma GCC unroll 4
+      for (int c = 0; c < count.kCount; ++c) y[first + c] -= SumOfLanes(sum[c]);
+    });
+  }
+}
+
+/// Solves with a triangle in registers, or with its transpose. The quotients do not wait for y.
+template <int kColumns, bool kTransposed>
+inline void SolveTriangle(const double* l, int64_t stride, double* y) {
+  double x[kColumns];
+#pragma GCC unroll 8
+  for (int i = 0; i < kColumns; ++i) x[i] = y[i];
+#pragma GCC unroll 8
+  for (int k = 0; k < kColumns; ++k) {
+    const int j = kTransposed ? kColumns - 1 - k : k;
+    x[j] *= 1 / l[j + j * stride];
+#pragma GCC unroll 8
+    for (int i = kTransposed ? 0 : j + 1; i < (kTransposed ? j : kColumns); ++i) {
+      x[i] -= (kTransposed ? l[j + i * stride] : l[i + j * stride]) * x[j];
+    }
+  }
+#pragma GCC unroll 8
+  for (int i = 0; i < kColumns; ++i) y[i] = x[i];
+}
+
+void Forward(const double* panel, int64_t stride, int height, int width, double* y, double* below) {
+  for (int first = 0; first < width; first += kLanes) {
+    WithColumns(Least(kLanes, width - first), [&](auto count) {
+      if (first > 0) {
+        double before[count.kCount];
+        Multiply(panel + first, stride, count.kCount, first, y, before);
+#pragma GCC unroll 8
+        for (int i = 0; i < count.kCount; ++i) y[first + i] -= before[i];
+      }
+      SolveTriangle<count.kCount, false>(panel + first + first * stride, stride, y + first);
+    });
+  }
+  Multiply(panel + width, stride, height - width, width, y, below);
 }
 
 void Backward(const double* panel, int64_t stride, int height, int width, double* y,
               const double* below) {
-  constexpr int kAtATime = 4;
-  const int rows = height - width, whole = rows / kLanes * kLanes, rest = rows - whole;
-  for (int first = 0; first < width; first += kAtATime) {
-    WithColumns(Least(kAtATime, width - first), [&](auto count) {
-      Vector sum[count.kCount] = {};
-      const double* const b = panel + width + first * stride;
-      for (int i = 0; i < whole; i += kLanes) {
-        const Vector x = Load(below + i);
-        for (int c = 0; c < count.kCount; ++c) sum[c] += Load(b + c * stride + i) * x;
-      }
-      if (rest > 0) {
-        const Vector x = LoadFirst(below + whole, rest);
-        for (int c = 0; c < count.kCount; ++c)
-          sum[c] += LoadFirst(b + c * stride + whole, rest) * x;
-      }
-      for (int c = 0; c < count.kCount; ++c) y[first + c] -= SumOfLanes(sum[c]);
+  SubtractTransposed(panel + width, stride, height - width, width, below, y);
+  for (int first = (width - 1) / kLanes * kLanes; first >= 0; first -= kLanes) {
+    WithColumns(Least(kLanes, width - first), [&](auto count) {
+      const int next = first + count.kCount;
+      SubtractTransposed(panel + next + first * stride, stride, width - next, count.kCount,
+                         y + next, y + first);
+      SolveTriangle<count.kCount, true>(panel + first + first * stride, stride, y + first);
     });
-  }
-  // By rows of the triangle: sums by columns would wait for each addition.
-  for (int j = width - 1; j >= 0; --j) {
-    const double* const row = panel + j;
-    y[j] *= 1 / row[j * stride];
-    for (int i = 0; i < j; ++i) y[i] -= row[i * stride] * y[j];
   }
 }
 
