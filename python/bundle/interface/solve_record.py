@@ -60,10 +60,13 @@ def with_warnings(fields: Mapping[str, Any], sentences: Mapping[str, str]) -> di
     }
 
 
-def record_fields(output: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a record, without options, from the output of the core's solvers."""
+def record_fields(output: Mapping[str, Any], summary: Summary | None = None) -> dict[str, Any]:
+    """Return the fields of a record, without options, from the output of the core's solvers.
+
+    ``summary`` replaces that of the output.
+    """
     return {
-        "summary": Summary(**output["summary"]),
+        "summary": summary or Summary(**output["summary"]),
         "iterations": output["iterations"],
         "build_time_in_seconds": output["build_time_in_seconds"],
         "solve_time_in_seconds": output["solve_time_in_seconds"],

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -148,17 +150,17 @@ class Summary(Displayed):
     processes: ProcessRecord | None = None
 
     def __init__(self, **fields: Any) -> None:
-        kind = type(self)
-        names = kind.__dataclass_fields__
-        missing = [name for name in names if name not in fields and not hasattr(kind, name)]
-        unknown = [name for name in fields if name not in names]
+        kind: Any = type(self)  # mypy does not take the class of an object with a hash for hashable
+        defaults = _defaults(kind)
+        values = defaults | fields  # in the order of the fields
+        missing = [name for name, value in values.items() if value is dataclasses.MISSING]
+        unknown = [name for name in fields if name not in defaults]
         if missing or unknown:
             raise TypeError(
-                f"{kind.__name__}: expected its fields by name, missing: "
+                f"{type(self).__name__}: expected its fields by name, missing: "
                 f"{', '.join(missing) or '-'}, unknown: {', '.join(unknown) or '-'}"
             )
-        for name in names:
-            vars(self)[name] = fields[name] if name in fields else getattr(kind, name)
+        vars(self).update(values)
 
     def __eq__(self, other: object) -> bool:
         return vars(self) == vars(other) if type(other) is type(self) else NotImplemented
@@ -207,6 +209,11 @@ class Summary(Displayed):
                 *(("warning", warning) for warning in self.warnings),
             ),
         )
+
+
+@functools.cache
+def _defaults(kind: type[Any]) -> dict[str, Any]:
+    return {field.name: field.default for field in dataclasses.fields(kind)}
 
 
 # Work that a backend's residual evaluation, Jacobian evaluation and linear solver times include.

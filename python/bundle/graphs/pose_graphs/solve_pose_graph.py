@@ -233,7 +233,6 @@ def _refined(
 
         return loss_cost(chi2, doubted, used, c_squared)
 
-    record = record_fields(output)
     rejected = _rejected(graph, output, doubted, used)
     advice = "the Jacobians of edges are part of bundle: please report this"
     warnings = {
@@ -270,7 +269,7 @@ def _refined(
         chi2_after=output["chi2_after"],
         weights=output["weights"],
         rejected=rejected,
-        **record | {"summary": summary},
+        **record_fields(output, summary),
     )
     return result, start.poses
 
