@@ -43,7 +43,7 @@ from bundle.base.words import noun, number
 from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.judging.findings.lens_terms import LensField
-from bundle.judging.findings.measured import Measured, median
+from bundle.judging.findings.measured import Measured, median, median_by_group
 from bundle.judging.findings.systematic import SystematicResiduals
 from bundle.model.problem import Problem
 from bundle.model.shutter_changes import can_roll
@@ -167,33 +167,29 @@ def image_residuals(
 
 def image_fits(found: SystematicResiduals, scale: float) -> ImageFits:
     """Fit scale, anisotropy and shear of each image."""
-    count = len(found.images)
-    fits = ImageFits(
-        coefficients=np.zeros((count, 3)),
-        variances=np.full((count, 3), np.inf),
-        chi2=np.zeros(count),
-        sizes=np.zeros(count),
-        medians=np.zeros(count),
+    count, image = found.num_rows, found.image_of_row
+    raw = np.sqrt(found.sums((found.xy**2).sum(axis=1)))
+    normal = found.image_normals
+    left = np.diagonal(normal, axis1=1, axis2=2) > (LEFT * raw[:, None]) ** 2
+    inverse = np.linalg.pinv(np.where(left[:, :, None] & left[:, None, :], normal, 0.0))
+    fields, residual = found.image_fields * left[image, None, :], found.residuals_without_lens
+    product = found.sums(np.einsum("nka,nk->na", fields, residual))
+    coefficients = np.einsum("mab,mb->ma", inverse, product)
+    field = np.einsum("nka,na->nk", fields, coefficients[image])
+    rest = residual - field
+    medians, _ = median_by_group(np.hypot(*rest.T), image, len(count))
+    scores = np.einsum("nka,nk->na", fields, rest)
+    spread = found.sums(scores[:, :, None] * scores[:, None, :])
+    spread *= (count / np.maximum(count - 6, 1))[:, None, None]
+    covariance = inverse @ spread @ inverse
+    weight = np.linalg.pinv(covariance, hermitian=True)
+    return ImageFits(
+        coefficients=coefficients,
+        variances=np.where(left, np.diagonal(covariance, axis1=1, axis2=2), np.inf),
+        chi2=np.einsum("ma,mab,mb->m", coefficients, weight, coefficients),
+        sizes=np.sqrt(found.sums((field**2).sum(axis=1)) / np.maximum(2 * count, 1)) / scale,
+        medians=np.where(count > 0, medians, 0.0),
     )
-    for row, one in enumerate(found.images):
-        columns, normal = found.image_fields(one)
-        residual = found.residuals_without_lens[one.rows]
-        fits.medians[row] = median(np.hypot(*residual.T))
-        raw = np.sqrt((found.xy[one.rows] ** 2).sum())
-        left = np.flatnonzero(np.diag(normal) > (LEFT * raw) ** 2)
-        if not len(left):
-            continue
-        columns, inverse = columns[:, :, left], np.linalg.pinv(normal[np.ix_(left, left)])
-        fitted = inverse @ (columns * residual[:, :, None]).sum(axis=(0, 1))
-        rest = residual - columns @ fitted
-        fits.medians[row] = median(np.hypot(*rest.T))
-        scores = (columns * rest[:, :, None]).sum(axis=1)
-        covariance = inverse @ (scores.T @ scores) @ inverse * len(scores) / max(len(scores) - 6, 1)
-        fits.coefficients[row, left] = fitted
-        fits.variances[row, left] = np.diag(covariance)
-        fits.chi2[row] = fitted @ np.linalg.pinv(covariance, hermitian=True) @ fitted
-        fits.sizes[row] = np.sqrt(((columns @ fitted) ** 2).mean()) / scale
-    return fits
 
 
 def between_images(values: Floats, variances: Floats) -> tuple[float, float, float]:
@@ -224,7 +220,7 @@ def direction(found: SystematicResiduals) -> tuple[float, float, float]:
         by_row += found.explained(one, row)
         by_column += found.explained(one, column)
         by_both += found.explained(one, np.concatenate([row, column], axis=2))
-        by_fields += found.explained(one, found.image_fields(one)[0])
+        by_fields += found.explained(one, found.image_fields[one.rows])
     explained = max(by_row, by_column) / by_fields if by_fields > 0 else 0.0
     return by_both - by_column, by_both - by_row, explained
 

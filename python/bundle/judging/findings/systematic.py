@@ -80,6 +80,8 @@ class SystematicResiduals:
     Attributes:
         problem: the problem.
         images: images that take part, by index.
+        num_rows: (m,) number of observations of each.
+        image_of_row: (n,) place in ``images`` of each observation.
         observations: (n,) indices of their observations, sorted by image.
         camera: (n,) index of the camera of each observation.
         xy: (n, 2) projected positions from the principal point, in halves of the longer side.
@@ -99,6 +101,8 @@ class SystematicResiduals:
             ImageRows(int(one), int(problem.image_camera[one]), slice(int(start), int(end)))
             for one, start, end in zip(images, starts, ends, strict=True)
         ]
+        self.num_rows = ends - starts
+        self.image_of_row = np.repeat(np.arange(len(images)), self.num_rows)
         self.observations = np.flatnonzero(chosen)[self._order]
         self.camera = problem.image_camera[image].astype(np.int64)
         self._residuals: Floats = measured.residuals[self.observations]
@@ -129,6 +133,8 @@ class SystematicResiduals:
     @cached_property
     def _rows_of_cameras(self) -> list[Indices]:
         order = np.argsort(self.camera, kind="stable")
+        if not len(order):
+            return []
         return np.split(order, np.flatnonzero(np.diff(self.camera[order])) + 1)
 
     def _without_intrinsics(self, columns: Floats) -> Floats:
@@ -154,6 +160,8 @@ class SystematicResiduals:
     def residuals_without_lens(self) -> Floats:
         """(n, 2) residuals without the field that is common to the images of each lens [px]."""
         left = self.residuals.copy()
+        if not len(left):
+            return left
         before = np.sqrt((self.lens_columns**2).mean(axis=(0, 1)))
         for _, rows in self.lenses:
             fields = self.lens_fields[rows]
@@ -201,18 +209,30 @@ class SystematicResiduals:
         x, y = self.xy.T
         return np.stack([np.stack(one, axis=1) for one in ((x, y), (x, -y), (y, x))], axis=2)
 
-    def image_fields(self, one: ImageRows) -> tuple[Floats, Floats]:
-        """Return the fields of an image without its pose, and their normal equations.
-
-        Returns:
-            (rows, 2, 3) columns, and the (3, 3) matrix of their products without intrinsics.
-        """
+    @cached_property
+    def image_fields(self) -> Floats:
+        """(n, 2, 3) fields of an image without its pose."""
         joint, first = self._joint
         first += len(LENS_TERMS)
-        columns = joint[one.rows, :, first : first + len(IMAGE_TERMS)]
-        flat = columns.reshape(-1, columns.shape[2])
-        lost = self._bases[one.rows].reshape(len(flat), -1).T @ flat
-        return columns, flat.T @ flat - lost.T @ lost
+        return joint[:, :, first : first + len(IMAGE_TERMS)]
+
+    @cached_property
+    def image_normals(self) -> Floats:
+        """(m, 3, 3) products of the fields of each image without intrinsics."""
+        normals = np.zeros((len(self.images), len(IMAGE_TERMS), len(IMAGE_TERMS)))
+        for place, one in enumerate(self.images):
+            flat = self.image_fields[one.rows].reshape(-1, len(IMAGE_TERMS))
+            lost = self._bases[one.rows].reshape(len(flat), -1).T @ flat
+            normals[place] = flat.T @ flat - lost.T @ lost
+        return normals
+
+    def sums(self, values: Floats) -> Floats:
+        """Return the sums (m, ...) of values (n, ...) over the rows of each image."""
+        starts = np.cumsum(self.num_rows) - self.num_rows
+        last = np.zeros((1, *values.shape[1:]))  # for images without rows at the end
+        found: Floats = np.add.reduceat(np.concatenate([values, last]), starts)
+        found[self.num_rows == 0] = 0.0
+        return found
 
     @cached_property
     def _derivatives(self) -> tuple[Floats, Floats]:
