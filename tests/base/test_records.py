@@ -247,6 +247,14 @@ def test_a_class_of_the_standard_library_derives_from_ours():
         records.dataclass(frozen=True)(type("Frozen", (OURS.Free,), {"__doc__": "Frozen."}))
 
 
+def test_values_for_the_constructor_alone_are_refused():
+    kind = type(
+        "Set", (), {"__doc__": "Doc.", "__annotations__": {"x": "dataclasses.InitVar[int]"}}
+    )
+    with pytest.raises(TypeError, match="InitVar"):
+        records.dataclass(frozen=True)(kind)
+
+
 @records.dataclass(frozen=True)
 class Kept:
     """At the top of the module, where pickle finds it."""
