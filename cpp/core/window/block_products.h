@@ -4,6 +4,7 @@
 /// poses of images; the compiler knows these sizes.
 
 #include <cstdint>
+#include <type_traits>
 
 #include "core/window/window.h"
 
@@ -39,14 +40,20 @@ inline void AddProduct(const double* a, int m, const double* b, int n, int rows,
   }
 }
 
-/// out (m x n, column-major) -= A B^T of m x 3 and n x 3 matrices, row-major.
+/// out (m x n, column-major) -= A^T B of 3 x m and 3 x n matrices, row-major.
 inline void SubtractProduct(const double* a, int m, const double* b, int n, double* out,
                             int64_t stride) {
-  for (int c = 0; c < n; ++c) {
-    const double x = b[3 * c], y = b[3 * c + 1], z = b[3 * c + 2];
-    double* const column = out + c * stride;
-    for (int r = 0; r < m; ++r) column[r] -= a[3 * r] * x + a[3 * r + 1] * y + a[3 * r + 2] * z;
-  }
+  const auto subtract = [=](const auto rows) {
+    for (int c = 0; c < n; ++c) {
+      const double x = b[c], y = b[n + c], z = b[2 * n + c];
+      double* const column = out + c * stride;
+      for (int r = 0; r < rows; ++r) {
+        column[r] -= a[r] * x + a[rows + r] * y + a[2 * rows + r] * z;
+      }
+    }
+  };
+  if (m == kPoseSize) return subtract(std::integral_constant<int, kPoseSize>());
+  subtract(m);
 }
 
 }  // namespace bundle

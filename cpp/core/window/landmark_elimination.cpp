@@ -33,8 +33,8 @@ void WindowProblem::AddLandmark(const VisualRows& row, Landmark* landmark) {
       w_.resize(w_.size() + 3 * size_t(n), 0.0);
     }
     double* const w = w_.data() + at;
-    for (int c = 0; c < n; ++c) {
-      for (int i = 0; i < 3; ++i) w[3 * c + i] += by[a][c] * p[i] + by[a][n + c] * p[3 + i];
+    for (int i = 0; i < 3; ++i) {
+      for (int c = 0; c < n; ++c) w[i * n + c] += by[a][c] * p[i] + by[a][n + c] * p[3 + i];
     }
   }
 }
@@ -77,27 +77,34 @@ bool WindowProblem::FactorizeLandmark(Landmark* landmark) {
   return true;
 }
 
+/// Sorts `touched_` by place.
 void WindowProblem::Eliminate(Landmark* landmark) {
   landmark->is_regular = FactorizeLandmark(landmark);
   if (!landmark->is_regular) return;  // no row depends on its depth
   const double* const l = landmark->hessian;
-  const double* const y = landmark->solved;
-  for (const int a : touched_) {  // V = W L^-T, row by row
-    double* row = w_.data() + touched_at_[a];
-    const int n = view_.BlockSize(a), column = Column(a);
-    for (int c = 0; c < n; ++c, row += 3) {
-      row[0] /= l[0];
-      row[1] = (row[1] - l[1] * row[0]) / l[3];
-      row[2] = (row[2] - l[2] * row[0] - l[4] * row[1]) / l[5];
-      system_.rhs[column + c] += row[0] * y[0] + row[1] * y[1] + row[2] * y[2];
+  const double* const solved = landmark->solved;
+  for (const int a : touched_) {  // V = W L^-T, coordinate by coordinate
+    const int n = view_.BlockSize(a);
+    double *const x = w_.data() + touched_at_[a], *const y = x + n, *const z = y + n;
+    double* const rhs = system_.rhs.data() + Column(a);
+    for (int c = 0; c < n; ++c) {
+      x[c] /= l[0];
+      y[c] = (y[c] - l[1] * x[c]) / l[3];
+      z[c] = (z[c] - l[2] * x[c] - l[4] * y[c]) / l[5];
+      rhs[c] += x[c] * solved[0] + y[c] * solved[1] + z[c] * solved[2];
     }
   }
-  for (const int a : touched_) {
-    for (const int b : touched_) {
-      if (place_[a] < place_[b]) continue;  // rows are those of the later block
-      const BlockPlace place = Place(a, b);
+  // Rows are those of the later block: in this order, a column's entries are found one by one.
+  std::sort(touched_.begin(), touched_.end(), [&](int a, int b) { return place_[a] < place_[b]; });
+  for (size_t k = 0; k < touched_.size(); ++k) {
+    const int b = touched_[k], column = place_[b], stride = structure_.panel_stride[column];
+    int64_t entry = structure_.column_begin[column];
+    for (size_t m = k; m < touched_.size(); ++m) {
+      const int a = touched_[m];
+      while (structure_.row_block[entry] != place_[a]) ++entry;
       SubtractProduct(w_.data() + touched_at_[a], view_.BlockSize(a), w_.data() + touched_at_[b],
-                      view_.BlockSize(b), place.values, place.stride);
+                      view_.BlockSize(b),
+                      system_.values.data() + structure_.ValueIndex(column, entry, 0, 0), stride);
     }
   }
 }

@@ -29,7 +29,8 @@ WindowProblem::WindowProblem(const WindowView& view)
 
 WindowProblem::BlockPlace WindowProblem::Place(int a, int b) {
   const int column = std::min(place_[a], place_[b]), row = std::max(place_[a], place_[b]);
-  const int64_t entry = structure_.Entry(column, row);
+  const int64_t entry =
+      row == column ? structure_.column_begin[column] : structure_.Entry(column, row);
   return {system_.values.data() + structure_.ValueIndex(column, entry, 0, 0),
           structure_.panel_stride[column], place_[a] < place_[b]};
 }
@@ -143,9 +144,9 @@ Linearization WindowProblem::Linearize(double damping) {
       AddLandmark(rows_.visual[k], &landmark);
     }
     if (!touched_.empty()) AddAnchor(rows_.anchors[next_anchor++], &landmark);
+    w_blocks_.insert(w_blocks_.end(), touched_.begin(), touched_.end());  // in the order of w
     Eliminate(&landmark);
     for (const int block : touched_) touched_at_[block] = -1;
-    w_blocks_.insert(w_blocks_.end(), touched_.begin(), touched_.end());
     w_begin_.push_back(w_.size());
     block_begin_.push_back(w_blocks_.size());
   }
@@ -189,8 +190,8 @@ NewtonResult WindowProblem::SolveNewton(double eta) {
     for (size_t k = block_begin_[l]; k < block_begin_[l + 1]; ++k) {
       const double* const q = newton_.data() + Column(w_blocks_[k]);
       const int n = view_.BlockSize(w_blocks_[k]);
-      for (int c = 0; c < n; ++c) {
-        for (int i = 0; i < 3; ++i) sum[i] += w[3 * c + i] * q[c];
+      for (int i = 0; i < 3; ++i) {
+        for (int c = 0; c < n; ++c) sum[i] += w[i * n + c] * q[c];
       }
       w += 3 * size_t(n);
     }

@@ -103,8 +103,8 @@ class WindowProblem final : public LeastSquares {
   std::vector<Landmark> landmarks_;
   std::vector<int> touched_;     ///< blocks on which the current landmark depends
   std::vector<int> touched_at_;  ///< index of a block in w; -1: not in w
-  std::vector<double> w_;        ///< V of all landmarks: a row of 3 per coordinate
-  std::vector<int> w_blocks_;    ///< blocks of all landmarks; ranges in w_begin_ and block_begin_
+  std::vector<double> w_;      ///< V of all landmarks: 3 rows per block, each over its coordinates
+  std::vector<int> w_blocks_;  ///< blocks of all landmarks; ranges in w_begin_ and block_begin_
   std::vector<size_t> w_begin_, block_begin_;
   std::vector<double> gradient_, scale_, d_squared_, newton_;
   double damping_ = 0;
