@@ -8,11 +8,12 @@
 ///
 /// Products of wide panels are fast, so that some zeros pay off. Their number is limited as in
 /// CHOLMOD (Chen, Davis, Hager, Rajamanickam: Algorithm 887, 2008), but lower, to save memory. A
-/// panel includes the column before it if its share of zeros is then less than 70 % up to 9
-/// columns, where visiting a panel takes longer than its arithmetic, 20 % up to 48, 5 % up to 192
-/// and 1 % beyond. Unlike in CHOLMOD, the width of a panel is limited, because it also stores the
-/// upper triangle of its diagonal blocks. At the root of a tree, where thousands of columns have
-/// the same rows, that would be half of its memory.
+/// panel includes the column before it if its share of zeros is then less than 20 % up to 48
+/// columns, 5 % up to 192 and 1 % beyond. It may be 70 % where visiting another panel takes longer
+/// than the arithmetic on zeros: up to 9 columns, and, while L stays in the cache, up to 4000
+/// products of zeros by a column. Unlike in CHOLMOD, the width of a panel is limited, because it
+/// also stores the upper triangle of its diagonal blocks. At the root of a tree, where thousands of
+/// columns have the same rows, that would be half of its memory.
 
 #include <algorithm>
 #include <cstddef>
@@ -24,6 +25,8 @@ namespace bundle {
 namespace {
 
 constexpr double kWidestPanel = 256;
+constexpr double kFlopsOfAVisit = 4000;
+constexpr double kEntriesInCache = 1 << 19;
 
 /// Rows of each block column of L below its diagonal block, ascending.
 struct FactorRows {
@@ -82,9 +85,11 @@ double Entries(const Panel& panel) {
   return panel.columns * (panel.columns + 1) / 2 + panel.columns * panel.below;
 }
 
-bool IsWorthIt(const Panel& panel) {
+bool IsWorthIt(const Panel& panel, bool is_cached) {
   if (panel.columns > kWidestPanel) return false;
-  const double share = panel.columns <= 9     ? 0.7
+  const bool is_small =
+      panel.columns <= 9 || (is_cached && panel.zeros * panel.columns <= kFlopsOfAVisit);
+  const double share = is_small               ? 0.7
                        : panel.columns <= 48  ? 0.2
                        : panel.columns <= 192 ? 0.05
                                               : 0.01;
@@ -95,6 +100,10 @@ bool IsWorthIt(const Panel& panel) {
 /// are few enough and its parent is in this panel.
 std::vector<Panel> FindPanels(const BlockStructure& structure, const FactorRows& rows) {
   std::vector<Panel> reversed;
+  const double mean_size =
+      structure.num_columns() / static_cast<double>(std::max(structure.num_blocks(), 1));
+  const double num_blocks = static_cast<double>(rows.row.size()) + structure.num_blocks();
+  const bool is_cached = num_blocks * mean_size * mean_size <= kEntriesInCache;
   for (int j = structure.num_blocks() - 1; j >= 0; --j) {
     Panel panel{j, j + 1, static_cast<double>(structure.block_size(j)), 0, 0};
     for (int64_t e = rows.begin[j]; e < rows.begin[j + 1]; ++e) {
@@ -102,7 +111,7 @@ std::vector<Panel> FindPanels(const BlockStructure& structure, const FactorRows&
     }
     if (!reversed.empty() && !rows.empty(j) && rows.front(j) < reversed.back().last_block) {
       const Panel merged = Merged(panel, reversed.back());
-      if (IsWorthIt(merged)) {
+      if (IsWorthIt(merged, is_cached)) {
         reversed.back() = merged;
         continue;
       }
