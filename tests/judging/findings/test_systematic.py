@@ -1,10 +1,13 @@
 """Projections against one dense least-squares fit with all columns, and fields of known size."""
 
+from functools import partial
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import bundle
-from bundle.judging.findings.images import between_images
+from bundle.judging.findings.images import between_images, image_fits
 from bundle.judging.findings.measured import Measured, median_by_group
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.systematic import SystematicResiduals
@@ -67,6 +70,47 @@ def test_fields_of_one_image_are_those_of_a_joint_fit(problem):
         left = flat - base / scale @ np.linalg.lstsq(base / scale, flat, rcond=1e-12)[0]
         np.testing.assert_allclose(normal, left.T @ left, atol=1e-6 * np.trace(flat.T @ flat))
         assert found.image_fields[one.rows].shape == (len(x), 2, 3)
+
+
+def test_linear_fields_are_fitted_image_by_image():
+    """The oracle is a fit of each image by itself, with the fields that are left of it."""
+    rng = np.random.default_rng(2)
+    counts = np.array([40, 0, 31, 57, 0])
+    rows, image = counts.sum(), np.repeat(np.arange(5), counts)
+    xy, fields = rng.normal(size=(rows, 2)), rng.normal(size=(rows, 2, 3))
+    fields[image == 2, :, 1] *= 1e-4  # absorbed by the pose
+    fields[image == 3, :, 0] *= 0.1  # a tenth is left
+    residual = rng.normal(size=(rows, 2)) * (1 + np.abs(xy[:, :1]))
+    found = SimpleNamespace(
+        num_rows=counts,
+        image_of_row=image,
+        xy=xy,
+        image_fields=fields,
+        residuals_without_lens=residual,
+    )
+    found.sums = partial(SystematicResiduals.sums, found)
+    normals = [np.einsum("nka,nkb->ab", fields[image == k], fields[image == k]) for k in range(5)]
+    found.image_normals = np.stack(normals) * 0.9  # intrinsics took some
+    fits = image_fits(found, scale=2.0)
+    for k, normal in enumerate(found.image_normals):
+        own, target = fields[image == k], residual[image == k]
+        left = np.array({0: [0, 1, 2], 2: [0, 2], 3: [0, 1, 2]}.get(k, []), int)
+        absent = np.setdiff1d(range(3), left)
+        assert np.isinf(fits.variances[k, absent]).all() and not fits.coefficients[k, absent].any()
+        if not counts[k]:
+            assert fits.chi2[k] == fits.sizes[k] == fits.medians[k] == 0
+            continue
+        inverse = np.linalg.inv(normal[np.ix_(left, left)])
+        fitted = inverse @ np.einsum("nka,nk->a", own[:, :, left], target)
+        field = own[:, :, left] @ fitted
+        scores = np.einsum("nka,nk->na", own[:, :, left], target - field)
+        covariance = inverse @ (scores.T @ scores) @ inverse * counts[k] / (counts[k] - 6)
+        np.testing.assert_allclose(fits.coefficients[k, left], fitted)
+        np.testing.assert_allclose(fits.variances[k, left], np.diag(covariance))
+        np.testing.assert_allclose(fits.chi2[k], fitted @ np.linalg.solve(covariance, fitted))
+        np.testing.assert_allclose(fits.sizes[k], np.sqrt((field**2).mean()) / 2)
+        errors = np.sort(np.linalg.norm(target - field, axis=1))
+        assert fits.medians[k] == pytest.approx(errors[(counts[k] - 1) // 2])
 
 
 def test_random_effects_are_recovered():
