@@ -1,7 +1,6 @@
 #pragma once
 
-/// Registers of the panel kernels. Included by panel_kernels.cpp only, once for each instruction
-/// set.
+/// Registers of the panel kernels. Included by panel_tile.h only.
 
 #include <cstdint>
 
