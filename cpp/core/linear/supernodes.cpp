@@ -10,7 +10,7 @@
 /// CHOLMOD (Chen, Davis, Hager, Rajamanickam: Algorithm 887, 2008), but lower, to save memory. A
 /// panel includes the column before it if its share of zeros is then less than 20 % up to 48
 /// columns, 5 % up to 192 and 1 % beyond. It may be 70 % where visiting another panel takes longer
-/// than the arithmetic on zeros: up to 9 columns, and, while L stays in the cache, up to 4000
+/// than the arithmetic on zeros: up to 9 columns, and, while L stays in the cache, up to 2000
 /// products of zeros by a column. Unlike in CHOLMOD, the width of a panel is limited, because it
 /// also stores the upper triangle of its diagonal blocks. At the root of a tree, where thousands of
 /// columns have the same rows, that would be half of its memory.
@@ -25,7 +25,7 @@ namespace bundle {
 namespace {
 
 constexpr double kWidestPanel = 256;
-constexpr double kFlopsOfAVisit = 4000;
+constexpr double kFlopsOfAVisit = 2000;
 constexpr double kEntriesInCache = 1 << 19;
 
 /// Rows of each block column of L below its diagonal block, ascending.

@@ -104,17 +104,18 @@ std::vector<int> PanelsOfPath(int num_blocks, int block_size) {
 }
 
 // A panel of k blocks of a path has the rows of the block after it: in the unit of a block, k - 1
-// columns have one block of zeros more than the next one has. 7 blocks of 3 have 189 zeros, 64 % of
-// their entries, and 189 * 21 products; 8 blocks would have 252 * 24.
+// columns have one block of zeros more than the next one has. 5 blocks of 3 have 90 zeros, 55 % of
+// their entries, and 90 * 15 products; 6 blocks would have 135 * 18, but
+// for the last panel, which has no rows below.
 TEST(Supernodes, JoinColumnsInSpiteOfZerosWhileAllStayInTheCache) {
-  EXPECT_EQ(PanelsOfPath(30, 3), (std::vector<int>{6, 21, 21, 21, 21}));
-  EXPECT_EQ(PanelsOfPath(9, 2), std::vector<int>{18});
-  EXPECT_EQ(PanelsOfPath(5, 6), (std::vector<int>{6, 24}));
+  EXPECT_EQ(PanelsOfPath(30, 3), (std::vector<int>{12, 15, 15, 15, 15, 18}));
+  EXPECT_EQ(PanelsOfPath(9, 2), (std::vector<int>{2, 16}));
+  EXPECT_EQ(PanelsOfPath(5, 6), (std::vector<int>{12, 18}));
 }
 
 TEST(Supernodes, JoinOnlyNarrowColumnsInSpiteOfZerosInLargeFactors) {
   // 2 n - 1 blocks of 9 entries: at most 2^19 in the cache.
-  EXPECT_EQ(PanelsOfPath(29127, 3).back(), 21);
+  EXPECT_EQ(PanelsOfPath(29127, 3).back(), 18);
   EXPECT_EQ(PanelsOfPath(29128, 3).back(), 9);
   EXPECT_EQ(PanelsOfPath(30000, 3), std::vector<int>(10000, 9));
   EXPECT_EQ(PanelsOfPath(66001, 2)[1], 8);
