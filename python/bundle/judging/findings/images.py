@@ -172,7 +172,8 @@ def image_fits(found: SystematicResiduals, scale: float) -> ImageFits:
     normal = found.image_normals
     left = np.diagonal(normal, axis1=1, axis2=2) > (LEFT * raw[:, None]) ** 2
     inverse = np.linalg.pinv(np.where(left[:, :, None] & left[:, None, :], normal, 0.0))
-    fields, residual = found.image_fields * left[image, None, :], found.residuals_without_lens
+    fields, residual = found.image_fields, found.residuals_without_lens
+    fields = np.where(left[image, None, :], fields, 0.0)  # what is not left may be infinite
     product = found.sums(np.einsum("nka,nk->na", fields, residual))
     coefficients = np.einsum("mab,mb->ma", inverse, product)
     field = np.einsum("nka,na->nk", fields, coefficients[image])
