@@ -83,8 +83,13 @@ def test_levenberg_marquardt_takes_the_steps_of_ceres():
     graph = graphs.loop(3, start_noise=0.5, seed=11)
     options = {"trust_region_strategy_type": "levenberg_marquardt", **TIGHT}
     ours, theirs = (bundle.solve(graph, backend=b, **options) for b in ("fused", "ceres"))
-    count = min(len(ours.iterations["cost"]), len(theirs.iterations["cost"])) - 1
-    assert count > 4
+    # Near the minimum, where costs differ by rounding, steps are accepted by chance.
+    count = min(
+        int(np.argmax(np.abs(run.iterations["cost_change"][1:]) < 1e-12 * run.summary.final_cost))
+        for run in (ours, theirs)
+    )
+    assert count >= 4
+    count += 1  # the start
     for name in ("cost", "trust_region_radius"):
         np.testing.assert_allclose(
             ours.iterations[name][:count], theirs.iterations[name][:count], rtol=1e-6, atol=1e-6
