@@ -68,6 +68,7 @@ def ours(request: dict[str, Any], folder: Path) -> dict[str, Any]:
         options["gauge"] = "none"
         if what == "filter":
             problem = disturbed(problem)
+    time.sleep(protocol.SETTLE)
     begun = time.perf_counter()
     result = bundle.solve(problem, **options)
     total = time.perf_counter() - begun
@@ -110,6 +111,7 @@ def theirs(request: dict[str, Any], folder: Path) -> dict[str, Any]:
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in reconstruction.reg_image_ids():
         config.add_image(image_id)
+    time.sleep(protocol.SETTLE)
     begun = time.perf_counter()
     if what == "priors":
         positions = json.loads((folder / "positions.json").read_text())
