@@ -39,7 +39,7 @@ struct BlockStructure {
   /// The entry of block (row, column), on or below the diagonal; it must be in the structure.
   int64_t Entry(int column, int row) const {
     const int64_t begin = column_begin[column];
-    if (dense) return begin + (row - column);
+    if (dense || row == column) return begin + (row - column);
     const auto first = row_block.begin() + begin;
     const auto last = row_block.begin() + column_begin[column + 1];
     return std::lower_bound(first, last, row) - row_block.begin();

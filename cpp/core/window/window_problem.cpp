@@ -29,8 +29,7 @@ WindowProblem::WindowProblem(const WindowView& view)
 
 WindowProblem::BlockPlace WindowProblem::Place(int a, int b) {
   const int column = std::min(place_[a], place_[b]), row = std::max(place_[a], place_[b]);
-  const int64_t entry =
-      row == column ? structure_.column_begin[column] : structure_.Entry(column, row);
+  const int64_t entry = structure_.Entry(column, row);
   return {system_.values.data() + structure_.ValueIndex(column, entry, 0, 0),
           structure_.panel_stride[column], place_[a] < place_[b]};
 }

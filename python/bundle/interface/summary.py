@@ -157,7 +157,7 @@ class Summary(Displayed):
         unknown = [name for name in fields if name not in defaults]
         if missing or unknown:
             raise TypeError(
-                f"{type(self).__name__}: expected its fields by name, missing: "
+                f"{kind.__name__}: expected its fields by name, missing: "
                 f"{', '.join(missing) or '-'}, unknown: {', '.join(unknown) or '-'}"
             )
         vars(self).update(values)

@@ -105,8 +105,8 @@ std::vector<int> PanelsOfPath(int num_blocks, int block_size) {
 
 // A panel of k blocks of a path has the rows of the block after it: in the unit of a block, k - 1
 // columns have one block of zeros more than the next one has. 5 blocks of 3 have 90 zeros, 55 % of
-// their entries, and 90 * 15 products; 6 blocks would have 135 * 18, but
-// for the last panel, which has no rows below.
+// their entries, and 90 * 15 products; 6 blocks would have 135 * 18, but for the last panel, which
+// has no rows below.
 TEST(Supernodes, JoinColumnsInSpiteOfZerosWhileAllStayInTheCache) {
   EXPECT_EQ(PanelsOfPath(30, 3), (std::vector<int>{12, 15, 15, 15, 15, 18}));
   EXPECT_EQ(PanelsOfPath(9, 2), (std::vector<int>{2, 16}));

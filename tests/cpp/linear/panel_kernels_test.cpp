@@ -128,8 +128,17 @@ TEST(PanelKernels, NameTheMinorThatIsNotPositive) {
 }
 
 TEST(PanelKernels, SolveForwardAndBackward) {
-  for (const auto& [width, below] : std::vector<std::pair<int, int>>{
-           {1, 0}, {1, 1}, {3, 7}, {4, 8}, {5, 9}, {6, 24}, {8, 25}, {13, 50}, {30, 3}}) {
+  for (const auto& [width, below] : std::vector<std::pair<int, int>>{{0, 5},
+                                                                     {1, 0},
+                                                                     {1, 1},
+                                                                     {3, 7},
+                                                                     {4, 8},
+                                                                     {5, 9},
+                                                                     {6, 24},
+                                                                     {8, 25},
+                                                                     {13, 50},
+                                                                     {16, 9},
+                                                                     {30, 3}}) {
     const int height = width + below;
     Matrix panel = MakePanel(height, height, width, height);
     SelectPanelKernels().factorize(panel.data(), height, height, width);

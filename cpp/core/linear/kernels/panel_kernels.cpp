@@ -243,9 +243,9 @@ void Forward(const double* panel, int64_t stride, int height, int width, double*
 void Backward(const double* panel, int64_t stride, int height, int width, double* y,
               const double* below) {
   SubtractTransposed(panel + width, stride, height - width, width, below, y);
-  for (int first = (width - 1) / kLanes * kLanes; first >= 0; first -= kLanes) {
-    WithColumns(Least(kLanes, width - first), [&](auto count) {
-      const int next = first + count.kCount;
+  for (int next = width; next > 0; next = (next - 1) / kLanes * kLanes) {
+    const int first = (next - 1) / kLanes * kLanes;
+    WithColumns(next - first, [&](auto count) {
       SubtractTransposed(panel + next + first * stride, stride, width - next, count.kCount,
                          y + next, y + first);
       SolveTriangle<count.kCount, true>(panel + first + first * stride, stride, y + first);
