@@ -6,14 +6,15 @@ ordering, no path and no measurement. The checksum and nnz(Lambda) are equal onl
 matrix: more flops than recorded are due to the ordering, not to the size.
 
 Only solves of some tenths of a second read and write the file. It keeps the last MOST_ENTRIES
-structures. A file that cannot be read or written counts as empty.
+structures. Its first line is the checksum of the second: a file that was edited counts as empty, as
+one that cannot be read or written.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
-import math
+import zlib
 from pathlib import Path
 
 from bundle._core import __version__
@@ -55,23 +56,21 @@ def recall(structure: str, now: PastFactor) -> PastFactor | None:
     entries[structure] = now if past is None or now.flops < past.flops else past
     kept = list(entries.items())[-MOST_ENTRIES:]
     with contextlib.suppress(OSError):
-        values = {key: [one.flops, one.nonzeros, one.ordering] for key, one in kept}
-        write_cached(path, json.dumps(values) + "\n")
+        text = json.dumps({key: [one.flops, one.nonzeros, one.ordering] for key, one in kept})
+        write_cached(path, f"{_checksum(text)}\n{text}\n")
     return past
 
 
 def _read(path: Path) -> dict[str, PastFactor]:
     """Return the entries in order of their last use; empty if the file is missing or damaged."""
     try:
-        content = json.loads(path.read_text(encoding="ascii"))
-        entries = {str(key): PastFactor(*values) for key, values in content.items()}
-    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        checksum, text = path.read_text(encoding="ascii").splitlines()
+    except (OSError, ValueError):  # not two lines of ASCII
         return {}
-    return {key: one for key, one in entries.items() if _is_sound(one)}
+    if checksum != _checksum(text):
+        return {}
+    return {key: PastFactor(*values) for key, values in json.loads(text).items()}
 
 
-def _is_sound(one: PastFactor) -> bool:
-    numbers = one.flops, one.nonzeros
-    return isinstance(one.ordering, str) and all(
-        isinstance(value, int | float) and math.isfinite(value) and value > 0 for value in numbers
-    )
+def _checksum(text: str) -> str:
+    return f"{zlib.crc32(text.encode()):08x}"

@@ -3,11 +3,13 @@
 Three signs, each with the explanation that it must exclude:
 
 - flops in the order used, relative to those of the best order that a cheap look finds. The look
-  orders the same matrix: neither its size nor its density explains the ratio.
+  orders the same matrix: neither its size nor its density explains the ratio. In chains and ladders
+  a factorisation takes less time than the linearisation, and a ratio of 2 to 3 costs nothing.
 - nnz(L) / nnz(Lambda). It is 1 to 3 in healthy graphs; 40 is often the ordering. Some matrices fill
-  in under every order, so that the ratio only decides whether a look is worth its time.
+  in under every order, so that the ratio is evidence only.
 - growth since an earlier solve of the same matrix (``factor_history``). The size is the same, or
-  the matrix is another one.
+  the matrix is another one. Equal orders of equal matrices have equal factors: a record of the same
+  order with other flops is of another matrix.
 
 A look is worth its time if the user chose the order, or if the factorisations take seconds. Orders
 that a solve chooses by itself are the best of several, or AMD, which is rarely far from the best.
@@ -30,6 +32,9 @@ __all__ = ["BestOrder", "checksum", "with_ordering_alarm"]
 
 LEAST_FLOPS = 1e7
 """Flops of all factorisations of a solve that another order must save: some milliseconds."""
+LEAST_FLOPS_OF_ENTRY = 20.0
+"""Flops per nonzero of Lambda that another order must save in a factorisation: to linearise the
+measurements and to sum them takes about as long."""
 LEAST_FLOPS_TO_RECORD = 2e8
 TIMES_THE_BEST, TIMES_THE_BEST_OF_OWN = 2.0, 3.0
 """Ratio of flops that raises the alarm, for orders of the user and for those of a solve."""
@@ -80,11 +85,11 @@ def with_ordering_alarm(
         best = look()
         flops = max(flops, best.used_flops)
         fields |= {"least_factor_flops": best.flops, "least_flops_ordering": best.ordering}
-        if _is_far(flops, best.flops, solves, far):
+        if _is_far(fields, flops, best.flops, far):
             said = _sentence(fields, flops, best, advice)
     if fields["factor_flops"] and flops * solves > LEAST_FLOPS_TO_RECORD:
         past = _earlier(fields, structure)
-        if not said and past is not None and _is_far(flops, past.flops, solves, TIMES_THE_BEST):
+        if not said and past is not None and _is_far(fields, flops, past.flops, TIMES_THE_BEST):
             fields |= {"least_factor_flops": past.flops, "least_flops_ordering": past.ordering}
             said = _sentence(fields, flops, past, advice, "an earlier solve of this input in ")
     if said:
@@ -102,8 +107,10 @@ def checksum(arrays: Iterable[NDArray[Any]]) -> str:
     return "".join(f"{value:08x}" for value in sums)
 
 
-def _is_far(flops: float, best: float, solves: int, times: float) -> bool:
-    return flops > times * best and (flops - best) * solves > LEAST_FLOPS
+def _is_far(fields: Mapping[str, Any], flops: float, best: float, times: float) -> bool:
+    saved, entries = flops - best, fields["num_information_nonzeros"] or 0
+    is_long = saved * fields["num_linear_solves"] > LEAST_FLOPS
+    return flops > times * best and is_long and saved > LEAST_FLOPS_OF_ENTRY * entries
 
 
 def _earlier(
@@ -126,7 +133,7 @@ def _earlier(
         fields["factor_ordering"],
     )
     past = recall(key, now)
-    if past is None:
+    if past is None or past.ordering == now.ordering:
         return None
     return BestOrder(ordering=past.ordering, flops=past.flops, nonzeros=past.nonzeros)
 
