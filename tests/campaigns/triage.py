@@ -123,6 +123,34 @@ PAIRS: dict[str, tuple[str, Callable[[Workshop], tuple[Path, Path]]]] = {
         "jacobian",
         lambda w: (w.factor_report(1.0), w.factor_report(-1.0)),
     ),
+    "a Jacobian with which every step succeeds": (
+        "jacobian",
+        lambda w: (w.factor_report(1.0), w.factor_report(0.0)),
+    ),
+    "cameras first, without a count of the factor": (
+        "ordering",
+        lambda w: (
+            w.run("refine", w.model(), "--solver", "sparse-schur", "--backend", "ceres"),
+            w.run(
+                *("refine", w.model(), "--solver", "sparse-schur", "--backend", "ceres"),
+                *("--ordering", "cameras-first"),
+            ),
+        ),
+    ),
+    "rounds of filtering": (
+        "options",
+        lambda w: (
+            w.run("refine", w.model(outliers)),
+            w.run("refine", w.model(outliers), "--rounds", "2"),
+        ),
+    ),
+    "one lens for all images": (
+        "options",
+        lambda w: (
+            w.run("refine", w.model(noisy)),
+            w.run("refine", w.model(noisy), "--share-cameras", "all"),
+        ),
+    ),
     "three times slower": (
         "machine",
         lambda w: (first := slower(w.run("refine", w.graph()), 100.0), slower(first, 3.0)),
@@ -249,6 +277,10 @@ NOISE: dict[str, Callable[[Workshop], tuple[Path, Path]]] = {
     "another name": lambda w: (
         w.run("refine", first := w.graph()),
         w.run("refine", first.rename(first.with_name("copy.g2o"))),
+    ),
+    "a grid of poses in another order": lambda w: (
+        w.run("refine", w.grid()),
+        w.run("refine", w.grid(is_permuted=True)),
     ),
     "without Python's checks": lambda w: (
         w.run("refine", w.model()),

@@ -92,6 +92,19 @@ class Workshop:
         """A graph with closures of limited length."""
         return self._save(chain_of_poses(self.seed, 600, 300, reach))
 
+    def grid(self, is_permuted: bool = False) -> Path:
+        """A plane grid of poses, with their ids in another order if desired."""
+        index = np.arange(3600).reshape(60, 60)
+        edges = np.vstack(
+            [np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()], 1),
+             np.stack([index[:-1].ravel(), index[1:].ravel()], 1)]
+        )  # fmt: skip
+        truth = np.column_stack([*np.divmod(index.ravel(), 60), np.zeros(3600)]).astype(float)
+        graph = graph_of(truth, edges, np.random.default_rng(self.seed), 0.02)
+        order = self._rng().permutation(3600) if is_permuted else np.arange(3600)
+        place = np.argsort(order)
+        return self._save(graph.replace(poses=graph.poses[order], edges=place[graph.edges]))
+
     def _save(self, graph: bundle.PoseGraph) -> Path:
         self._count += 1
         path = self.folder / str(self._count) / "walk.g2o"

@@ -52,6 +52,8 @@ def test_a_model_goes_to_its_positions_and_stays(run, model, backend):
     report = json.loads((model.parent / "r.json").read_text())
     assert report["georeference"] == place
     assert report["options"]["gauge"] == "NONE"
+    assert report["options"]["gps"] == str(geo) and report["options"]["gps_sigma"] == "0.1/0.2"
+    assert "gcp" not in report["options"]  # not given
     assert {"reference_system", "origin", "similarity", "gps", "gcps", "rms_enu"} <= set(place)
     assert place["reference_system"] == "EPSG:4326"
     assert place["similarity"]["scale"] == pytest.approx(25, rel=0.05)

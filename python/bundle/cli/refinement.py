@@ -170,10 +170,14 @@ class Refinement:
         rounds = self.rounds.asdict() if self.rounds.num_rounds else {}
         local = {} if self.local.only_images is None else self.local.asdict()
         held_out = self.held_out.asdict() if self.held_out.hold_out else {}
+        inertial = {} if self.inertial is None else vars(self.inertial)
+        parts = self.georeference, self.loops, self.lenses, self.shutters
         return {
             **rounds,
             **held_out,
             **local,
+            **inertial,
+            **{name: value for part in parts for name, value in part.changed().items()},
             **self.checkpoints.changed(),
             **self.disk.changed(),
             **rules_as_options(self.rules),

@@ -85,6 +85,33 @@ def test_more_rejected_steps_from_another_start_are_no_jacobian():
         assert named(between(GRAPH, inputs, **rejected)) == [cause]
 
 
+def test_another_gradient_of_the_same_residuals_is_the_jacobian():
+    inputs = tuple({"digests": {"structure": "1", "measurements": "2", "start": one}}
+                   for one in "34")  # fmt: skip
+    same, old = inputs[:1] * 2, replace(GRAPH, start_gradient=5.0)
+    slower = {"steps": 40.0, "start_gradient": 6.0}
+    assert named(between(old, same, **slower)) == ["jacobian"]
+    assert named(between(old, same, **slower | {"steps": 10.0})) == ["jacobian"]
+    assert named(between(old, same, **slower | {"start_gradient": 5.0})) == ["convergence"]
+    assert named(between(old, inputs, **slower)) == ["convergence"]
+    assert named(between(old, same, **slower, initial_cost=1.1e3)) == ["data"]
+
+
+@pytest.mark.parametrize("is_slower", [True, False])
+def test_a_warning_names_an_order_whose_flops_are_unknown(is_slower):
+    options = (
+        {"linear_solver_ordering": "POINTS_FIRST"},
+        {"linear_solver_ordering": "CAMERAS_FIRST"},
+    )
+    old = replace(GRAPH, options=options[0])
+    new = replace(GRAPH, options=options[1], factor_flops=None, warnings={"ordering": 1})
+    pair = (old, new) if is_slower else (new, old)
+    assert named(between(pair[0], **vars(pair[1]))) == ["ordering"]
+    silent = replace(new, warnings={})
+    assert named(between(old, **vars(silent))) == []
+    assert named(between(old, **vars(replace(new, options=options[0])))) == []
+
+
 def test_an_option_that_ends_a_solve_early_is_named_with_it():
     old = replace(GRAPH, options={"max_num_iterations": 50})
     two = between(old, options={"max_num_iterations": 3}, steps=3.0, is_converged=False)

@@ -48,6 +48,7 @@ def between(old, inputs=({}, {}), environments=({}, {}), **new):
         ("steps_changed", GRAPH, "steps", 29.0, 31.0),
         ("steps_changed", replace(GRAPH, steps=31.0), "steps", 22.0, 20.0),
         ("steps_changed", replace(GRAPH, steps=2.0), "steps", 4.0, 5.0),
+        ("has_other_gradient", replace(GRAPH, start_gradient=5.0), "start_gradient", 4.996, 4.99),
         ("radius_fell", GRAPH, "least_radius", 3e3, 1e3),
         ("radius_fell", GRAPH, "rejected", 2.0, 5.0),
     ],
@@ -55,6 +56,32 @@ def between(old, inputs=({}, {}), environments=({}, {}), **new):
 def test_a_fact_changes_beyond_its_noise(quantity, old, fact, noise, change):
     assert not getattr(between(old, **{fact: noise}), quantity)
     assert getattr(between(old, **{fact: change}), quantity)
+
+
+@pytest.mark.parametrize(("fact", "noise", "change"), [
+    ("factor_flops", 1.5e6, 1.7e6), ("factor_nonzeros", 2.5e4, 2.7e4),
+])  # fmt: skip
+def test_a_factor_of_permuted_variables_varies_more(fact, noise, change):
+    inputs = tuple({"digests": {"structure": one}} for one in "12")
+    assert not between(GRAPH, inputs, **{fact: noise}).factor_changed
+    assert between(GRAPH, inputs, **{fact: change}).factor_changed
+    assert between(GRAPH, inputs[:1] * 2, **{fact: noise}).factor_changed
+    assert between(GRAPH, inputs, **{fact: noise}, columns=603.0).factor_changed
+    assert between(GRAPH, inputs, **{fact: noise}, information_nonzeros=1.1e4).factor_changed
+
+
+@pytest.mark.parametrize(("old", "new", "pair"), [
+    ({}, {"num_rounds": 2}, (None, 2)), ({"gps": "exif"}, {}, ("exif", None)),
+    ({"loss": "CAUCHY"}, {"loss": "TRIVIAL"}, ("CAUCHY", "TRIVIAL")),
+])  # fmt: skip
+def test_an_option_of_one_report_only_differs(old, new, pair):
+    two = between(replace(GRAPH, options=old | {"num_threads": 1}), options=new)
+    assert list(two.options.values()) == [pair]
+
+
+def test_an_unknown_gradient_is_no_other_one():
+    assert not between(GRAPH, start_gradient=5.0).has_other_gradient
+    assert facts([True, True], [1e4, 1e4]).start_gradient is None
 
 
 def test_costs_at_one_start_agree_to_rounding():

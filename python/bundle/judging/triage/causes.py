@@ -3,8 +3,9 @@
 The order is that of the proof. Warnings name a wrong Jacobian. At equal nnz(Lambda), more flops are
 the ordering; at an equal number of variables, a larger nnz(Lambda) without more measurements is a
 prior that couples all its variables. Options and data that differ explain every other change. With
-the same options and data, more steps at a smaller radius are those of a wrong Jacobian, and a
-change without them is convergence. The machine explains a time that no other cause explains.
+the same options and data, another gradient of the same residuals at the same start, or more steps
+at a smaller radius, are those of a wrong Jacobian, and a change without them is convergence. The
+machine explains a time that no other cause explains.
 """
 
 from __future__ import annotations
@@ -88,7 +89,8 @@ def _causes(two: Difference) -> Iterator[TriageCause]:
             yield _machine(two, two.ratio("seconds") or 1.0)
             return
         is_same_start = not two.differs("start") and two.is_same_start_cost
-        if is_worse and is_same_start and two.radius_fell:
+        is_other_jacobian = two.has_other_gradient or (is_worse and two.radius_fell)
+        if is_same_start and is_other_jacobian:
             yield _jacobian(two, [])
         else:
             yield _convergence(two)
@@ -101,14 +103,16 @@ def _causes(two: Difference) -> Iterator[TriageCause]:
 def _jacobian(two: Difference, proven: list[str]) -> TriageCause:
     evidence = {
         **pairs(two, "steps", "rejected", "least_radius", "initial_cost", "final_cost"),
+        **pairs(two, "start_gradient"),
         "warnings": proven,
     }
     if not proven:
         return TriageCause(
             cause="jacobian",
             sentence=f"The Jacobian: steps {arrow(two, 'steps')}, rejected "
-            f"{arrow(two, 'rejected')}, smallest radius {arrow(two, 'least_radius')} from the "
-            "same start with the same data and options. `bundle check` shows a wrong derivative.",
+            f"{arrow(two, 'rejected')}, smallest radius {arrow(two, 'least_radius')}, gradient at "
+            f"the start {arrow(two, 'start_gradient')}, from the same start with the same data and "
+            "options. `bundle check` shows a wrong derivative.",
             evidence=evidence,
         )
     if "nullity" in proven or "sigma of yaw falls" in proven:

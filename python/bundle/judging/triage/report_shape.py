@@ -27,7 +27,12 @@ class Maybe:
 
 MAYBE_NUMBER = Maybe(NUMBER)
 
-ITERATIONS = [{"step_is_successful": FLAG, "trust_region_radius?": MAYBE_NUMBER}]
+ITERATIONS = [
+    {
+        **{"step_is_successful": FLAG, "trust_region_radius?": MAYBE_NUMBER},
+        "gradient_max_norm?": MAYBE_NUMBER,
+    }
+]
 
 SUMMARY = {
     **{"initial_cost": MAYBE_NUMBER, "final_cost": MAYBE_NUMBER},

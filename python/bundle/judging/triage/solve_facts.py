@@ -42,6 +42,7 @@ class SolveFacts:
         prior_columns: coordinates that a window's prior couples.
         densest: largest d for which d variables have d - 1 neighbours or more.
         initial_cost, final_cost: costs; of odometry the second only, per residual.
+        start_gradient: largest entry of the gradient at the start.
         steps: attempted steps.
         rejected: rejected steps.
         least_radius: smallest trust region radius of an attempted step.
@@ -69,6 +70,7 @@ class SolveFacts:
     densest: float | None = None
     initial_cost: float | None = None
     final_cost: float | None = None
+    start_gradient: float | None = None
     steps: float | None = None
     rejected: float | None = None
     least_radius: float | None = None
@@ -125,6 +127,7 @@ def solve_facts(
         densest=_known(structure.get("densest")),
         initial_cost=number("initial_cost"),
         final_cost=number("final_cost"),
+        start_gradient=_known(iterations[0].get("gradient_max_norm")) if iterations else None,
         steps=float(max(steps, 0)),
         rejected=float(rejected),
         least_radius=min((radius for radius in radii if radius is not None), default=None),

@@ -15,13 +15,24 @@ MORE_OF_PRIOR = 1.5
 
 
 def find_ordering(two: Difference) -> TriageCause | None:
-    """Compare flops at equal nnz(Lambda), or with the best order that was tried."""
+    """Compare flops at equal nnz(Lambda), or with the best order that was tried.
+
+    Ceres does not count some factors, for which the alarm of the solve has a bound.
+    """
     is_asked = any(name in two.options for name in ORDERING_OPTIONS)
-    if not two.factor_changed or not (is_asked or two.old.solver == two.new.solver):
-        return None
     evidence = pairs(
         two, "columns", "information_nonzeros", "factor_nonzeros", "factor_flops", "ordering"
     )
+    warns = [bool(solve.warnings.get("ordering")) for solve in (two.old, two.new)]
+    if is_asked and None in two.pair("factor_flops") and warns[0] != warns[1]:
+        solve = "new" if warns[1] else "old"
+        return TriageCause(
+            cause="ordering",
+            sentence=f"Ordering: the {solve} solve warns of it{asked(two, ORDERING_OPTIONS)}.",
+            evidence=evidence,
+        )
+    if not two.factor_changed or not (is_asked or two.old.solver == two.new.solver):
+        return None
     flops, nonzeros = two.ratio("factor_flops"), two.ratio("factor_nonzeros")
     orders = f"{two.old.ordering or '-'} -> {two.new.ordering or '-'}"
     grew = (
