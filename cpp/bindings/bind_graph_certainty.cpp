@@ -58,6 +58,7 @@ py::dict GraphCovarianceFromPython(const py::object& graph, const std::string& e
   py::dict result;
   result["poses"] = blocks(std::move(found.poses));
   result["relative"] = blocks(std::move(found.relative));
+  result["across"] = blocks(std::move(found.across));
   result["edge_redundancy"] = ToImmutableNumpy(std::move(found.edge_redundancy), {count});
   result["edge_test"] = ToImmutableNumpy(std::move(found.edge_test), {count});
   result["edge_rank"] = ToImmutableNumpy(std::move(found.edge_rank), {count});

@@ -15,7 +15,7 @@
 /// e), changes no error: N with blocks N_i = Ad(X_i^-1) spans the null space of the component's H.
 /// With one pose held, G (zero there) is a generalised inverse, and with N orthonormal
 ///
-///   H^+ = P G P,  P = I - N N^T,    (H^+)_ii = G_ii - N_i Y_i^T - Y_i N_i^T + N_i (N^T Y) N_i^T,
+///   H^+ = P G P,  P = I - N N^T,    (H^+)_ij = G_ij - N_i Y_j^T - Y_i N_j^T + N_i (N^T Y) N_j^T,
 ///
 /// Y = G N, is the pseudo-inverse: the covariance of least trace (W. Baarda's S-transformation).
 /// Components share no unknown: one N of d columns, and one solve, is enough for all. Lever arms
@@ -85,10 +85,11 @@ class GraphCovariance {
     }
     for (size_t k = 0; k < across.size(); ++k) {
       const auto [a, b] = options_.relative[k];
-      Append(Relative(a, b, across[k]), &output.relative);
+      Append(Symmetric(Relative(a, b, across[k])), &output.relative);
+      Append(UnderGauge(a, b, across[k]), &output.across);
     }
-    for (int64_t i = 0; i < graph_.num_poses(); ++i) {
-      Append(PoseBlock(static_cast<int>(i)), &output.poses);
+    for (int i = 0; i < static_cast<int>(graph_.num_poses()); ++i) {
+      Append(Symmetric(UnderGauge(i, i, InverseBlock(i, i))), &output.poses);
     }
     if (options_.of_edges) {
       for (int64_t e = 0; e < graph_.num_edges(); ++e) TestEdge(e, &output);
@@ -97,9 +98,10 @@ class GraphCovariance {
   }
 
  private:
+  static Matrix Symmetric(const Matrix& block) { return 0.5 * (block + block.transpose()); }
+
   static void Append(const Matrix& block, std::vector<double>* to) {
-    const Matrix symmetric = 0.5 * (block + block.transpose());
-    to->insert(to->end(), symmetric.data(), symmetric.data() + kSize * kSize);
+    to->insert(to->end(), block.data(), block.data() + kSize * kSize);
   }
 
   bool Factorize(GraphCovarianceOutput* output) {
@@ -240,11 +242,11 @@ class GraphCovariance {
     for (size_t i = 0; i < num_poses; ++i) k_[root[i]] += n_[i].transpose() * y_[i];
   }
 
-  Matrix PoseBlock(int i) const {
-    const Matrix block = InverseBlock(i, i);
-    if (!options_.inner) return block;
-    const Matrix half = n_[i] * y_[i].transpose();
-    return block - half - half.transpose() + n_[i] * k_[of_component_[i]] * n_[i].transpose();
+  /// Block of H^+ or, without inner constraints, of G. `block`: G_ij.
+  Matrix UnderGauge(int i, int j, const Matrix& block) const {
+    if (!options_.inner || of_component_[i] != of_component_[j]) return block;
+    return block - n_[i] * y_[j].transpose() - y_[i] * n_[j].transpose() +
+           n_[i] * k_[of_component_[i]] * n_[j].transpose();
   }
 
   void TestEdge(int64_t e, GraphCovarianceOutput* output) const {

@@ -21,6 +21,7 @@ struct GraphCovarianceOptions {
 struct GraphCovarianceOutput {
   std::vector<double> poses;     ///< num_poses x d x d
   std::vector<double> relative;  ///< pairs x d x d: covariances of X_a^-1 X_b
+  std::vector<double> across;    ///< pairs x d x d: covariances of a with b
   /// Per edge, if requested: the redundancy (the part of its d errors that other edges check); r^T
   /// K^+ r with K the covariance of its whitened error; and the rank of K, which is the degrees of
   /// freedom of the test. NaN, NaN and 0 if rounding leaves no digit of K.

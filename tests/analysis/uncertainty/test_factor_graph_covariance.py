@@ -133,6 +133,54 @@ def landmarks(*, ranges_only=False):
     return graph
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_covariances_of_two_poses_are_those_of_dense_algebra(dimension):
+    """In two components, one of which a constant pose holds."""
+    graph = bundle.FactorGraph()
+    for part in range(2):
+        one = both_ways.of_pose_graph(bundle.solve(graphs.loop(dimension, num_poses=6)).problem)
+        for key, variable in one.variables.items():
+            graph.add_variable(
+                6 * part + key, variable.value, variable.manifold, fixed=key == 3 and part == 1
+            )
+        for f in one.factors:
+            graph.add_factor(
+                bundle.BetweenFactor(6 * part + f.a, 6 * part + f.b, f.measurement, f.information)
+            )
+    pairs = [(1, 4), (5, 0), (7, 10), (8, 9), (10, 6)]
+    size = 3 if dimension == 2 else 6
+    first, place, _, jacobian = dense(graph, range(size))
+    free = np.setdiff1d(np.arange(12 * size), np.arange(9 * size, 10 * size))
+    inner = np.zeros_like(first)
+    inner[np.ix_(free, free)] = np.linalg.pinv(
+        jacobian[:, free].T @ jacobian[:, free], rcond=1e-10, hermitian=True
+    )
+    for gauge, expected in (("first", first), ("inner", inner)):
+        found = bundle.covariance(graph, relative=pairs, gauge=gauge)
+        for a, b in pairs:
+            np.testing.assert_allclose(
+                found.cross_covariances[a, b],
+                expected[place[a], place[b]],
+                rtol=1e-8, atol=1e-8 * expected.max(),
+            )  # fmt: skip
+        np.testing.assert_allclose(found.variable(2), expected[place[2], place[2]], rtol=1e-7)
+        np.testing.assert_array_equal(found.variable(9), 0)
+
+
+def test_any_number_of_components_has_covariances():
+    graph, information = bundle.FactorGraph(), np.diag([4.0, 9.0, 16.0])
+    for k in range(202):
+        graph.add_variable(k, [k, 0.0, 0.0], "se2")
+    for k in range(0, 202, 2):
+        graph.add_factor(bundle.BetweenFactor(k, k + 1, [1.0, 0, 0], information))
+    found = bundle.covariance(graph, of=[201, 0])
+    assert found.num_gauge_freedoms == 303 and list(found.covariances) == [201, 0]
+    np.testing.assert_allclose(found.variable(201), np.linalg.inv(information), atol=1e-12)
+    np.testing.assert_array_equal(found.variable(0), 0)
+    with pytest.raises(bundle.InputError, match=r"^relative: .*\b3\b.*\b4\b"):
+        bundle.covariance(graph, relative=[(3, 4)])
+
+
 def test_mixed_variables_are_those_of_dense_algebra():
     graph = landmarks()
     space = find_null_space(graph)

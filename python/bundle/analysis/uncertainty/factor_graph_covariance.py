@@ -1,12 +1,7 @@
 """Covariances of the variables of a factor graph; ``factor_graph_certainty.cpp`` derives them.
 
-A relative variable B = X_a^-1 X_b moves by B Exp(d_b - Ad d_a) with Ad = Ad(X_b^-1 X_a), the
-identity on a Euclidean space, so that its covariance is
-
-    C = G_bb - Ad G_ab - G_ab^T Ad^T + Ad G_aa Ad^T.
-
-Poses that a factor uses as cam_from_world have the relative pose B = X_b X_a^-1 in its place, which
-a motion of the world does not change. It moves by B Exp(Ad(X_a) (d_b - d_a)).
+A graph of relative poses has those of the pose graph that it states (``graph_covariance.cpp``),
+whose gauge is known without a search for null directions.
 """
 
 from __future__ import annotations
@@ -19,20 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.analysis.uncertainty.graph_covariance import graph_covariance
+from bundle.analysis.uncertainty.relative_variable import relative_covariance
 from bundle.base.arrays import FrozenArrays, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import not_converged, number, plural
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.factor_graph import FactorGraph
-from bundle.graphs.factors.factors import PositionFactor, RelativePoseFactor, ReprojectionFactor
 from bundle.graphs.factors.null_space import NullSpace, find_null_space
-from bundle.graphs.factors.variables import Key, Variable, as_list, variable_name
-from bundle.graphs.pose_graphs.lie_groups import adjoint_between, adjoints
+from bundle.graphs.factors.same_problem import AsPoseGraph, pose_graph_of
+from bundle.graphs.factors.variables import Key, as_list, variable_name
 from bundle.interface.covariance_options import SCALES, one_of
 from bundle.interface.tabular import Tabular
 from bundle.io.atomic import atomic_write as atomic
-from bundle.model.rotations import rotation_matrices
 
 __all__ = ["FactorGraphCovariance", "factor_graph_covariance"]
 
@@ -43,9 +38,6 @@ AT_MINIMUM = 1e-4
 
 LOST = 1e10
 """Inflation above which the variances have fewer than six digits."""
-
-FROM_WORLD = (PositionFactor, RelativePoseFactor, ReprojectionFactor)
-"""Factors whose poses are cam_from_world."""
 
 Floats = NDArray[np.float64]
 
@@ -169,6 +161,9 @@ def factor_graph_covariance(
     gauge, scale = one_of("gauge", gauge, GAUGES), one_of("scale", scale, SCALES)
     keys = graph.keys if of is None else _known(graph, "of", as_list("of", "keys", of))
     pairs = [_pair(graph, pair, k) for k, pair in enumerate(as_list("relative", "pairs", relative))]
+    if (poses := pose_graph_of(graph)) is not None:
+        graph.check_free()
+        return _of_pose_graph(poses, keys, pairs, gauge=gauge, scale=scale, num_threads=num_threads)
     space = find_null_space(graph)
     _check_determined(graph, space, gauge)
     _check_connected(graph, space, pairs)
@@ -200,7 +195,9 @@ def factor_graph_covariance(
     return FactorGraphCovariance(
         covariances={key: freeze(blocks[place[key]]) for key in keys},
         relative_covariances={
-            (a, b): freeze(_relative(graph, a, b, blocks[place[a]], blocks[place[b]], cross[a, b]))
+            (a, b): freeze(
+                relative_covariance(graph, a, b, blocks[place[a]], blocks[place[b]], cross[a, b])
+            )
             for a, b in pairs
         },
         cross_covariances=cross,
@@ -210,6 +207,25 @@ def factor_graph_covariance(
         num_gauge_freedoms=space.gauge,
         scale=scale,
         notes=_notes(out, weighted),
+    )
+
+
+def _of_pose_graph(
+    poses: AsPoseGraph, keys: Iterable[Key], pairs: list[tuple[Key, Key]], **settings: Any
+) -> FactorGraphCovariance:
+    ids = dict(zip(poses.keys, poses.graph.ids.tolist(), strict=True))
+    place = {key: k for k, key in enumerate(poses.keys)}
+    found = graph_covariance(poses.graph, relative=[(ids[a], ids[b]) for a, b in pairs], **settings)
+    return FactorGraphCovariance(
+        covariances={key: freeze(found.pose_covariance[place[key]]) for key in keys},
+        relative_covariances=dict(zip(pairs, found.relative_covariance, strict=True)),
+        cross_covariances=dict(zip(pairs, found.cross_covariance, strict=True)),
+        sigma0=found.sigma0,
+        dof=found.dof,
+        gauge=found.gauge,
+        num_gauge_freedoms=poses.graph.tangent_size * len(found.held_pose_ids),
+        scale=found.scale,
+        notes=found.notes,
     )
 
 
@@ -294,38 +310,3 @@ def _pair(graph: FactorGraph, pair: Any, k: int) -> tuple[Key, Key]:
             f"({len(second.value)})"
         )
     return a, b
-
-
-def _relative(
-    graph: FactorGraph, a: Key, b: Key, of_a: Floats, of_b: Floats, across: Floats
-) -> Floats:
-    first, second = graph.variables[a], graph.variables[b]
-    if _is_from_world(graph, a, b):
-        difference = of_b - across - across.T + of_a
-        adjoint = adjoints(first.value[None])[0]
-        return np.asarray(adjoint @ difference @ adjoint.T)
-    adjoint = _adjoint_between(first, second)
-    moved = adjoint @ across
-    return np.asarray(of_b - moved - moved.T + adjoint @ of_a @ adjoint.T)
-
-
-def _is_from_world(graph: FactorGraph, a: Key, b: Key) -> bool:
-    """Tell whether a factor uses one of two poses as cam_from_world."""
-    if graph.variables[a].manifold != "se3":
-        return False
-    return any(
-        key in (a, b)
-        for factor in graph.factors
-        if isinstance(factor, FROM_WORLD)
-        for key in factor.keys
-    )
-
-
-def _adjoint_between(first: Variable, second: Variable) -> Floats:
-    """Return Ad(X_b^-1 X_a)."""
-    if first.manifold in ("se2", "se3"):
-        return np.asarray(adjoint_between(second.value[None], first.value)[0])
-    if first.manifold == "so3":
-        rotations = rotation_matrices(np.stack([first.value, second.value]))
-        return np.asarray(rotations[1].T @ rotations[0])
-    return np.eye(len(first.coordinates))

@@ -56,6 +56,7 @@ class GraphCovariance(FrozenArrays, Displayed, Tabular):
         relative_ids: (m, 2) ids of poses a and b.
         relative_covariance: (m, d, d) of X_a^-1 X_b, a right perturbation; independent of the
             gauge.
+        cross_covariance: (m, d, d) of d_a with d_b.
         sigma0: root of sum r^T W Omega r over the degrees of freedom; 1 if the information of the
             edges is right. NaN without degrees of freedom.
         dof: d times the number of edges, minus d times the number of free poses under the gauge.
@@ -69,6 +70,7 @@ class GraphCovariance(FrozenArrays, Displayed, Tabular):
     pose_covariance: _Floats
     relative_ids: _Ids
     relative_covariance: _Floats
+    cross_covariance: _Floats
     sigma0: float
     dof: int
     gauge: str
@@ -187,6 +189,7 @@ def graph_covariance(
         pose_covariance=freeze(factor * out["poses"]),
         relative_ids=freeze(np.array(pairs, np.int64).reshape(-1, 2)),
         relative_covariance=freeze(factor * out["relative"]),
+        cross_covariance=freeze(factor * out["across"]),
         sigma0=sigma0,
         dof=dof,
         gauge=gauge,
@@ -230,13 +233,13 @@ def _check_determined(
     for a, b in rows:
         if component[a] != component[b] and {int(component[a]), int(component[b])} & floating:
             raise InputError(
-                f"relative: expected poses that edges or fixed poses connect, found {used.ids[a]} "
-                f"and {used.ids[b]}"
+                "relative: expected poses that edges or fixed poses connect, found "
+                f"{used.pose_name(a)} and {used.pose_name(b)}"
             )
 
 
 def _not_determined(graph: PoseGraph, poses: list[int]) -> InputError:
-    ids = ", ".join(str(graph.ids[pose]) for pose in poses[:3])
+    ids = ", ".join(graph.pose_name(pose) for pose in poses[:3])
     more = f" and {len(poses) - 3} more" if len(poses) > 3 else ""
     noun = "pose" if len(poses) == 1 else "poses"
     return InputError(
