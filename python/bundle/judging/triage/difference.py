@@ -30,7 +30,7 @@ THREADS = "num_threads"
 LEAST_STEPS = 2.0
 FLOPS_NOISE, FACTOR_NOISE, NONZEROS_NOISE = 1.1, 1.05, 1.01
 PERMUTED_FLOPS_NOISE, PERMUTED_FACTOR_NOISE = 1.6, 1.3
-"""Of the same matrix with its variables in another order: orderings break ties by their numbers."""
+"""Noise of the same matrix with its variables in another order, by which orderings break ties."""
 SECONDS_NOISE = 0.02
 OTHER_HOST_NOISE, MOST_THREADS_NOISE = 3.0, 2.0
 FLIGHT_COST_NOISE = 10.0  # times the noise of other costs
