@@ -11,7 +11,11 @@
 ///
 ///   H^+ = (I - N N^T) G (I - N N^T) = G - N Y^T - Y N^T + N (N^T Y) N^T
 ///
-/// is the pseudo-inverse, the covariance of least trace.
+/// is the pseudo-inverse, the covariance of least trace. Errors of N are multiplied by the
+/// variances along them: a focal length in pixels that N moves by 1e-12 adds more than the variance
+/// of a scene in small units. A second solve for the residual J^T (J N) therefore leaves errors of
+/// cond(J), not of cond(H) = cond(J)^2, and entries of N that are rounding errors in the units of S
+/// are 0.
 ///
 /// Redundancy. With A the whitened Jacobian of a factor, its whitened error after a fit has the
 /// covariance K = I - A G A^T; the trace of K is the redundancy, and r^T K^+ r is distributed as
@@ -41,7 +45,9 @@ using Eigen::VectorXd;
 
 /// As in pose_graph/graph_covariance.cpp.
 constexpr double kUncheckedError = 1e-6, kCancelledDigits = 1e-13, kLostDigits = 1e-2;
-constexpr int kColumnsAtATime = 64;
+/// Share of the largest entry of a null direction of S below which an entry is a rounding error.
+constexpr double kRoundingOfNull = 1e-11;
+constexpr int kColumnsAtATime = 64, kSolvesOfNullSpace = 2;
 constexpr int kModes = 4;
 /// Tolerances of eigenvectors, and of condition numbers.
 constexpr double kSettled = 1e-8, kEnoughDigits = 1e-4;
@@ -153,26 +159,38 @@ class Certainty {
   void FindNullDirections() {
     if (seed_.cols() == 0) return;
     const VectorXd& d = system_.scale();
-    MatrixXd pushed = MatrixXd::Zero(seed_.rows(), seed_.cols());  // J^T J seed
-    for (size_t r = 0; r < linear_.residual.size(); ++r) {
-      Eigen::RowVectorXd along = Eigen::RowVectorXd::Zero(seed_.cols());
-      const int64_t begin = linear_.row_begin[r], end = linear_.row_begin[r + 1];
-      for (int64_t k = begin; k < end; ++k) {
-        along += linear_.values[k] * seed_.row(linear_.columns[k]);
-      }
-      for (int64_t k = begin; k < end; ++k) {
-        pushed.row(linear_.columns[k]) += linear_.values[k] * along;
-      }
-    }
     const auto inverse = [&](const MatrixXd& x) {
       return MatrixXd(d.asDiagonal() * system_.Solve(d.asDiagonal() * x));
     };
     n_ = seed_;
-    n_(system_.coordinates(), Eigen::all) = -inverse(pushed(system_.coordinates(), Eigen::all));
+    for (int k = 0; k < kSolvesOfNullSpace; ++k) {
+      n_(system_.coordinates(), Eigen::all) -=
+          inverse(NormalProduct(n_)(system_.coordinates(), Eigen::all));
+    }
+    for (Eigen::Index c = 0; c < n_.cols(); ++c) {
+      const VectorXd moved = n_(system_.coordinates(), c);
+      const VectorXd size = moved.cwiseQuotient(d).cwiseAbs();
+      const double rounding = kRoundingOfNull * size.maxCoeff();
+      n_(system_.coordinates(), c) = (size.array() < rounding).select(0.0, moved);
+    }
     n_ = OrthonormalColumns(n_);
     y_ = MatrixXd::Zero(n_.rows(), n_.cols());
     y_(system_.coordinates(), Eigen::all) = inverse(n_(system_.coordinates(), Eigen::all));
     k_ = n_.transpose() * y_;
+  }
+
+  /// J^T (J X) by tangent coordinates, held ones included.
+  MatrixXd NormalProduct(const MatrixXd& x) const {
+    MatrixXd product = MatrixXd::Zero(x.rows(), x.cols());
+    for (size_t r = 0; r < linear_.residual.size(); ++r) {
+      Eigen::RowVectorXd along = Eigen::RowVectorXd::Zero(x.cols());
+      const int64_t begin = linear_.row_begin[r], end = linear_.row_begin[r + 1];
+      for (int64_t k = begin; k < end; ++k) along += linear_.values[k] * x.row(linear_.columns[k]);
+      for (int64_t k = begin; k < end; ++k) {
+        product.row(linear_.columns[k]) += linear_.values[k] * along;
+      }
+    }
+    return product;
   }
 
   MatrixXd WithoutGauge(int i, int j, MatrixXd block) const {

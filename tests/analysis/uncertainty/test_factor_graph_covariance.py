@@ -264,6 +264,33 @@ def test_a_gauge_is_held_per_component():
     assert cov.variable("x1").any()
 
 
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 1e5])
+@pytest.mark.parametrize("is_lens_free", [True, False])
+def test_a_model_in_any_unit_has_the_covariances_of_its_factor_graph(unit, is_lens_free):
+    given = bundle.synthesize(scene="orbit", num_images=6, num_points=250, seed=5).problem
+    poses = given.cam_from_world * np.array([1, 1, 1, 1, unit, unit, unit])
+    options = {"refine": ("poses", "points", *(("focal", "extra") if is_lens_free else ()))}
+    options |= {"cheirality": "algebraic"}
+    given = given.replace(cam_from_world=poses, points=given.points * unit)
+    problem = bundle.solve(given, **options).problem
+    graph = both_ways.of_problem(problem, held=(1, 2) if is_lens_free else True)
+    ids = problem.image_ids.tolist()
+    theirs = bundle.covariance(problem, gauge="inner", relative=[(ids[0], ids[3])], **options)
+    ours = bundle.covariance(
+        graph, gauge="inner", relative=[(("image", ids[0]), ("image", ids[3]))]
+    )
+    close = {"rtol": 1e-7, "atol": 1e-7 * np.abs(theirs.point_covariance).max()}
+    for key in problem.point_ids.tolist():
+        np.testing.assert_allclose(ours.variable(("point", key)), theirs.point(key), **close)
+    for key, turn in zip(ids, rotation_matrices(problem.cam_from_world[:, :4]), strict=True):
+        into = np.kron(np.eye(2), turn)  # X Exp(d) in the axes of the camera
+        sigmas = np.sqrt(np.diag(theirs.pose(key)))
+        found = into @ ours.variable(("image", key)) @ into.T
+        np.testing.assert_allclose(
+            found / np.outer(sigmas, sigmas), theirs.pose(key) / np.outer(sigmas, sigmas), atol=1e-6
+        )
+
+
 def test_a_monocular_scene_has_a_gauge_of_seven():
     problem = scene()
     graph = both_ways.of_problem(problem, held=(1, 2))
