@@ -96,11 +96,12 @@ py::array_t<double> ToMatrix(std::vector<double> values, py::ssize_t rows) {
 }
 
 py::tuple Richardson(const py::function& function, int num_residuals,
-                     const std::vector<Array>& blocks,
-                     const std::vector<PythonManifold>& manifolds) {
+                     const std::vector<Array>& blocks, const std::vector<PythonManifold>& manifolds,
+                     std::vector<double> minuends) {
   PythonFunction python(function, blocks);
+  const bundle::KnownScales known{{}, std::move(minuends)};
   bundle::ReferenceJacobians found =
-      bundle::DifferentiateByRichardson(AtPoint(python, num_residuals, blocks, manifolds));
+      bundle::DifferentiateByRichardson(AtPoint(python, num_residuals, blocks, manifolds), known);
   python.Rethrow();
   return py::make_tuple(ToMatrix(std::move(found.ambient.values), num_residuals),
                         ToMatrix(std::move(found.ambient.uncertainty), num_residuals),
@@ -216,7 +217,7 @@ std::string SpotCheckSolution(const py::object& problem, const py::dict& options
 
 void BindCheck(py::module_& m) {
   m.def("richardson_jacobian", &Richardson, py::arg("function"), py::arg("num_residuals"),
-        py::arg("blocks"), py::arg("manifolds"));
+        py::arg("blocks"), py::arg("manifolds"), py::arg("minuends") = std::vector<double>());
   m.def("gradient_checker", &GradientChecker, py::arg("function"), py::arg("num_residuals"),
         py::arg("blocks"), py::arg("manifolds"), py::arg("relative_precision"));
   m.def("manifold_tangent_size", &ManifoldTangentSize, py::arg("manifold"), py::arg("size"));

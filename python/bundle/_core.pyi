@@ -324,6 +324,7 @@ def richardson_jacobian(
     num_residuals: int,
     blocks: list[NDArray[np.float64]],
     manifolds: list[tuple[str, list[int]]],
+    minuends: list[float] = ...,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
 def gradient_checker(
     function: Callable[[list[NDArray[np.float64]], bool], Any],

@@ -152,6 +152,38 @@ def test_a_scene_far_from_the_origin_is_not_stepped_across():
     assert report.num_undecided == 0
 
 
+@pytest.mark.parametrize("size", [1e5, 4e5])
+def test_distortion_is_decided_in_coordinates_of_a_map(size):
+    """Pixels have rounding errors of 1e-8 there, and little distortion."""
+    problem = scene(np.linspace(1, 5, 30))
+    centre = np.array([size, size, 100.0])
+    rotation = Rotation.from_quat(problem.cam_from_world[0, :4].copy())
+    pose = problem.cam_from_world.copy()
+    pose[0, 4:] -= rotation.apply(centre)
+    moved = problem.replace(cam_from_world=pose, points=problem.points + centre)
+    report = bundle.check_jacobians(moved, samples_per_image=None)
+    assert report, report
+    (extra,) = (group for group in report.groups if group.name == "extra")
+    assert extra.verdict == "correct"
+
+
+@pytest.mark.parametrize(("rounding", "is_found"), [(5e-4, True), (2e-3, False)])
+def test_a_point_is_given_up_where_rounding_decides(rounding, is_found, monkeypatch):
+    """A mistake is found up to relative rounding errors of 1e-3; above, nothing is said."""
+    original = _core.check_reprojections
+
+    def coarse(*arguments):
+        analytic, *rest = original(*arguments)
+        analytic[..., 5] *= 2
+        rest[3][:] = rounding
+        return (analytic, *rest)
+
+    monkeypatch.setattr(_core, "check_reprojections", coarse)
+    report = bundle.check_jacobians(scene([1.0] * 3), samples_per_image=None)
+    assert ("factor" in report.kinds) == is_found
+    assert (report.verdict == "wrong") == is_found
+
+
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_real_model_with_points_at_camera_centres(bundle_data, seed):
     """Half of its observations have a depth below 1e-4 of the median, some 1e-10 of it."""

@@ -117,9 +117,9 @@ struct CostAtPoint {
 
 }  // namespace
 
-ReferenceJacobians DifferentiateByRichardson(const FunctionAtPoint& at) {
+ReferenceJacobians DifferentiateByRichardson(const FunctionAtPoint& at, const KnownScales& known) {
   const CostAtPoint point(at);
-  return DifferentiateByRichardson(point.cost, point.manifolds, point.parameters);
+  return DifferentiateByRichardson(point.cost, point.manifolds, point.parameters, known);
 }
 
 GradientCheckerProbe RunGradientChecker(const FunctionAtPoint& at, double relative_precision) {

@@ -55,7 +55,8 @@ struct FunctionAtPoint {
 };
 
 /// Both functions throw InputError if a manifold does not fit its block.
-ReferenceJacobians DifferentiateByRichardson(const FunctionAtPoint& at);
+ReferenceJacobians DifferentiateByRichardson(const FunctionAtPoint& at,
+                                             const KnownScales& known = {});
 GradientCheckerProbe RunGradientChecker(const FunctionAtPoint& at, double relative_precision);
 
 /// The number of tangent directions of a block, and a point moved along them. Both throw InputError

@@ -111,8 +111,9 @@ class SingleObservation final : public ceres::CostFunction {
     Evaluate(at_start.data(), residual, nullptr);
     const double* measured = problem_.observation_xy;
     const double sigma = problem_.observation_sigma == nullptr ? 1 : *problem_.observation_sigma;
-    return {steps,
-            std::hypot(residual[0], residual[1]) + std::hypot(measured[0], measured[1]) / sigma};
+    const double minuend =
+        std::hypot(residual[0], residual[1]) + std::hypot(measured[0], measured[1]) / sigma;
+    return {steps, {minuend, minuend}};
   }
 
  private:

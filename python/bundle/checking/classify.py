@@ -19,7 +19,7 @@ from bundle.checking import row_signatures as row
 from bundle.checking.evidence import Evidence, Finding
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 
-__all__ = ["MISTAKES", "classify", "float_precision", "is_single", "stale"]
+__all__ = ["MISTAKES", "classify", "float_precision", "is_single", "rounds_to_single", "stale"]
 
 MISTAKES = (
     "correct",
@@ -144,6 +144,31 @@ def is_single(residuals: Sequence[Array]) -> bool:
     """Return True if all residuals were computed in single precision."""
     single, telling = _singles(np.concatenate([np.zeros(0), *residuals]))
     return bool(telling.any() and single.all())
+
+
+def rounds_to_single(values: Callable[[list[Array]], Array], blocks: list[Array]) -> bool:
+    """Return True if a function rounds one of its parameters to single precision.
+
+    The values then stand still between the midpoints of neighbouring numbers of single precision,
+    and change right behind them.
+    """
+    at_point = values(blocks)
+    for b, numbers in enumerate(blocks):
+        for j, x in enumerate(numbers):
+            single = np.float32(x)
+            ends = [np.nextafter(single, np.float32(end)) for end in (-np.inf, np.inf)]
+            if not all(0 < abs(end) < np.inf for end in map(float, (single, *ends))):
+                continue
+            middles = (float(single) + np.array(ends, np.float64)) / 2
+            beside = 1e-3 * (middles - float(single))
+            moved = []
+            for place in (*(middles - beside), *(middles + beside)):
+                there = [other.copy() for other in blocks]
+                there[b][j] = place
+                moved.append(np.array_equal(values(there), at_point))
+            if moved == [True, True, False, False]:
+                return True
+    return False
 
 
 def _singles(values: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -20,7 +20,6 @@ from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.padding import padded
 from bundle.checking.residual_blocks import Layout
 from bundle.checking.sample_points import Probe, SampleLines, SamplePoint
-from bundle.checking.step_curve import single_rounding
 from bundle.checking.tally import Tally
 from bundle.interface.check_options import TOLERANCE
 
@@ -31,6 +30,9 @@ SAME_RESIDUAL = 1e-9
 
 SINGLE_TOLERANCE = 1e-4
 """Relative error to which differences of a residual in single precision decide."""
+
+SINGLE_ROUNDING = float(np.finfo(np.float32).eps / np.finfo(np.float64).eps)
+"""Ratio of the rounding errors of single and double precision."""
 
 ROUGH = 1e-3
 """Largest relative uncertainty of the reference that rounding can cause at the given point."""
@@ -68,7 +70,9 @@ class _Check:
         self.samples = [at for at, valid in zip(samples, finite, strict=True) if valid]
         self.residuals = [r for (r, _), valid in zip(first, finite, strict=True) if valid]
         self.jacobians = [j for (_, j), valid in zip(first, finite, strict=True) if valid]
-        self.is_single = is_single(self.residuals)
+        self.is_single = is_single(self.residuals) or (
+            bool(self.samples) and self.samples[0].rounds_to_single()
+        )
         if self.is_single:
             self.tolerance = max(tolerance, SINGLE_TOLERANCE)
 
@@ -81,15 +85,11 @@ class _Check:
         if unstable is not None:
             return self._report([], [unstable], GradientCheckerSummary())
         again = [jacobian for _, jacobian in repeated_calls]
-        references = [at.reference(self.layout.core) for at in self.samples]
+        references = [
+            at.reference(self.layout.core, self._minuends(k)) for k, at in enumerate(self.samples)
+        ]
         checker = [at.probe(self.layout.core) for at in self.samples]
         values, doubts, tangents, tangent_doubts = map(np.array, zip(*references, strict=True))
-        if self.is_single:
-            places = np.array([np.concatenate(at.blocks) for at in self.samples])
-            rounding = single_rounding(np.array(self.residuals), places)
-            doubts = doubts + rounding
-            if self.layout.is_curved:
-                tangent_doubts = tangent_doubts + rounding.max(axis=2, keepdims=True)
         space = JacobianDeviation(np.array(self.jacobians), values, doubts, self.tolerance)
         repeated = JacobianDeviation(np.array(again), values, doubts, self.tolerance)
         tangent, projected = space, list(range(len(space)))
@@ -138,6 +138,14 @@ class _Check:
             lambda k: f"sample {numbers[k]}",
         )
         return (details,)
+
+    def _minuends(self, k: int) -> Sequence[float]:
+        """Return sizes of numbers that round as residuals and parameters in single precision."""
+        if not self.is_single:
+            return ()
+        moved = np.abs(self.jacobians[k] * np.concatenate(self.samples[k].blocks))
+        moved = np.where(np.isfinite(moved), moved, 0.0).max(axis=1)
+        return [*map(float, SINGLE_ROUNDING * np.maximum(np.abs(self.residuals[k]), moved))]
 
     def _undecided_start(
         self, deviations: JacobianDeviation, samples: Sequence[int]

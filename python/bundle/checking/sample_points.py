@@ -10,6 +10,7 @@ import numpy as np
 import bundle._core as _core
 from bundle.base.records import dataclass
 from bundle.checking.assemble import CHECKER_PRECISION
+from bundle.checking.classify import rounds_to_single
 from bundle.checking.function import UserFunction
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.residual_blocks import Layout
@@ -31,11 +32,23 @@ class SamplePoint:
         """Return the residual (R,) and the Jacobians of all blocks, concatenated to (R, N)."""
         return self.user.evaluate(self.blocks)
 
-    def reference(self, manifolds: list[tuple[str, list[int]]]) -> Any:
-        """Return the result of Richardson extrapolation."""
+    def reference(
+        self, manifolds: list[tuple[str, list[int]]], minuends: Sequence[float] = ()
+    ) -> Any:
+        """Return the result of Richardson extrapolation.
+
+        Args:
+            manifolds: manifolds of the blocks.
+            minuends: size of the numbers whose difference is each residual, if known: their
+                rounding errors are also those of the residual.
+        """
         return _core.richardson_jacobian(
-            self.user.core, self.user.num_residuals, self.blocks, manifolds
+            self.user.core, self.user.num_residuals, self.blocks, manifolds, list(minuends)
         )
+
+    def rounds_to_single(self) -> bool:
+        """Return True if the function rounds a parameter to single precision."""
+        return rounds_to_single(lambda blocks: self.user.evaluate(blocks)[0], self.blocks)
 
     def probe(self, manifolds: list[tuple[str, list[int]]]) -> Probe:
         """Return the result of ceres::GradientChecker."""

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.checking.jacobian_deviation import Array
 
-__all__ = ["Line", "StepCurve", "acquitted", "single_rounding", "walk"]
+__all__ = ["Line", "StepCurve", "acquitted", "walk"]
 
 HALVINGS = 44
 """Least number of steps; the last is at the resolution of double precision, for parameters of 1."""
@@ -154,18 +154,3 @@ def acquitted(line: Line, analytic: Array, deviation: Array, scale: Array) -> ND
             same = is_clear & (np.abs(extrapolated - analytic) <= close)
         found |= (same[1:] & same[:-1]).any(axis=0)
     return found
-
-
-def single_rounding(residuals: Array, places: Array) -> Array:
-    """Return the errors (S, R, N) that single precision of the residuals causes in differences.
-
-    Differences at several steps can agree although all are rounded: small changes of a residual are
-    a few of its last digits.
-
-    Args:
-        residuals: (S, R) at the sample points.
-        places: (S, N) parameters.
-    """
-    rounding = ROUNDING * np.finfo(np.float32).eps * np.abs(residuals)
-    steps = np.maximum(LARGEST_STEP * np.abs(places), LEAST_FIRST_STEP)
-    return np.asarray(rounding[:, :, None] / steps[:, None, :], np.float64)

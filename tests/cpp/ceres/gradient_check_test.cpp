@@ -35,7 +35,7 @@ TEST(DifferentiateByRichardson, KnowsTheRoundingOfWhatAResidualIsTheDifferenceOf
   constexpr double kMinuend = 1e6;
   const LargeDifference cost(kMinuend);
   KnownScales known;
-  known.minuend = kMinuend;
+  known.minuends = {kMinuend};
   double largest_bound = 0;
   for (int k = 0; k < 500; ++k) {
     const double x = 0.3 + 0.002 * k;

@@ -22,7 +22,8 @@ Found Differentiate(const Function& f, double first_step, double noise) {
     return std::isfinite(*value);
   };
   noise = std::max(noise, FindResolution(line, 1, first_step, &noise).jump[0]);
-  RichardsonDerivative(line, 1, first_step, &noise, &found.derivative, &found.uncertainty);
+  RichardsonDerivative(line, 1, first_step, &noise, &found.derivative, &found.uncertainty,
+                       8 * first_step);
   return found;
 }
 
@@ -133,6 +134,52 @@ TEST(Richardson, AFeatureAtTheLargestStepIsNoNoise) {
   const Found found = Differentiate(f, 0.5, 1e-16);
   EXPECT_EQ(found.derivative, 0);
   EXPECT_LT(found.uncertainty, 1e-12);
+}
+
+/// Two powers remove the pole at -1/16 from the smallest steps. The longest cross it, so that their
+/// slopes are huge: small beside those is no measure.
+TEST(Richardson, SlopesBesideAPoleAreNoMeasure) {
+  const auto f = [](double x) { return x + 1e-9 * std::pow(1 / (1 + 15.99 * x), 8); };
+  const Found found = Differentiate(f, 1.0 / 16, 1e-16);
+  EXPECT_NEAR(found.derivative, 1 - 8e-9 * 15.99, found.uncertainty);
+  EXPECT_LT(found.uncertainty, 1e-9);
+}
+
+/// A sum with a large constant: eight times the first step has an eighth of its rounding errors.
+TEST(Richardson, LongerStepsDivideRoundingErrors) {
+  const auto f = [](double x) {
+    const volatile double sum = 1e7 + std::sin(x + 1);
+    return sum - 1e7;
+  };
+  const Found found = Differentiate(f, 1.0 / 128, 2e-9);
+  EXPECT_NEAR(found.derivative, std::cos(1), found.uncertainty);
+  EXPECT_LT(found.uncertainty, 5e-7);  // 3e-6 by the first step
+}
+
+/// The longer step crosses a kink at 0.02, and settles on no value that agrees.
+TEST(Richardson, LongerStepsAreToAgreeWithShorterOnes) {
+  const auto f = [](double x) {
+    const volatile double sum = 1e7 + x + (x > 0.02 ? 3 * (x - 0.02) : 0.0);
+    return sum - 1e7;
+  };
+  const Found found = Differentiate(f, 1.0 / 128, 2e-9);
+  EXPECT_NEAR(found.derivative, 1, found.uncertainty);
+  EXPECT_GT(found.uncertainty, 1e-7);
+  EXPECT_LT(found.uncertainty, 2e-6);
+}
+
+TEST(Richardson, NoStepIsLongerThanTheLongest) {
+  const double noise = 2e-9, first = 1.0 / 128;
+  for (const double longest : {0.0, first, 8 * first}) {
+    double reached = 0, derivative = 0, uncertainty = 0;
+    const LineFunction line = [&](double step, double* value) {
+      reached = std::max(reached, std::abs(step));
+      *value = step;
+      return true;
+    };
+    RichardsonDerivative(line, 1, first, &noise, &derivative, &uncertainty, longest);
+    EXPECT_EQ(reached, std::max(first, longest));
+  }
 }
 
 }  // namespace

@@ -161,21 +161,33 @@ inline bool IsSingle(const std::vector<CheckedPoint>& points) {
   return is_telling;
 }
 
-/// Size of numbers in double precision with the rounding errors of this point in single precision,
-/// whose parameters may be rounded, too.
-inline double SizeInSingle(const CheckedPoint& point, const Blocks& at) {
+/// Sizes of numbers in double precision whose rounding errors are those of the residuals of this
+/// point in single precision, in which the parameters are rounded, too.
+inline std::vector<double> SizesInSingle(const CheckedPoint& point, const Blocks& at,
+                                         const Manifolds& manifolds) {
   constexpr double kRatio = static_cast<double>(std::numeric_limits<float>::epsilon()) /
                             std::numeric_limits<double>::epsilon();
-  const auto largest = [](const std::vector<double>& values) {
-    double found = 0;
-    for (const double value : values) {
-      if (std::isfinite(value)) found = std::max(found, std::abs(value));
+  std::vector<double> parameters;  // of each column
+  for (size_t b = 0; b < at.size(); ++b) {
+    if (manifolds[b] == nullptr) {
+      parameters.insert(parameters.end(), at[b].begin(), at[b].end());
+    } else {
+      const double largest =
+          Eigen::Map<const Eigen::VectorXd>(at[b].data(), at[b].size()).lpNorm<Eigen::Infinity>();
+      parameters.insert(parameters.end(), manifolds[b]->TangentSize(), largest);
     }
-    return found;
-  };
-  double parameter = 0;
-  for (const std::vector<double>& block : at) parameter = std::max(parameter, largest(block));
-  return kRatio * (largest(point.residuals) + parameter * largest(point.analytic));
+  }
+  std::vector<double> sizes;
+  auto entry = point.analytic.begin();
+  for (const double residual : point.residuals) {
+    double size = std::abs(residual);
+    for (const double parameter : parameters) {
+      const double moved = std::abs(*entry++ * parameter);
+      if (std::isfinite(moved)) size = std::max(size, moved);
+    }
+    sizes.push_back(kRatio * size);
+  }
+  return sizes;
 }
 
 }  // namespace check_internal
@@ -217,7 +229,7 @@ inline GradientCheck CheckGradients(const ceres::CostFunction& cost,
       is_single ? std::max(options.tolerance, check_internal::kSingleTolerance) : options.tolerance;
   for (size_t k = 0; k < points.size(); ++k) {
     KnownScales known;
-    if (is_single) known.minuend = check_internal::SizeInSingle(points[k], places[k]);
+    if (is_single) known.minuends = check_internal::SizesInSingle(points[k], places[k], manifolds);
     NumericJacobian reference =
         DifferentiateByRichardson(cost, manifolds, check_internal::Pointers(places[k]), known)
             .tangent;

@@ -24,9 +24,9 @@ struct ReferenceJacobians {
 struct KnownScales {
   /// Bounds of the first step of each ambient column, unless empty: the distance to a singularity.
   std::vector<double> largest_steps;
-  /// Size of the numbers whose difference is a residual: their rounding errors are also those of
-  /// the residual.
-  double minuend = 0;
+  /// Size of the numbers whose difference is a residual, one per residual unless empty: their
+  /// rounding errors are also those of the residual.
+  std::vector<double> minuends;
 };
 
 /// Columns of a parameter block in the tangent space.

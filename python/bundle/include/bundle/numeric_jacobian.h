@@ -57,6 +57,11 @@ namespace numeric_internal {
 /// First steps are a sixteenth of the parameter, or this value for a parameter close to zero.
 inline constexpr double kLeastFirstStep = 1.0 / 128;
 
+/// Ratio of the longest to the first step, to half of the parameter.
+inline constexpr double kLonger = 8;
+/// Longest step along a manifold.
+inline constexpr double kLongestTurn = 0.5;
+
 inline double FirstStep(double parameter) {
   return std::max(std::abs(parameter) / 16, kLeastFirstStep);
 }
@@ -189,12 +194,13 @@ class ColumnWriter {
   int next_ = 0;
 };
 
-/// Calls visit(line, first step, is ambient, is tangent) for the line along each number of the
-/// blocks and, if manifolds are curved, along each tangent coordinate.
+/// Calls visit(line, first step, longest step, is ambient, is tangent) for the line along each
+/// number of the blocks and, if manifolds are curved, along each tangent coordinate.
 template <typename Visit>
 void ForEachLine(const ceres::CostFunction& cost, const Manifolds& manifolds,
                  const std::vector<const double*>& parameters, const KnownScales& known,
                  const Visit& visit) {
+  constexpr double kAny = std::numeric_limits<double>::infinity();
   MovablePoint point(cost, parameters);
   size_t column = 0;
   for (size_t b = 0; b < parameters.size(); ++b) {
@@ -205,12 +211,11 @@ void ForEachLine(const ceres::CostFunction& cost, const Manifolds& manifolds,
         moved[j] = parameters[b][j] + step;
         return point.Evaluate(b, moved.data(), residuals);
       };
-      double first_step = FirstStep(parameters[b][j]);
-      if (!known.largest_steps.empty()) {
-        first_step = std::min(first_step, known.largest_steps[column]);
-      }
+      const double largest = known.largest_steps.empty() ? kAny : known.largest_steps[column];
       ++column;
-      visit(along_axis, first_step, true, manifolds[b] == nullptr);
+      const double first_step = std::min(FirstStep(parameters[b][j]), largest);
+      visit(along_axis, first_step, std::min(kLonger * first_step, largest), true,
+            manifolds[b] == nullptr);
       moved[j] = parameters[b][j];
     }
     if (manifolds[b] == nullptr) continue;
@@ -221,7 +226,7 @@ void ForEachLine(const ceres::CostFunction& cost, const Manifolds& manifolds,
         return manifolds[b]->Plus(parameters[b], delta.data(), moved.data()) &&
                point.Evaluate(b, moved.data(), residuals);
       };
-      visit(along_manifold, kLeastFirstStep, false, true);
+      visit(along_manifold, kLeastFirstStep, kLongestTurn, false, true);
       entry = 0;
     }
   }
@@ -252,21 +257,22 @@ inline ReferenceJacobians DifferentiateByRichardson(const ceres::CostFunction& c
                                   [](const ceres::Manifold* m) { return m != nullptr; });
   std::vector<double> noise = numeric_internal::RoundingNoise(cost, parameters, known);
   constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
-  for (double& value : noise) value += kEpsilon * known.minuend;
+  for (size_t i = 0; i < known.minuends.size(); ++i) noise[i] += kEpsilon * known.minuends[i];
   const int n = cost.num_residuals();
   numeric_internal::LineNoise line_noise(noise);
-  numeric_internal::ForEachLine(
-      cost, manifolds, parameters, known,
-      [&](const LineFunction& f, double first_step, bool, bool) { line_noise.Add(f, first_step); });
+  numeric_internal::ForEachLine(cost, manifolds, parameters, known,
+                                [&](const LineFunction& f, double first_step, double, bool, bool) {
+                                  line_noise.Add(f, first_step);
+                                });
   numeric_internal::ColumnWriter ambient(n, AmbientSize(cost), &jacobians.ambient);
   numeric_internal::ColumnWriter tangent(n, curved ? TangentSize(cost, manifolds) : 0,
                                          &jacobians.tangent);
   std::vector<double> derivative(n), uncertainty(n);
   size_t line = 0;
-  const auto differentiate = [&](const LineFunction& f, double first_step, bool is_ambient,
-                                 bool is_tangent) {
+  const auto differentiate = [&](const LineFunction& f, double first_step, double longest_step,
+                                 bool is_ambient, bool is_tangent) {
     RichardsonDerivative(f, n, first_step, line_noise.Of(line++).data(), derivative.data(),
-                         uncertainty.data());
+                         uncertainty.data(), longest_step);
     if (is_ambient) ambient.Add(derivative, uncertainty);
     if (curved && is_tangent) tangent.Add(derivative, uncertainty);
   };

@@ -24,11 +24,8 @@
 /// - if they do not settle, the bound grows by the disagreement.
 ///
 /// At a kink at the point itself, D(h) stays smooth. The kink is visible in half the difference of
-/// the slopes on both sides, s(h) = |f(h) - 2 f(0) + f(-h)| / 2h. It decreases with h for a smooth
-/// f and is constant at a kink. There, any number within s of D is a slope of f, and the bound is
-/// at least s.
-///
-/// The core of the package and its users' C++ tests (bundle/check.h) share this file.
+/// the slopes on both sides, s(h) = |f(h) - 2 f(0) + f(-h)| / 2h, which falls with h for a smooth
+/// f. There, any number within s of D is a slope of f, and the bound is at least s.
 
 #include <bundle/resolution.h>
 
@@ -41,17 +38,18 @@ namespace bundle {
 
 namespace richardson_internal {
 
-inline constexpr int kRows = 8;            ///< rows of a tableau
-inline constexpr int kTableaux = 5;        ///< maximum number of tableaux
-inline constexpr double kRestart = 64;     ///< ratio of first steps of consecutive tableaux
-inline constexpr double kEnough = 1e-10;   ///< part of the slope that needs no further step
+inline constexpr int kRows = 8;           ///< rows of a tableau
+inline constexpr int kTableaux = 5;       ///< maximum number of tableaux
+inline constexpr double kRestart = 64;    ///< ratio of first steps of consecutive tableaux
+inline constexpr double kEnough = 1e-10;  ///< part of the slope that needs no further step
+inline constexpr double kNoisy =
+    1e-9;  ///< least rounding, over the slope, that longer steps divide
+inline constexpr double kTooNoisy = 1e-4;  ///< jumps rather than rounding
 inline constexpr double kErrorSafety = 4;  ///< on the estimated error
 inline constexpr int kProbes = 4;          ///< number of smaller steps that verify a settled result
-inline constexpr double kNoise =
-    8;  ///< disagreement explained by rounding, in units of the estimated rounding
-inline constexpr double kSameSlopes =
-    0.1;                               ///< relative change of s(h) from scale to scale at a kink
-inline constexpr int kKinkScales = 3;  ///< number of scales with equal s(h) that prove a kink
+inline constexpr double kNoise = 8;        ///< disagreement explained by rounding, in units of it
+inline constexpr double kSameSlopes = 0.1;  ///< relative change of s(h) between scales at a kink
+inline constexpr int kKinkScales = 3;       ///< number of scales with equal s(h) that prove a kink
 inline constexpr double kInfinity = std::numeric_limits<double>::infinity();
 inline constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 
@@ -69,7 +67,7 @@ struct Estimate {
   std::vector<double> derivative, uncertainty;
   std::vector<double> spread;     ///< max - min of D(h) over the smaller half of the steps
   std::vector<double> curvature;  ///< |D(h) - derivative| / h^2 of the first step
-  std::vector<double> slope;      ///< largest difference to a side, over its step
+  std::vector<double> slope;      ///< largest difference to a side at the last step, over the step
   std::vector<int> row, order;    ///< k and m of the derivative T(k, m) in its tableau
 };
 
@@ -104,6 +102,7 @@ class Search {
         noise_(noise, noise + num_values),
         best_(num_values),
         kinks_(num_values),
+        disagreement_(num_values),
         center_(num_values),
         plus_(num_values),
         minus_(num_values),
@@ -155,7 +154,29 @@ class Search {
     }
     for (int i = 0; i < n_; ++i) {
       if (best_.derivative[i] != settled.derivative[i]) continue;
+      disagreement_[i] = disagreement[i];
       best_.uncertainty[i] = std::max(best_.uncertainty[i], disagreement[i]);
+    }
+  }
+
+  /// Divides rounding errors, if they decide even at the first step, by a longer one. Its values
+  /// are to agree with those of the shorter steps.
+  void Lengthen(double first_step, double longest_step) {
+    const auto is_noisy = [&](int i) {
+      const double noise = noise_[i] / (first_step * best_.slope[i]);
+      return noise > kNoisy && noise < kTooNoisy;
+    };
+    int first = 0;
+    while (first < n_ && !is_noisy(first)) ++first;
+    if (first == n_) return;
+    const Estimate longer = Tableau(longest_step);
+    for (int i = first; i < n_; ++i) {
+      const double known = best_.uncertainty[i];
+      const double uncertainty = std::max(longer.uncertainty[i], disagreement_[i]);
+      const double change = std::abs(longer.derivative[i] - best_.derivative[i]);
+      if (!is_noisy(i) || uncertainty >= known || !(change <= known)) continue;
+      best_.derivative[i] = longer.derivative[i];
+      best_.uncertainty[i] = uncertainty;
     }
   }
 
@@ -182,7 +203,7 @@ class Search {
       }
       for (int i = 0; i < n_; ++i) {
         differences_[row * n_ + i] = IsPlateau(i) ? kNone : next_[i];
-        found.slope[i] = std::max(found.slope[i], Slope(i, h));
+        found.slope[i] = Slope(i, h);
       }
       Extrapolate(row, h, &found);
       std::swap(table_, next_);
@@ -218,20 +239,18 @@ class Search {
     return true;
   }
 
-  /// True if smaller steps clearly converge to another value. Their bound alone is not enough:
-  /// among many differences of noise, some agree by chance.
+  /// True if smaller steps converge to another value. Among many differences, some agree by chance.
   bool Contradicts(const Estimate& finer, int i) const {
     const double change = std::abs(finer.derivative[i] - best_.derivative[i]);
     return change > kErrorSafety * finer.spread[i] + finer.uncertainty[i] + best_.uncertainty[i];
   }
 
-  /// Uses s(h) of the last central difference.
   void LookForKinks(double h) {
     if (!has_center_ || h == last_kink_step_) return;
     last_kink_step_ = h;
     for (int i = 0; i < n_; ++i) {
-      const double change = (plus_[i] - center_[i]) + (minus_[i] - center_[i]);
-      kinks_.Add(i, std::abs(change) / (2 * h), kNoise * noise_[i] / h);
+      const double bend = (plus_[i] - center_[i]) + (minus_[i] - center_[i]);
+      kinks_.Add(i, std::abs(bend) / (2 * h), kNoise * noise_[i] / h);
     }
   }
 
@@ -264,8 +283,7 @@ class Search {
       for (int i = 0; i < n_; ++i) {
         const double left = next_[(m - 1) * n_ + i];
         const double above = table_[(m - 1) * n_ + i];
-        const double entry = left + (left - above) / (power - 1);
-        next_[m * n_ + i] = entry;
+        next_[m * n_ + i] = left + (left - above) / (power - 1);
       }
     }
     for (int i = 0; i < n_; ++i) {
@@ -297,6 +315,7 @@ class Search {
   std::vector<double> noise_;
   Estimate best_;
   KinkFinder kinks_;
+  std::vector<double> disagreement_;  ///< deviation of smaller steps
   double last_kink_step_ = 0;
   bool has_center_ = false;
   std::vector<double> center_, plus_, minus_;  ///< f(0), f(h), f(-h)
@@ -308,9 +327,11 @@ class Search {
 
 /// The derivative of each value at step 0 and a bound on its error, which is infinite if no
 /// derivative was found. The search begins at `first_step` > 0. `noise` is the size of the rounding
-/// errors of each value, and its resolution (bundle/resolution.h).
+/// errors of each value, and its resolution (bundle/resolution.h). If rounding errors decide, a
+/// step of `longest_step` divides them.
 inline void RichardsonDerivative(const LineFunction& f, int num_values, double first_step,
-                                 const double* noise, double* derivative, double* uncertainty) {
+                                 const double* noise, double* derivative, double* uncertainty,
+                                 double longest_step = 0) {
   richardson_internal::Search search(f, num_values, noise);
   double h = first_step;
   for (int tableau = 0; tableau < richardson_internal::kTableaux;
@@ -320,6 +341,7 @@ inline void RichardsonDerivative(const LineFunction& f, int num_values, double f
     search.Confirm(h);
     break;
   }
+  if (longest_step > first_step) search.Lengthen(first_step, longest_step);
   search.AddKinks();
   std::copy_n(search.best().derivative.begin(), num_values, derivative);
   std::copy_n(search.best().uncertainty.begin(), num_values, uncertainty);
