@@ -164,21 +164,27 @@ def test_covariances_of_two_poses_are_those_of_dense_algebra(dimension):
                 rtol=1e-8, atol=1e-8 * expected.max(),
             )  # fmt: skip
         np.testing.assert_allclose(found.variable(2), expected[place[2], place[2]], rtol=1e-7)
+        scaled = bundle.covariance(graph, relative=pairs, gauge=gauge, scale="sigma0")
+        np.testing.assert_allclose(
+            scaled.cross_covariances[1, 4],
+            found.sigma0**2 * found.cross_covariances[1, 4],
+        )
         np.testing.assert_array_equal(found.variable(9), 0)
 
 
 def test_any_number_of_components_has_covariances():
     graph, information = bundle.FactorGraph(), np.diag([4.0, 9.0, 16.0])
-    for k in range(202):
-        graph.add_variable(k, [k, 0.0, 0.0], "se2")
-    for k in range(0, 202, 2):
-        graph.add_factor(bundle.BetweenFactor(k, k + 1, [1.0, 0, 0], information))
-    found = bundle.covariance(graph, of=[201, 0])
-    assert found.num_gauge_freedoms == 303 and list(found.covariances) == [201, 0]
-    np.testing.assert_allclose(found.variable(201), np.linalg.inv(information), atol=1e-12)
-    np.testing.assert_array_equal(found.variable(0), 0)
-    with pytest.raises(bundle.InputError, match=r"^relative: .*\b3\b.*\b4\b"):
-        bundle.covariance(graph, relative=[(3, 4)])
+    keys = list(range(1000, 798, -1))
+    for key in keys:
+        graph.add_variable(key, [0.0, 0.0, 0.0], "se2")
+    for a, b in zip(keys[::2], keys[1::2], strict=True):
+        graph.add_factor(bundle.BetweenFactor(a, b, [0.0, 0, 0], information))
+    found = bundle.covariance(graph, of=[799, 1000])
+    assert found.num_gauge_freedoms == 303 and list(found.covariances) == [799, 1000]
+    np.testing.assert_allclose(found.variable(799), np.linalg.inv(information), atol=1e-12)
+    np.testing.assert_array_equal(found.variable(1000), 0)
+    with pytest.raises(bundle.InputError, match=r"^relative: .*\b999\b.*\b998\b"):
+        bundle.covariance(graph, relative=[(999, 998)])
 
 
 def test_mixed_variables_are_those_of_dense_algebra():
@@ -247,8 +253,13 @@ def test_an_open_landmark_is_named():
     held = bundle.FactorGraph()
     held.add_variable("x", [0.0], fixed=True)
     held.add_factor(bundle.PriorFactor("x", [1.0], 1))
-    with pytest.raises(bundle.InputError, match=r"^graph: expected a free coordinate"):
-        bundle.covariance(held)
+    poses = bundle.FactorGraph()
+    for key in "ab":
+        poses.add_variable(key, [0.0, 0, 0], "se2", fixed=True)
+    poses.add_factor(bundle.BetweenFactor("a", "b", [0.0, 0, 0], 1))
+    for graph in (held, poses):
+        with pytest.raises(bundle.InputError, match=r"^graph: expected a free coordinate"):
+            bundle.covariance(graph)
 
 
 def test_a_gauge_is_held_per_component():

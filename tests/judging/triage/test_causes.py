@@ -95,6 +95,7 @@ def test_another_gradient_of_the_same_residuals_is_the_jacobian():
     assert named(between(old, same, **slower | {"start_gradient": 5.0})) == ["convergence"]
     assert named(between(old, inputs, **slower)) == ["convergence"]
     assert named(between(old, same, **slower, initial_cost=1.1e3)) == ["data"]
+    assert named(between(old, same, steps=10.0, least_radius=1e2)) == ["convergence"], "faster"
 
 
 @pytest.mark.parametrize("is_slower", [True, False])
@@ -109,6 +110,9 @@ def test_a_warning_names_an_order_whose_flops_are_unknown(is_slower):
     assert named(between(pair[0], **vars(pair[1]))) == ["ordering"]
     silent = replace(new, warnings={})
     assert named(between(old, **vars(silent))) == []
+    assert named(between(replace(old, warnings={"ordering": 1}), **vars(new))) == []
+    counted = causes_of(between(old, **vars(replace(new, factor_flops=3e6))))
+    assert [cause.cause for cause in counted] == ["ordering"] and "3 times" in counted[0].sentence
     assert named(between(old, **vars(replace(new, options=options[0])))) == []
 
 

@@ -82,6 +82,8 @@ def test_an_option_of_one_report_only_differs(old, new, pair):
 def test_an_unknown_gradient_is_no_other_one():
     assert not between(GRAPH, start_gradient=5.0).has_other_gradient
     assert facts([True, True], [1e4, 1e4]).start_gradient is None
+    iterations = [{"step_is_successful": True, "gradient_max_norm": size} for size in (5.0, 1e-3)]
+    assert solve_facts({}, SUMMARY, iterations, {}).start_gradient == 5.0
 
 
 def test_costs_at_one_start_agree_to_rounding():
