@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.checking.columns import Block, Column
-from bundle.checking.jacobian_deviation import Array, JacobianDeviation
+from bundle.checking.jacobian_deviation import Array, JacobianDeviation, norm
 
 __all__ = ["Evidence", "Finding"]
 
@@ -96,10 +96,10 @@ class Evidence:
             return False
         analytic = np.where(known, self.analytic[chosen][..., columns], 0.0)
         reference = np.where(known, self.reference[chosen][..., columns], 0.0)
-        left = np.linalg.norm(analytic - np.where(known, guess, 0.0))
-        deviation = np.linalg.norm(analytic - reference)
-        doubt = np.linalg.norm(np.where(known, doubts, 0.0))
-        size = min(float(deviation), float(np.linalg.norm(analytic)))
+        left = norm(analytic - np.where(known, guess, 0.0))
+        deviation = norm(analytic - reference)
+        doubt = norm(np.where(known, doubts, 0.0))
+        size = min(deviation, norm(analytic))
         return bool(deviation > 10 * doubt and left <= EXPLAINED * size + 2 * doubt)
 
     def points_wrong_in(self, column: int) -> NDArray[np.intp]:

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.interface.check_options import TOLERANCE
 
-__all__ = ["JacobianDeviation"]
+__all__ = ["JacobianDeviation", "norm"]
 
 Array = NDArray[np.float64]
 
@@ -88,7 +88,8 @@ class JacobianDeviation:
     @cached_property
     def doubt(self) -> Array:
         """Relative uncertainty of the reference, (K, R, N): uncertainty / scale."""
-        doubt: Array = self.uncertainty / self.scale
+        with np.errstate(over="ignore"):
+            doubt: Array = self.uncertainty / self.scale
         return doubt
 
     @cached_property
@@ -117,6 +118,12 @@ class JacobianDeviation:
             np.concatenate([part.uncertainty for part in parts]),
             parts[0].tolerance,
         )
+
+
+def norm(values: Array) -> float:
+    """Return the norm of all values, without overflow of their squares."""
+    size = float(np.abs(values).max(initial=0.0))
+    return size * float(np.linalg.norm(values / size)) if 0 < size < np.inf else size
 
 
 def _column_sizes(matrices: Array) -> Array:

@@ -31,7 +31,7 @@ __all__ = ["Line", "StepCurve", "acquitted", "walk"]
 
 HALVINGS = 44
 """Least number of steps; the last is at the resolution of double precision, for parameters of 1."""
-MOST_HALVINGS = 110
+MOST_HALVINGS = 1074
 """Largest number of steps, for tiny parameters."""
 LARGEST_STEP = 1 / 16
 """First step, as a fraction of the parameter."""
