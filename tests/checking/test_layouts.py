@@ -282,3 +282,32 @@ def test_a_block_stored_by_columns_is_named_where_it_has_zeros():
 
     report = bundle.check_gradients(projection, [np.array([0.3, -0.4, 2.0]), np.array([500.0])])
     assert report.kinds == {"transposed"}
+
+
+def seen(blocks, spoil):
+    """A pixel of a point in the frame of a camera, with a mistake."""
+    x, y, z = blocks[0] + blocks[1]
+    jacobian = np.array([[1, 0, -x / z], [0, 1, -y / z]]) / z
+    return np.array([x, y]) / z, [jacobian, spoil(jacobian, z)]
+
+
+@pytest.mark.parametrize("power", [1, 2, -1])
+def test_a_missing_depth_is_a_factor_that_varies(power):
+    start = [np.array([0.3, -0.4, 1.5]), np.array([0.2, 0.1, 2.5])]
+    report = bundle.check_gradients(lambda b: seen(b, lambda j, z: j * z**power), start)
+    (finding,) = report.findings
+    assert (finding.kind, finding.factor) == ("factor", None)
+    assert finding.columns == tuple(f"block 1 [{j}]" for j in range(3))
+
+
+def test_other_mistakes_of_a_block_are_no_varying_factor():
+    """Rows with factors of their own, and a single number per point."""
+    start = [np.array([0.3, -0.4, 1.5]), np.array([0.2, 0.1, 2.5])]
+    rows = bundle.check_gradients(lambda b: seen(b, lambda j, z: np.diag([z, 1 + z**2]) @ j), start)
+    assert rows.verdict == "wrong"
+    assert "factor" not in rows.kinds
+
+    def one(blocks):
+        return np.sin(blocks[0]), [np.cos(blocks[0] ** 2)[None]]
+
+    assert bundle.check_gradients(one, [np.array([0.7])]).kinds == {"small_part"}

@@ -73,6 +73,7 @@ SIGNATURES: tuple[Callable[[Evidence], None], ...] = (
     rotation.turned,
     column.order,
     column.parameter_factors,
+    column.varying_factors,
     column.terms_of_a_parameter,
     column.zero_entries,
     column.rank_one,

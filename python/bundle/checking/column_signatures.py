@@ -22,6 +22,7 @@ __all__ = [
     "swapped",
     "terms_of_a_parameter",
     "transposed",
+    "varying_factors",
     "zero_entries",
     "zeros",
 ]
@@ -107,6 +108,26 @@ def parameter_factors(evidence: Evidence) -> None:
                         f"{evidence.columns[j].name}: {verb} by {sign}{column.name}, "
                         "once too often or once too little in the chain rule",
                     )
+
+
+def varying_factors(evidence: Evidence) -> None:
+    """Find blocks that are the correct ones times a number that differs from point to point."""
+    groups: dict[str, list[int]] = {}
+    for j in evidence.wrong:
+        groups.setdefault(evidence.columns[j].group, []).append(j)
+    for columns in groups.values():
+        reference = evidence.reference[..., columns]
+        if np.count_nonzero(reference, axis=(1, 2)).min() < 2:
+            continue  # any number is a multiple of another
+        products = np.sum(evidence.analytic[..., columns] * reference, axis=(1, 2))
+        ratios = products / np.sum(reference * reference, axis=(1, 2))
+        if evidence.explains(ratios[:, None, None] * reference, columns):
+            evidence.found(
+                "factor",
+                columns,
+                f"{evidence.names(columns)}: {ratios.min():.3g} to {ratios.max():.3g} times as "
+                "large from point to point: a factor such as 1 / z is missing, or applied twice",
+            )
 
 
 def terms_of_a_parameter(evidence: Evidence) -> None:
