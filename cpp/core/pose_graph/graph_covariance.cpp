@@ -244,7 +244,7 @@ class GraphCovariance {
 
   /// Block of H^+ or, without inner constraints, of G. `block`: G_ij.
   Matrix UnderGauge(int i, int j, const Matrix& block) const {
-    if (!options_.inner || of_component_[i] != of_component_[j]) return block;
+    if (!options_.inner) return block;
     return block - n_[i] * y_[j].transpose() - y_[i] * n_[j].transpose() +
            n_[i] * k_[of_component_[i]] * n_[j].transpose();
   }

@@ -13,7 +13,8 @@ namespace bundle {
 struct GraphCovarianceOptions {
   bool inner = false;     ///< apply inner constraints instead of gauge poses (graph_covariance.cpp)
   bool of_edges = false;  ///< compute redundancies and tests, too
-  std::vector<std::pair<int32_t, int32_t>> relative;  ///< pairs of poses
+  /// Pairs of poses of one component, or of components with a fixed pose.
+  std::vector<std::pair<int32_t, int32_t>> relative;
   int num_threads = 1;
 };
 
