@@ -183,6 +183,8 @@ def test_any_number_of_components_has_covariances():
     assert found.num_gauge_freedoms == 303 and list(found.covariances) == [799, 1000]
     np.testing.assert_allclose(found.variable(799), np.linalg.inv(information), atol=1e-12)
     np.testing.assert_array_equal(found.variable(1000), 0)
+    (kind,) = bundle.chi2_kinds(graph)
+    assert (kind.kind, kind.count, kind.degrees) == ("BetweenFactor", 101, 0)
     with pytest.raises(bundle.InputError, match=r"^relative: .*\b999\b.*\b998\b"):
         bundle.covariance(graph, relative=[(999, 998)])
 

@@ -28,8 +28,9 @@ from bundle.base.words import number
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.null_space import find_null_space
+from bundle.graphs.factors.same_problem import pose_graph_of
 from bundle.graphs.pose_graphs.chi2_quantiles import chi2_interval, chi2_median
-from bundle.graphs.pose_graphs.edge_weights import is_graph, weighted_graph
+from bundle.graphs.pose_graphs.edge_weights import WeightedGraph, is_graph, weighted_graph
 
 __all__ = ["Chi2Kind", "chi2_kinds", "information_sentence", "kinds_data"]
 
@@ -108,12 +109,22 @@ def chi2_kinds(source: Any, options: Any = None, **changes: Any) -> tuple[Chi2Ki
         if options is not None or changes:
             found = brief(changes or options)
             raise InputError(f"options: expected only with a pose graph, found {found}")
-        return _kinds_of_factors(source)
+        source.check_free()
+        poses = pose_graph_of(source)
+        if poses is None:
+            return _kinds_of_factors(source)
+        return _kinds_of_edges(weighted_graph(poses.graph, None, {}, "chi2_kinds"), source)
     if not is_graph(source):
         raise InputError(
             f"source: expected a graph or the result of its solve, found {brief(source)}"
         )
-    weighted = weighted_graph(source, options, changes, "chi2_kinds")
+    return _kinds_of_edges(weighted_graph(source, options, changes, "chi2_kinds"))
+
+
+def _kinds_of_edges(
+    weighted: WeightedGraph, factors: FactorGraph | None = None
+) -> tuple[Chi2Kind, ...]:
+    """Return the kinds of edges; if ``factors`` state the graph, the classes of factors."""
     out = _core.graph_covariance(
         weighted.graph, weighted.options.error, False, True, [], weighted.options.num_threads
     )
@@ -121,7 +132,10 @@ def chi2_kinds(source: Any, options: Any = None, **changes: Any) -> tuple[Chi2Ki
         return ()
     given, edges = weighted.given, weighted.edges
     chi2 = _core.edge_chi2(weighted.graph, weighted.options.error)
-    names = np.where(given.is_closure[edges], "closure", "odometry")
+    if factors is None:
+        names = np.where(given.is_closure[edges], "closure", "odometry")
+    else:
+        names = np.array([type(factor).__name__ for factor in factors.factors])[edges]
     weight = weighted.weights[edges]
     # left-out edges have no part in the solve: those that stay are a selection
     is_selected = len(edges) < given.num_edges
