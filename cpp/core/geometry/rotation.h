@@ -13,8 +13,9 @@
 ///   J_l(w) = I + B W + C W^2,         C = (a - sin(a)) / a^3
 ///
 /// (Sola, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics", 2018, eq. 145).
-/// All three coefficients are entire functions of a^2. Below a^2 = 1e-4, the formula of C loses all
-/// digits. There we use their Taylor series to a^6, whose first dropped term is below 1e-20.
+/// All three coefficients are entire functions of a^2. For small a, the formula of C loses its
+/// digits. Below a^2 = 1/4 we use their Taylor series to a^12, whose first dropped term is below
+/// 5e-17 of the sum. Most steps of a solve are that small, and a series is faster than sines.
 ///
 /// A unit quaternion (v, s) = (sin(a/2) u, cos(a/2)) is the rotation Exp(a u). q and -q are the
 /// same rotation; the one with s >= 0 has a in [0, pi]:
@@ -44,13 +45,30 @@ struct RotationCoefficients {
   double a, b, c;
 };
 
+/// 1 / k!
+struct InverseFactorials {
+  double of[38];
+  constexpr InverseFactorials() : of() {
+    double factorial = 1;
+    for (int k = 0; k < 38; ++k) {
+      if (k > 0) factorial *= k;
+      of[k] = 1 / factorial;
+    }
+  }
+};
+inline constexpr InverseFactorials kInverseFactorials;
+
+/// sum (-s)^n / (2n + k)! up to s^6
+inline double SmallAngleSeries(double s, int k) {
+  double sum = 0;
+  for (int n = 6; n >= 0; --n) sum = kInverseFactorials.of[2 * n + k] - s * sum;
+  return sum;
+}
+
 /// A, B and C of the derivation above, as functions of the squared angle.
 inline RotationCoefficients ExpCoefficients(double angle_squared) {
   const double s = angle_squared;
-  if (s < 1e-4) {
-    return {1 - s / 6 * (1 - s / 20 * (1 - s / 42)), 0.5 - s / 24 * (1 - s / 30 * (1 - s / 56)),
-            1.0 / 6 - s / 120 * (1 - s / 42 * (1 - s / 72))};
-  }
+  if (s < 0.25) return {SmallAngleSeries(s, 1), SmallAngleSeries(s, 2), SmallAngleSeries(s, 3)};
   const double angle = std::sqrt(s);
   // 1 - cos(a) = 2 sin^2(a/2) keeps its digits for small a.
   const double sin_half = std::sin(0.5 * angle);
@@ -90,11 +108,9 @@ inline void ExpRotation(const double w[3], double rotation[9], double left_jacob
 /// The quaternion (x y z w) of Exp(w).
 inline void ExpQuaternion(const double w[3], double q[4]) {
   const double angle_squared = w[0] * w[0] + w[1] * w[1] + w[2] * w[2];
-  const double sinc_half = 0.5 * ExpCoefficients(0.25 * angle_squared).a;
-  q[0] = sinc_half * w[0];
-  q[1] = sinc_half * w[1];
-  q[2] = sinc_half * w[2];
-  q[3] = std::cos(0.5 * std::sqrt(angle_squared));
+  const RotationCoefficients half = ExpCoefficients(0.25 * angle_squared);
+  for (int i = 0; i < 3; ++i) q[i] = 0.5 * half.a * w[i];
+  q[3] = 1 - 0.25 * angle_squared * half.b;  // cos(a) = 1 - a^2 B
 }
 
 /// The rotation of a quaternion (x y z w) of any nonzero norm.

@@ -134,6 +134,17 @@ std::vector<int32_t> FindComponents(int64_t num_poses, int64_t num_edges, const 
 }
 
 template <typename Group>
+std::vector<double> PoseRecords(const std::vector<double>& poses) {
+  const size_t count = poses.size() / Group::kAmbient;
+  std::vector<double> records(count * Group::kRecord);
+  SelectEdgeKernels<Group>().records(poses.data(), static_cast<int64_t>(count), records.data());
+  return records;
+}
+
+template std::vector<double> PoseRecords<Se2>(const std::vector<double>&);
+template std::vector<double> PoseRecords<Se3>(const std::vector<double>&);
+
+template <typename Group>
 std::vector<double> EdgeChi2AtRecords(const PoseGraph& graph, const std::vector<double>& records) {
   std::vector<int64_t> edges(graph.num_edges());
   std::iota(edges.begin(), edges.end(), int64_t{0});

@@ -97,7 +97,11 @@ std::vector<int32_t> FindComponents(int64_t num_poses, int64_t num_edges, const 
 /// r^T Omega r of each edge at `poses`, without the loss and without 1/2.
 std::vector<double> EdgeChi2(const PoseGraph& graph, const std::vector<double>& poses);
 
-/// The same from the records of the poses (relative_pose.h).
+/// The records of poses (relative_pose.h).
+template <typename Group>
+std::vector<double> PoseRecords(const std::vector<double>& poses);
+
+/// r^T Omega r of each edge from the records of the poses.
 template <typename Group>
 std::vector<double> EdgeChi2AtRecords(const PoseGraph& graph, const std::vector<double>& records);
 

@@ -41,8 +41,6 @@
 /// No error function is smooth there.
 
 #include <cmath>
-#include <cstddef>
-#include <vector>
 
 #include "core/geometry/retraction.h"
 #include "core/geometry/rigid_motion.h"
@@ -89,16 +87,6 @@ struct Se3 {
     Record(moved, record);
   }
 };
-
-template <typename Group>
-std::vector<double> PoseRecords(const std::vector<double>& poses) {
-  const size_t count = poses.size() / Group::kAmbient;
-  std::vector<double> records(count * Group::kRecord);
-  for (size_t i = 0; i < count; ++i) {
-    Group::Record(&poses[i * Group::kAmbient], &records[i * Group::kRecord]);
-  }
-  return records;
-}
 
 /// The record of X^-1 Y in the plane, from records.
 template <typename T>

@@ -122,5 +122,27 @@ TYPED_TEST(EdgeKernelsTest, AnyDivisionGivesTheSameBits) {
   EXPECT_EQ(chi2, one);
 }
 
+TEST(EdgeKernels, PlanarRecordsHaveCosinesAndSinesToRounding) {
+  constexpr double kPi = 3.141592653589793;
+  std::vector<double> angles = {0, 1e-300, 1e-9, 0.7853981, 0.7853982, 999999.9, 1000000.1, 1e300};
+  for (int quarter = 0; quarter <= 8; ++quarter) angles.push_back(quarter * kPi / 2);
+  std::mt19937 random(3);
+  std::uniform_real_distribution<double> exponent(-3, 6);
+  while (angles.size() < 1000) angles.push_back(std::pow(10, exponent(random)));
+  std::vector<double> poses, records(2 * angles.size() * Se2::kRecord);
+  for (const double angle : angles) poses.insert(poses.end(), {1, 2, angle, 3, 4, -angle});
+  const auto count = static_cast<int64_t>(2 * angles.size());
+  SelectEdgeKernels<Se2>().records(poses.data(), count, records.data());
+  for (int64_t i = 0; i < count; ++i) {
+    const double *const pose = &poses[3 * i], *const record = &records[i * Se2::kRecord];
+    for (int k = 0; k < 3; ++k) EXPECT_EQ(record[k], pose[k]);
+    EXPECT_NEAR(record[3], std::cos(pose[2]), 2.3e-16) << pose[2];
+    EXPECT_NEAR(record[4], std::sin(pose[2]), 2.3e-16) << pose[2];
+    double one[Se2::kRecord];
+    SelectEdgeKernels<Se2>().records(pose, 1, one);
+    for (int k = 0; k < Se2::kRecord; ++k) EXPECT_EQ(record[k], one[k]);
+  }
+}
+
 }  // namespace
 }  // namespace bundle

@@ -1,10 +1,10 @@
 #pragma once
 
-/// Passes over the edges of a pose graph, several edges at a time, compiled once for each
+/// Passes over the edges or the poses of a pose graph, several at a time, compiled once for each
 /// instruction set (edge_lanes.cpp).
 ///
-/// The results of an edge do not depend on the edges that are computed with it: any division of a
-/// pass gives the same bits.
+/// The results of an edge or a pose do not depend on those that are computed with it: any division
+/// of a pass gives the same bits.
 
 #include <cstdint>
 
@@ -27,6 +27,8 @@ struct EdgeKernels {
   void (*linearize)(const EdgeArrays& arrays, const int64_t* edges, int64_t count, double* terms);
   /// ||r~||^2 of each, without the loss.
   void (*chi2)(const EdgeArrays& arrays, const int64_t* edges, int64_t count, double* chi2);
+  /// The record of each pose.
+  void (*records)(const double* poses, int64_t count, double* records);
 };
 
 /// The kernels of the best instruction set that the machine has and BUNDLE_INSTRUCTION_SET allows.

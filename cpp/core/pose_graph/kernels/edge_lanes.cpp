@@ -10,30 +10,23 @@
 ///
 /// Sixteen terms are sufficient: s^16 / 33! is below 1e-20 at pi^2. At the end of its range B is
 /// 2 / pi^2, and no sum loses more than a digit.
+///
+/// The cosine and the sine of an angle have series of the rest r = angle - q pi / 2, at most pi /
+/// 4, with pi / 2 in two parts: q times the first one is exact (Cody and Waite, Software Manual for
+/// the Elementary Functions, 1980).
 
 #include "core/parallel/pack.h"
 #include "core/pose_graph/edge_kernel.h"
 #include "core/pose_graph/kernels/edge_kernels.h"
 
 extern "C" double atan2(double, double) noexcept;
+extern "C" double cos(double) noexcept;
+extern "C" double sin(double) noexcept;
 extern "C" double remainder(double, double) noexcept;
 
 namespace bundle::BUNDLE_ISA {
 
 constexpr int kTerms = 16;
-
-/// 1 / k! of k = 0 ... 2 kTerms + 5.
-struct Factorials {
-  double inverse[2 * kTerms + 6];
-  constexpr Factorials() : inverse() {
-    double factorial = 1;
-    for (int k = 0; k < 2 * kTerms + 6; ++k) {
-      if (k > 0) factorial *= k;
-      inverse[k] = 1 / factorial;
-    }
-  }
-};
-constexpr Factorials kFactorials;
 
 /// asin(y) / y = sum of[n] y^2n = sum binomial(2n, n) / (2n + 1) (y / 2)^2n
 struct ArcsineTerms {
@@ -53,7 +46,7 @@ template <typename Weight>
 inline Pack Series(const Pack& s, int k, const Weight& weight) {
   Pack sum = 0.0;
   for (int n = kTerms - 1; n >= 0; --n) {
-    sum = weight(n) * kFactorials.inverse[2 * n + k] - s * sum;
+    sum = weight(n) * kInverseFactorials.of[2 * n + k] - s * sum;
   }
   return sum;
 }
@@ -104,6 +97,28 @@ inline Pack WrapAngle(const Pack& angle) {
     if (is_inside.bits[i] == 0) wrapped.v[i] = ::remainder(angle.v[i], 2 * kPi);
   }
   return wrapped;
+}
+
+inline void CosineAndSine(const Pack& angle, Pack* cosine, Pack* sine) {
+  constexpr double kFirstPart = 0x1.921fb544p+0, kSecondPart = 6.077100506506192e-11;
+  constexpr double kToWhole = 0x1.8p+52;  // added to a number, it rounds it to a whole one
+  constexpr double kLargest = 1e6;
+  const Pack shifted = angle * 0.6366197723675814 + kToWhole, q = shifted - kToWhole;
+  const Pack r = (angle - q * kFirstPart) - q * kSecondPart;
+  const Pack c = Series(r * r, 0), s = r * Series(r * r, 1);
+  const auto quarter = reinterpret_cast<Pack::Bits>(shifted.v) & 3;
+  const Mask is_odd{(quarter & 1) != 0};
+  *cosine = Select(is_odd, s, c);
+  *sine = Select(is_odd, c, s);
+  *cosine = Select(Mask{((quarter + 1) & 2) != 0}, -*cosine, *cosine);
+  *sine = Select(Mask{(quarter & 2) != 0}, -*sine, *sine);
+  const Mask is_inside = (angle <= kLargest) & (angle >= -kLargest);
+  if (All(is_inside)) return;
+  for (int i = 0; i < kLanes; ++i) {
+    if (is_inside.bits[i] != 0) continue;
+    cosine->v[i] = ::cos(angle.v[i]);
+    sine->v[i] = ::sin(angle.v[i]);
+  }
 }
 
 namespace {
@@ -167,9 +182,39 @@ void Chi2(const EdgeArrays& arrays, const int64_t* edges, int64_t count, double*
   }
 }
 
+void PlanarRecords(const double* poses, int64_t count, double* out) {
+  double spare[Se2::kRecord];
+  for (int64_t first = 0; first < count; first += kLanes) {
+    const double* at[kLanes];
+    double* records[kLanes];
+    for (int lane = 0; lane < kLanes; ++lane) {
+      const bool is_last = first + lane >= count;
+      at[lane] = poses + (is_last ? count - 1 : first + lane) * Se2::kAmbient;
+      records[lane] = is_last ? spare : out + (first + lane) * Se2::kRecord;
+    }
+    Pack pose[3], cosine, sine;
+    const Pack zero = 0.0;
+    GatherTriples(at, pose);
+    CosineAndSine(pose[2], &cosine, &sine);
+    const Pack *const begin[4] = {pose, pose + 1, pose + 2, &cosine}, *const end[4] = {&sine, &zero,
+                                                                                       &zero,
+                                                                                       &zero};
+    ScatterRecords(begin, records, 0);
+    ScatterRecords(end, records, 4);
+  }
+}
+
+void SpatialRecords(const double* poses, int64_t count, double* out) {
+  for (int64_t i = 0; i < count; ++i) {
+    Se3::Record(poses + i * Se3::kAmbient, out + i * Se3::kRecord);
+  }
+}
+
 }  // namespace
 
-extern constexpr EdgeKernels<Se2> kPlanarEdgeKernels = {&Linearize<Se2>, &Chi2<Se2>};
-extern constexpr EdgeKernels<Se3> kSpatialEdgeKernels = {&Linearize<Se3>, &Chi2<Se3>};
+extern constexpr EdgeKernels<Se2> kPlanarEdgeKernels = {&Linearize<Se2>, &Chi2<Se2>,
+                                                        &PlanarRecords};
+extern constexpr EdgeKernels<Se3> kSpatialEdgeKernels = {&Linearize<Se3>, &Chi2<Se3>,
+                                                         &SpatialRecords};
 
 }  // namespace bundle::BUNDLE_ISA
