@@ -5,12 +5,12 @@
 /// region that rejects the first step must shrink from "no damping" to the curvature of the graph,
 /// and then follows a narrow valley in small steps: 22 systems on the set MIT instead of 7.
 ///
-/// Therefore a rejected step at a radius without effect starts a trial: a few plain Gauss-Newton
-/// steps, whatever their cost, until one ends below the cost before the trial. The solve continues
-/// from there. Without such a step it returns to the state before the trial, with a radius whose
-/// damping has an effect. Either way the cost of a solve never rises (the watchdog technique:
-/// Chamberlain, Powell, Lemarechal, Pedersen, Mathematical Programming Study 16, 1982; Nocedal,
-/// Wright: Numerical Optimization, 2nd ed., section 15.6).
+/// Therefore a rejected step at a radius without effect is the first of a trial: a few plain
+/// Gauss-Newton steps, whatever their cost, until one ends below the cost before the trial. The
+/// solve continues from there. Without such a step it returns to the state before the trial, with a
+/// radius whose damping has an effect. Either way the cost of a solve never rises (the watchdog
+/// technique: Chamberlain, Powell, Lemarechal, Pedersen, Mathematical Programming Study 16, 1982;
+/// Nocedal, Wright: Numerical Optimization, 2nd ed., section 15.6).
 ///
 /// Steps of a trial that are not below the cost before it count as rejected.
 
@@ -31,13 +31,14 @@ constexpr int kMostTrials = 4;
 /// The largest cost after a trial, relative to the one before: lower by more than rounding.
 constexpr double kLower = 1 - 1e-6;
 
-/// Counts the steps from record `begin` on that are not below `cost` as rejected.
+/// Counts the steps of a trial, from record `begin` to the first one below `cost`, as rejected if
+/// they are not below it.
 void CountRejected(double cost, size_t begin, MinimizerSummary* minimum) {
   for (size_t k = begin; k < minimum->iterations.size(); ++k) {
     IterationRecord& record = minimum->iterations[k];
     if (!record.step_is_successful) continue;
     record.cost_change = cost - record.cost;
-    if (record.cost < kLower * cost) continue;
+    if (record.cost < kLower * cost) return;
     record.step_is_successful = false;
     --minimum->num_successful_steps;
     ++minimum->num_unsuccessful_steps;
@@ -69,34 +70,38 @@ MinimizerSummary MinimizePoseGraph(const SolveOptions& options, const ProgressCa
       options.initial_trust_region_radius >= kRadiusWithoutEffect;
   if (!is_gauss_newton) return Minimize(options, progress, problem);
 
-  MinimizerSummary minimum;
-  for (int count = 0; count < kMostTrials; ++count) {
-    double cost = 0;
-    bool is_rejected = false;
-    minimum = MinimizeUntil(options, progress, problem, std::move(minimum), &is_rejected,
-                            [&](const IterationRecord& record) {
-                              if (record.step_is_successful) cost = record.cost;
-                              return !record.step_is_successful &&
-                                     record.trust_region_radius >= kRadiusWithoutEffect &&
-                                     record.iteration + kStepsOfTrial < options.max_num_iterations;
-                            });
-    if (!is_rejected) return minimum;
-
+  SolveOptions now = options;  // a trial that succeeds goes on with those of the solve
+  double cost = 0;
+  bool is_trial = false, is_rejected = false;
+  const auto is_to_be_tried = [&](const IterationRecord& record) {
+    if (is_trial && !(record.cost < kLower * cost)) return false;
+    if (is_trial) now = options;
+    is_trial = false;
+    if (record.step_is_successful) cost = record.cost;
+    return !record.step_is_successful && record.trust_region_radius >= kRadiusWithoutEffect &&
+           record.iteration + kStepsOfTrial < options.max_num_iterations;
+  };
+  MinimizerSummary minimum =
+      MinimizeUntil(now, progress, problem, {}, &is_rejected, is_to_be_tried);
+  for (int count = 0; is_rejected && count < kMostTrials; ++count) {
     const std::vector<double> before = problem->poses();
+    const double cost_before = cost;
     const size_t begin = minimum.iterations.size();
-    SolveOptions trial = options;
-    trial.min_relative_decrease = std::numeric_limits<double>::lowest();
-    trial.max_num_iterations = minimum.iterations.back().iteration + 1 + kStepsOfTrial;
-    bool is_lower = false;
+    const IterationRecord& rejected = minimum.iterations.back();
+    now.min_relative_decrease = std::numeric_limits<double>::lowest();
+    now.max_num_iterations = rejected.iteration + kStepsOfTrial;
+    if (rejected.step_norm > 0) problem->Accept();  // an invalid step has no candidate
+    is_trial = true;
     minimum =
-        MinimizeUntil(trial, progress, problem, std::move(minimum), &is_lower,
-                      [&](const IterationRecord& record) { return record.cost < kLower * cost; });
-    CountRejected(cost, begin, &minimum);
-    if (is_lower) continue;
+        MinimizeUntil(now, progress, problem, std::move(minimum), &is_rejected, is_to_be_tried);
+    CountRejected(cost_before, begin, &minimum);
+    if (!is_trial) continue;
     problem->Restore(before);
     if (minimum.interrupted) return minimum;
+    is_rejected = true;
     break;
   }
+  if (!is_rejected) return minimum;
   SolveOptions rest = options;
   rest.initial_trust_region_radius = kRadiusAfterTrial;
   return Minimize(rest, progress, problem, std::move(minimum));
