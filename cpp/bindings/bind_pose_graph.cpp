@@ -107,8 +107,9 @@ PoseErrorOptions ErrorsFromPython(const py::dict& options) {
 py::dict SolvePoseGraphFromPython(const py::object& graph, const Array<bool>& held,
                                   const Array<bool>& robust, const py::dict& options,
                                   const py::object& progress, const FillOrdering* order,
-                                  bool with_trials, const std::optional<Array<double>>& chi2) {
-  const GraphArrays arrays(graph);
+                                  bool with_trials, const std::optional<Array<double>>& chi2,
+                                  const GraphArrays::Poses& poses) {
+  const GraphArrays arrays(graph, poses);
   PoseGraphView view = ViewWithErrors(arrays, held);
   if (robust.size() != view.num_edges()) throw InputError("robust: expected a flag for each edge");
   view.robust = reinterpret_cast<const uint8_t*>(robust.data());
@@ -162,8 +163,9 @@ std::shared_ptr<PoseGraphEdges> PrepareEdgesFromPython(py::ssize_t num_poses,
       dimension, num_poses, edges.shape(0), edges.data(), measurements.data(), information.data()));
 }
 
-py::array EdgeChi2FromPython(const py::object& graph, const std::string& error) {
-  const GraphArrays arrays(graph);
+py::array EdgeChi2FromPython(const py::object& graph, const std::string& error,
+                             const GraphArrays::Poses& poses) {
+  const GraphArrays arrays(graph, poses);
   const PoseGraphView view = ViewWithErrors(arrays, arrays.fixed);
   PoseErrorOptions errors;
   errors.error = PoseErrorFromName(error);
@@ -319,15 +321,18 @@ void BindPoseGraph(py::module_& m) {
         py::arg("compression"));
   m.def("solve_pose_graph", &bundle::SolvePoseGraphFromPython, py::arg("graph"), py::arg("held"),
         py::arg("robust"), py::arg("options"), py::arg("progress"), py::arg("order") = nullptr,
-        py::arg("with_trials") = false, py::arg("chi2") = py::none());
+        py::arg("with_trials") = false, py::arg("chi2") = py::none(),
+        py::arg("poses") = py::none());
   m.def("order_poses", &bundle::OrderPoses, py::arg("graph"), py::arg("held"), py::arg("ordering"));
   m.def("pose_components", &bundle::PoseComponents, py::arg("num_poses"), py::arg("edges"));
   m.def("hold_poses", &bundle::HoldPosesFromPython, py::arg("graph"));
   py::class_<bundle::PoseGraphEdges, std::shared_ptr<bundle::PoseGraphEdges>>(m, "PoseGraphEdges")
-      .def_readonly("bad", &bundle::PoseGraphEdges::bad);
+      .def_readonly("bad", &bundle::PoseGraphEdges::bad)
+      .def_readonly("has_information", &bundle::PoseGraphEdges::has_information);
   m.def("prepare_edges", &bundle::PrepareEdgesFromPython, py::arg("num_poses"), py::arg("edges"),
         py::arg("measurements"), py::arg("information"));
-  m.def("edge_chi2", &bundle::EdgeChi2FromPython, py::arg("graph"), py::arg("error"));
+  m.def("edge_chi2", &bundle::EdgeChi2FromPython, py::arg("graph"), py::arg("error"),
+        py::arg("poses") = py::none());
   m.def("initial_poses", &bundle::InitialPoses, py::arg("graph"), py::arg("held"), py::arg("init"),
         py::arg("num_threads"), py::arg("order") = nullptr);
   m.def("start_cost", &bundle::StartCost, py::arg("graph"), py::arg("held"), py::arg("init"),

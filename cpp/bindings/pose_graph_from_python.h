@@ -7,6 +7,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "core/error.h"
@@ -17,16 +18,25 @@ namespace bundle {
 template <typename T>
 using Array = pybind11::array_t<T, pybind11::array::c_style>;
 
-/// Arrays of a bundle.PoseGraph, which has checked shapes and values.
+/// Arrays of a bundle.PoseGraph, which has checked shapes and values; `given` replaces its poses.
 struct GraphArrays {
-  explicit GraphArrays(const pybind11::handle& graph)
+  using Poses = std::optional<Array<double>>;
+
+  explicit GraphArrays(const pybind11::handle& graph, const Poses& given = {})
       : ids(pybind11::cast<Array<int64_t>>(graph.attr("ids"))),
         poses(pybind11::cast<Array<double>>(graph.attr("poses"))),
         fixed(pybind11::cast<Array<bool>>(graph.attr("fixed"))),
         edges(pybind11::cast<Array<int32_t>>(graph.attr("edges"))),
         measurements(pybind11::cast<Array<double>>(graph.attr("measurements"))),
         information(pybind11::cast<Array<double>>(graph.attr("information"))),
-        prepared(pybind11::cast<std::shared_ptr<PoseGraphEdges>>(graph.attr("prepared_edges"))) {}
+        prepared(pybind11::cast<std::shared_ptr<PoseGraphEdges>>(graph.attr("prepared_edges"))) {
+    if (!given) return;
+    if (given->ndim() != 2 || given->shape(0) != poses.shape(0) ||
+        given->shape(1) != poses.shape(1)) {
+      throw InputError("poses: expected an array of the shape of the graph's poses");
+    }
+    poses = *given;
+  }
 
   int dimension() const { return poses.shape(1) == 3 ? 2 : 3; }
   const uint8_t* fixed_data() const { return reinterpret_cast<const uint8_t*>(fixed.data()); }

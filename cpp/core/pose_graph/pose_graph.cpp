@@ -98,6 +98,8 @@ PoseGraphEdges PrepareEdges(int dimension, int64_t num_poses, int64_t num_edges,
       dimension == 2 ? PoseRecords<Se2>(edges.measurements) : PoseRecords<Se3>(edges.measurements);
   const int tangent = TangentSize(dimension);
   const int64_t root_size = RootSize(tangent);
+  edges.has_information = std::any_of(information, information + num_edges * tangent * tangent,
+                                      [](double value) { return value != 0; });
   edges.roots.resize(num_edges * root_size);
   for (int64_t e = 0; e < num_edges; ++e) {
     const double* const matrix = information + e * tangent * tangent;

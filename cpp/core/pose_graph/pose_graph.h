@@ -34,6 +34,7 @@ struct PoseGraphEdges {
   /// Edges whose information is asymmetric, not positive semidefinite or not finite. They have no
   /// root, so that no error can be evaluated.
   std::vector<int64_t> bad;
+  bool has_information = false;  ///< any edge has information other than 0
 };
 
 /// `ends`, `measurements`, `information`: num_edges x 2, x 3 or 7, x d x d.

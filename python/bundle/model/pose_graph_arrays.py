@@ -204,13 +204,12 @@ class PoseGraph(FrozenArrays, Displayed, Tabular):
 
     def replace(self, **changes: Any) -> PoseGraph:
         """Return a copy with some attributes changed."""
-        if not changes.keys() <= {"poses", "has_poses"}:
+        poses = immutable("poses", changes.get("poses", self.poses), np.float64)
+        if not changes.keys() <= {"poses", "has_poses"} or poses.shape != self.poses.shape:
             return dataclasses.replace(self, **changes)
         # The other arrays are checked and read-only.
         moved = object.__new__(type(self))
-        moved.__dict__.update(self.__dict__ | changes)
-        moved.__dict__["poses"] = immutable("poses", moved.poses, np.float64)
-        moved._check_shapes(len(moved.poses), self.num_edges)
+        moved.__dict__.update(self.__dict__ | changes, poses=poses)
         moved._check_motions("poses")
         return moved
 

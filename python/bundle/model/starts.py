@@ -56,7 +56,6 @@ class Start:
         reason: reason of the choice; "" if the user chose.
         starts: poses of the starts that were compared, by name.
         costs: their costs without a loss, by name.
-        graph: the graph with these poses, if it was made.
         chi2: (m,) r^T Omega r of each edge there, if it was computed.
     """
 
@@ -65,7 +64,6 @@ class Start:
     reason: str = ""
     starts: dict[str, Floats] | None = None
     costs: dict[str, float] | None = None
-    graph: PoseGraph | None = None
     chi2: Floats | None = None
 
 
@@ -116,14 +114,11 @@ def choose_lower(
     except InputError:  # its system is singular
         return Start(poses=graph.poses, init="file")
     starts = {"file": graph.poses, "chordal": chordal}
-    moved = graph.replace(poses=chordal)
-    file_chi2, chordal_chi2 = _core.edge_chi2(graph, error), _core.edge_chi2(moved, error)
+    file_chi2, chordal_chi2 = _core.edge_chi2(graph, error), _core.edge_chi2(graph, error, chordal)
     file_cost, chordal_cost = 0.5 * float(file_chi2.sum()), 0.5 * float(chordal_chi2.sum())
     costs = {"file": file_cost, "chordal": chordal_cost}
     if not chordal_cost < file_cost:
-        return Start(
-            poses=graph.poses, init="file", starts=starts, costs=costs, graph=graph, chi2=file_chi2
-        )
+        return Start(poses=graph.poses, init="file", starts=starts, costs=costs, chi2=file_chi2)
     reason = (
         f"The chordal start: twice its cost is {number(2 * chordal_cost)}, that of the given poses "
         f"{number(2 * file_cost)}."
@@ -134,7 +129,6 @@ def choose_lower(
         reason=reason,
         starts=starts,
         costs=costs,
-        graph=moved,
         chi2=chordal_chi2,
     )
 
@@ -158,7 +152,7 @@ def choose_start(graph: PoseGraph, held: Flags, doubted: Flags, options: PoseGra
     starts = _starts(graph, held, options.num_threads)
 
     def reached(init: str, steps: int) -> float:
-        return _reached(graph.replace(poses=starts[init]), held, doubted, options, steps)
+        return _reached(graph, starts[init], held, doubted, options, steps)
 
     early = {init: reached(init, FEW) for init in starts}
     level = (1 + SAME) * min(early.values())
@@ -204,15 +198,16 @@ def lower_start(
     ):
         return ""
     starts = _starts(graph, held, options.num_threads, start.starts)
-    others = {
-        init: graph.replace(poses=poses) for init, poses in starts.items() if init != start.init
-    }
+    others = {init: poses for init, poses in starts.items() if init != start.init}
     when = "before any step"
-    costs = {init: cost(_core.edge_chi2(there, options.error)) for init, there in others.items()}
+    costs = {
+        init: cost(_core.edge_chi2(graph, options.error, poses)) for init, poses in others.items()
+    }
     if is_slow and options.loss != "gnc_tls" and not is_lower(costs):
         when = f"after {FEW} steps"
         costs = {
-            init: _reached(there, held, doubted, options, FEW) for init, there in others.items()
+            init: _reached(graph, poses, held, doubted, options, FEW)
+            for init, poses in others.items()
         }
     if not is_lower(costs):
         return ""
@@ -249,11 +244,16 @@ def _comparison(graph: PoseGraph, end: float) -> Callable[[dict[str, float]], bo
 
 
 def _reached(
-    there: PoseGraph, held: Flags, doubted: Flags, options: PoseGraphOptions, steps: int
+    graph: PoseGraph,
+    poses: Floats,
+    held: Flags,
+    doubted: Flags,
+    options: PoseGraphOptions,
+    steps: int,
 ) -> float:
-    """Return the cost after a number of steps."""
+    """Return the cost after a number of steps from given poses."""
     few = options.replace(max_num_iterations=min(steps, options.max_num_iterations))
-    solved = _core.solve_pose_graph(there, held, doubted, few.asdict(), None)
+    solved = _core.solve_pose_graph(graph, held, doubted, few.asdict(), None, poses=poses)
     cost = float(solved["summary"]["final_cost"])
     return cost if np.isfinite(cost) else np.inf
 

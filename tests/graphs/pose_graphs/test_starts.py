@@ -278,8 +278,8 @@ def test_what_counts_is_where_more_steps_lead(monkeypatch):
     def chosen():
         poses = starts._starts(graph, held, 1)
 
-        def reached(there, _held, _doubted, _options, steps):
-            init = next(k for k in poses if (poses[k] == there.poses).all())
+        def reached(_graph, there, _held, _doubted, _options, steps):
+            init = next(k for k in poses if (poses[k] == there).all())
             return few[init] if steps == starts.FEW else more[init]
 
         monkeypatch.setattr(starts, "_reached", reached)

@@ -146,7 +146,7 @@ class _Solves:
         if self.output["summary"]["interrupted"]:
             raise _Interrupted
         poses = self.output["poses"]
-        return poses, _core.edge_chi2(self.graph.replace(poses=poses), options.error)
+        return poses, _core.edge_chi2(self.graph, options.error, poses)
 
 
 def solve_gnc(
@@ -183,7 +183,7 @@ def solve_gnc(
         solves.finish(weights, best.poses)
     except _Interrupted:
         pass
-    after = _core.edge_chi2(graph.replace(poses=solves.output["poses"]), options.error)
+    after = _core.edge_chi2(graph, options.error, solves.output["poses"])
     costs = {"initial_cost": search.cost(before) / 2, "final_cost": search.cost(after) / 2}
     return solves.output | {
         "chi2_before": freeze(before.copy()),

@@ -71,8 +71,8 @@ def solve_consistent(graph: PoseGraph, options: PoseGraphOptions, solve: Solve) 
         ),
         options.replace(consistency=False),
     )
-    after = _core.edge_chi2(weighed.replace(poses=solved.problem.poses), options.error).copy()
-    before = _core.edge_chi2(weighed.replace(poses=start), options.error).copy()
+    after = _core.edge_chi2(weighed, options.error, solved.problem.poses).copy()
+    before = _core.edge_chi2(weighed, options.error, start).copy()
     after[edges], before[edges] = solved.chi2_after, solved.chi2_before
     weights = np.zeros(graph.num_edges)
     weights[edges] = solved.weights
@@ -152,7 +152,9 @@ def solve_pose_graph(
     options = PoseGraphOptions.of(options, changes, "solve")
     check_function("progress", progress)
     cores = _core.hardware_threads()
-    options = options.replace(num_threads=min(options.num_threads or cores, cores))
+    num_threads = min(options.num_threads or cores, cores)
+    if num_threads != options.num_threads:
+        options = options.replace(num_threads=num_threads)
 
     def solve(given: PoseGraph, how: PoseGraphOptions) -> PoseGraphResult:
         if how.consistency:
@@ -195,7 +197,6 @@ def _refined(
         start = started(weighed, held, options.init, options.num_threads)
         if options.loss == "trivial" and options.backend != "ceres":
             order = _core.order_poses(weighed, held, options.ordering)
-    started_graph = start.graph or weighed.replace(poses=start.poses)
     c_squared = options.loss_scale**2 * ONE_IN_2000[graph.tangent_size]
     proposals: list[Proposal] = []
 
@@ -203,9 +204,18 @@ def _refined(
         if how.loss == "gnc_tls":
             from bundle.graphs.pose_graphs.gnc_solve import solve_gnc
 
-            return solve_gnc(started_graph, held, doubted, how, progress, proposals)
+            there = weighed.replace(poses=start.poses)
+            return solve_gnc(there, held, doubted, how, progress, proposals)
         found = _core.solve_pose_graph(
-            started_graph, held, doubted, how.asdict(), progress, order, with_trials, start.chi2
+            weighed,
+            held,
+            doubted,
+            how.asdict(),
+            progress,
+            order,
+            with_trials,
+            start.chi2,
+            start.poses,
         )
         if options.loss == "auto" and how.loss != "trivial":
             proposals.append((found["chi2_after"] <= c_squared, found["poses"]))
@@ -333,7 +343,7 @@ def _robust_edges(graph: PoseGraph, options: PoseGraphOptions) -> NDArray[np.boo
 
 
 def _about_information(graph: PoseGraph) -> str:
-    if not graph.num_edges or graph.information.any():
+    if not graph.num_edges or graph.prepared_edges.has_information:
         return ""
     return "No edge has information other than 0: any poses have cost 0."
 
