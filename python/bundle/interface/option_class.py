@@ -33,7 +33,7 @@ class Options:
         return super().__new__(cls)
 
     def __post_init__(self) -> None:
-        self._check(_declared(type(self)).fields)
+        self._check(_declared(type(self)).fields.values())
 
     def _check(self, fields: Iterable[dataclasses.Field[Any]]) -> None:
         for field in fields:
@@ -63,7 +63,7 @@ class Options:
     @classmethod
     def names(cls) -> tuple[str, ...]:
         """Return the name of every option."""
-        return tuple(field.name for field in _declared(cls).fields)
+        return tuple(_declared(cls).fields)
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some options changed."""
@@ -71,22 +71,24 @@ class Options:
 
     def asdict(self) -> dict[str, Any]:
         """Return every option by name."""
-        return {field.name: getattr(self, field.name) for field in _declared(type(self)).fields}
+        return {name: getattr(self, name) for name in _declared(type(self)).fields}
 
     def changed(self) -> dict[str, Any]:
         """Return the options that differ from their defaults, by name."""
         return {
             field.name: getattr(self, field.name)
-            for field in _declared(type(self)).fields
+            for field in _declared(type(self)).fields.values()
             if getattr(self, field.name) != field.default
         }
 
     def _changed(self, caller: str, changes: Mapping[str, Any]) -> Self:
         """Return a copy with changes; only the changes are checked again."""
-        check_keywords(caller, changes, spellings(type(self)))
+        fields = _declared(type(self)).fields
+        if not changes.keys() <= fields.keys():
+            check_keywords(caller, changes, spellings(type(self)))
         copy = object.__new__(type(self))
         copy.__dict__.update(self.__dict__, **changes)
-        copy._check(field for field in _declared(type(self)).fields if field.name in changes)
+        copy._check(map(fields.__getitem__, changes))
         return copy
 
     def without_idle(self) -> Self:
@@ -101,7 +103,7 @@ class Options:
     def __repr__(self) -> str:
         """Return every option, one per line; a comment marks those that are not the default."""
         lines = []
-        for field in _declared(type(self)).fields:
+        for field in _declared(type(self)).fields.values():
             value = getattr(self, field.name)
             note = "" if value == field.default else f"  # default: {field.default!r}"
             lines.append(f"    {field.name}={value!r},{note}")
@@ -139,7 +141,7 @@ class _Documentation:
 
     def __get__(self, _options: Any, kind: type[Options]) -> str:
         lines = [self.text.rstrip(), "", "    Attributes:"]
-        for field in _declared(kind).fields:
+        for field in _declared(kind).fields.values():
             metavar = field.metadata["metavar"]
             value = " ".join(metavar) if isinstance(metavar, tuple) else metavar or ""
             choices = field.metadata["choices"]
@@ -168,7 +170,7 @@ def takes_options(kind: type[Options]) -> Callable[[Function], Function]:
         names = {parameter.name for parameter in own}
         options = [
             inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default)
-            for field in _declared(kind).fields
+            for field in _declared(kind).fields.values()
             if field.name not in names
         ]
         shown = signature.replace(parameters=[*own, *options])
@@ -186,7 +188,7 @@ def spellings(kind: type[Options]) -> Mapping[str, str]:
 class _Declared(NamedTuple):
     """Fields of an option class, and values derived from them."""
 
-    fields: tuple[dataclasses.Field[Any], ...]
+    fields: Mapping[str, dataclasses.Field[Any]]
     dependent: tuple[dataclasses.Field[Any], ...]
     spellings: Mapping[str, str]
 
@@ -201,7 +203,7 @@ def _cached_declared(kind: Any) -> _Declared:
     flags = {field.metadata["flag"]: field.name for field in fields}
     names = {field.name: field.name for field in fields}
     return _Declared(
-        fields=fields,
+        fields=MappingProxyType({field.name: field for field in fields}),
         dependent=tuple(field for field in fields if field.metadata["only_with"] is not None),
         spellings=MappingProxyType(flags | names),
     )

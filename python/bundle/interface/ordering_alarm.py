@@ -18,7 +18,6 @@ The alarm counts flops, not seconds, and is therefore the same on every machine.
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -100,6 +99,8 @@ def with_ordering_alarm(
 
 def checksum(arrays: Iterable[NDArray[Any]]) -> str:
     """Return a checksum of the bytes of arrays."""
+    import zlib  # long solves only
+
     sums = 0, 1
     for array in arrays:
         data = np.ascontiguousarray(array).data

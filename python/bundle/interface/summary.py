@@ -153,9 +153,9 @@ class Summary(Displayed):
         kind: Any = type(self)  # mypy does not take the class of an object with a hash for hashable
         defaults = _defaults(kind)
         values = defaults | fields  # in the order of the fields
-        missing = [name for name, value in values.items() if value is dataclasses.MISSING]
-        unknown = [name for name in fields if name not in defaults]
-        if missing or unknown:
+        if len(values) > len(defaults) or dataclasses.MISSING in values.values():
+            missing = [name for name, value in values.items() if value is dataclasses.MISSING]
+            unknown = [name for name in fields if name not in defaults]
             raise TypeError(
                 f"{kind.__name__}: expected its fields by name, missing: "
                 f"{', '.join(missing) or '-'}, unknown: {', '.join(unknown) or '-'}"

@@ -13,7 +13,6 @@ from bundle.interface.option_class import takes_options
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.solve_record import Progress
-from bundle.interface.validation_options import HoldOutOptions
 from bundle.io.files import Source, as_problem
 from bundle.io.g2o_files import load_g2o
 from bundle.io.recognition import is_pose_graph_file
@@ -203,6 +202,7 @@ def solve(
         from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
 
         return solve_pose_graph(problem, options, progress=progress, **changes)  # type: ignore[arg-type]
+    from bundle.interface.validation_options import HoldOutOptions
     from bundle.solving.executors import solve_prepared
     from bundle.solving.prepare import prepare
     from bundle.solving.request import SolveRequest
