@@ -4,15 +4,15 @@ Prints, for each data set and a synthetic graph of many poses, seconds from the 
 the refined poses, linear systems solved, and chi2 at the end, whose errors are GTSAM's ("log"), of
 g2o its own ("g2o", another optimum). Everybody has one stopping rule, a relative change of the cost
 below 1e-6, and starts at the poses of the file, in ``FROM_CHORDAL`` and the synthetic graph at the
-chordal start, because GTSAM and g2o end elsewhere from the file. The solvers take turns; the table
-has medians.
+chordal start, because GTSAM and g2o end elsewhere from the file. The solvers take turns, each time
+in another order, and read the file right before their time; the table has medians.
 
 GTSAM takes the fastest of its Gauss-Newton and Levenberg-Marquardt methods, each by multifrontal
 and by sequential Cholesky factorisation, in the order of COLAMD; METIS' was slower on each set. Its
-``NonlinearFactorGraph`` is made outside the time, as are bundle's ``PoseGraph`` and g2o's
-``SparseOptimizer``. Ceres gets bundle's analytic Jacobians and a radius of 1e16, which makes its
-steps those of Gauss-Newton. g2o (PyPI: g2opy, by g2o's author) takes Gauss-Newton with Eigen's
-sparse Cholesky, in the order of blocks; its wheels have no CHOLMOD.
+``NonlinearFactorGraph`` is made outside the time, as are bundle's ``PoseGraph``, without what it
+prepares for solves, and g2o's ``SparseOptimizer``. Ceres gets bundle's analytic Jacobians and a
+radius of 1e16, which makes its steps those of Gauss-Newton. g2o (PyPI: g2opy, by g2o's author)
+takes Gauss-Newton with Eigen's sparse Cholesky, in the order of blocks; its wheels have no CHOLMOD.
 
 Run: OPENBLAS_NUM_THREADS=1 python -m benchmarks.pose_graphs [--threads N] [--only NAME,...]
 [--repeat N] [--poses N] [--no-synthetic] [--json FILE]
@@ -24,6 +24,7 @@ import argparse
 import bz2
 import itertools
 import os
+import random
 import sys
 import tempfile
 import time
@@ -56,10 +57,11 @@ class Measured(NamedTuple):
     chi2: float
 
 
-def by_bundle(backend: str, threads: int) -> Callable[[bundle.PoseGraph, Path], Measured]:
+def by_bundle(backend: str, threads: int) -> Callable[[Path], Measured]:
     """Return a solve by one of bundle's backends."""
 
-    def run(graph: bundle.PoseGraph, _: Path) -> Measured:
+    def run(path: Path) -> Measured:
+        graph = bundle.load(path)
         start = time.perf_counter()
         result = bundle.solve(
             graph,
@@ -75,7 +77,7 @@ def by_bundle(backend: str, threads: int) -> Callable[[bundle.PoseGraph, Path], 
     return run
 
 
-def by_gtsam(_: bundle.PoseGraph, path: Path) -> Measured:
+def by_gtsam(path: Path) -> Measured:
     """Solve by the fastest method of GTSAM that reaches its least chi2.
 
     A strong prior holds the first pose.
@@ -111,7 +113,7 @@ def by_gtsam(_: bundle.PoseGraph, path: Path) -> Measured:
     return min(run for run in runs if run.chi2 <= (1 + SAME_END) * least)
 
 
-def by_g2o(_: bundle.PoseGraph, path: Path) -> Measured:
+def by_g2o(path: Path) -> Measured:
     """Solve by g2o's Gauss-Newton, the first pose fixed; the errors are g2o's."""
     import g2opy
 
@@ -195,10 +197,11 @@ def measured(
                 graph = graph.replace(poses=bundle.initial_poses(graph, "chordal"))
             bundle.save(graph, path)
             runs: dict[str, list[dict[str, float]]] = {solver: [] for solver in solvers}
+            turns = random.Random(0)
             for _ in range(repeats):
-                for solver, solve in solvers.items():
+                for solver in turns.sample(list(solvers), len(solvers)):
                     try:
-                        runs[solver].append(solve(graph, path)._asdict())
+                        runs[solver].append(solvers[solver](path)._asdict())
                     except (ImportError, RuntimeError) as error:
                         print(f"{name}: {solver}: {str(error).splitlines()[0]}", file=sys.stderr)
             found[name] = runs
