@@ -103,8 +103,14 @@ class TrustRegion {
       record_.changes_what_counts = true;
       minimum_.untaken_decrease = 0;
     }
-    if (!LinearizeAtX()) {
-      return Terminate("FAILURE", "Initial residual and Jacobian evaluation failed.");
+    try {
+      if (!LinearizeAtX()) {
+        return Terminate("FAILURE", "Initial residual and Jacobian evaluation failed.");
+      }
+    } catch (const Interrupted&) {
+      if (minimum_.iterations.empty()) throw;  // no state was evaluated
+      minimum_.interrupted = true;
+      return TerminateByUser();
     }
     current_ = x_;
     record_.step_is_successful = true;

@@ -8,6 +8,8 @@
 #include <stdexcept>
 #include <vector>
 
+#include "core/parallel/thread_pool.h"
+
 namespace bundle {
 namespace {
 
@@ -26,6 +28,7 @@ class ScriptedProblem final : public PoseGraphProblem {
 
   Linearization Linearize(double damping) override {
     damping_ = damping;
+    if (interrupted_at == x_) throw Interrupted();
     linearized.push_back(x_);
     return {true, Now().cost, 0, 1, 1};
   }
@@ -63,6 +66,7 @@ class ScriptedProblem final : public PoseGraphProblem {
 
   int x() const { return x_; }
 
+  int interrupted_at = -1;
   std::vector<int> linearized, solved;  ///< states of the calls
 
  private:
@@ -130,6 +134,17 @@ TEST(GaussNewtonTrial, StaysWhereNoStepCanBeSolved) {
   EXPECT_EQ(problem.x(), 1);
   EXPECT_EQ(minimum.termination_type, "FAILURE");
   for (size_t k = 1; k < problem.solved.size(); ++k) EXPECT_EQ(problem.solved[k], 1);
+}
+
+TEST(GaussNewtonTrial, KeepsTheBestStateIfItIsInterrupted) {
+  ScriptedProblem problem({{10, 1, 1}, {40, 2, 2}, {9, 2, 2}});
+  problem.interrupted_at = 1;
+  const MinimizerSummary minimum = MinimizePoseGraph(GaussNewton(), nullptr, &problem);
+  EXPECT_TRUE(minimum.interrupted);
+  EXPECT_EQ(problem.x(), 0);
+  EXPECT_EQ(minimum.iterations.size(), 2U);
+  problem.interrupted_at = 0;
+  EXPECT_THROW(MinimizePoseGraph(GaussNewton(), nullptr, &problem), Interrupted);
 }
 
 TEST(GaussNewtonTrial, TriesAgainAfterATrialThatSucceeded) {
