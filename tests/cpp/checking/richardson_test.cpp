@@ -168,6 +168,34 @@ TEST(Richardson, LongerStepsAreToAgreeWithShorterOnes) {
   EXPECT_LT(found.uncertainty, 2e-6);
 }
 
+/// Beyond 0.01 the slope is 2, exactly and at several steps.
+TEST(Richardson, LongerStepsDoNotOverruleShorterOnes) {
+  const auto f = [](double x) { return std::abs(x) > 0.01 ? 2 * x : x; };
+  const Found found = Differentiate(f, 1.0 / 128, 2e-9);
+  EXPECT_NEAR(found.derivative, 1, found.uncertainty);
+}
+
+/// A jump at the point itself, which only the steps that confirm a result see.
+TEST(Richardson, LongerStepsRemoveNoDisagreement) {
+  const auto f = [](double x) { return x + 1e-7 * std::tanh(x / 1e-12); };
+  const Found found = Differentiate(f, 1.0 / 128, 2e-9);
+  EXPECT_GT(found.uncertainty, 100);
+}
+
+/// The first value is rounded and needs the longer step; the second is a staircase.
+TEST(Richardson, LongerStepsAreForRoundedValuesOnly) {
+  const double noise[] = {1e-7, 1};
+  double derivative[2], uncertainty[2];
+  const LineFunction line = [](double step, double* values) {
+    values[0] = std::sin(step);
+    values[1] = std::floor(3 * step + 0.3);
+    return true;
+  };
+  RichardsonDerivative(line, 2, 0.5, noise, derivative, uncertainty, 4);
+  EXPECT_LT(uncertainty[0], 1e-6);
+  EXPECT_GE(uncertainty[1], 1);
+}
+
 TEST(Richardson, NoStepIsLongerThanTheLongest) {
   const double noise = 2e-9, first = 1.0 / 128;
   for (const double longest : {0.0, first, 8 * first}) {
