@@ -168,6 +168,15 @@ TEST(Richardson, LongerStepsAreToAgreeWithShorterOnes) {
   EXPECT_LT(found.uncertainty, 2e-6);
 }
 
+/// A clamp stands still below its border, at any step, which is no jump.
+TEST(Richardson, TheBorderOfAClampIsNoNoise) {
+  for (const double border : {1e-2, 1e-3, 1e-4, 1e-5, 1e-6}) {
+    const auto f = [border](double x) { return std::clamp(-1 - border + x, -1.0, 1.0); };
+    const Found found = Differentiate(f, (1 + border) / 16, 1e-15);
+    EXPECT_NEAR(found.derivative, 0, found.uncertainty) << border;
+  }
+}
+
 /// Beyond 0.01 the slope is 2, exactly and at several steps.
 TEST(Richardson, LongerStepsDoNotOverruleShorterOnes) {
   const auto f = [](double x) { return std::abs(x) > 0.01 ? 2 * x : x; };

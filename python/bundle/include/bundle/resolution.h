@@ -5,8 +5,8 @@
 ///
 /// Values are compared at steps that grow by factors of 64. A value that stands still at a step and
 /// changes at the next by far more than its noise has the resolution of this change, at most 64
-/// times too much. At the largest step, this may also be a feature, as the border of a robust loss.
-/// Then the changes at several parts of the step decide: of jumps q, all are multiples of one.
+/// times too much. It may also be a feature, as the border of a robust loss or of a clamp. The
+/// changes at several parts of the step decide: of jumps q, all are multiples of one.
 
 #include <algorithm>
 #include <cmath>
@@ -80,8 +80,7 @@ inline Resolution FindResolution(const LineFunction& f, int num_values, double l
       jumps[i] = found.stood_still[i] && !moves[i] && unexplained;
       (change > 0 ? moves : found.stood_still)[i] = 1;
     }
-    const bool any_jumps = std::find(jumps.begin(), jumps.end(), 1) != jumps.end();
-    if (finer == 0 && any_jumps) {
+    if (std::find(jumps.begin(), jumps.end(), 1) != jumps.end()) {
       const std::vector<char> are_stairs = AreStairs(f, center, h);
       for (int i = 0; i < num_values; ++i) jumps[i] &= are_stairs[i];
     }
