@@ -196,9 +196,8 @@ void PlanarRecords(const double* poses, int64_t count, double* out) {
     const Pack zero = 0.0;
     GatherTriples(at, pose);
     CosineAndSine(pose[2], &cosine, &sine);
-    const Pack *const begin[4] = {pose, pose + 1, pose + 2, &cosine}, *const end[4] = {&sine, &zero,
-                                                                                       &zero,
-                                                                                       &zero};
+    const Pack* const begin[4] = {pose, pose + 1, pose + 2, &cosine};
+    const Pack* const end[4] = {&sine, &zero, &zero, &zero};
     ScatterRecords(begin, records, 0);
     ScatterRecords(end, records, 4);
   }
