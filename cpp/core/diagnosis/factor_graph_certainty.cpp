@@ -165,7 +165,7 @@ class Certainty {
     n_ = seed_;
     for (int k = 0; k < kSolvesOfNullSpace; ++k) {
       n_(system_.coordinates(), Eigen::all) -=
-          inverse(NormalProduct(n_)(system_.coordinates(), Eigen::all));
+          inverse(system_.ProductOfAll(n_)(system_.coordinates(), Eigen::all));
     }
     for (Eigen::Index c = 0; c < n_.cols(); ++c) {
       const VectorXd moved = n_(system_.coordinates(), c);
@@ -177,20 +177,6 @@ class Certainty {
     y_ = MatrixXd::Zero(n_.rows(), n_.cols());
     y_(system_.coordinates(), Eigen::all) = inverse(n_(system_.coordinates(), Eigen::all));
     k_ = n_.transpose() * y_;
-  }
-
-  /// J^T (J X) by tangent coordinates, held ones included.
-  MatrixXd NormalProduct(const MatrixXd& x) const {
-    MatrixXd product = MatrixXd::Zero(x.rows(), x.cols());
-    for (size_t r = 0; r < linear_.residual.size(); ++r) {
-      Eigen::RowVectorXd along = Eigen::RowVectorXd::Zero(x.cols());
-      const int64_t begin = linear_.row_begin[r], end = linear_.row_begin[r + 1];
-      for (int64_t k = begin; k < end; ++k) along += linear_.values[k] * x.row(linear_.columns[k]);
-      for (int64_t k = begin; k < end; ++k) {
-        product.row(linear_.columns[k]) += linear_.values[k] * along;
-      }
-    }
-    return product;
   }
 
   MatrixXd WithoutGauge(int i, int j, MatrixXd block) const {

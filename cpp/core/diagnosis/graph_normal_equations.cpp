@@ -168,22 +168,21 @@ MatrixXd GraphNormalEquations::Solve(const MatrixXd& x) {
 }
 
 MatrixXd GraphNormalEquations::Product(const MatrixXd& x) const {
+  MatrixXd all = MatrixXd::Zero(static_cast<Eigen::Index>(column_.size()), x.cols());
+  all(coordinates_, Eigen::all) = x;
+  return ProductOfAll(all)(coordinates_, Eigen::all);
+}
+
+MatrixXd GraphNormalEquations::ProductOfAll(const MatrixXd& x) const {
   MatrixXd result = MatrixXd::Zero(x.rows(), x.cols());
-  const auto num_rows = static_cast<int64_t>(linear_.residual.size());
   for (Eigen::Index c = 0; c < x.cols(); ++c) {
-    const double* const from = x.col(c).data();
-    double* const to = result.col(c).data();
-    for (int64_t r = 0; r < num_rows; ++r) {
+    const auto from = x.col(c);
+    auto to = result.col(c);
+    for (size_t r = 0; r < linear_.residual.size(); ++r) {
       const int64_t begin = linear_.row_begin[r], end = linear_.row_begin[r + 1];
       double along = 0;
-      for (int64_t k = begin; k < end; ++k) {
-        const int column = column_[linear_.columns[k]];
-        if (column >= 0) along += linear_.values[k] * from[column];
-      }
-      for (int64_t k = begin; k < end; ++k) {
-        const int column = column_[linear_.columns[k]];
-        if (column >= 0) to[column] += linear_.values[k] * along;
-      }
+      for (int64_t k = begin; k < end; ++k) along += linear_.values[k] * from[linear_.columns[k]];
+      for (int64_t k = begin; k < end; ++k) to[linear_.columns[k]] += linear_.values[k] * along;
     }
   }
   return result;

@@ -49,6 +49,8 @@ class GraphNormalEquations {
   Eigen::MatrixXd Solve(const Eigen::MatrixXd& x);
   /// H X
   Eigen::MatrixXd Product(const Eigen::MatrixXd& x) const;
+  /// J^T (J X) by all tangent coordinates, constant ones included.
+  Eigen::MatrixXd ProductOfAll(const Eigen::MatrixXd& x) const;
 
   /// Replaces the factor by the blocks of the inverse.
   void Invert();
