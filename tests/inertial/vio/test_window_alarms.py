@@ -149,9 +149,12 @@ def test_a_healthy_flight_ends_without_an_alarm(motion: str, seed: int) -> None:
     assert not any(record.alarms for record in found.keyframes)
 
 
-def test_wrong_tracks_in_the_prior_are_no_result() -> None:
-    """A tenth of the tracks is wrong, and nothing rejects them."""
-    flight = synthesize_flight(seed=3, duration=6.0, num_tracks=40, outlier_share=0.1)
+@pytest.mark.parametrize(("share", "seed"), [(0.1, 3), (0.1, 11), (0.05, 1), (0.05, 4), (0.02, 5)])
+def test_wrong_tracks_in_the_prior_are_no_result(share: float, seed: int) -> None:
+    """Some tracks are wrong, and only a loss rejects them."""
+    flight = synthesize_flight(seed=seed, duration=6.0, num_tracks=40, outlier_share=share)
     found = run_odometry(flight.sequence, loss="trivial", time_budget=100.0)
-    assert not found.is_usable
-    assert found.message
+    assert not found.is_usable and "the prior was contradicted" in found.message
+    rejected = run_odometry(flight.sequence, time_budget=100.0)
+    assert rejected.is_usable
+    assert not any("prior contradicted" in a for r in rejected.keyframes for a in r.alarms)

@@ -136,7 +136,13 @@ def solve(
         scaled = jacobian * scale
         diagonal = np.clip((scaled**2).sum(axis=0), SMALLEST_DIAGONAL, LARGEST_DIAGONAL)
         normal = scaled.T @ scaled + np.diag(diagonal / radius)
-        step = -scale * np.linalg.solve(normal, scaled.T @ residual)
+        try:
+            step = -scale * np.linalg.solve(normal, scaled.T @ residual)
+        except np.linalg.LinAlgError:  # an invalid step
+            radius /= shrink
+            shrink *= 2
+            trace.append(record(iteration, step_is_successful=False))
+            continue
         change = jacobian @ step
         predicted = -change @ (residual + change / 2)
         step_norm = float(np.linalg.norm(step))
