@@ -1,10 +1,7 @@
-"""Solve of a pose graph: start, loss, consistency of closures, and result."""
+"""Solve of a pose graph: start, loss, and result."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
-from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +9,6 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.arguments import check_function, check_type
-from bundle.base.arrays import freeze
 from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000, ONE_IN_A_MILLION
@@ -25,93 +21,14 @@ from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.starts import choose_lower, choose_start, lower_start, started
 
 if TYPE_CHECKING:
-    from bundle.graphs.pose_graphs.consistency import ClosureConsistency
     from bundle.graphs.pose_graphs.gnc_solve import Proposal
 
 # Functions import the modules of robust, consistent and certified solves: together with those of a
 # plain one they would take longer than its first call.
 
-__all__ = ["solve_consistent", "solve_pose_graph"]
-
-
-UNPROVEN_SET = "unproven_set"
-MOST_LEFT_OUT = "most_left_out"
+__all__ = ["solve_pose_graph"]
 
 Floats = NDArray[np.float64]
-Solve = Callable[[PoseGraph, PoseGraphOptions], tuple[PoseGraphResult, Floats]]
-
-
-def solve_consistent(graph: PoseGraph, options: PoseGraphOptions, solve: Solve) -> PoseGraphResult:
-    """Solve without the closures outside the largest consistent set; report on all edges.
-
-    Args:
-        graph: graph to solve; not modified.
-        options: options with ``consistency``.
-        solve: function from a graph and options without ``consistency`` to the result and the poses
-            at the start.
-
-    Raises:
-        InputError: for the reasons of :func:`closure_consistency` or of ``solve``.
-    """
-    from bundle.graphs.pose_graphs.consistency import closure_consistency
-
-    begun = perf_counter()
-    weighed = checked_information(graph, options.information)
-    found = closure_consistency(weighed, options.num_threads or 1)
-    kept = np.ones(graph.num_edges, bool)
-    kept[[entry.edge for entry in found.left_out]] = False
-    edges = np.flatnonzero(kept)
-    check_time = perf_counter() - begun
-    solved, start = solve(
-        graph.replace(
-            edges=graph.edges[edges],
-            measurements=graph.measurements[edges],
-            information=graph.information[edges],
-            edge_lines=graph.edge_lines[edges],
-        ),
-        options.replace(consistency=False),
-    )
-    after = _core.edge_chi2(weighed, options.error, solved.problem.poses).copy()
-    before = _core.edge_chi2(weighed, options.error, start).copy()
-    after[edges], before[edges] = solved.chi2_after, solved.chi2_before
-    weights = np.zeros(graph.num_edges)
-    weights[edges] = solved.weights
-    said = _warnings(found)
-    return dataclasses.replace(
-        solved,
-        problem=graph.replace(poses=solved.problem.poses, has_poses=True),
-        initial_problem=graph,
-        options=options.replace(num_threads=solved.options.num_threads),
-        chi2_before=freeze(before),
-        chi2_after=freeze(after),
-        weights=freeze(weights),
-        rejected=tuple(int(edges[edge]) for edge in solved.rejected),
-        left_out=found.left_out,
-        build_time_in_seconds=solved.build_time_in_seconds + check_time,
-        summary=dataclasses.replace(
-            solved.summary,
-            num_left_out_edges=len(found.left_out),
-            warnings=(*solved.summary.warnings, *said.values()),
-            warning_kinds=(*solved.summary.warning_kinds, *said),
-        ),
-    )
-
-
-def _warnings(found: ClosureConsistency) -> dict[str, str]:
-    said = {}
-    if not found.proven:
-        said[UNPROVEN_SET] = (
-            "The search for the largest consistent set of closures reached its time limit: "
-            "the best set found is used, and a larger one may exist."
-        )
-    if 2 * len(found.left_out) >= found.num_closures > 1:
-        said[MOST_LEFT_OUT] = (
-            f"{plural(len(found.left_out), 'closure')} of {found.num_closures} contradict "
-            "the largest consistent set and are left out: no majority shows which are "
-            "correct."
-        )
-    return said
-
 
 SUSPICIOUS_STEPS = "suspicious_steps"
 SEVERAL_COMPONENTS = "several_components"
@@ -157,9 +74,11 @@ def solve_pose_graph(
         options = options.replace(num_threads=num_threads)
 
     def solve(given: PoseGraph, how: PoseGraphOptions) -> PoseGraphResult:
-        if how.consistency:
-            return solve_consistent(given, how, lambda kept, how: _refined(kept, how, progress))
-        return _refined(given, how, progress)[0]
+        if not how.consistency:
+            return _refined(given, how, progress)[0]
+        from bundle.graphs.pose_graphs.consistent_solve import solve_consistent
+
+        return solve_consistent(given, how, lambda kept, how: _refined(kept, how, progress))
 
     if not options.certify:
         return solve(graph, options)
